@@ -1,0 +1,1 @@
+"""Inverse models of motor and friction."""

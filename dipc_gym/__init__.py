@@ -1,0 +1,1 @@
+"""A double inverted pendulum on a cart with stick-slip friction."""

@@ -1,0 +1,1 @@
+"""Sim-to-real: find, name and model the physics that a simulator leaves out."""

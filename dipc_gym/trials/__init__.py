@@ -1,0 +1,1 @@
+"""Blind trials: rigs with concealed physics, simulated without MuJoCo, and their scorer."""
