@@ -1,0 +1,444 @@
+"""LOLIMOT: local linear models, grown by halving the cell that fits worst."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import sys
+import warnings
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from sklearn.utils import Tags
+
+Array = npt.NDArray[np.float64]
+
+
+class LOLIMOT:
+    """Regression by local linear models whose Gaussian validities a tree of boxes lays out.
+
+    The prediction is a weighted mean of linear models (Takagi-Sugeno rules, a locally linear neuro-fuzzy
+    network):
+
+        y(x) = sum_i phi_i(x) (level_i + slope_i . (x - centre_i)),      phi_i = mu_i / sum_m mu_m,
+        mu_i(x) = exp(-1/2 sum_j ((x_j - centre_ij) / sigma_ij)^2).
+
+    Training starts with one box around the data. Again and again the box with the largest local error
+    sum_k phi_i(x_k) e_k^2 is cut in half, once along every axis, and the cut that leaves the smallest error
+    over all samples stays. Only the two new linear models are estimated, by least squares weighted with
+    their validity; all others keep their numbers.
+
+    **Width of the Gaussians.** A box of width w has sigma = k w, the same k on all axes, chosen so that the
+    validity mu is `border_validity` in the middle of each face of the box. There one axis is w/2 from the
+    centre and the others are at it, so exp(-(w/2)^2 / (2 k^2 w^2)) = b and
+
+        k = 1 / sqrt(-8 ln b);    b = 0.7 gives k = 0.59200,    the usual k = 1/3 is b = 0.325.
+
+    **Poor data.** A box may hold fewer directions than a linear model has slopes (few samples, an input
+    that does not move, two inputs that move together). So every new model is estimated as if `ridge` samples,
+    spread like its validity, agreed with its parent's model: what the data do not say, the parent says.
+    The parent of the first model is the mean of y. A box is cut only where both halves hold twice as many
+    samples as a linear model has numbers.
+
+    Args:
+        max_models: Most local models to grow.
+        border_validity: Validity b at the border of a box, between 0 and 1.
+        estimation: `"local"`, or `"global"` to estimate the linear models of all boxes together after each
+            cut: a smaller training error for a longer training, and slopes that mean less on their own.
+        ridge: Number of imagined samples that agree with the parent's model.
+        patience: Cuts without a new lowest test error after which growing ends, if `fit` is given test data.
+            The network with the lowest test error is kept.
+
+    Attributes:
+        centres_: (models, inputs) centres of the boxes, in units of X.
+        sigmas_: (models, inputs) standard deviations of the validities, in units of X.
+        levels_: (models,) values of the linear models at their centres, in units of y.
+        slopes_: (models, inputs) slopes of the linear models, units of y over units of X.
+        train_errors_: (steps,) weighted mean squared training error with 1, 2, ... models.
+        test_errors_: (steps,) mean squared test error with 1, 2, ... models; empty without test data.
+        n_features_in_: Number of inputs.
+
+    Source: O. Nelles, Nonlinear System Identification, Springer 2001, chapter 13; the validity of 0.7 at the
+    border from H. Nejadfard, M. J. Yazdanpanah, I. Hassanzadeh, Neural Computing and Applications 22 (2013).
+
+    Example:
+        >>> import numpy as np
+        >>> x = np.linspace(-1, 1, 400)[:, None]
+        >>> model = LOLIMOT(max_models=8).fit(x, np.abs(x[:, 0]))
+        >>> bool(np.max(np.abs(model.predict(x) - np.abs(x[:, 0]))) < 0.1)
+        True
+    """
+
+    def __init__(
+        self,
+        *,
+        max_models: int = 30,
+        border_validity: float = 0.7,
+        estimation: str = "local",
+        ridge: float = 1e-3,
+        patience: int = 3,
+    ) -> None:
+        self.max_models = max_models
+        self.border_validity = border_validity
+        self.estimation = estimation
+        self.ridge = ridge
+        self.patience = patience
+
+    def fit(
+        self,
+        X: npt.ArrayLike,
+        y: npt.ArrayLike,
+        sample_weight: npt.ArrayLike | None = None,
+        *,
+        test: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    ) -> Self:
+        """Grow the network.
+
+        Args:
+            X: (samples, inputs) inputs.
+            y: (samples,) outputs.
+            sample_weight: (samples,) weights, not negative; a weight of 2 counts as two equal samples.
+            test: Inputs and outputs on which the error is watched; growing stops when it stops falling.
+
+        Returns:
+            The fitted network itself.
+
+        Raises:
+            ValueError: An option, a shape or a value is not usable; the message says which.
+        """
+        self._check_options()
+        X = _inputs(X)
+        y = _outputs(y, len(X))
+        weight = _weights(sample_weight, len(X))
+        X, y, weight = X[weight > 0], y[weight > 0], weight[weight > 0]
+
+        low = X.min(axis=0)
+        span = X.max(axis=0) - low
+        scale = np.where(span > 0, span, 1.0)
+        spread = 1 / math.sqrt(-8 * math.log(self.border_validity))
+        tree = _Tree((X - low) / scale, y, weight, spread=spread, ridge=self.ridge)
+        watch = None
+        if test is not None:
+            test_X = _inputs(test[0])
+            if test_X.shape[1] != X.shape[1]:
+                raise ValueError(f"test has {test_X.shape[1]} inputs, the training data {X.shape[1]}")
+            watch = ((test_X - low) / scale, _outputs(test[1], len(test_X)))
+        kept, self.train_errors_, self.test_errors_ = self._grow(tree, watch)
+
+        centres, widths, theta = kept
+        self.centres_ = low + scale * centres
+        self.sigmas_ = spread * widths * scale
+        self.levels_ = theta[:, 0] + np.einsum("ij,ij->i", theta[:, 1:], centres)
+        self.slopes_ = theta[:, 1:] / scale
+        self.n_features_in_ = X.shape[1]
+        return self
+
+    def _grow(
+        self, tree: _Tree, watch: tuple[Array, Array] | None
+    ) -> tuple[tuple[Array, Array, Array], Array, Array]:
+        """Cut boxes until one of the stopping rules holds; return the network to keep and both error curves."""
+        train_errors: list[float] = []
+        test_errors: list[float] = []
+        kept = tree.network()
+        total = tree.squared_error_of_mean()
+        while True:
+            if self.estimation == "global":
+                tree.estimate_all()
+            train_errors.append(tree.mean_squared_error())
+            if watch is None:
+                kept = tree.network()
+            else:
+                error = float(np.mean((tree.predict(watch[0]) - watch[1]) ** 2))
+                if not test_errors or error < min(test_errors):
+                    kept = tree.network()
+                test_errors.append(error)
+                if len(test_errors) - 1 - int(np.argmin(test_errors)) >= self.patience:
+                    break
+            at_rounding = train_errors[-1] <= 1e-20 * total
+            if tree.models >= self.max_models or at_rounding or not tree.cut_worst():
+                break
+        return kept, np.array(train_errors), np.array(test_errors)
+
+    def predict(self, X: npt.ArrayLike) -> Array:
+        """Predict the output.
+
+        Args:
+            X: (samples, inputs) inputs.
+
+        Returns:
+            (samples,) outputs.
+
+        Raises:
+            ValueError: Not fitted yet, or X is not usable.
+        """
+        if not hasattr(self, "centres_"):
+            error = _sklearn_class("NotFittedError", ValueError)
+            raise error("This LOLIMOT instance is not fitted yet: call fit first.")
+        X = _inputs(X)
+        if X.shape[1] != self.n_features_in_:
+            raise ValueError(
+                f"X has {X.shape[1]} features, but LOLIMOT is expecting {self.n_features_in_} features as input"
+            )
+        return _blend(X, self.centres_, self.sigmas_, self.levels_, self.slopes_)
+
+    def score(self, X: npt.ArrayLike, y: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> float:
+        """Return the coefficient of determination R^2 of the prediction."""
+        prediction = self.predict(X)
+        y = _outputs(y, len(prediction))
+        weight = _weights(sample_weight, len(y))
+        mean = np.average(y, weights=weight)
+        return float(1 - np.sum(weight * (y - prediction) ** 2) / np.sum(weight * (y - mean) ** 2))
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the options by name; `deep` is there for scikit-learn and changes nothing."""
+        return {name: getattr(self, name) for name in _option_names()}
+
+    def set_params(self, **params: Any) -> Self:
+        """Set options by name.
+
+        Raises:
+            ValueError: There is no option of that name.
+        """
+        for name, value in params.items():
+            if name not in _option_names():
+                raise ValueError(f"LOLIMOT has no parameter {name!r}; it has {', '.join(_option_names())}")
+            setattr(self, name, value)
+        return self
+
+    def __repr__(self) -> str:
+        options = ", ".join(f"{name}={value!r}" for name, value in self.get_params().items())
+        return f"LOLIMOT({options})"
+
+    def __sklearn_tags__(self) -> Tags:
+        """Tell scikit-learn what this is; only scikit-learn calls it, so only then is it imported."""
+        from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
+
+        return Tags(
+            estimator_type="regressor",
+            target_tags=TargetTags(required=True),
+            regressor_tags=RegressorTags(),
+            input_tags=InputTags(),
+        )
+
+    def _check_options(self) -> None:
+        if self.max_models < 1:
+            raise ValueError(f"max_models is {self.max_models}; it must be at least 1")
+        if not 0 < self.border_validity < 1:
+            raise ValueError(f"border_validity is {self.border_validity}; it must lie between 0 and 1")
+        if self.estimation not in ("local", "global"):
+            raise ValueError(f"estimation is {self.estimation!r}; it must be 'local' or 'global'")
+        if not (self.ridge > 0 and math.isfinite(self.ridge)):
+            raise ValueError(f"ridge is {self.ridge}; it must be a positive number")
+        if self.patience < 1:
+            raise ValueError(f"patience is {self.patience}; it must be at least 1")
+
+
+class _Tree:
+    """The growing network, on inputs scaled to the unit box, with what makes a cut cheap.
+
+    Per sample it keeps the validity and the output of every model, the sum of validities and the blended
+    numerator. A candidate cut changes two models, so its error costs the same however many models there are.
+    """
+
+    def __init__(self, Z: Array, y: Array, weight: Array, *, spread: float, ridge: float) -> None:
+        samples, inputs = Z.shape
+        self.rows = np.vstack([np.ones(samples), Z.T])  # regressors [1, z], one row each
+        self.y, self.weight, self.spread, self.ridge = y, weight, spread, ridge
+        self.home = np.zeros(samples, dtype=np.intp)  # the box each sample lies in
+        self.centres = np.full((1, inputs), 0.5)
+        self.widths = np.ones((1, inputs))
+        self.mu = np.exp(-self._exponent(self.centres[0], self.widths[0]))[None]
+        mean = np.zeros(inputs + 1)
+        mean[0] = np.average(y, weights=weight)
+        self.theta = self._estimate(self.centres[0], self.widths[0], np.ones(samples), mean)[None]
+        self._recombine()
+
+    @property
+    def models(self) -> int:
+        return len(self.centres)
+
+    def network(self) -> tuple[Array, Array, Array]:
+        return self.centres, self.widths, self.theta
+
+    def predict(self, Z: Array) -> Array:
+        levels = self.theta[:, 0] + np.einsum("ij,ij->i", self.theta[:, 1:], self.centres)
+        return _blend(Z, self.centres, self.spread * self.widths, levels, self.theta[:, 1:])
+
+    def squared_error_of_mean(self) -> float:
+        return float(np.average((self.y - np.average(self.y, weights=self.weight)) ** 2, weights=self.weight))
+
+    def mean_squared_error(self) -> float:
+        return float(np.average((self.y - self.numerator / self.total) ** 2, weights=self.weight))
+
+    def cut_worst(self) -> bool:
+        """Halve the box with the largest local error along its best axis; False if no box can be cut."""
+        error = self.weight * (self.y - self.numerator / self.total) ** 2
+        for worst in np.argsort(-(self.mu @ (error / self.total)), kind="stable"):
+            axes = self._divisible_axes(worst)
+            if len(axes):
+                break
+        else:
+            return False
+        rest_total = self.total - self.mu[worst]
+        rest_numerator = self.numerator - self.mu[worst] * (self.theta[worst] @ self.rows)
+        best = math.inf
+        for axis in axes:
+            centres, widths, mu = self._halves(worst, axis)
+            total = rest_total + mu[0] + mu[1]
+            theta = np.stack(
+                [self._estimate(centres[h], widths, mu[h] / total, self.theta[worst]) for h in (0, 1)]
+            )
+            outputs = theta @ self.rows
+            numerator = rest_numerator + mu[0] * outputs[0] + mu[1] * outputs[1]
+            residual = self.y - numerator / total
+            loss = float(self.weight @ (residual * residual))
+            if loss < best:
+                best, chosen = loss, (axis, centres, widths, mu, theta, total, numerator)
+        axis, centres, widths, mu, theta, self.total, self.numerator = chosen
+        upper = (self.home == worst) & (self.rows[1 + axis] > self.centres[worst, axis])
+        self.home[upper] = self.models
+        self.centres = _replace(self.centres, worst, centres)
+        self.widths = _replace(self.widths, worst, np.stack([widths, widths]))
+        self.mu = _replace(self.mu, worst, mu)
+        self.theta = _replace(self.theta, worst, theta)
+        return True
+
+    def estimate_all(self) -> None:
+        """Estimate the linear models of all boxes together, drawn to their local estimates by the ridge."""
+        models, size = self.theta.shape
+        regressors = ((self.mu / self.total)[:, None, :] * self.rows).reshape(models * size, -1)
+        normal = (regressors * self.weight) @ regressors.T
+        for i in range(models):
+            block = slice(i * size, (i + 1) * size)
+            normal[block, block] += self._prior(self.centres[i], self.widths[i])
+        gradient = regressors @ (self.weight * (self.y - self.numerator / self.total))
+        self.theta = self.theta + np.linalg.solve(normal, gradient).reshape(models, size)
+        self._recombine()
+
+    def _recombine(self) -> None:
+        self.total = self.mu.sum(axis=0)
+        self.numerator = np.einsum("ik,ik->k", self.mu, self.theta @ self.rows)
+
+    def _divisible_axes(self, box: int) -> npt.NDArray[np.intp]:
+        """Axes along which both halves of the box hold enough samples for a linear model each."""
+        members = np.flatnonzero(self.home == box)
+        weight = self.weight[members]
+        upper = (self.rows[1:, members] > self.centres[box][:, None]) @ weight
+        need = 2 * len(self.rows)
+        return np.flatnonzero((upper >= need) & (weight.sum() - upper >= need))
+
+    def _halves(self, box: int, axis: int) -> tuple[Array, Array, Array]:
+        """Centres (2, inputs), widths (inputs,) and validities (2, samples) of the two halves of a box."""
+        widths = self.widths[box].copy()
+        widths[axis] /= 2
+        centres = np.stack([self.centres[box], self.centres[box]])
+        centres[:, axis] += (-widths[axis] / 2, widths[axis] / 2)
+        return centres, widths, np.exp(-np.stack([self._exponent(centre, widths) for centre in centres]))
+
+    def _exponent(self, centre: Array, widths: Array) -> Array:
+        """Half the squared distance of every sample from a centre, in standard deviations."""
+        distance = (self.rows[1:] - centre[:, None]) * (math.sqrt(0.5) / (self.spread * widths))[:, None]
+        return np.einsum("jk,jk->k", distance, distance)
+
+    def _estimate(self, centre: Array, widths: Array, validity: Array, parent: Array) -> Array:
+        """Least squares weighted with the validity, as a correction of the parent's model."""
+        weighted = self.rows * (self.weight * validity)
+        normal = weighted @ self.rows.T
+        gradient = weighted @ self.y - normal @ parent
+        return parent + np.linalg.solve(normal + self._prior(centre, widths), gradient)
+
+    def _prior(self, centre: Array, widths: Array) -> Array:
+        """Normal matrix of `ridge` samples that are spread like a box's validity."""
+        mean = np.concatenate([[1.0], centre])
+        prior = np.outer(mean, mean)
+        prior[np.arange(1, len(mean)), np.arange(1, len(mean))] += (self.spread * widths) ** 2
+        return self.ridge * prior
+
+
+def _replace(stack: Array, index: int, halves: Array) -> Array:
+    """Put the first half in the place of the whole and append the second."""
+    stack = np.concatenate([stack, halves[1:]])
+    stack[index] = halves[0]
+    return stack
+
+
+def _blend(X: Array, centres: Array, sigmas: Array, levels: Array, slopes: Array) -> Array:
+    """Evaluate the network; shifting the exponents keeps it defined far outside all boxes."""
+    exponents = np.empty((len(centres), len(X)))
+    outputs = np.empty((len(centres), len(X)))
+    for i in range(len(centres)):
+        offset = X - centres[i]
+        outputs[i] = levels[i] + offset @ slopes[i]
+        offset *= math.sqrt(0.5) / sigmas[i]
+        exponents[i] = np.einsum("kj,kj->k", offset, offset)
+    validity = np.exp(exponents.min(axis=0) - exponents)
+    return np.einsum("ik,ik->k", validity, outputs) / validity.sum(axis=0)
+
+
+def _option_names() -> list[str]:
+    return [name for name in inspect.signature(LOLIMOT.__init__).parameters if name != "self"]
+
+
+def _sklearn_class(name: str, fallback: type[Exception]) -> type[Exception]:
+    """Scikit-learn's class of that name where scikit-learn is loaded, so that its tools recognise it."""
+    return getattr(sys.modules.get("sklearn.exceptions"), name, fallback)
+
+
+def _inputs(X: Any) -> Array:
+    if hasattr(X, "toarray"):
+        raise TypeError("X is a sparse matrix; LOLIMOT needs a dense array: pass X.toarray()")
+    X = np.asarray(X)
+    if np.iscomplexobj(X):
+        raise ValueError("Complex data not supported: X must be real")
+    if X.ndim != 2:
+        raise ValueError(
+            f"X must be a table (samples, inputs), got {X.ndim} dimension(s). Reshape your data: "
+            "X.reshape(-1, 1) for one input, X.reshape(1, -1) for one sample"
+        )
+    X = X.astype(np.float64)
+    if X.shape[0] < 1:
+        raise ValueError(f"Found array with 0 sample(s) (shape={X.shape}) while a minimum of 1 is required.")
+    if X.shape[1] < 1:
+        raise ValueError(f"0 feature(s) (shape={X.shape}) while a minimum of 1 is required.")
+    if not np.isfinite(X).all():
+        raise ValueError("X has NaN or infinity; drop or repair those samples")
+    return X
+
+
+def _outputs(y: Any, samples: int) -> Array:
+    if y is None:
+        raise ValueError("requires y to be passed, but the target y is None")
+    y = np.asarray(y)
+    if np.iscomplexobj(y):
+        raise ValueError("Complex data not supported: y must be real")
+    if y.ndim == 2 and y.shape[1] == 1:
+        warnings.warn(
+            "A column-vector y was passed when a 1d array was expected: use y.ravel()",
+            _sklearn_class("DataConversionWarning", UserWarning),
+            stacklevel=3,
+        )
+        y = y.ravel()
+    if y.shape != (samples,):
+        raise ValueError(f"y has shape {y.shape}, but X has {samples} samples: y must be ({samples},)")
+    y = y.astype(np.float64)
+    if not np.isfinite(y).all():
+        raise ValueError("y has NaN or infinity (inf); drop or repair those samples")
+    return y
+
+
+def _weights(sample_weight: Any, samples: int) -> Array:
+    if sample_weight is None:
+        return np.ones(samples)
+    weight = np.asarray(sample_weight, dtype=np.float64)
+    if weight.ndim == 0:
+        weight = np.full(samples, float(weight))
+    if weight.shape != (samples,):
+        raise ValueError(f"sample_weight has shape {weight.shape}, but X has {samples} samples")
+    if not (np.isfinite(weight).all() and (weight >= 0).all()):
+        raise ValueError("sample_weight must be finite and not negative")
+    if not weight.any():
+        raise ValueError("sample_weight is zero everywhere: at least one sample must count")
+    return weight
