@@ -1,0 +1,421 @@
+"""Recordings: what was commanded and what was sensed, by the model's names, in SI units.
+
+A command holds from its time stamp until the next; a sensor is read at its time stamp, before that command acts.
+Sampling may be irregular. Where an actuator and a sensor share a name, `ctrl:` and `sensor:` tell their columns apart.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dipc_gym import mjcf
+from dipc_gym.sim2real import channels
+from dipc_gym.sim2real.channels import noise
+from dipc_gym.sim2real.tables import RecordingError, check_format, read_table, row_label, write_table
+from dipc_gym.sim2real.units import factor
+
+if TYPE_CHECKING:
+    import mujoco
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "Recorder",
+    "Recording",
+    "RecordingError",
+    "noise",
+    "read",
+    "read_all",
+    "resample_commands",
+    "write",
+]
+
+MIN_SAMPLES = 20  # fewer rows cannot tell motion from noise
+COMMAND, SENSOR = "ctrl:", "sensor:"
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One run of a rig.
+
+    Attributes:
+        name: short name, the file's stem.
+        time: (n,) s, strictly increasing.
+        commands: (n, nu) held from their stamp until the next, in the actuators' units.
+        sensors: (n, ns) read at their stamp, SI.
+        actuator_names: names of the columns of `commands`.
+        sensor_names: names of the columns of `sensors`.
+        path: the file, if there is one.
+        ignored: columns of the file that the model does not know.
+        notes: what the owner should know about this recording, in sentences.
+        sha256: digest of the file, or of the numbers where there is none.
+
+    Raises:
+        RecordingError: shapes that do not fit, numbers that are not finite, time that does not increase.
+    """
+
+    name: str
+    time: NDArray[np.float64]
+    commands: NDArray[np.float64]
+    sensors: NDArray[np.float64]
+    actuator_names: tuple[str, ...]
+    sensor_names: tuple[str, ...]
+    path: Path | None = None
+    ignored: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        where = str(self.path or self.name)
+        time = _frozen(self.time)
+        if time.ndim != 1 or not len(time):
+            raise RecordingError(
+                f"{where}: time has shape {time.shape}; it must be a list of at least one number"
+            )
+        parts = {"time": time}
+        for kind, names in (("commands", self.actuator_names), ("sensors", self.sensor_names)):
+            values = _frozen(getattr(self, kind))
+            if values.shape != (len(time), len(names)):
+                raise RecordingError(
+                    f"{where}: {kind} has shape {values.shape}, but {len(time)} samples of {len(names)} names "
+                    f"{list(names)} need {(len(time), len(names))}"
+                )
+            parts[kind] = values
+            object.__setattr__(self, {"commands": "actuator_names"}.get(kind, "sensor_names"), tuple(names))
+        for kind, values in parts.items():
+            object.__setattr__(self, kind, values)
+        _check_numbers(where, (), self.columns())
+        if not self.sha256:
+            digest = hashlib.sha256(repr((self.actuator_names, self.sensor_names)).encode())
+            for values in parts.values():
+                digest.update(values.tobytes())
+            object.__setattr__(self, "sha256", digest.hexdigest())
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @functools.cached_property
+    def period(self) -> float:
+        """Median time between samples, s (0 for a single sample)."""
+        return float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
+
+    @functools.cached_property
+    def jitter(self) -> float:
+        """Standard deviation of the time between samples, s."""
+        return float(np.std(np.diff(self.time))) if len(self) > 1 else 0.0
+
+    def slice(self, start: int, stop: int) -> Recording:
+        """Samples `start` to `stop` (exclusive), counted as Python counts; time stamps stay as they are.
+
+        Raises:
+            RecordingError: the slice is empty.
+        """
+        part = slice(start, stop)
+        first, last, _ = part.indices(len(self))
+        if first >= last:
+            raise RecordingError(f"{self.name}: no samples between {start} and {stop} of {len(self)}")
+        return replace(
+            self,
+            name=f"{self.name}[{first}:{last}]",
+            time=self.time[part],
+            commands=self.commands[part],
+            sensors=self.sensors[part],
+        )
+
+    def split(self, fraction: float) -> tuple[Recording, Recording]:
+        """The first `fraction` of the samples, and the rest.
+
+        Raises:
+            RecordingError: one of the two would be empty.
+        """
+        border = round(fraction * len(self))
+        if not 0 < border < len(self):
+            raise RecordingError(f"{self.name}: cannot split {len(self)} samples at the fraction {fraction}")
+        return self.slice(0, border), self.slice(border, len(self))
+
+    def columns(self) -> dict[str, NDArray[np.float64]]:
+        """All columns under the names they have in a file, time first."""
+        shared = {"time", *self.actuator_names} & {"time", *self.sensor_names} | {
+            name for name in (*self.actuator_names, *self.sensor_names) if name.startswith((COMMAND, SENSOR))
+        }
+        table = {"time": self.time}
+        for prefix, names, values in (
+            (COMMAND, self.actuator_names, self.commands),
+            (SENSOR, self.sensor_names, self.sensors),
+        ):
+            for k, name in enumerate(names):
+                label = prefix + name if name in shared else name
+                if label in table:
+                    raise RecordingError(f"{self.name}: the name {name!r} appears twice")
+                table[label] = values[:, k]
+        return table
+
+
+class Recorder:
+    """Collects samples while something runs.
+
+    Args:
+        actuator_names: names of the commands.
+        sensor_names: names of the sensors.
+
+    Example:
+        >>> recorder = Recorder(["motor"], ["cart"])
+        >>> recorder.append(0.0, [1.0], [0.0])
+        >>> recorder.append(0.1, [1.0], [0.002])
+        >>> recorder.recording("run").duration
+        0.1
+    """
+
+    def __init__(self, actuator_names: Sequence[str], sensor_names: Sequence[str]) -> None:
+        self.actuator_names, self.sensor_names = tuple(actuator_names), tuple(sensor_names)
+        self._rows: list[NDArray[np.float64]] = []
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def append(self, time: float, command: ArrayLike, sensors: ArrayLike) -> None:
+        """Add a sample: sensors read at `time`, and the command that holds from then on.
+
+        Raises:
+            RecordingError: not as many numbers as there are names.
+        """
+        command, sensors = np.ravel(command), np.ravel(sensors)
+        if len(command) != len(self.actuator_names) or len(sensors) != len(self.sensor_names):
+            raise RecordingError(
+                f"a sample has {len(command)} commands and {len(sensors)} sensors, but the names are "
+                f"{list(self.actuator_names)} and {list(self.sensor_names)}"
+            )
+        self._rows.append(np.concatenate([[time], command, sensors]).astype(np.float64))
+
+    def recording(self, name: str) -> Recording:
+        """What was collected so far.
+
+        Raises:
+            RecordingError: nothing was; a number is not finite; time does not increase.
+        """
+        if not self._rows:
+            raise RecordingError(f"{name}: nothing was recorded")
+        table = np.stack(self._rows)
+        nu = len(self.actuator_names)
+        return Recording(
+            name,
+            table[:, 0],
+            table[:, 1 : nu + 1],
+            table[:, nu + 1 :],
+            self.actuator_names,
+            self.sensor_names,
+        )
+
+
+def read(
+    path: str | Path,
+    model: mujoco.MjModel,
+    *,
+    mapping: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Recording:
+    """Read a recording of the rig that `model` describes.
+
+    Args:
+        path: a `.csv`, `.parquet` or `.npz` file with the columns `time`, one per control and one per scalar sensor.
+        model: gives the names.
+        mapping: file column -> name in the model (or `time`), for files with other names.
+        units: file column or model name -> unit it is in, as `{"theta1": "deg", "time": "ms"}`; converted to SI.
+
+    Returns:
+        The recording. What is odd but usable (constant or clipped channels, ignored columns, values that look like
+        degrees) stands in its `notes`.
+
+    Raises:
+        RecordingError: a missing or ambiguous column, a cell that is not a finite number, time that does not
+            increase, fewer than 20 samples, or a file that cannot be read.
+    """
+    path = Path(path)
+    mapping, units = dict(mapping or {}), dict(units or {})
+    wanted: dict[str, str] = {}  # channel, with prefix -> file column
+    ctrl, sensor = mjcf.controls(model), mjcf.scalar_sensors(model)
+
+    def choose(names: Sequence[str]) -> Sequence[str]:
+        wanted.update(_match(str(path), names, ctrl, sensor, mapping))
+        return list(wanted.values())
+
+    table = read_table(path, choose)
+    factors = _factors(str(path), wanted, units)
+    columns = {channel: table.columns[name] * factors.get(channel, 1.0) for channel, name in wanted.items()}
+    if len(columns["time"]) < MIN_SAMPLES:
+        raise RecordingError(
+            f"{path}: {len(columns['time'])} samples are too few; at least {MIN_SAMPLES} are needed"
+        )
+    _check_numbers(str(path), table.lines, {wanted[channel]: values for channel, values in columns.items()})
+    ignored = tuple(name for name in table.names if name not in wanted.values())
+    n = len(columns["time"])
+    recording = Recording(
+        name=path.stem,
+        time=columns["time"],
+        commands=np.column_stack([np.empty((n, 0)), *(columns[COMMAND + name] for name in ctrl)]),
+        sensors=np.column_stack([np.empty((n, 0)), *(columns[SENSOR + name] for name in sensor)]),
+        actuator_names=tuple(ctrl),
+        sensor_names=tuple(sensor),
+        path=path,
+        ignored=ignored,
+        sha256=table.sha256,
+    )
+    return replace(recording, notes=channels.notes(recording, model))
+
+
+def read_all(
+    paths: Iterable[str | Path],
+    model: mujoco.MjModel,
+    *,
+    mapping: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> list[Recording]:
+    """Read several recordings of one rig; arguments and errors as `read`."""
+    return [read(path, model, mapping=mapping, units=units) for path in paths]
+
+
+def write(recording: Recording, path: str | Path, *, overwrite: bool = False) -> Path:
+    """Write a recording as CSV, Parquet or npz; read again it has the same bits.
+
+    The file appears whole or not at all.
+
+    Raises:
+        RecordingError: unknown suffix, missing folder, or the file exists and `overwrite` is not set.
+    """
+    path = Path(path)
+    check_format(path)
+    write_table(path, recording.columns(), overwrite=overwrite)
+    return path
+
+
+def resample_commands(recording: Recording, grid: ArrayLike) -> NDArray[np.float64]:
+    """Average the held command over each physics step.
+
+    Taking the value at the start of each step instead shifts commands by up to a step where stamps are irregular.
+    Before the first stamp the first command holds, after the last one the last.
+
+    Args:
+        recording: gives time stamps and commands.
+        grid: (m + 1,) s, the borders of m steps, increasing.
+
+    Returns:
+        (m, nu) mean of the command over `[grid[i], grid[i + 1])`.
+
+    Raises:
+        RecordingError: the grid does not increase.
+    """
+    grid = np.asarray(grid, dtype=np.float64)
+    if grid.ndim != 1 or len(grid) < 2 or not np.all(np.diff(grid) > 0):
+        raise RecordingError(f"{recording.name}: the time grid needs at least two borders that increase")
+    time, commands = recording.time, recording.commands
+    held = np.clip(
+        np.searchsorted(time, grid, side="right") - 1, 0, None
+    )  # which command holds at each border
+    # Integral of the command from the first stamp to every stamp, and from there to every border.
+    integral = np.zeros_like(commands)
+    np.cumsum(commands[:-1] * np.diff(time)[:, None], axis=0, out=integral[1:])
+    until = integral[held] + commands[held] * (grid - time[held])[:, None]
+    mean = np.diff(until, axis=0) / np.diff(grid)[:, None]
+    unchanged = held[:-1] == held[1:]
+    mean[unchanged] = commands[held[:-1][unchanged]]  # exact where no stamp falls into the step
+    return mean
+
+
+def _frozen(values: ArrayLike) -> NDArray[np.float64]:
+    array = np.array(values, dtype=np.float64, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def _check_numbers(where: str, lines: Sequence[int], columns: Mapping[str, NDArray[np.float64]]) -> None:
+    for name, values in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise RecordingError(
+                f"{where}, {row_label(lines, int(bad[0]))}, column {name!r}: {values[bad[0]]} is not a finite number "
+                f"({len(bad)} such cells); remove these rows or fill them"
+            )
+    time = next(iter(columns.values()))
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if len(back):
+        k = int(back[0]) + 1
+        raise RecordingError(
+            f"{where}, {row_label(lines, k)}, column {next(iter(columns))!r}: time must increase, but "
+            f"{time[k]} follows {time[k - 1]} ({len(back)} such places)"
+        )
+
+
+def _match(
+    where: str, names: Sequence[str], ctrl: Sequence[str], sensor: Sequence[str], mapping: Mapping[str, str]
+) -> dict[str, str]:
+    """Which file column holds which channel; time first, then the model's order."""
+    sides = f"the file has {list(names)}; the model wants ['time'], controls {list(ctrl)} and sensors {list(sensor)}"
+    channels_of: dict[str, list[str]] = {"time": ["time"]}
+    for prefix, wanted in ((COMMAND, ctrl), (SENSOR, sensor)):
+        for name in wanted:
+            channels_of.setdefault(prefix + name, []).append(prefix + name)
+            if name != "time":
+                channels_of.setdefault(name, []).append(prefix + name)
+    for column, name in mapping.items():
+        if column not in names:
+            hint = " (a mapping is FILE_COLUMN=MODEL_NAME)" if name in names else ""
+            raise RecordingError(f"{where}: there is no column {column!r} to map to {name!r}{hint}; {sides}")
+        if name not in channels_of:
+            raise RecordingError(
+                f"{where}: column {column!r} is mapped to {name!r}, which is not in the model; {sides}"
+            )
+    found: dict[str, str] = {}
+    for column in names:
+        meant = channels_of.get(mapping.get(column, column), [])
+        if len(meant) > 1:
+            raise RecordingError(
+                f"{where}: column {column!r} may be an actuator or a sensor, the model has both; "
+                f"name it {meant[0]!r} or {meant[1]!r}"
+            )
+        for channel in meant:
+            if channel in found:
+                raise RecordingError(
+                    f"{where}: columns {found[channel]!r} and {column!r} both mean {channel!r}"
+                )
+            found[channel] = column
+    order = ["time", *(COMMAND + name for name in ctrl), *(SENSOR + name for name in sensor)]
+    missing = [channel for channel in order if channel not in found]
+    if missing:
+        raise RecordingError(
+            f"{where}: no column for {missing}; {sides}; rename them or use --map COLUMN=NAME"
+        )
+    return {channel: found[channel] for channel in order}
+
+
+def _factors(where: str, wanted: Mapping[str, str], units: Mapping[str, str]) -> dict[str, float]:
+    """Factor to SI of each channel that a unit is given for."""
+    factors: dict[str, float] = {}
+    for key, unit in units.items():
+        meant = [c for c, column in wanted.items() if key in (column, c)] or [
+            c for c in wanted if key in (c.removeprefix(COMMAND), c.removeprefix(SENSOR))
+        ]
+        if not meant:
+            raise RecordingError(
+                f"{where}: a unit is given for {key!r}, which is neither a column that is used nor a name of the "
+                f"model; there are {list(wanted.values())}"
+            )
+        if len(meant) > 1:
+            raise RecordingError(
+                f"{where}: the unit of {key!r} may mean {meant[0]!r} or {meant[1]!r}; say which"
+            )
+        try:
+            factors[meant[0]] = factor(unit)
+        except ValueError as error:
+            raise RecordingError(f"{where}: unit of {key!r}: {error}") from None
+    return factors

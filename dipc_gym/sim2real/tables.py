@@ -1,0 +1,333 @@
+"""Tables of numbers on disk: CSV, Parquet and npz, read with suspicion and written whole or not at all.
+
+Every reader takes the file's bytes and a `choose` function that is told the column names and returns those to load, so
+that text in columns nobody wants does no harm. What is wrong with a file is said with its name, column and row.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import os
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+MAX_BYTES = 1_000_000_000  # of a file
+MAX_VALUES = 100_000_000  # rows times columns that are loaded
+FORMATS = (".csv", ".parquet", ".npz")
+
+Choose = Callable[[Sequence[str]], Sequence[str]]
+
+
+class RecordingError(ValueError):
+    """A recording that cannot be used; the message names the file, the column and the row, and the mend."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of numbers as they stood in a file.
+
+    Attributes:
+        names: every column name of the file, in its order.
+        columns: the chosen columns, float64, all of one length.
+        lines: for CSV, the line of the file that each row stood on; empty otherwise.
+        sha256: digest of the file.
+    """
+
+    names: tuple[str, ...]
+    columns: dict[str, NDArray[np.float64]]
+    lines: Sequence[int]
+    sha256: str
+
+    def row(self, index: int) -> str:
+        """How a message names a row."""
+        return row_label(self.lines, index)
+
+
+def row_label(lines: Sequence[int], index: int) -> str:
+    """`line 12` where the file has lines, else `row 11`, counted from 1."""
+    return f"line {lines[index]}" if len(lines) else f"row {index + 1}"
+
+
+def check_format(path: Path) -> str:
+    """The lower-case suffix of a file in one of the three formats.
+
+    Raises:
+        RecordingError: another suffix.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise RecordingError(f"{path}: unknown recording format {suffix!r}; use one of {', '.join(FORMATS)}")
+    return suffix
+
+
+def read_table(path: Path, choose: Choose) -> Table:
+    """Read the chosen columns of a CSV, Parquet or npz file.
+
+    Args:
+        path: the file; its suffix says the format.
+        choose: gets all column names, returns those to load; may raise RecordingError.
+
+    Raises:
+        RecordingError: whatever is wrong with the file.
+    """
+    suffix = check_format(path)
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such recording")
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise RecordingError(
+            f"{path}: {size:,} bytes, more than the {MAX_BYTES:,} allowed; split the recording"
+        )
+    data = path.read_bytes()
+    if not data.strip():
+        raise RecordingError(f"{path}: the file is empty")
+    reader = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}[suffix]
+    names, columns, lines = reader(path, data, choose)
+    return Table(tuple(names), columns, lines, hashlib.sha256(data).hexdigest())
+
+
+def write_table(path: Path, columns: dict[str, NDArray[np.float64]], *, overwrite: bool = False) -> None:
+    """Write columns to a CSV, Parquet or npz file; reading them gives the same bits.
+
+    Raises:
+        RecordingError: unknown suffix, or the file exists and `overwrite` is not set.
+    """
+    writer = {".csv": _write_csv, ".parquet": _write_parquet, ".npz": _write_npz}[check_format(path)]
+    with whole_file(path, overwrite=overwrite) as file:
+        writer(path, file, columns)
+
+
+@contextmanager
+def whole_file(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
+    """Open a file that appears under its name only when the block ends without an error.
+
+    Raises:
+        RecordingError: the file exists and `overwrite` is not set, or its folder is missing.
+    """
+    if path.exists() and not overwrite:
+        raise RecordingError(f"{path}: exists already; choose another name or allow overwriting")
+    if not path.parent.is_dir():
+        raise RecordingError(f"{path}: its folder does not exist; make it first")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            yield file
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _check_header(path: Path, names: Sequence[str]) -> None:
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise RecordingError(f"{path}: columns {twice} appear more than once; rename or remove one")
+
+
+def _check_size(path: Path, rows: int, columns: int) -> None:
+    if rows * columns > MAX_VALUES:
+        raise RecordingError(f"{path}: {rows:,} rows of {columns} columns are too many; split the recording")
+
+
+# --------------------------------------------------------------------------------------------------------- CSV
+
+
+def _read_csv(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[str, Any], Sequence[int]]:
+    if b"\0" in data:
+        raise RecordingError(f"{path}: not a CSV file: it contains binary data")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise RecordingError(f"{path}, line {line}: not UTF-8 text; save the CSV as UTF-8") from None
+    rows = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = [number for number, row in enumerate(rows, 1) if row.strip()]
+    rows = [rows[number - 1] for number in lines]
+    names = [name.strip() for name in _cells(path, rows[0], lines[0])]
+    _check_csv_header(path, names, rows[0])
+    wanted = list(choose(names))
+    del rows[0], lines[0]
+    if not rows:
+        raise RecordingError(f"{path}: there is a header but no data")
+    _check_size(path, len(rows), max(1, len(wanted)))
+    places = [names.index(name) for name in wanted]
+    values = _fast_values(rows, len(names), places)
+    if values is None:
+        values = _slow_values(path, rows, lines, names, places)
+    return names, {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(wanted)}, lines
+
+
+def _check_csv_header(path: Path, names: list[str], header: str) -> None:
+    if len(names) == 1 and any(mark in header for mark in ";\t"):
+        raise RecordingError(
+            f"{path}: the columns are not separated by commas; write it with ',' (and '.' decimals)"
+        )
+    if any(_is_number(name) for name in names):
+        raise RecordingError(
+            f"{path}: the first line must name the columns, but it holds numbers: {header[:60]!r}"
+        )
+    if "" in names:
+        raise RecordingError(f"{path}: column {names.index('') + 1} has no name in the first line")
+    _check_header(path, names)
+
+
+def _fast_values(rows: list[str], width: int, places: list[int]) -> NDArray[np.float64] | None:
+    """All numbers by NumPy's parser, or None where anything is unusual and the slow way must say what."""
+    if any(row.count(",") != width - 1 or '"' in row for row in rows):
+        return None
+    try:
+        return np.loadtxt(rows, delimiter=",", comments=None, usecols=places, ndmin=2, dtype=np.float64)
+    except ValueError:
+        return None
+
+
+def _slow_values(
+    path: Path, rows: list[str], lines: list[int], names: list[str], places: list[int]
+) -> NDArray[np.float64]:
+    """Row by row, to name the first fault exactly."""
+    values = np.empty((len(rows), len(places)))
+    for index, (row, line) in enumerate(zip(rows, lines, strict=True)):
+        cells = _cells(path, row, line)
+        if len(cells) != len(names):
+            raise RecordingError(
+                f"{path}, line {line}: {len(cells)} cells, but the header names {len(names)}"
+            )
+        for k, place in enumerate(places):
+            cell = cells[place].strip()
+            if not _is_number(cell):
+                what = f"{cell[:40]!r} is not a number" if cell else "the cell is empty"
+                raise RecordingError(f"{path}, line {line}, column {names[place]!r}: {what}")
+            values[index, k] = float(cell)
+    return values
+
+
+def _cells(path: Path, row: str, line: int) -> list[str]:
+    try:
+        return next(csv.reader([row], strict=True))
+    except (csv.Error, StopIteration) as error:
+        raise RecordingError(f"{path}, line {line}: not a CSV row: {error}") from None
+
+
+def _is_number(cell: str) -> bool:
+    if "_" in cell:  # Python reads 1_000; no other program does
+        return False
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _write_csv(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64]]) -> None:
+    if any("\n" in name or "\r" in name for name in columns):
+        raise RecordingError(f"{path}: a column name contains a line break; write Parquet or npz instead")
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="", write_through=True)
+    writer = csv.writer(text, lineterminator="\n")  # it writes floats with repr, so nothing is lost
+    writer.writerow(columns)
+    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+    text.detach()
+
+
+# ----------------------------------------------------------------------------------------------------- Parquet
+
+
+def _arrow(path: Path) -> Any:
+    try:
+        import pyarrow.parquet
+    except ImportError:
+        raise RecordingError(
+            f"{path}: Parquet needs pyarrow; install it with: pip install 'dipc-gym[parquet]'"
+        ) from None
+    return pyarrow
+
+
+def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[str, Any], Sequence[int]]:
+    arrow = _arrow(path)
+    try:
+        file = arrow.parquet.ParquetFile(arrow.BufferReader(data))
+        names = list(file.schema_arrow.names)
+        rows = file.metadata.num_rows
+    except Exception as error:  # a corrupt file can provoke any of a dozen classes
+        raise RecordingError(f"{path}: not a readable Parquet file: {_first_line(error)}") from None
+    _check_header(path, names)
+    wanted = list(choose(names))
+    _check_size(path, rows, max(1, len(wanted)))
+    columns = {}
+    for name in wanted:
+        kind = file.schema_arrow.field(name).type
+        if not (arrow.types.is_floating(kind) or arrow.types.is_integer(kind)):
+            raise RecordingError(f"{path}, column {name!r}: holds {kind}, not numbers")
+        try:
+            column = file.read(columns=[name]).column(0)
+            values = column.cast(arrow.float64(), safe=False).to_numpy()
+        except Exception as error:
+            raise RecordingError(f"{path}, column {name!r}: cannot be read: {_first_line(error)}") from None
+        if column.null_count:
+            index = int(np.flatnonzero(np.asarray(column.is_null()))[0])
+            raise RecordingError(f"{path}, {row_label((), index)}, column {name!r}: the cell is empty")
+        columns[name] = np.array(values, dtype=np.float64)
+    return names, columns, ()
+
+
+def _write_parquet(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64]]) -> None:
+    arrow = _arrow(path)
+    arrow.parquet.write_table(arrow.table(columns), file)
+
+
+# --------------------------------------------------------------------------------------------------------- npz
+
+
+def _read_npz(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[str, Any], Sequence[int]]:
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            _check_header(path, names)
+            wanted = list(choose(names))
+            entries = dict(zip(names, archive.infolist(), strict=True))
+            _check_size(path, sum(entries[name].file_size for name in wanted) // 8, 1)
+            columns = {name: _npy(path, name, archive.read(entries[name])) for name in wanted}
+    except RecordingError:
+        raise
+    except Exception as error:  # a corrupt archive can provoke any of a dozen classes
+        raise RecordingError(f"{path}: not a readable npz file: {_first_line(error)}") from None
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise RecordingError(f"{path}: the columns differ in length: {lengths}")
+    return names, columns, ()
+
+
+def _npy(path: Path, name: str, data: bytes) -> NDArray[np.float64]:
+    """One array of the archive; nothing is unpickled, and no more is allocated than the file holds."""
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = header(file)
+    if len(shape) != 1:
+        raise RecordingError(f"{path}, column {name!r}: has shape {shape}; a column is one-dimensional")
+    if dtype.kind not in "fiu":
+        raise RecordingError(f"{path}, column {name!r}: holds {dtype}, not numbers")
+    values = np.frombuffer(data, dtype=dtype, count=shape[0], offset=file.tell())
+    return values.astype(np.float64)
+
+
+def _write_npz(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64]]) -> None:
+    # Written entry by entry, because numpy.savez takes the names as keywords and has its own called `file`.
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, values in columns.items():
+            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as entry:
+                np.lib.format.write_array(entry, np.asarray(values, dtype=np.float64), allow_pickle=False)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]

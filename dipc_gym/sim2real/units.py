@@ -1,0 +1,47 @@
+"""Units that recordings come in, and their factors to SI."""
+
+from __future__ import annotations
+
+import math
+
+_TURN = 2 * math.pi
+
+FACTORS: dict[str, float] = {
+    **{"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    **{"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": _TURN},
+    **{"rad/s": 1.0, "deg/s": math.pi / 180, "rev/s": _TURN, "rpm": _TURN / 60},
+    **{"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
+    **{"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    **{"m/s2": 1.0, "g0": 9.80665, "rad/s2": 1.0, "deg/s2": math.pi / 180},
+    **{"V": 1.0, "mV": 1e-3, "A": 1.0, "mA": 1e-3},
+    **{"N": 1.0, "mN": 1e-3, "kN": 1e3, "Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2},
+    "%": 1e-2,
+}
+
+
+def factor(unit: str) -> float:
+    """What a number in this unit is multiplied with to be in SI.
+
+    Args:
+        unit: a name from the list, or the factor itself as a number (for encoder counts, say).
+
+    Raises:
+        ValueError: neither of the two; the message lists the names.
+
+    Example:
+        >>> factor("mm")
+        0.001
+        >>> factor("0.5")
+        0.5
+    """
+    if unit in FACTORS:
+        return FACTORS[unit]
+    try:
+        value = float(unit)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or value == 0:
+        raise ValueError(
+            f"unknown unit {unit!r}; use a number (the factor to SI) or one of {', '.join(FACTORS)}"
+        )
+    return value
