@@ -1,0 +1,335 @@
+"""The physics that MJCF cannot say, kept under `<custom>` of the same file and applied around MuJoCo's step.
+
+MuJoCo has no dead zone in an amplifier, no sensor with a wrong gain, no friction that varies along a rail. Such
+effects stand in the model file as
+
+    <custom>
+      <numeric name="dipc_gym:motor.deadzone:motor" data="0.4"/>
+    </custom>
+
+that is `dipc_gym:EFFECT:PLACE`, with the effect's numbers as data. Stock MuJoCo ignores the entry and simulates the
+model without it; `load` applies it. Four kinds of effect exist, each a small function on arrays whose last axis is
+the control, the sensor or the degree of freedom, so that one environment and a batch of a thousand run the same code:
+
+    command    changes the command before the model sees it
+    force      adds a generalised force that depends on time
+    friction   sets the dry friction of a joint at each step
+    sensor     changes a sensor's reading
+
+and `timing.sensor_lag`, a sensor that follows its reading with a time constant, which alone has a memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+
+PREFIX = "dipc_gym"
+Stage = Literal["command", "force", "friction", "sensor", "lag"]
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What an effect may look at when it acts.
+
+    Attributes:
+        time: simulation time, s, (...).
+        position: position of the joint it acts on, m or rad, (...); zeros for commands and sensors.
+        load: what the joint transmits, actuator force less the force that gravity and inertia ask for, N or N m, (...).
+        value: the command or the reading to change, (...); zeros for forces and friction.
+    """
+
+    time: Array
+    position: Array
+    load: Array
+    value: Array
+
+
+Rule = Callable[[Array, Moment], Array]
+
+
+def deadzone(data: Array, now: Moment) -> Array:
+    """Command u becomes sign(u) max(|u| - width, 0); data: width."""
+    return np.sign(now.value) * np.maximum(np.abs(now.value) - data[..., 0], 0.0)
+
+
+def sensor_bias(data: Array, now: Moment) -> Array:
+    """Reading plus a constant; data: bias."""
+    return now.value + data[..., 0]
+
+
+def sensor_gain(data: Array, now: Moment) -> Array:
+    """Reading times a factor; data: gain."""
+    return now.value * data[..., 0]
+
+
+def lag(data: Array, now: Moment) -> Array:
+    """The reading a first-order lag settles at, the input itself; data: time constant. `Physics.sense` keeps time."""
+    return now.value + 0.0 * data[..., 0]
+
+
+def friction_along(data: Array, now: Moment) -> Array:
+    """Dry friction interpolated over position; data: first and last position, then levels at equal distances."""
+    first, last, levels = data[..., 0], data[..., 1], data[..., 2:]
+    count = levels.shape[-1]
+    along = np.clip((now.position - first) / (last - first) * (count - 1), 0.0, count - 1.000001)
+    below = along.astype(np.intp)
+    share = along - below
+    at = np.take_along_axis(levels, below[..., None], -1)[..., 0]
+    above = np.take_along_axis(levels, below[..., None] + 1, -1)[..., 0]
+    return np.maximum(at + share * (above - at), 0.0)
+
+
+def friction_under_load(data: Array, now: Moment) -> Array:
+    """Dry friction level + coefficient |load|; data: level, coefficient."""
+    return data[..., 0] + data[..., 1] * np.abs(now.load)
+
+
+def periodic_force(data: Array, now: Moment) -> Array:
+    """Amplitude sin(2 pi frequency t + phase); data: amplitude, frequency, phase."""
+    return data[..., 0] * np.sin(2 * np.pi * data[..., 1] * now.time + data[..., 2])
+
+
+def pulse_force(data: Array, now: Moment) -> Array:
+    """A constant force from start on for a duration; data: force, start, duration."""
+    return np.where((now.time >= data[..., 1]) & (now.time < data[..., 1] + data[..., 2]), data[..., 0], 0.0)
+
+
+_rules: dict[str, tuple[Stage, Rule]] = {
+    "motor.deadzone": ("command", deadzone),
+    "sensor.gain": ("sensor", sensor_gain),
+    "sensor.bias": ("sensor", sensor_bias),
+    "timing.sensor_lag": ("lag", lag),
+    "friction.position": ("friction", friction_along),
+    "friction.load": ("friction", friction_under_load),
+    "disturbance.periodic": ("force", periodic_force),
+    "disturbance.pulse": ("force", pulse_force),
+}
+
+
+def register(effect: str, stage: Stage, rule: Rule) -> None:
+    """Make the loader understand a further effect.
+
+    Args:
+        effect: its id, as in `dipc_gym:EFFECT:PLACE`.
+        stage: where it acts.
+        rule: `rule(data, moment)`; for `command` and `sensor` the new value, for `friction` the level of dry friction,
+            for `force` the force to add.
+
+    Raises:
+        ValueError: the id is taken.
+    """
+    if effect in _rules:
+        raise ValueError(f"an effect {effect!r} is registered already")
+    _rules[effect] = (stage, rule)
+
+
+@dataclass(frozen=True)
+class Extra:
+    """One entry of `<custom>`: a rule, the place it acts at, and its numbers.
+
+    Attributes:
+        effect: id of the effect.
+        at: name of the actuator, sensor or joint.
+        stage: where it acts.
+        index: the control, sensor address or degree of freedom.
+        data: the numbers, (k,), or (n, k) for n simulations.
+    """
+
+    effect: str
+    at: str
+    stage: Stage
+    index: int
+    data: Array
+
+    def __call__(self, now: Moment) -> Array:
+        """Apply the rule."""
+        return _rules[self.effect][1](self.data, now)
+
+
+@dataclass(frozen=True)
+class Physics:
+    """A compiled model with what MJCF cannot say.
+
+    Attributes:
+        model: the MuJoCo model.
+        extras: effects that stock MuJoCo leaves out, in the order of the file.
+
+    Example:
+        >>> physics = from_model(mjcf.compile(
+        ...     '<mujoco><worldbody><body><joint name="a"/><geom size="1"/></body></worldbody></mujoco>'))
+        >>> data = mujoco.MjData(physics.model)
+        >>> physics.step(data, np.zeros(0), 5)
+        >>> round(data.time, 3)
+        0.01
+    """
+
+    model: mujoco.MjModel
+    extras: tuple[Extra, ...] = ()
+
+    def stage(self, stage: Stage) -> tuple[Extra, ...]:
+        """The extras that act at one stage."""
+        return tuple(extra for extra in self.extras if extra.stage == stage)
+
+    @property
+    def acts(self) -> bool:
+        """Whether friction or forces have to be written at each step."""
+        return any(extra.stage in ("friction", "force") for extra in self.extras)
+
+    def command(self, ctrl: Array, time: Array | float = 0.0) -> Array:
+        """The command that the model sees for a command (..., nu) sent to the rig."""
+        changed = ctrl
+        for extra in self.stage("command"):
+            if changed is ctrl:
+                changed = np.array(ctrl, dtype=float)
+            changed[..., extra.index] = extra(_moment(time, value=changed[..., extra.index]))
+        return changed
+
+    def sense(self, sensordata: Array, memory: Array | None = None, dt: float = 0.0) -> Array:
+        """What the rig's sensors say where the model's say `sensordata` (..., nsensordata).
+
+        Args:
+            sensordata: the model's readings.
+            memory: what `sensor_memory` returned, updated in place; None where no sensor lags.
+            dt: time since the last call with this memory, s.
+        """
+        read = sensordata
+        for extra in self.extras:
+            if extra.stage not in ("sensor", "lag"):
+                continue
+            if read is sensordata:
+                read = np.array(sensordata, dtype=float)
+            i = extra.index
+            if extra.stage == "sensor":
+                read[..., i] = extra(_moment(0.0, value=read[..., i]))
+            elif memory is not None and dt > 0:
+                read[..., i] = _follow(memory[0][..., i], memory[1][..., i], read[..., i], dt, extra.data[..., 0])
+                memory[0][..., i], memory[1][..., i] = sensordata[..., i], read[..., i]
+        return read
+
+    def sensor_memory(self, sensordata: Array) -> Array | None:
+        """Memory (2, ..., nsensordata) of lagging sensors at rest at these readings; None if no sensor lags."""
+        return np.stack([sensordata, sensordata]) if self.stage("lag") else None
+
+    def act(self, state: mujoco.MjData, frictionloss: Array, applied: Array) -> None:
+        """Write friction and forces of this moment.
+
+        Args:
+            state: an `MjData`, or a `mujoco.batch.Batch` with bound fields (n, ...).
+            frictionloss: where dry friction goes, (..., nv).
+            applied: where generalised forces go, (..., nv).
+        """
+        for extra in self.extras:
+            if extra.stage == "friction":
+                j = extra.index
+                load = state.qfrc_actuator[..., j] + state.qfrc_bias[..., j]
+                q = state.qpos[..., self.model.jnt_qposadr[self.model.dof_jntid[j]]]
+                frictionloss[..., j] = extra(_moment(state.time, position=q, load=load))
+            elif extra.stage == "force":
+                applied[..., extra.index] = extra(_moment(state.time))
+
+    def step(self, data: mujoco.MjData, ctrl: Array, nstep: int = 1) -> None:
+        """Advance one simulation by `nstep` steps under a held command (nu,)."""
+        data.ctrl[:] = self.command(ctrl, data.time)
+        if not self.acts:
+            mujoco.mj_step(self.model, data, nstep)
+            return
+        for _ in range(nstep):
+            self.act(data, self.model.dof_frictionloss, data.qfrc_applied)
+            mujoco.mj_step(self.model, data)
+
+
+def _follow(before: Array, followed: Array, after: Array, dt: float, tau: Array) -> Array:
+    """A first-order lag over one interval in which its input goes straight from `before` to `after`."""
+    decay = np.exp(-dt / tau)
+    slope = (after - before) / dt
+    return decay * followed + (after - tau * slope) - decay * (before - tau * slope)
+
+
+def _moment(
+    time: Array | float, position: Array | float = 0.0, load: Array | float = 0.0, value: Array | float = 0.0
+) -> Moment:
+    return Moment(np.asarray(time), np.asarray(position), np.asarray(load), np.asarray(value))
+
+
+def load(source: mjcf.Source | str | Path) -> Physics:
+    """Read a model together with the physics that MJCF cannot say.
+
+    Args:
+        source: a path, MJCF text, or a scanned source.
+
+    Raises:
+        mjcf.MjcfError: the model is refused or does not compile, or an entry of `<custom>` is not understood.
+    """
+    return from_model(mjcf.compile(source))
+
+
+def from_model(model: mujoco.MjModel) -> Physics:
+    """The physics of a compiled model, its `<custom>` entries included.
+
+    Raises:
+        mjcf.MjcfError: an entry names an unknown effect or place, or has the wrong count of numbers.
+    """
+    extras = []
+    for i in range(model.nnumeric):
+        name = model.numeric(i).name
+        if not name.startswith(PREFIX + ":"):
+            continue
+        parts = name.split(":", 2)
+        if len(parts) != 3 or parts[1] not in _rules:
+            raise mjcf.MjcfError(f"<custom> entry {name!r}: known effects are {', '.join(sorted(_rules))}")
+        stage = _rules[parts[1]][0]
+        extras.append(
+            Extra(parts[1], parts[2], stage, _index(model, name, stage, parts[2]), model.numeric(i).data.copy())
+        )
+    physics = Physics(model, tuple(extras))
+    for extra in physics.extras:
+        try:
+            extra(_moment(0.0, value=0.0))
+        except (IndexError, ValueError):
+            raise mjcf.MjcfError(
+                f"<custom> entry '{PREFIX}:{extra.effect}:{extra.at}': {extra.data.size} numbers are too few; "
+                f"{(_rules[extra.effect][1].__doc__ or '').strip()}"
+            ) from None
+    return physics
+
+
+def _index(model: mujoco.MjModel, name: str, stage: Stage, at: str) -> int:
+    known: Mapping[str, int]
+    if stage == "command":
+        known = {control: i for i, control in enumerate(mjcf.controls(model))}
+    elif stage == "sensor":
+        addresses = mjcf.sensor_addresses(model)
+        known = {sensor: int(a) for sensor, a in zip(mjcf.scalar_sensors(model), addresses, strict=True)}
+    else:
+        known = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
+    if at not in known:
+        raise mjcf.MjcfError(f"<custom> entry {name!r}: no {at!r} in the model; there are {', '.join(known)}")
+    return known[at]
+
+
+def stack(variants: Sequence[Physics], which: NDArray[np.intp]) -> Physics:
+    """One physics for a batch whose simulation i follows variant `which[i]`.
+
+    Args:
+        variants: the same model and effects with different numbers.
+        which: (n,) index into `variants`.
+
+    Returns:
+        Physics whose extras hold (n, k) numbers; its model is the first variant's.
+    """
+    first = variants[0]
+    extras = tuple(
+        replace(extra, data=np.stack([variant.extras[i].data for variant in variants])[which])
+        for i, extra in enumerate(first.extras)
+    )
+    return Physics(first.model, extras)
