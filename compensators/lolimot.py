@@ -136,10 +136,8 @@ class LOLIMOT:
         self.n_features_in_ = X.shape[1]
         return self
 
-    def _grow(
-        self, tree: _Tree, watch: tuple[Array, Array] | None
-    ) -> tuple[tuple[Array, Array, Array], Array, Array]:
-        """Cut boxes until one of the stopping rules holds; return the network to keep and both error curves."""
+    def _grow(self, tree: _Tree, watch: tuple[Array, Array] | None) -> tuple[tuple[Array, Array, Array], Array, Array]:
+        """Cut boxes until a stopping rule holds; return the network to keep and both error curves."""
         train_errors: list[float] = []
         test_errors: list[float] = []
         kept = tree.network()
@@ -254,7 +252,7 @@ class _Tree:
         mean = np.zeros(inputs + 1)
         mean[0] = np.average(y, weights=weight)
         self.theta = self._estimate(self.centres[0], self.widths[0], np.ones(samples), mean)[None]
-        self._recombine()
+        self.total, self.numerator = self._sums()
 
     @property
     def models(self) -> int:
@@ -288,9 +286,7 @@ class _Tree:
         for axis in axes:
             centres, widths, mu = self._halves(worst, axis)
             total = rest_total + mu[0] + mu[1]
-            theta = np.stack(
-                [self._estimate(centres[h], widths, mu[h] / total, self.theta[worst]) for h in (0, 1)]
-            )
+            theta = np.stack([self._estimate(centres[h], widths, mu[h] / total, self.theta[worst]) for h in (0, 1)])
             outputs = theta @ self.rows
             numerator = rest_numerator + mu[0] * outputs[0] + mu[1] * outputs[1]
             residual = self.y - numerator / total
@@ -316,11 +312,11 @@ class _Tree:
             normal[block, block] += self._prior(self.centres[i], self.widths[i])
         gradient = regressors @ (self.weight * (self.y - self.numerator / self.total))
         self.theta = self.theta + np.linalg.solve(normal, gradient).reshape(models, size)
-        self._recombine()
+        self.total, self.numerator = self._sums()
 
-    def _recombine(self) -> None:
-        self.total = self.mu.sum(axis=0)
-        self.numerator = np.einsum("ik,ik->k", self.mu, self.theta @ self.rows)
+    def _sums(self) -> tuple[Array, Array]:
+        """Sum of validities and validity-weighted sum of outputs at every sample."""
+        return self.mu.sum(axis=0), np.einsum("ik,ik->k", self.mu, self.theta @ self.rows)
 
     def _divisible_axes(self, box: int) -> npt.NDArray[np.intp]:
         """Axes along which both halves of the box hold enough samples for a linear model each."""
@@ -382,7 +378,7 @@ def _option_names() -> list[str]:
     return [name for name in inspect.signature(LOLIMOT.__init__).parameters if name != "self"]
 
 
-def _sklearn_class(name: str, fallback: type[Exception]) -> type[Exception]:
+def _sklearn_class(name: str, fallback: type[Exception]) -> Any:
     """Scikit-learn's class of that name where scikit-learn is loaded, so that its tools recognise it."""
     return getattr(sys.modules.get("sklearn.exceptions"), name, fallback)
 

@@ -1,0 +1,102 @@
+"""Compensators by name, and the one way to fit them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dipc_gym.compensators.base import (
+    Compensator,
+    FitFigures,
+    InputRange,
+    RigConstants,
+    Samples,
+)
+
+_KINDS: dict[str, type[Compensator]] = {}
+
+
+def register(name: str, cls: type[Compensator]) -> None:
+    """Make a compensator known by a name, to `fit`, `load` and the command line.
+
+    Registering a name again replaces what it stood for, so that a notebook cell can be run twice.
+
+    Args:
+        name: The name; it also stands as `kind` in the files.
+        cls: A frozen dataclass derived from `Compensator`.
+
+    Raises:
+        ValueError: The name is not usable, or `cls` is already registered under another.
+        TypeError: `cls` is not a compensator class.
+    """
+    if not (isinstance(cls, type) and issubclass(cls, Compensator)):
+        raise TypeError(f"{cls!r} is not a class derived from Compensator")
+    if not (isinstance(name, str) and name.isidentifier()):
+        raise ValueError(f"{name!r} is no name for a compensator: letters, digits and underscores, please")
+    if cls.name not in ("", name):
+        raise ValueError(f"{cls.__name__} is registered as {cls.name!r}; derive a class of its own for {name!r}")
+    cls.name = name
+    _KINDS[name] = cls
+
+
+def names() -> list[str]:
+    """Return the registered names, in the order of registration."""
+    return list(_KINDS)
+
+
+def kind(name: str) -> type[Compensator]:
+    """Return the class registered under a name.
+
+    Raises:
+        ValueError: There is none; the message lists what there is.
+    """
+    if name not in _KINDS:
+        raise ValueError(f"there is no compensator {name!r}; there are {', '.join(_KINDS)}")
+    return _KINDS[name]
+
+
+def fit(name: str, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Compensator:
+    """Fit a compensator to an identification run.
+
+    Args:
+        name: One of `names()`.
+        samples: The run, split into training and test.
+        rig: What is known of the rig.
+        seed: Seed of whatever is random in the training; the same seed gives the same compensator.
+
+    Returns:
+        The compensator, with the ranges of its inputs and its errors on both parts of the run.
+
+    Raises:
+        ValueError: There is no compensator of that name.
+
+    Example:
+        >>> import numpy as np
+        >>> v = np.sin(np.linspace(0, 20, 400))
+        >>> train = np.arange(400) % 2 == 0
+        >>> samples = Samples(40 * v, v, v, 10 * v + 2 * np.tanh(v / 0.01), train)
+        >>> rig = RigConstants(newtons_per_volt=4.0, viscous=40.0, supply_voltage=24.0)
+        >>> round(fit("feedforward", samples, rig).coulomb, 3)
+        2.0
+    """
+    compensator = kind(name).fit(samples, rig, seed=seed)
+    if compensator.needs_friction:
+        return compensator
+    error = compensator.volts(samples.force, samples.velocity, samples.previous_velocity) - samples.voltage
+    train = samples.train
+    figures = FitFigures(
+        train_mse=float(np.mean(error[train] ** 2)),
+        test_mse=float(np.mean(error[~train] ** 2)),
+        train_samples=int(np.sum(train)),
+        test_samples=int(np.sum(~train)),
+    )
+    ranges: tuple[InputRange, ...] = ()
+    if compensator.parameters:
+        seen = samples.inputs[train]
+        ranges = tuple(InputRange(low, high) for low, high in zip(*_ends(seen), strict=True))
+    return dataclasses.replace(compensator, ranges=ranges, figures=figures)
+
+
+def _ends(inputs: np.ndarray) -> tuple[list[float], list[float]]:
+    return inputs.min(axis=0).tolist(), inputs.max(axis=0).tolist()
