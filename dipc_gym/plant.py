@@ -1,0 +1,320 @@
+"""What can differ from one rig to the next: motor, friction, encoders, supply and control period.
+
+A plant is written into the model's MJCF and read back from it, so the XML stays the only physics there is.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+SCHEMA = "dipc-gym/plant/1"
+
+
+class PlantError(ValueError):
+    """A plant that cannot be; the message names file, field and mend."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motor:
+    """A DC motor that pulls the cart by a belt.
+
+    Attributes:
+        resistance: terminal resistance, ohm.
+        constant: torque per ampere, N m/A; the same number is the back-EMF, V s/rad.
+        pulley_radius: pitch radius of the belt pulley, m.
+    """
+
+    resistance: float = 1.2
+    constant: float = 0.06
+    pulley_radius: float = 0.0125
+
+    def __post_init__(self) -> None:
+        _positive(self, "resistance", "constant", "pulley_radius")
+
+    @property
+    def force_per_volt(self) -> float:
+        """Force on the blocked cart, N/V."""
+        return self.constant / self.pulley_radius / self.resistance
+
+    @property
+    def back_emf(self) -> float:
+        """Braking by the motor's own voltage, N s/m."""
+        return (self.constant / self.pulley_radius) ** 2 / self.resistance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction:
+    """Friction of rail and belt: viscous drag and the LuGre model of stick and slip.
+
+    `coulomb = static = 0` means that only the viscous drag is there.
+
+    Attributes:
+        coulomb: sliding friction, N.
+        static: force that breaks the cart away, N; at least `coulomb`.
+        stribeck_velocity: speed at which friction has fallen most of the way from static to Coulomb, m/s.
+        bristle_stiffness: force per metre of creep before the cart breaks away, N/m. The simulation integrates the
+            bristle explicitly: 2e4 costs 0.4 % of accuracy at 1 ms, 1e5 already makes a limit cycle of its own.
+        bristle_damping: N s/m.
+        viscous: drag of the bearings, N s/m.
+
+    Source:
+        Canudas de Wit, Olsson, Astrom, Lischinsky, "A new model for control of systems with friction", IEEE
+        Transactions on Automatic Control 40 (1995) 419-425.
+    """
+
+    coulomb: float = 8.0
+    static: float = 11.0
+    stribeck_velocity: float = 0.02
+    bristle_stiffness: float = 2e4
+    bristle_damping: float = 60.0
+    viscous: float = 20.8
+
+    def __post_init__(self) -> None:
+        _positive(self, "stribeck_velocity", "bristle_stiffness")
+        _positive(self, "coulomb", "static", "bristle_damping", "viscous", zero=True)
+        if self.static < self.coulomb:
+            raise PlantError(f"friction.static is {self.static:g} N, below friction.coulomb {self.coulomb:g} N")
+        if self.static > 0 and self.coulomb == 0:
+            raise PlantError("friction.coulomb is 0 while friction.static is not; set both to 0 for no dry friction")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoders:
+    """Three incremental encoders and the filter that makes velocities of their readings.
+
+    Velocity is the backward difference of the readings through a first-order low-pass, the "dirty derivative" of
+    practice: v(k) = a v(k-1) + (1 - a) (p(k) - p(k-1)) / T with a = exp(-T / velocity_filter).
+
+    Attributes:
+        cart: metres per count; the default is 4096 counts a turn of the 12.5 mm pulley.
+        pole: radians per count of the two angle encoders.
+        noise: standard deviation of what is added to a position before it is rounded, counts.
+        velocity_filter: time constant of the low-pass, s; 0 is the bare difference.
+    """
+
+    cart: float = 2 * math.pi * 0.0125 / 4096
+    pole: float = 2 * math.pi / 4096
+    noise: float = 0.0
+    velocity_filter: float = 0.01
+
+    def __post_init__(self) -> None:
+        _positive(self, "cart", "pole")
+        _positive(self, "noise", "velocity_filter", zero=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plant:
+    """One rig. A number that is not given has the default rig's value.
+
+    Attributes:
+        motor: the motor; None leaves the model's as it is.
+        friction: friction of the cart; None leaves the model's as it is.
+        encoders: resolution, noise and velocity filter.
+        supply: largest voltage either way, V.
+        control_period: time between two commands, s; a whole number of physics steps.
+
+    Raises:
+        PlantError: a number is not finite or impossible.
+
+    Example:
+        >>> dry = Plant(friction=Friction(coulomb=12.0, static=15.0))
+        >>> Plant.from_dict(dry.to_dict()) == dry
+        True
+    """
+
+    motor: Motor | None = field(default_factory=Motor)
+    friction: Friction | None = field(default_factory=Friction)
+    encoders: Encoders = field(default_factory=Encoders)
+    supply: float = 24.0
+    control_period: float = 0.005
+
+    def __post_init__(self) -> None:
+        _positive(self, "supply", "control_period")
+
+    # -------------------------------------------------------------------------------------------- files
+
+    @classmethod
+    def read(cls, path: str | Path, base: Plant | None = None) -> Plant:
+        """Read a JSON file as `write` makes it; what the file leaves out comes from `base`.
+
+        Raises:
+            PlantError: the file is missing, not JSON, of a later format, or has a wrong or unknown field.
+        """
+        try:
+            data = json.loads(Path(path).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise PlantError(f"{path}: no such plant file") from None
+        except (OSError, ValueError, RecursionError) as error:
+            raise PlantError(f"{path}: not a JSON file ({error}); see Plant.write for the format") from None
+        try:
+            return cls.from_dict(data, base)
+        except PlantError as error:
+            raise PlantError(f"{path}: {error}") from None
+
+    def write(self, path: str | Path) -> None:
+        """Write the plant to a JSON file that `gymnasium.make(..., plant=path)` takes."""
+        text = json.dumps({"schema": SCHEMA, **self.to_dict()}, indent=2)
+        Path(path).write_text(text + "\n", encoding="utf-8")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The plant as plain numbers in nested dictionaries."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], base: Plant | None = None) -> Plant:
+        """The plant `base` (default: the default rig) with the given fields changed.
+
+        Raises:
+            PlantError: an unknown field, or a value that is no number or impossible.
+        """
+        if not isinstance(data, Mapping):
+            raise PlantError(f"a plant is a JSON object of named fields, not {type(data).__name__}")
+        schema = data.get("schema", SCHEMA)
+        if schema != SCHEMA:
+            raise PlantError(f"schema is {schema!r}; this version reads {SCHEMA!r}")
+        base = cls() if base is None else base
+        values = {key: value for key, value in data.items() if key != "schema"}
+        _known(cls, values)
+        for name, kind in (("motor", Motor), ("friction", Friction), ("encoders", Encoders)):
+            if name in values:
+                values[name] = _changed(getattr(base, name), kind, values[name], name)
+        return dataclasses.replace(base, **values)
+
+    @classmethod
+    def of(cls, value: Plant | Mapping[str, Any] | str | Path | None, base: Plant | None = None) -> Plant:
+        """A plant from any of the forms that the environment's `plant` argument takes."""
+        if isinstance(value, Plant):
+            return value
+        if isinstance(value, (str, Path)):
+            return cls.read(value, base)
+        return cls.from_dict(value or {}, base)
+
+    # -------------------------------------------------------------------------------------------- MJCF
+
+    @classmethod
+    def from_mjcf(cls, text: str) -> Plant:
+        """The plant that a model's text describes.
+
+        The motor is the `dcmotor` named `motor`, friction the passive `dcmotor` named `friction` and the damping of
+        its joint. What the text does not say that way stays None, that is, as the model has it.
+        """
+        root = ET.fromstring(text)
+        motor, friction = _actuator(root, "motor"), _actuator(root, "friction")
+        found: dict[str, Any] = {"motor": None, "friction": None}
+        if motor is not None and motor.tag == "dcmotor" and {"resistance", "motorconst"} <= motor.attrib.keys():
+            found["motor"] = Motor(
+                resistance=_numbers(motor, "resistance")[0],
+                constant=_numbers(motor, "motorconst")[0],
+                pulley_radius=1 / _numbers(motor, "gear", "1")[0],
+            )
+        if motor is not None and "ctrlrange" in motor.attrib:
+            found["supply"] = max(abs(bound) for bound in _numbers(motor, "ctrlrange"))
+        if friction is not None and friction.tag == "dcmotor" and "lugre" in friction.attrib:
+            stiffness, damping, coulomb, static, stribeck = _numbers(friction, "lugre")
+            joint = _joint(root, friction.get("joint", "cart"))
+            found["friction"] = Friction(
+                coulomb=coulomb,
+                static=static,
+                stribeck_velocity=stribeck,
+                bristle_stiffness=stiffness,
+                bristle_damping=damping,
+                viscous=0.0 if joint is None else _numbers(joint, "damping", "0")[0],
+            )
+        return cls(**found)
+
+    def to_mjcf(self, text: str) -> str:
+        """The model's text with this plant's motor, friction and supply written into it.
+
+        Raises:
+            PlantError: the text has no actuator `motor` or no joint `cart` to write to.
+        """
+        root = ET.fromstring(text)
+        motor = _actuator(root, "motor")
+        if motor is None:
+            raise PlantError("the model's text has no actuator named 'motor'")
+        motor.set("ctrlrange", f"{-self.supply!r} {self.supply!r}")
+        if self.motor is not None:
+            if motor.tag != "dcmotor":
+                raise PlantError(f"motor: the model's actuator is a <{motor.tag}>, not a <dcmotor>; leave it None")
+            motor.set("resistance", repr(self.motor.resistance))
+            motor.set("motorconst", repr(self.motor.constant))
+            motor.set("gear", repr(1 / self.motor.pulley_radius))
+        if self.friction is not None:
+            self._write_friction(root, self.friction)
+        return ET.tostring(root, encoding="unicode")
+
+    def _write_friction(self, root: ET.Element, friction: Friction) -> None:
+        joint = _joint(root, "cart")
+        if joint is None:
+            raise PlantError("friction: the model's text has no joint named 'cart'")
+        joint.set("damping", repr(friction.viscous))
+        for actuators in root.iter("actuator"):
+            for element in actuators.findall("dcmotor[@name='friction']"):
+                actuators.remove(element)
+        if friction.coulomb > 0:
+            lugre = (
+                friction.bristle_stiffness,
+                friction.bristle_damping,
+                friction.coulomb,
+                friction.static,
+                friction.stribeck_velocity,
+            )
+            # Passive elements come last, so that the controls keep their places.
+            attributes = {"name": "friction", "joint": "cart", "input": "none", "motorconst": "0 0"}
+            attributes |= {"resistance": "1", "lugre": " ".join(map(repr, lugre))}
+            ET.SubElement(ET.SubElement(root, "actuator"), "dcmotor", attributes)
+
+
+# ------------------------------------------------------------------------------------------------ checks
+
+
+def _positive(instance: Any, *names: str, zero: bool = False) -> None:
+    part = "" if isinstance(instance, Plant) else type(instance).__name__.lower() + "."
+    for name in names:
+        value = getattr(instance, name)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise PlantError(f"{part}{name} must be a number, not {value!r}")
+        if not math.isfinite(value) or value < 0 or (value == 0 and not zero):
+            must = "finite and not negative" if zero else "finite and positive"
+            raise PlantError(f"{part}{name} is {value!r}; it must be {must}")
+        object.__setattr__(instance, name, float(value))
+
+
+def _changed(current: Any, kind: type, changes: Any, where: str) -> Any:
+    """`current`, a `kind` or None, with the named numbers changed."""
+    if changes is None and kind is not Encoders:
+        return None
+    if isinstance(changes, kind):
+        return changes
+    if not isinstance(changes, Mapping):
+        raise PlantError(f"{where} must be an object of named numbers, not {changes!r}")
+    _known(kind, changes, f"{where}.")
+    return dataclasses.replace(kind() if current is None else current, **changes)
+
+
+def _known(kind: Any, names: Iterable[str], where: str = "") -> None:
+    known = [f.name for f in dataclasses.fields(kind)]
+    for name in names:
+        if name not in known:
+            raise PlantError(f"unknown field '{where}{name}'; there are {', '.join(where + n for n in known)}")
+
+
+def _actuator(root: ET.Element, name: str) -> ET.Element | None:
+    return next((e for group in root.iter("actuator") for e in group if e.get("name") == name), None)
+
+
+def _joint(root: ET.Element, name: str) -> ET.Element | None:
+    return next((e for e in root.iter("joint") if e.get("name") == name), None)
+
+
+def _numbers(element: ET.Element, attribute: str, default: str | None = None) -> list[float]:
+    text = element.get(attribute, default)
+    assert text is not None
+    return [float(word) for word in text.split()]
