@@ -1,16 +1,14 @@
-"""MJCF from strangers: scan it, compile it under limits, and ask the model what it commands and senses.
+"""MJCF from strangers: read it, compile it under limits, and ask the model what it commands and senses.
 
-A model file is hostile input. MuJoCo follows `../` and absolute paths out of the model's folder, and a small file
-can ask for a hundred million bodies. So `read` and `from_text` look at the text before anything is compiled, load
-every file it names themselves, and `compile` first tries the result in a child process with a limit on time and
-memory. MuJoCo then sees these loaded files only.
+A model file is hostile input. `read` and `from_text` scan the text and load every file it names (see `mjcf_scan`);
+`compile` first tries the result in a child process with limits on time and memory, then compiles it here. MuJoCo is
+given the loaded files by name, so that what was checked is what is compiled.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
-import math
 import os
 import signal
 import struct
@@ -18,31 +16,39 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
-from xml.parsers import expat
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
+from dipc_gym.mjcf_scan import MjcfError, load_text, scan
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-MAX_TEXT = 20_000_000  # bytes of one XML file
-MAX_FILES = 400_000_000  # bytes of all files a model pulls in
-MAX_ELEMENTS = 100_000  # XML elements after replicate, composite and flexcomp are expanded
-CHILD_CPU = 20  # seconds of processor time for the trial compilation
-CHILD_WALL = 60  # seconds on the clock for the trial compilation
-CHILD_MEMORY = 4 << 30  # bytes of address space for the trial compilation
+__all__ = [
+    "MjcfError",
+    "Source",
+    "check_supported",
+    "compile",
+    "controls",
+    "from_text",
+    "quiet_mujoco",
+    "read",
+    "scalar_sensors",
+    "sensor_addresses",
+    "touching_pair",
+]
+
+CPU_LIMIT = 20  # seconds of computing for the trial compilation
+WALL_LIMIT = 60  # seconds on the clock for the trial compilation
+MEMORY_LIMIT = 2 << 30  # bytes of address space for the trial compilation
 
 SUPPORTED = (
     "Supported are models with hinge and slide joints and no contacts, with any number of actuators, "
     "whose scalar sensors determine the joints."
 )
-
-
-class MjcfError(ValueError):
-    """An MJCF that cannot be used; the message names the file, the element or line, and the mend."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,7 @@ class Source:
 
     Attributes:
         path: where the text was read from; None for text from memory.
-        folder: the folder that every file of the model must lie in.
+        folder: the folder that every file of the model lies in.
         text: the XML.
         files: contents of included and referenced files, by the path that MuJoCo asks for.
     """
@@ -69,7 +75,7 @@ class Source:
     @functools.cached_property
     def sha256(self) -> str:
         """Digest of the text and of every file."""
-        digest = hashlib.sha256(self.text.encode())
+        digest = hashlib.sha256(hashlib.sha256(self.text.encode()).digest())
         for name in sorted(self.files):
             digest.update(name.encode() + b"\0" + hashlib.sha256(self.files[name]).digest())
         return digest.hexdigest()
@@ -86,14 +92,12 @@ def read(path: str | Path) -> Source:
         path: an MJCF file. All it includes or references must lie in its folder.
 
     Raises:
-        MjcfError: the file is missing, too large, not UTF-8, not well-formed, not MJCF, has a document type
-            declaration, reaches outside its folder, names a file that is not there, or multiplies into too many
-            elements.
+        MjcfError: the file is missing, too large, not UTF-8, not well-formed, not MJCF, declares a document type,
+            reaches outside its folder, names a file that is not there, or multiplies into too many elements.
     """
     path = Path(path)
-    if not path.is_file():
-        raise MjcfError(f"{path}: no such model file")
-    return _scanned(path, path.parent, _decode(_load(path, str(path), MAX_TEXT), str(path)))
+    text = load_text(path, str(path))
+    return Source(path, path.parent, text, scan(text, str(path), path.parent))
 
 
 def from_text(text: str, folder: str | Path | None = None) -> Source:
@@ -102,29 +106,29 @@ def from_text(text: str, folder: str | Path | None = None) -> Source:
     Raises:
         MjcfError: as `read`.
     """
-    if len(text.encode(errors="replace")) > MAX_TEXT:
-        raise MjcfError(f"MJCF text: longer than {MAX_TEXT:,} bytes")
-    return _scanned(None, Path.cwd() if folder is None else Path(folder), text)
+    folder = Path.cwd() if folder is None else Path(folder)
+    return Source(None, folder, text, scan(text, "MJCF text", folder))
 
 
 def compile(source: Source | str | Path, *, trusted: bool = False) -> mujoco.MjModel:
     """Compile a model: scan, trial run in a child process with limits, then here.
 
-    The child costs about 15 ms, once per content and process. It loads MuJoCo's library without Python's numerics.
+    The child costs about 15 ms, once per content and process: it loads MuJoCo's library without importing it.
 
     Args:
         source: a scanned source, a path, or MJCF text (a string that contains `<`).
-        trusted: skip scan and child; for text that the project itself made from a checked source.
+        trusted: skip the child, and the second scan of an edited source; for text that the project itself made
+            from a checked source.
 
     Returns:
         The compiled model.
 
     Raises:
-        MjcfError: as `read`; or the model does not compile, with MuJoCo's message; or it needs more time or memory
-            than allowed.
+        MjcfError: as `read`; or the model does not compile, with MuJoCo's message; or that takes more time or
+            memory than allowed.
 
     Example:
-        >>> model = compile('<mujoco><worldbody><body><joint name="a"/><geom size="1"/></body></worldbody></mujoco>')
+        >>> model = compile('<mujoco><worldbody><body><joint/><geom size="1"/></body></worldbody></mujoco>')
         >>> model.nq
         1
     """
@@ -132,7 +136,8 @@ def compile(source: Source | str | Path, *, trusted: bool = False) -> mujoco.MjM
         is_text = isinstance(source, str) and "<" in source
         source = from_text(str(source)) if is_text else read(source)
     elif not trusted and source.sha256 not in _tried:
-        source = _scanned(source.path, source.folder, source.text)
+        # Somebody may have changed the text since it was scanned.
+        source = replace(source, files=scan(source.text, source.name, source.folder))
     quiet_mujoco()
     if not trusted and source.sha256 not in _tried:
         _try_in_child(source)
@@ -144,9 +149,9 @@ def compile(source: Source | str | Path, *, trusted: bool = False) -> mujoco.MjM
 
 
 def quiet_mujoco() -> None:
-    """Stop MuJoCo from writing MUJOCO_LOG.TXT into the current folder and warnings to the terminal.
+    """Stop MuJoCo from writing MUJOCO_LOG.TXT into the current folder, and warnings to the terminal.
 
-    The warnings stay countable in `data.warning`, and whoever simulates has to look there.
+    It holds for the process. The warnings are still counted in `data.warning`, where whoever simulates must look.
     """
     config = mujoco.MjLogConfig.get()
     if config.logto_file or config.logto_console:
@@ -154,7 +159,7 @@ def quiet_mujoco() -> None:
         config.set()
 
 
-# ------------------------------------------------------------------------------------ what a model commands and senses
+# What a model commands and senses
 
 
 def controls(model: mujoco.MjModel) -> list[str]:
@@ -171,9 +176,7 @@ def controls(model: mujoco.MjModel) -> list[str]:
         name = model.actuator(actuator).name
         first, count = int(model.actuator_ctrladr[actuator]), int(model.actuator_ctrlnum[actuator])
         if count and not name:
-            raise MjcfError(
-                f"actuator {actuator} has no name; recordings are matched by name, so give it one"
-            )
+            raise MjcfError(f"actuator {actuator} has no name; recordings are matched by name, so give it one")
         for k in range(count):
             part = mujoco.mj_actuatorInputName(model, actuator, k) or str(k)
             names[first + k] = name if count == 1 else f"{name}.{part}"
@@ -181,12 +184,9 @@ def controls(model: mujoco.MjModel) -> list[str]:
 
 
 def scalar_sensors(model: mujoco.MjModel) -> list[str]:
-    """Names of the model's sensors that measure one number, in the model's order; unnamed ones are left out."""
-    return [
-        model.sensor(i).name
-        for i in range(model.nsensor)
-        if model.sensor_dim[i] == 1 and model.sensor(i).name
-    ]
+    """Names of the sensors that measure one number, in the model's order; unnamed ones are left out."""
+    sensors = (model.sensor(i) for i in range(model.nsensor) if model.sensor_dim[i] == 1)
+    return [sensor.name for sensor in sensors if sensor.name]
 
 
 def sensor_addresses(model: mujoco.MjModel) -> NDArray[np.intp]:
@@ -195,14 +195,14 @@ def sensor_addresses(model: mujoco.MjModel) -> NDArray[np.intp]:
 
 
 def check_supported(model: mujoco.MjModel) -> None:
-    """Refuse models that the system identification cannot treat.
+    """Refuse models that system identification cannot treat.
 
     Raises:
         MjcfError: free or ball joints, flexible bodies, geoms that can touch, no joint, or no named scalar sensor.
     """
     for joint in range(model.njnt):
-        kind = mujoco.mjtJoint(model.jnt_type[joint])
-        if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+        kind = model.jnt_type[joint]
+        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
             word = "free" if kind == mujoco.mjtJoint.mjJNT_FREE else "ball"
             raise MjcfError(f"joint {_label(model.joint(joint))} is a {word} joint. {SUPPORTED}")
     if model.nflex:
@@ -220,194 +220,38 @@ def check_supported(model: mujoco.MjModel) -> None:
 
 
 def touching_pair(model: mujoco.MjModel) -> tuple[str, str] | None:
-    """The first two geoms whose contact the model allows, or None; MuJoCo's own filters, no geometry."""
-    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
+    """The first two geoms whose contact the model allows, or None; by MuJoCo's filters, whatever the geometry."""
+    disabled = model.opt.disableflags
+    if disabled & (mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
         return None
     if model.npair:
         return _label(model.geom(model.pair_geom1[0])), _label(model.geom(model.pair_geom2[0]))
-    parents_touch = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    weld = model.body_weldid.tolist()
+    parent = [weld[model.body_parentid[body]] for body in weld]  # of the welded group that a body belongs to
+    parents_touch = bool(disabled & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     excluded = set(model.exclude_signature.tolist())
-    weld, parent = model.body_weldid, model.body_parentid
-    solid = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
+    type_of, affinity, body_of = model.geom_contype, model.geom_conaffinity, model.geom_bodyid.tolist()
+    solid = [geom for geom in range(model.ngeom) if type_of[geom] or affinity[geom]]
     for i, g in enumerate(solid):
         for h in solid[i + 1 :]:
-            a, b = int(model.geom_bodyid[g]), int(model.geom_bodyid[h])
-            wa, wb = int(weld[a]), int(weld[b])
-            if wa == wb or (min(a, b) << 16) + max(a, b) in excluded:
+            a, b = sorted((body_of[g], body_of[h]))
+            if weld[a] == weld[b] or (a << 16) + b in excluded:
                 continue
-            related = wa and wb and (weld[parent[wa]] == wb or weld[parent[wb]] == wa)
+            related = weld[a] and weld[b] and (parent[a] == weld[b] or parent[b] == weld[a])
             if related and not parents_touch:
                 continue
-            if (model.geom_contype[g] & model.geom_conaffinity[h]) or (
-                model.geom_contype[h] & model.geom_conaffinity[g]
-            ):
+            if type_of[g] & affinity[h] or type_of[h] & affinity[g]:
                 return _label(model.geom(g)), _label(model.geom(h))
     return None
 
 
-def _label(thing: object) -> str:
-    name, number = getattr(thing, "name", ""), getattr(thing, "id", "?")
-    return repr(name) if name else f"number {number}"
+def _label(element: Any) -> str:
+    return repr(element.name) if element.name else f"number {element.id}"
 
 
-# -------------------------------------------------------------------------------------------------------------- the scan
+# The trial compilation
 
-
-@dataclass
-class _Directories:
-    """Folders in which MuJoCo looks for assets, as the compiler elements of one model set them."""
-
-    mesh: str = ""
-    texture: str = ""
-
-
-def _scanned(path: Path | None, folder: Path, text: str) -> Source:
-    name = str(path) if path else "MJCF text"
-    scan = _Scan(folder)
-    scan.document(text, name, base=PurePosixPath())
-    return Source(path, folder, text, scan.files)
-
-
-class _Scan:
-    """One pass over a model and the XML it pulls in, collecting every file it names."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder.resolve()
-        self.files: dict[str, bytes] = {}
-        self.size = 0
-        self.elements = 0.0
-
-    def document(self, text: str, name: str, base: PurePosixPath, ancestors: tuple[str, ...] = ()) -> None:
-        """Scan a main model or a sub-model; its assets lie relative to `base`."""
-        directories = _Directories()
-        assets: list[tuple[str, str, str]] = []
-        models: list[tuple[str, str]] = []
-        self._xml(text, name, directories, assets, models, base, ancestors, 1.0, root="mujoco")
-        for tag, file, where in assets:
-            folder = directories.texture if tag == "texture" else directories.mesh
-            self.fetch(base / folder / file, where)
-        for file, where in models:
-            target = base / file
-            if str(target) in ancestors:
-                raise MjcfError(f"{where}: {file!r} contains itself")
-            data = self.fetch(target, where)
-            label = f"{name} -> {file}"
-            self.document(_decode(data, label), label, target.parent, (*ancestors, str(target)))
-
-    def fetch(self, target: PurePosixPath, where: str) -> bytes:
-        """Load one file, which must lie in the model's folder, under the name that MuJoCo asks for."""
-        key = str(target)
-        if key in self.files:
-            return self.files[key]
-        if target.is_absolute() or ":" in key:
-            raise MjcfError(f"{where}: {key!r} is not a path inside the model's folder; use a relative one")
-        full = (self.folder / target).resolve()
-        if not full.is_relative_to(self.folder) or ".." in target.parts:
-            raise MjcfError(
-                f"{where}: {key!r} leads out of the model's folder {self.folder}; "
-                "move the file into that folder and name it without '..'"
-            )
-        if not full.is_file():
-            raise MjcfError(f"{where}: file {key!r} is not in {self.folder}")
-        self.files[key] = _load(full, where, MAX_FILES - self.size)
-        self.size += len(self.files[key])
-        return self.files[key]
-
-    def _xml(
-        self,
-        text: str,
-        name: str,
-        directories: _Directories,
-        assets: list[tuple[str, str, str]],
-        models: list[tuple[str, str]],
-        base: PurePosixPath,
-        ancestors: tuple[str, ...],
-        factor: float,
-        root: str | None = None,
-    ) -> None:
-        parser = expat.ParserCreate()
-        factors = [factor]
-
-        def start(tag: str, attributes: dict[str, str]) -> None:
-            where = f"{name}, line {parser.CurrentLineNumber}, <{tag}>"
-            if root and len(factors) == 1 and tag != root:
-                raise MjcfError(f"{where}: not an MJCF file; its outermost element must be <{root}>")
-            repeat = factors[-1]
-            if tag == "replicate":
-                repeat *= _count(attributes.get("count", "1"), where)
-            grown = repeat
-            if tag in ("composite", "flexcomp"):
-                grown *= _count(attributes.get("count", "1"), where) * _count(
-                    attributes.get("cellcount", "1"), where
-                )
-            factors.append(repeat)
-            self.elements += grown
-            if self.elements > MAX_ELEMENTS:
-                raise MjcfError(f"{where}: the model multiplies into more than {MAX_ELEMENTS:,} elements")
-            if tag == "compiler":
-                both = attributes.get("assetdir", "")
-                directories.mesh = attributes.get("meshdir", both or directories.mesh)
-                directories.texture = attributes.get("texturedir", both or directories.texture)
-            for key, value in attributes.items():
-                if key.startswith("file") and value:
-                    self._reference(tag, value.replace("\\", "/"), where, models, assets, include)
-
-        def include(file: str, where: str) -> None:
-            target = base / file
-            if str(target) in ancestors:
-                raise MjcfError(f"{where}: {file!r} includes itself")
-            data, label = self.fetch(target, where), f"{name} -> {file}"
-            inner = (*ancestors, str(target))
-            self._xml(_decode(data, label), label, directories, assets, models, base, inner, factors[-1])
-
-        def end(tag: str) -> None:
-            factors.pop()
-
-        def refuse(*_: object) -> None:
-            raise MjcfError(
-                f"{name}, line {parser.CurrentLineNumber}: document type declarations and entities are not allowed; "
-                "remove the <!DOCTYPE ...> part"
-            )
-
-        parser.StartElementHandler, parser.EndElementHandler = start, end
-        parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
-        try:
-            parser.Parse(text, True)
-        except expat.ExpatError as error:
-            raise MjcfError(f"{name}, line {error.lineno}: {expat.ErrorString(error.code)}") from None
-
-    def _reference(self, tag, file, where, models, assets, include) -> None:  # type: ignore[no-untyped-def]
-        if tag == "include":
-            include(file, where)
-        elif tag == "model":
-            models.append((file, where))
-        else:
-            assets.append((tag, file, where))
-
-
-def _count(text: str, where: str) -> float:
-    try:
-        return math.prod(max(1.0, abs(float(number))) for number in text.split())
-    except ValueError:
-        raise MjcfError(f"{where}: count {text!r} is not a number") from None
-
-
-def _load(path: Path, where: str, limit: int) -> bytes:
-    if path.stat().st_size > limit:
-        raise MjcfError(f"{where}: {path.name} is too large ({path.stat().st_size:,} bytes)")
-    return path.read_bytes()
-
-
-def _decode(data: bytes, name: str) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise MjcfError(f"{name}: not UTF-8 text at byte {error.start}; save the XML as UTF-8") from None
-
-
-# ------------------------------------------------------------------------------------------------------------- the child
-
-_tried: set[str] = set()  # contents that compiled in a child of this process
+_tried: set[str] = set()  # digests of what compiled in a child of this process
 
 _CHILD = """
 import ctypes as c, os, resource, struct, sys
@@ -415,31 +259,33 @@ memory, cpu = int(sys.argv[2]), int(sys.argv[3])
 resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
 resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 1))
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
 def block():
     size, = struct.unpack("<q", sys.stdin.buffer.read(8))
     return sys.stdin.buffer.read(size)
-text, count = block(), int(block())
-lib = c.CDLL(sys.argv[1])
+
 class Log(c.Structure):
     _fields_ = [("console", c.c_bool), ("file", c.c_bool), ("name", c.c_char * 1024), ("topics", c.c_int)]
+
+lib = c.CDLL(sys.argv[1])
 lib.mju_setLogConfig.argtypes = [Log]
 lib.mju_setLogConfig(Log())
-vfs = c.c_void_p()
-lib.mj_defaultVFS(c.byref(vfs))
-for _ in range(count):
-    name, data = block(), block()
-    lib.mj_addBufferVFS(c.byref(vfs), name, data, len(data))
-error = c.create_string_buffer(4096)
 lib.mj_parseXMLString.restype = lib.mj_compile.restype = lib.mj_makeData.restype = c.c_void_p
 lib.mjs_getError.restype = c.c_char_p
-spec = lib.mj_parseXMLString(text, c.byref(vfs), error, 4096)
+text, vfs, error = block(), c.c_void_p(), c.create_string_buffer(4096)
+lib.mj_defaultVFS(c.byref(vfs))
+for _ in range(int(block())):
+    name, data = block(), block()
+    lib.mj_addBufferVFS(c.byref(vfs), name, data, len(data))
+spec, fail = lib.mj_parseXMLString(text, c.byref(vfs), error, len(error)), b""
 if not spec:
-    fail = error.value
+    fail = error.value or b"cannot be parsed"
 else:
     model = lib.mj_compile(c.c_void_p(spec), c.byref(vfs))
-    fail = b"" if model else (lib.mjs_getError(c.c_void_p(spec)) or b"cannot be compiled")
-    if model and not lib.mj_makeData(c.c_void_p(model)):
-        fail = b"MuJoCo cannot allocate the model's data"
+    if not model:
+        fail = lib.mjs_getError(c.c_void_p(spec)) or b"cannot be compiled"
+    elif not lib.mj_makeData(c.c_void_p(model)):
+        fail = b"there is not enough memory to simulate it"
 sys.stdout.buffer.write(fail)
 sys.stdout.flush()
 os._exit(1 if fail else 0)
@@ -447,41 +293,41 @@ os._exit(1 if fail else 0)
 
 
 def _try_in_child(source: Source) -> None:
-    def block(data: bytes) -> bytes:
-        return struct.pack("<q", len(data)) + data
+    """Compile in a process that may die of it.
 
-    payload = [block(source.text.encode()), block(str(len(source.files)).encode())]
+    Raises:
+        MjcfError: it does not compile, or not within the limits.
+    """
+    blocks = [source.text.encode(), str(len(source.files)).encode()]
     for name, data in source.files.items():
-        payload += [block(name.encode()), block(data)]
-    # -I and -S: no user site, no environment, no start-up files; a tenth of the time that `import mujoco` takes.
-    command = [sys.executable, "-I", "-S", "-c", _CHILD, _library(), str(CHILD_MEMORY), str(CHILD_CPU)]
+        blocks += [name.encode(), data]
+    payload = b"".join(struct.pack("<q", len(block)) + block for block in blocks)
+    # -I and -S leave out start-up files and environment, and save most of Python's start-up time.
+    limits = [str(MEMORY_LIMIT), str(CPU_LIMIT)]
+    command = [sys.executable, "-I", "-S", "-c", _CHILD, _library(), *limits]
     try:
-        done = subprocess.run(
-            command, input=b"".join(payload), capture_output=True, timeout=CHILD_WALL, check=False
-        )
+        done = subprocess.run(command, input=payload, capture_output=True, timeout=WALL_LIMIT, check=False)
     except subprocess.TimeoutExpired:
-        raise MjcfError(f"{source.name}: did not compile within {CHILD_WALL} s; simplify the model") from None
+        raise MjcfError(f"{source.name}: did not compile within {WALL_LIMIT} s; simplify the model") from None
     if done.returncode == 0:
         return
     if done.returncode == 1 and done.stdout:
         raise MjcfError(f"{source.name}: {_one_line(done.stdout.decode(errors='replace'))}")
     if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        raise MjcfError(
-            f"{source.name}: did not compile within {CHILD_CPU} s of computing; simplify the model"
-        )
+        raise MjcfError(f"{source.name}: did not compile within {CPU_LIMIT} s of computing; simplify the model")
     last = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
     raise MjcfError(
-        f"{source.name}: MuJoCo failed while compiling it (exit {done.returncode}: {last[0]}); it may need more than "
-        f"{CHILD_MEMORY >> 30} GiB of memory"
+        f"{source.name}: MuJoCo broke down while compiling it ({last[0]}; exit {done.returncode}); "
+        f"probably it needs more than {MEMORY_LIMIT >> 30} GiB of memory; simplify the model"
     )
 
 
 @functools.cache
 def _library() -> str:
     folder = Path(mujoco.__file__).parent
-    found = sorted(p for p in folder.iterdir() if p.name.startswith(("libmujoco.", "mujoco.dll")))
+    found = sorted(entry for entry in folder.iterdir() if entry.name.startswith("libmujoco."))
     if not found:
-        raise MjcfError(f"MuJoCo's library is not in {folder}; reinstall mujoco")
+        raise MjcfError(f"MuJoCo's library is not in {folder}; reinstall it: pip install --force-reinstall mujoco")
     return os.fspath(found[0])
 
 
