@@ -1,4 +1,4 @@
-"""What the single channels of a recording look like: their noise, and what their owner should know about them."""
+"""What single channels of a recording look like: their noise, and what their owner should know."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ if TYPE_CHECKING:
 
 ORDERS = range(3, 8)  # of the differences that remove the motion
 BLOCK = 64  # samples over which the differences are averaged before the median is taken
+SLOW = 0.2  # s between samples, beyond which time is more likely in milliseconds
+FAR_HINGE = 4 * math.pi  # rad that a hinge without limits seldom goes beyond
+FAR_SLIDE = 5.0  # m that a slide without limits seldom goes beyond
 
 
 def noise(recording: Recording) -> NDArray[np.float64]:
     """Standard deviation of each sensor's own noise, white noise and quantisation together.
 
-    Motion is removed by divided differences of order 3 to 7 (scaled so that white noise keeps its size; exact for
-    irregular stamps); the order that leaves least is used, and the median over short blocks keeps impacts and
-    stick-slip out. Never less than the quantisation step over sqrt(12).
+    Motion is removed by divided differences of order 3 to 7, scaled so that white noise keeps its size; they are
+    exact for irregular stamps. The order that leaves least is used, and the median over short blocks keeps impacts
+    and stick-slip out. Never less than the quantisation step over sqrt(12).
 
     Args:
         recording: at least 20 samples, sampled several times faster than the motion.
@@ -72,8 +75,103 @@ def quantum(values: NDArray[np.float64]) -> float:
 
 
 def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:
-    """Sentences about what is odd but usable in a recording."""
-    found: list[str] = []
+    """Sentences about what is odd but usable in a recording: sampling, dead or clipped channels, units, limits.
+
+    None of this stops an analysis, since each can be right: a locked joint does not move, and a motor axis may turn
+    a hundred times. But whoever recorded it should know.
+    """
+    found = []
     if recording.ignored:
         found.append(f"columns {list(recording.ignored)} are not in the model and are ignored")
-    return tuple(found)
+    found += _sampling(recording.time)
+    for kind, names, table in (
+        ("command", recording.actuator_names, recording.commands),
+        ("sensor", recording.sensor_names, recording.sensors),
+    ):
+        for name, values in zip(names, table.T, strict=True):
+            found += _dead_or_clipped(f"{kind} {name!r}", values)
+    for name, values in zip(recording.sensor_names, recording.sensors.T, strict=True):
+        found += _odd_unit(name, values, model)
+    return (*found, *_beyond_limits(recording, model))
+
+
+def _sampling(time: NDArray[np.float64]) -> list[str]:
+    steps = np.diff(time)
+    middle, longest = float(np.median(steps)), int(np.argmax(steps))
+    found = []
+    if middle > SLOW:
+        found.append(f"samples are {middle:g} s apart; if time is in milliseconds, say --unit time=ms")
+    if steps[longest] > 3 * middle:
+        found.append(
+            f"{np.sum(steps > 3 * middle)} gaps in time, the longest {steps[longest]:.3g} s after "
+            f"{time[longest]:.6g} s where {middle:.3g} s are usual: samples are missing there"
+        )
+    low, high = np.quantile(steps, [0.05, 0.95])
+    if high - low > 0.05 * middle:
+        found.append(
+            f"sampling is irregular: {low:.3g} to {high:.3g} s apart, median {middle:.3g} s (5 to 95 %); "
+            "commands are averaged over the steps of the simulation"
+        )
+    return found
+
+
+def _dead_or_clipped(label: str, values: NDArray[np.float64]) -> list[str]:
+    if np.ptp(values) == 0:
+        return [f"{label} is constant ({values[0]:g} throughout): locked, unused, or not connected?"]
+    return [
+        f"{label} sits at its {which} value, {extreme:g}, for {share:.0%} of the time and gets there at full speed: "
+        "clipped, or against a stop?"
+        for which, extreme in (("lowest", values.min()), ("highest", values.max()))
+        if (share := clipped_share(values, float(extreme))) >= 0.01
+    ]
+
+
+def clipped_share(values: NDArray[np.float64], extreme: float) -> float:
+    """Share of the samples that lie on a plateau at `extreme` which the signal entered or left with a kink.
+
+    A signal that comes to rest slows down before, so its last change is small; a clipped one is cut off while it
+    moves. Commands that move in steps have plateaus everywhere, and none of theirs counts.
+    """
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0]))
+    lengths = np.diff(np.append(starts, len(values)))
+    levels = values[starts]
+    changes = np.abs(np.diff(levels))
+    if len(levels) < 4:
+        return 0.0
+    abrupt = max(5 * quantum(values), 0.05 * float(np.max(changes)))
+    plateau = (levels == extreme) & (lengths >= max(5, 5 * np.median(lengths)))
+    before = np.concatenate([[0.0, 0.0], changes[:-1]])  # the last change but one before each level
+    after = np.concatenate([changes[1:], [0.0, 0.0]])
+    kinked = plateau & (np.maximum(before, after) > abrupt)
+    return float(lengths[kinked].sum() / len(values))
+
+
+def _odd_unit(name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> list[str]:
+    """Whether a joint position is far beyond what its joint can do, or what one expects of it."""
+    sensor = model.sensor(name).id
+    if model.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_JOINTPOS:
+        return []
+    joint = int(model.sensor_objid[sensor])
+    hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+    peak = float(np.max(np.abs(values)))
+    usual = FAR_HINGE if hinge else FAR_SLIDE
+    if model.jnt_limited[joint]:
+        usual = 3 * float(np.max(np.abs(model.jnt_range[joint])))
+    if peak <= usual:
+        return []
+    unit, word, short = ("rad", "degrees", "deg") if hinge else ("m", "millimetres", "mm")
+    return [f"sensor {name!r} reaches {peak:.4g} {unit}; if these are {word}, say --unit {name}={short}"]
+
+
+def _beyond_limits(recording: Recording, model: mujoco.MjModel) -> list[str]:
+    """Commands that MuJoCo would clamp."""
+    found = []
+    for k, name in enumerate(recording.actuator_names):
+        low, high = model.actuator_ctrlrange[k]
+        share = float(np.mean((recording.commands[:, k] < low) | (recording.commands[:, k] > high)))
+        if model.actuator_ctrllimited[k] and share:
+            found.append(
+                f"command {name!r} leaves its ctrlrange {low:g} to {high:g} in {share:.2%} of the samples, where the "
+                "simulation clamps it; check its unit and the model"
+            )
+    return found

@@ -1,7 +1,8 @@
 """Recordings: what was commanded and what was sensed, by the model's names, in SI units.
 
-A command holds from its time stamp until the next; a sensor is read at its time stamp, before that command acts.
-Sampling may be irregular. Where an actuator and a sensor share a name, `ctrl:` and `sensor:` tell their columns apart.
+A command holds from its time stamp until the next; a sensor is read at its time stamp, before that command
+acts. Sampling may be irregular. Where an actuator and a sensor share a name, `ctrl:` and `sensor:` tell their
+columns apart.
 """
 
 from __future__ import annotations
@@ -75,9 +76,7 @@ class Recording:
         where = str(self.path or self.name)
         time = _frozen(self.time)
         if time.ndim != 1 or not len(time):
-            raise RecordingError(
-                f"{where}: time has shape {time.shape}; it must be a list of at least one number"
-            )
+            raise RecordingError(f"{where}: time has shape {time.shape}; it must be a list of at least one number")
         parts = {"time": time}
         for kind, names in (("commands", self.actuator_names), ("sensors", self.sensor_names)):
             values = _frozen(getattr(self, kind))
@@ -254,9 +253,7 @@ def read(
     factors = _factors(str(path), wanted, units)
     columns = {channel: table.columns[name] * factors.get(channel, 1.0) for channel, name in wanted.items()}
     if len(columns["time"]) < MIN_SAMPLES:
-        raise RecordingError(
-            f"{path}: {len(columns['time'])} samples are too few; at least {MIN_SAMPLES} are needed"
-        )
+        raise RecordingError(f"{path}: {len(columns['time'])} samples are too few; at least {MIN_SAMPLES} are needed")
     _check_numbers(str(path), table.lines, {wanted[channel]: values for channel, values in columns.items()})
     ignored = tuple(name for name in table.names if name not in wanted.values())
     n = len(columns["time"])
@@ -319,9 +316,7 @@ def resample_commands(recording: Recording, grid: ArrayLike) -> NDArray[np.float
     if grid.ndim != 1 or len(grid) < 2 or not np.all(np.diff(grid) > 0):
         raise RecordingError(f"{recording.name}: the time grid needs at least two borders that increase")
     time, commands = recording.time, recording.commands
-    held = np.clip(
-        np.searchsorted(time, grid, side="right") - 1, 0, None
-    )  # which command holds at each border
+    held = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, None)  # which command holds at each border
     # Integral of the command from the first stamp to every stamp, and from there to every border.
     integral = np.zeros_like(commands)
     np.cumsum(commands[:-1] * np.diff(time)[:, None], axis=0, out=integral[1:])
@@ -385,16 +380,12 @@ def _match(
             )
         for channel in meant:
             if channel in found:
-                raise RecordingError(
-                    f"{where}: columns {found[channel]!r} and {column!r} both mean {channel!r}"
-                )
+                raise RecordingError(f"{where}: columns {found[channel]!r} and {column!r} both mean {channel!r}")
             found[channel] = column
     order = ["time", *(COMMAND + name for name in ctrl), *(SENSOR + name for name in sensor)]
     missing = [channel for channel in order if channel not in found]
     if missing:
-        raise RecordingError(
-            f"{where}: no column for {missing}; {sides}; rename them or use --map COLUMN=NAME"
-        )
+        raise RecordingError(f"{where}: no column for {missing}; {sides}; rename them or use --map COLUMN=NAME")
     return {channel: found[channel] for channel in order}
 
 
@@ -411,9 +402,7 @@ def _factors(where: str, wanted: Mapping[str, str], units: Mapping[str, str]) ->
                 f"model; there are {list(wanted.values())}"
             )
         if len(meant) > 1:
-            raise RecordingError(
-                f"{where}: the unit of {key!r} may mean {meant[0]!r} or {meant[1]!r}; say which"
-            )
+            raise RecordingError(f"{where}: the unit of {key!r} may mean {meant[0]!r} or {meant[1]!r}; say which")
         try:
             factors[meant[0]] = factor(unit)
         except ValueError as error:

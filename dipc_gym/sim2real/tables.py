@@ -1,7 +1,7 @@
 """Tables of numbers on disk: CSV, Parquet and npz, read with suspicion and written whole or not at all.
 
-Every reader takes the file's bytes and a `choose` function that is told the column names and returns those to load, so
-that text in columns nobody wants does no harm. What is wrong with a file is said with its name, column and row.
+Every reader takes the file's bytes and a `choose` function that is told the column names and returns those to
+load, so that text in columns nobody wants does no harm. What is wrong is said with file, column and row.
 """
 
 from __future__ import annotations
@@ -87,10 +87,11 @@ def read_table(path: Path, choose: Choose) -> Table:
         raise RecordingError(f"{path}: no such recording")
     size = path.stat().st_size
     if size > MAX_BYTES:
-        raise RecordingError(
-            f"{path}: {size:,} bytes, more than the {MAX_BYTES:,} allowed; split the recording"
-        )
-    data = path.read_bytes()
+        raise RecordingError(f"{path}: {size:,} bytes, more than the {MAX_BYTES:,} allowed; split the recording")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     if not data.strip():
         raise RecordingError(f"{path}: the file is empty")
     reader = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}[suffix]
@@ -125,6 +126,8 @@ def whole_file(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
         with partial.open("wb") as file:
             yield file
         partial.replace(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
         partial.unlink(missing_ok=True)
 
@@ -140,10 +143,12 @@ def _check_size(path: Path, rows: int, columns: int) -> None:
         raise RecordingError(f"{path}: {rows:,} rows of {columns} columns are too many; split the recording")
 
 
-# --------------------------------------------------------------------------------------------------------- CSV
+# CSV
 
 
 def _read_csv(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[str, Any], Sequence[int]]:
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise RecordingError(f"{path}: the text is UTF-16; save the CSV as UTF-8")
     if b"\0" in data:
         raise RecordingError(f"{path}: not a CSV file: it contains binary data")
     try:
@@ -154,7 +159,8 @@ def _read_csv(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[
     rows = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     lines = [number for number, row in enumerate(rows, 1) if row.strip()]
     rows = [rows[number - 1] for number in lines]
-    names = [name.strip() for name in _cells(path, rows[0], lines[0])]
+    header = [name.strip() for name in _cells(path, rows[0], lines[0])]
+    names = [name or f"column {k}" for k, name in enumerate(header, 1)]  # pandas writes its index without a name
     _check_csv_header(path, names, rows[0])
     wanted = list(choose(names))
     del rows[0], lines[0]
@@ -170,15 +176,9 @@ def _read_csv(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[
 
 def _check_csv_header(path: Path, names: list[str], header: str) -> None:
     if len(names) == 1 and any(mark in header for mark in ";\t"):
-        raise RecordingError(
-            f"{path}: the columns are not separated by commas; write it with ',' (and '.' decimals)"
-        )
-    if any(_is_number(name) for name in names):
-        raise RecordingError(
-            f"{path}: the first line must name the columns, but it holds numbers: {header[:60]!r}"
-        )
-    if "" in names:
-        raise RecordingError(f"{path}: column {names.index('') + 1} has no name in the first line")
+        raise RecordingError(f"{path}: the columns are not separated by commas; write it with ',' (and '.' decimals)")
+    if all(_is_number(name) for name in names):
+        raise RecordingError(f"{path}: the first line must name the columns, but it holds numbers: {header[:60]!r}")
     _check_header(path, names)
 
 
@@ -200,9 +200,7 @@ def _slow_values(
     for index, (row, line) in enumerate(zip(rows, lines, strict=True)):
         cells = _cells(path, row, line)
         if len(cells) != len(names):
-            raise RecordingError(
-                f"{path}, line {line}: {len(cells)} cells, but the header names {len(names)}"
-            )
+            raise RecordingError(f"{path}, line {line}: {len(cells)} cells, but the header names {len(names)}")
         for k, place in enumerate(places):
             cell = cells[place].strip()
             if not _is_number(cell):
@@ -230,8 +228,9 @@ def _is_number(cell: str) -> bool:
 
 
 def _write_csv(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64]]) -> None:
-    if any("\n" in name or "\r" in name for name in columns):
-        raise RecordingError(f"{path}: a column name contains a line break; write Parquet or npz instead")
+    odd = [name for name in columns if name != name.strip() or "\n" in name or "\r" in name]
+    if odd:
+        raise RecordingError(f"{path}: names with line breaks or outer blanks, {odd}, do not fit into a CSV header")
     text = io.TextIOWrapper(file, encoding="utf-8", newline="", write_through=True)
     writer = csv.writer(text, lineterminator="\n")  # it writes floats with repr, so nothing is lost
     writer.writerow(columns)
@@ -239,7 +238,7 @@ def _write_csv(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64
     text.detach()
 
 
-# ----------------------------------------------------------------------------------------------------- Parquet
+# Parquet
 
 
 def _arrow(path: Path) -> Any:
@@ -285,7 +284,7 @@ def _write_parquet(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.flo
     arrow.parquet.write_table(arrow.table(columns), file)
 
 
-# --------------------------------------------------------------------------------------------------------- npz
+# npz
 
 
 def _read_npz(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[str, Any], Sequence[int]]:

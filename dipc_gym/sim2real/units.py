@@ -41,7 +41,5 @@ def factor(unit: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or value == 0:
-        raise ValueError(
-            f"unknown unit {unit!r}; use a number (the factor to SI) or one of {', '.join(FACTORS)}"
-        )
+        raise ValueError(f"unknown unit {unit!r}; use a number (the factor to SI) or one of {', '.join(FACTORS)}")
     return value
