@@ -1,1 +1,12 @@
-"""A double inverted pendulum on a cart with stick-slip friction."""
+"""A double inverted pendulum on a cart with stick-slip friction.
+
+Importing this package registers `DIPC-Friction-v0` with Gymnasium.
+"""
+
+import gymnasium
+
+__version__ = "0.1.0"
+
+ENV_ID = "DIPC-Friction-v0"
+
+gymnasium.register(id=ENV_ID, entry_point="dipc_gym.env:DoublePendulumEnv", max_episode_steps=2_000)

@@ -1,1 +1,6 @@
 """Gymnasium wrappers for the rig."""
+
+from dipc_gym.wrappers.force_command import ForceCommand
+from dipc_gym.wrappers.record import RecordRun
+
+__all__ = ["ForceCommand", "RecordRun"]

@@ -1,0 +1,490 @@
+"""The Gymnasium environment: voltage in, encoder readings out, friction in between."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from dipc_gym import kernels, mjcf
+from dipc_gym.physics import from_model
+from dipc_gym.plant import Plant, PlantError
+
+Array = NDArray[np.float64]
+State = tuple[float, float, float, float, float, float]
+
+START_SPREAD = 0.02  # m and rad, either way, at reset
+DIVERGED = 1e6  # no state of a rig is this large, in m, rad or their rates
+FRAMES_PER_SECOND = 60  # of the window, in simulated time
+NAMES = ("cart", "pole1", "pole2")
+
+
+class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
+    """A double inverted pendulum on a cart, driven by a DC motor through stick-slip friction.
+
+    ## Description
+    A belt pulls a cart along a rail of 0.9 m; on the cart stands a pole, and on its end another. The controller sets
+    the motor's voltage every 5 ms and has to hold both poles upright. Dry friction, larger at standstill than in
+    motion, swallows small commands and keeps a linear controller in a limit cycle: that is the point of this rig.
+    It follows Nejadfard, Yazdanpanah and Hassanzadeh, Neural Computing and Applications 22 (2013) 337-347.
+
+    ## Action space
+    `Box(-24, 24, (1,), float32)`: motor voltage. What goes beyond the supply is clipped, and `info["clipped"]` says
+    so. Any array of one finite number is taken, in single or double precision.
+
+    ## Observation space
+    `Box(-inf, inf, (6,), float64)`; angles are absolute, from upright, positive towards positive x.
+
+    | index | meaning | unit |
+    |---|---|---|
+    | 0 | position of the cart | m |
+    | 1 | angle of the first pole | rad |
+    | 2 | angle of the second pole | rad |
+    | 3 | velocity of the cart | m/s |
+    | 4 | rate of the first angle | rad/s |
+    | 5 | rate of the second angle | rad/s |
+
+    Positions are encoder readings: rounded to counts, with noise if the plant has any. Rates are filtered differences
+    of them (`Encoders`). `exact_state=True` gives the simulation's own state instead.
+
+    ## Reward
+    `1 - cost_cart - cost_pole1 - cost_pole2 - cost_voltage`. Each cost is quadratic in the simulated state or the
+    applied voltage and reaches 0.25 at its limit: 0.45 m, 0.35 rad (from the nearest upright), the supply. So a
+    balancing step earns between 0 and 1.
+
+    ## Info
+    At every step and at reset: `reward_survive`, the four costs, `voltage` (V, as applied), `clipped`, `friction`
+    (N, dry friction on the cart, negative when it acts towards negative x), `time` (s) and `diverged`.
+
+    ## Starting state
+    At rest, cart and absolute angles uniform within 0.02 (m, rad) of upright. `reset(options=...)` takes:
+
+    - `start`: `"upright"` (default) or `"hanging"`, both within 0.02;
+    - `state`: six numbers as observed, exactly this state;
+    - `plant`: for this episode, another `Plant`, a dictionary of changed fields, or a file.
+
+    ## Episode end
+    Terminated when the cart reaches a rail stop, when a pole leaves 0.35 rad (not after a hanging start, nor when
+    `state` starts a pole beyond it), or when the simulation diverges; the observation is then the last finite one and
+    `info["diverged"]` is true. Truncated by Gymnasium's `TimeLimit` after 2,000 steps (10 s); the paper's 80 s are
+    `gymnasium.make("DIPC-Friction-v0", max_episode_steps=16_000)`.
+
+    ## Arguments
+    All are keywords and may be given to `gymnasium.make`.
+
+    Args:
+        plant: a `Plant`, a dictionary of changed fields, or the path of a JSON file; by default the model's own.
+        model: path of an MJCF file of one's own, with an actuator `motor` and jointpos sensors `cart`, `pole1` and
+            `pole2` (pole2 relative to pole1). By default the package's `rig.xml`.
+        exact_state: observe the simulation's state instead of encoder readings.
+        render_mode: `"human"`, `"rgb_array"` or None.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        camera: name of the camera, `"side"` or `"follow"` in `rig.xml`; None is MuJoCo's free camera.
+
+    Raises:
+        PlantError: the plant is impossible or its file is.
+        MjcfError: the model is refused, does not compile, or lacks the actuator or a sensor.
+
+    Example:
+        >>> import gymnasium, dipc_gym
+        >>> env = gymnasium.make("DIPC-Friction-v0", plant={"friction": {"coulomb": 5.0, "static": 7.0}})
+        >>> observation, info = env.reset(seed=1)
+        >>> observation, reward, terminated, truncated, info = env.step([3.0])
+        >>> info["voltage"]
+        3.0
+
+    ## Version history
+    - v0: first version.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
+
+    _readings: tuple[float, float, float]  # encoders: cart, absolute angles
+    _rates: tuple[float, float, float]  # the velocity filter's memory
+    _observed: State
+
+    def __init__(
+        self,
+        *,
+        plant: Plant | Mapping[str, Any] | str | Path | None = None,
+        model: str | Path | None = None,
+        exact_state: bool = False,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera: str | None = "side",
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode is {render_mode!r}; it can be None, 'human' or 'rgb_array'")
+        self.render_mode = render_mode
+        self.exact_state = exact_state
+        self._picture = (width, height, camera)
+        self._viewer: Any = None
+        self._source = _own_rig() if model is None else _checked_model(model)
+        self._home = Plant.of(plant, base=Plant.from_mjcf(self._source.text))
+        self._set_plant(self._home)
+        self.metadata = {**self.metadata, "render_fps": round(1 / self._home.control_period)}
+        self.observation_space = spaces.Box(-np.inf, np.inf, (6,), np.float64)
+        limit = np.array([self._home.supply], np.float32)
+        self.action_space = spaces.Box(-limit, limit, (1,), np.float32)
+        self._begin((0.0,) * 6)
+
+    # ------------------------------------------------------------------------------------------------ Gymnasium
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Start an episode; see the class for `options`.
+
+        Raises:
+            ValueError: an unknown option, or one that is not understood.
+            PlantError: `options["plant"]` is impossible.
+        """
+        super().reset(seed=seed)
+        options = dict(options or {})
+        plant, start, state = (options.pop(key, None) for key in ("plant", "start", "state"))
+        if options:
+            raise ValueError(f"unknown reset options {sorted(options)}; there are 'plant', 'start' and 'state'")
+        if start is not None and state is not None:
+            raise ValueError("give either options['start'] or options['state'], not both")
+        self._set_plant(self._home if plant is None else Plant.of(plant, base=self._home))
+        self._begin(self._draw_state(start or "upright") if state is None else _state(state))
+        if self.render_mode == "human":
+            self.render()
+        return np.array(self._observed), self._info(0.0, False, False, (0.0, 0.0, 0.0, 0.0))
+
+    def step(self, action: NDArray[Any]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Hold a voltage for one control period.
+
+        Args:
+            action: (1,) V.
+
+        Raises:
+            ValueError: the action is not one finite number.
+        """
+        try:
+            if len(action) != 1:
+                raise ValueError
+            asked = float(action[0])
+        except (TypeError, ValueError, IndexError):
+            raise ValueError(f"an action is an array of one number, the voltage; this is {action!r}") from None
+        if not math.isfinite(asked):
+            raise ValueError(f"the voltage is {asked}; it must be a finite number")
+        supply = self._plant.supply
+        volts = -supply if asked < -supply else supply if asked > supply else asked
+
+        self._advance(volts)
+        state = self._read_state()
+        x, theta1, theta2, v, w1, w2 = state
+        if not abs(x) + abs(theta1) + abs(theta2) + abs(v) + abs(w1) + abs(w2) < DIVERGED:
+            info = self._info(volts, volts != asked, True, (0.0, 0.0, 0.0, 0.0))
+            return np.array(self._observed), 0.0, True, False, info
+        terms = kernels.costs(x, theta1, theta2, volts, self._rail, supply)
+        terminated = not -self._rail < x < self._rail or (
+            self._can_fall and not (-kernels.FALL <= theta1 <= kernels.FALL and -kernels.FALL <= theta2 <= kernels.FALL)
+        )
+        self._measure(state)
+        if self.render_mode == "human":
+            self._draw_frame()
+        reward = 1.0 - terms[0] - terms[1] - terms[2] - terms[3]
+        return np.array(self._observed), reward, terminated, False, self._info(volts, volts != asked, False, terms)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the rig: a picture (height, width, 3) in `rgb_array` mode, the window in `human` mode.
+
+        Without a display, and unless `MUJOCO_GL` is set, EGL or OSMesa is chosen.
+
+        Raises:
+            gymnasium.error.DependencyNotInstalled: Gymnasium's MuJoCo renderer cannot be imported.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                "render() does nothing without a render mode; say gymnasium.make(..., render_mode='rgb_array')"
+            )
+            return None
+        if self._viewer is None:
+            self._viewer = self._new_viewer()
+        return self._viewer.render(self.render_mode)
+
+    def _draw_frame(self) -> None:
+        """Draw every few steps, so that the window keeps up with time."""
+        self._steps += 1
+        if self._steps % self._frame_every == 0:
+            self.render()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+    # ------------------------------------------------------------------------------- what wrappers may ask for
+
+    @property
+    def plant(self) -> Plant:
+        """The plant of this episode."""
+        return self._plant
+
+    @property
+    def state(self) -> Array:
+        """The simulation's exact state, (6,), as the observation orders it."""
+        return np.array(self._read_state())
+
+    @property
+    def measured_velocity(self) -> float:
+        """Velocity of the cart as last observed, m/s."""
+        return self._observed[3]
+
+    @property
+    def encoders(self) -> tuple[float, float, float]:
+        """Last readings of the three encoders, m and rad; the third is relative to the first pole."""
+        x, theta1, theta2 = self._readings
+        return x, theta1, theta2 - theta1
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the reset, s."""
+        return self._data.time
+
+    @property
+    def friction(self) -> float:
+        """Dry friction on the cart at the last physics step, N: what passive elements and frictionloss exert."""
+        forces = self._actuator_force.tolist()
+        force = 0.0
+        for i, gear in self._passive:
+            force += gear * forces[i]
+        if self._frictionloss:
+            data = self._data
+            rows = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF) & (data.efc_id == self._dof[0])
+            force += float(data.efc_force[rows].sum())
+        return force
+
+    # -------------------------------------------------------------------------------------------- simulation
+
+    def _set_plant(self, plant: Plant) -> None:
+        """Compile the model for a plant, unless it is the one at work."""
+        if getattr(self, "_plant", None) == plant:
+            return
+        if getattr(self, "_viewer", None) is not None:
+            self.close()  # it draws the model that is now replaced
+        model = mjcf.compile(self._source.edited(plant.to_mjcf(self._source.text)), trusted=True)
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        nstep = plant.control_period / model.opt.timestep
+        if round(nstep) < 1 or abs(nstep - round(nstep)) > 1e-6:
+            raise PlantError(
+                f"control_period {plant.control_period:g} s is not a whole number of physics steps of "
+                f"{model.opt.timestep:g} s"
+            )
+        self._physics, self._plant, self._nstep = from_model(model), plant, round(nstep)
+        self._data = mujoco.MjData(model)
+        self._keep, self._gain = kernels.velocity_gains(plant.encoders.velocity_filter, plant.control_period)
+        self._frame_every = max(1, round(1 / (FRAMES_PER_SECOND * plant.control_period)))
+        self._index_model(model)
+        self._bind()
+
+    def _index_model(self, model: mujoco.MjModel) -> None:
+        """Find what the environment reads and writes, by name."""
+        controls = mjcf.controls(model)
+        if "motor" not in controls:
+            raise mjcf.MjcfError(f"{self._source.name}: no actuator 'motor' with a control; there are {controls}")
+        self._motor = controls.index("motor")
+        joints = []
+        for name in NAMES:
+            i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
+            if i < 0 or model.sensor_type[i] != mujoco.mjtSensor.mjSENS_JOINTPOS:
+                raise mjcf.MjcfError(f"{self._source.name}: needs a sensor <jointpos name='{name}' joint=.../>")
+            joints.append(int(model.sensor_objid[i]))
+        self._qpos_address = [int(model.jnt_qposadr[j]) for j in joints]
+        self._dof = [int(model.jnt_dofadr[j]) for j in joints]
+        self._sensor_address = [int(model.sensor(name).adr[0]) for name in NAMES]
+        # Readings that the model or its <custom> part changes cannot be taken from the joints.
+        self._joint_readings = not (
+            self._physics.stage("sensor") or self._physics.stage("lag") or np.any(model.sensor_delay > 0)
+        )
+        cart = joints[0]
+        self._rail = float(abs(model.jnt_range[cart]).min()) if model.jnt_limited[cart] else kernels.RAIL
+        self._frictionloss = bool(model.dof_frictionloss[self._dof[0]] > 0 or self._physics.stage("friction"))
+        self._passive = [
+            (i, float(model.actuator_gear[i, 0]))
+            for i in range(model.nactuator)
+            if model.actuator_ctrlnum[i] == 0
+            and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+            and model.actuator_trnid[i, 0] == cart
+        ]
+
+    def _bind(self) -> None:
+        """Hold views into the simulation's arrays; asking `data` for them costs more than using them."""
+        data = self._data
+        self._qpos, self._qvel, self._ctrl = data.qpos, data.qvel, data.ctrl
+        self._actuator_force = data.actuator_force
+
+    def _advance(self, volts: float) -> None:
+        if self._physics.extras:
+            command = np.zeros(len(self._ctrl))
+            command[self._motor] = volts
+            self._physics.step(self._data, command, self._nstep)
+        else:
+            self._ctrl[self._motor] = volts
+            mujoco.mj_step(self._physics.model, self._data, self._nstep)
+
+    def _read_state(self) -> State:
+        q, v = self._qpos.tolist(), self._qvel.tolist()
+        a, b, c = self._qpos_address
+        i, j, k = self._dof
+        theta1, w1 = q[b], v[j]
+        return q[a], theta1, theta1 + q[c], v[i], w1, w1 + v[k]
+
+    def _measure(self, state: State) -> None:
+        """Read the encoders, update the velocity filter, and note what is observed."""
+        x0, a0, b0 = self._readings
+        v0, w0, u0 = self._rates
+        keep, gain = self._keep, self._gain
+        x, theta1, theta2 = self._readings = self._read_encoders()
+        v, w1, w2 = self._rates = (
+            kernels.velocity(x, x0, v0, keep, gain),
+            kernels.velocity(theta1, a0, w0, keep, gain),
+            kernels.velocity(theta2, b0, u0, keep, gain),
+        )
+        self._observed = state if self.exact_state else (x, theta1, theta2, v, w1, w2)
+
+    def _read_encoders(self) -> tuple[float, float, float]:
+        """Readings of the cart and the two absolute angles."""
+        encoders = self._plant.encoders
+        if self._joint_readings:
+            q = self._qpos.tolist()
+            a, b, c = self._qpos_address
+            x, joint1, joint2 = q[a], q[b], q[c]
+        else:
+            mujoco.mj_forward(self._physics.model, self._data)
+            sensed = self._physics.sense(self._data.sensordata, self._lag, self._plant.control_period)
+            x, joint1, joint2 = (float(sensed[i]) for i in self._sensor_address)
+        if encoders.noise:
+            noise = self.np_random.standard_normal(3).tolist()
+            x += encoders.noise * encoders.cart * noise[0]
+            joint1 += encoders.noise * encoders.pole * noise[1]
+            joint2 += encoders.noise * encoders.pole * noise[2]
+        theta1 = kernels.quantise(joint1, encoders.pole)
+        return kernels.quantise(x, encoders.cart), theta1, theta1 + kernels.quantise(joint2, encoders.pole)
+
+    def _draw_state(self, start: str) -> State:
+        if start not in ("upright", "hanging"):
+            raise ValueError(f"options['start'] is {start!r}; it can be 'upright' or 'hanging'")
+        x, theta1, theta2 = self.np_random.uniform(-START_SPREAD, START_SPREAD, 3).tolist()
+        down = math.pi if start == "hanging" else 0.0
+        return x, theta1 + down, theta2 + down, 0.0, 0.0, 0.0
+
+    def _begin(self, state: State) -> None:
+        """Put the rig, its motor and the velocity filter into a state."""
+        x, theta1, theta2, v, w1, w2 = state
+        mujoco.mj_resetData(self._physics.model, self._data)
+        for address, value in zip(self._qpos_address, (x, theta1, theta2 - theta1), strict=True):
+            self._qpos[address] = value
+        for address, value in zip(self._dof, (v, w1, w2 - w1), strict=True):
+            self._qvel[address] = value
+        mujoco.mj_forward(self._physics.model, self._data)
+        self._lag = self._physics.sensor_memory(self._data.sensordata)
+        self._can_fall = abs(theta1) <= kernels.FALL and abs(theta2) <= kernels.FALL
+        self._steps = 0
+        self._readings = self._read_encoders()
+        self._rates = (v, w1, w2)
+        self._observed = state if self.exact_state else (*self._readings, *self._rates)
+
+    def _info(self, volts: float, clipped: bool, diverged: bool, costs: tuple[float, ...]) -> dict[str, Any]:
+        return {
+            "reward_survive": 0.0 if diverged else 1.0,
+            "cost_cart": costs[0],
+            "cost_pole1": costs[1],
+            "cost_pole2": costs[2],
+            "cost_voltage": costs[3],
+            "voltage": volts,
+            "clipped": clipped,
+            "friction": 0.0 if diverged else self.friction,
+            "time": self._data.time,
+            "diverged": diverged,
+        }
+
+    # ------------------------------------------------------------------------------------- pickling and drawing
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything, the simulation's hidden state included, but the window and the views into the arrays."""
+        views = ("_qpos", "_qvel", "_ctrl", "_actuator_force")
+        return {**{key: value for key, value in self.__dict__.items() if key not in views}, "_viewer": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
+
+    def _new_viewer(self) -> Any:
+        choose_renderer()
+        try:
+            from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
+        except ImportError as error:
+            raise gymnasium.error.DependencyNotInstalled(
+                f"drawing needs Gymnasium's MuJoCo renderer ({error}); pip install 'gymnasium[mujoco]'"
+            ) from error
+        width, height, camera = self._picture
+        model = self._physics.model
+        if camera is not None and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera) < 0:
+            camera = None  # a model of one's own need not have ours
+        model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
+        model.vis.global_.offheight = max(model.vis.global_.offheight, height)
+        return MujocoRenderer(
+            model, self._data, width=width, height=height, camera_name=camera, camera_id=None if camera else -1
+        )
+
+
+def choose_renderer() -> None:
+    """Where there is no display and `MUJOCO_GL` is not set, set it to `egl` or `osmesa`, whichever works.
+
+    Gymnasium would otherwise try to open a window. With neither library the variable stays unset, and drawing fails
+    with Gymnasium's message.
+    """
+    if "MUJOCO_GL" in os.environ or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        return
+    for backend in ("egl", "osmesa"):
+        if _works(backend):
+            os.environ["MUJOCO_GL"] = backend
+            return
+
+
+@functools.cache
+def _works(backend: str) -> bool:
+    """Whether a fresh process gets a picture from this backend; a failed try would spoil the OpenGL of this one."""
+    import subprocess
+    import sys
+
+    code = f"from mujoco.{backend} import GLContext; c = GLContext(8, 8); c.make_current(); c.free()"
+    environment = {**os.environ, "MUJOCO_GL": backend}
+    return not subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, check=False, timeout=60
+    ).returncode
+
+
+@functools.cache
+def _own_rig() -> mjcf.Source:
+    return mjcf.Source(None, Path(), resources.files("dipc_gym").joinpath("rig.xml").read_text(encoding="utf-8"))
+
+
+def _checked_model(path: str | Path) -> mjcf.Source:
+    source = mjcf.read(path)
+    mjcf.compile(source)
+    return source
+
+
+def _state(values: Any) -> State:
+    try:
+        x, theta1, theta2, v, w1, w2 = (float(value) for value in values)
+        if math.isfinite(x + theta1 + theta2 + v + w1 + w2):
+            return x, theta1, theta2, v, w1, w2
+    except (TypeError, ValueError):
+        pass
+    raise ValueError(f"options['state'] must be six finite numbers, as observed; this is {values!r}")

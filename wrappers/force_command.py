@@ -1,0 +1,117 @@
+"""The wrapper that lets a controller command force."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from dipc_gym import compensators
+from dipc_gym.compensators import Compensator
+
+Array = NDArray[np.float64]
+
+
+class ForceCommand(
+    gymnasium.Wrapper[Array, NDArray[np.float32], Array, NDArray[np.float32]], gymnasium.utils.RecordConstructorArgs
+):
+    """Turn the action from motor voltage into force on the cart, through a friction compensator.
+
+    The force is the one that the linear controller's model assumes: the friction left in that model (40 N s/m,
+    back-EMF included) still acts, the rest is compensated. The compensator gets the velocity that the environment
+    last observed, so any wrapper may stand around this one. `info["force"]` is the force as commanded, after the
+    limit; `info["voltage"]` and `info["clipped"]` say what became of it.
+
+    Args:
+        env: a `DIPC-Friction-v0`, or any environment whose `unwrapped` has `measured_velocity`, `friction` and `plant`.
+        compensator: a `Compensator`, the path of its file, or its dictionary (as JSON holds it).
+        force_limit: largest force either way, N; by default what the blocked motor exerts at full supply.
+
+    Raises:
+        TypeError: `env` cannot say how fast its cart is.
+        ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known.
+        compensators.CompensatorError: the compensator's file or dictionary is broken.
+
+    Example:
+        >>> import gymnasium, dipc_gym
+        >>> from dipc_gym.compensators import StaticGain
+        >>> from dipc_gym.wrappers import ForceCommand
+        >>> env = ForceCommand(gymnasium.make("DIPC-Friction-v0"), StaticGain(newtons_per_volt=4.0))
+        >>> observation, info = env.reset(seed=1)
+        >>> observation, reward, terminated, truncated, info = env.step([10.0])
+        >>> info["force"], info["voltage"]
+        (10.0, 2.5)
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Array, NDArray[np.float32]],
+        compensator: Compensator | Mapping[str, Any] | str | Path,
+        *,
+        force_limit: float | None = None,
+    ) -> None:
+        inner: Any = env.unwrapped
+        if not hasattr(inner, "measured_velocity"):
+            raise TypeError(f"{inner} has no measured_velocity; ForceCommand goes around DIPC-Friction-v0")
+        loaded = compensator if isinstance(compensator, Compensator) else compensators.load(_plain(compensator))
+        recorded = compensator.to_dict() if isinstance(compensator, Compensator) else _plain(compensator)
+        gymnasium.utils.RecordConstructorArgs.__init__(self, compensator=recorded, force_limit=force_limit)
+        gymnasium.Wrapper.__init__(self, env)
+        if force_limit is None:
+            if inner.plant.motor is None:
+                raise ValueError("the model's motor is not known, so give ForceCommand a force_limit in newtons")
+            force_limit = inner.plant.motor.force_per_volt * inner.plant.supply
+        if not (math.isfinite(force_limit) and force_limit > 0):
+            raise ValueError(f"force_limit is {force_limit}; it must be a positive number of newtons")
+        self.compensator = copy.deepcopy(loaded)  # it has a memory, which two environments must not share
+        self.force_limit = float(force_limit)
+        limit = np.array([force_limit], np.float32)
+        self.action_space = spaces.Box(-limit, limit, (1,), np.float32)
+        self._inner = inner
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Reset the environment and the compensator's memory."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self.compensator.reset()
+        info["force"] = 0.0
+        return observation, info
+
+    def step(self, action: NDArray[Any]) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
+        """Hold the voltage that the compensator gives for a force.
+
+        Args:
+            action: (1,) N.
+
+        Raises:
+            ValueError: the action is not one finite number.
+        """
+        try:
+            if len(action) != 1:
+                raise ValueError
+            force = float(action[0])
+        except (TypeError, ValueError, IndexError):
+            raise ValueError(f"an action is an array of one number, the force; this is {action!r}") from None
+        if not math.isfinite(force):
+            raise ValueError(f"the force is {force}; it must be a finite number")
+        force = min(max(force, -self.force_limit), self.force_limit)
+        velocity = self._inner.measured_velocity
+        if self.compensator.needs_friction:
+            held_back = -self._inner.friction
+            volts = self.compensator.voltage(force, velocity, friction=held_back)  # type: ignore[call-arg]
+        else:
+            volts = self.compensator.voltage(force, velocity)
+        observation, reward, terminated, truncated, info = self.env.step(np.array((volts,)))  # type: ignore[arg-type]
+        info["force"] = force
+        return observation, reward, terminated, truncated, info
+
+
+def _plain(compensator: Mapping[str, Any] | str | Path) -> dict[str, Any] | str:
+    """The argument in a form that JSON can hold."""
+    return dict(compensator) if isinstance(compensator, Mapping) else str(compensator)

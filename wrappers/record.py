@@ -1,0 +1,103 @@
+"""The wrapper that writes runs as recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real import recording
+
+Array = NDArray[np.float64]
+SENSORS = ("cart", "pole1", "pole2")
+
+
+class RecordRun(
+    gymnasium.Wrapper[Array, NDArray[np.float32], Array, NDArray[np.float32]], gymnasium.utils.RecordConstructorArgs
+):
+    """Write every episode as a recording: time, the motor's voltage, and what the encoders read.
+
+    A row holds the readings at its time and the voltage that was applied from then on (after compensator and supply
+    limit). The angle of the second pole is relative to the first, as its encoder measures it. Files are called
+    `NAME-0.csv`, `NAME-1.csv` and so on, and appear when their episode ends, or at the next `reset` or `close`.
+
+    Args:
+        env: `DIPC-Friction-v0`, wrapped or not.
+        folder: where the files go; made if missing.
+        name: what the files are called.
+        suffix: `"csv"`, `"npz"`, or `"parquet"` (with the `parquet` extra).
+        overwrite: replace files of an earlier run instead of refusing.
+
+    Raises:
+        FileExistsError: the folder has recordings of that name, and `overwrite` is not set.
+        ValueError: the suffix is not known.
+        TypeError: `env` has no encoders to read.
+
+    Example:
+        >>> import gymnasium, dipc_gym, tempfile
+        >>> from dipc_gym.wrappers import RecordRun
+        >>> env = RecordRun(gymnasium.make("DIPC-Friction-v0"), folder := tempfile.mkdtemp())
+        >>> observation, info = env.reset(seed=1)
+        >>> for _ in range(20):
+        ...     transition = env.step([2.0])
+        >>> env.close()
+        >>> [path.name for path in Path(folder).iterdir()]
+        ['run-0.csv']
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Array, NDArray[np.float32]],
+        folder: str | Path,
+        *,
+        name: str = "run",
+        suffix: str = "csv",
+        overwrite: bool = False,
+    ) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(
+            self, folder=str(folder), name=name, suffix=suffix, overwrite=overwrite
+        )
+        gymnasium.Wrapper.__init__(self, env)
+        self._inner: Any = env.unwrapped
+        if not hasattr(self._inner, "encoders"):
+            raise TypeError(f"{self._inner} has no encoders; RecordRun goes around DIPC-Friction-v0")
+        if suffix not in ("csv", "npz", "parquet"):
+            raise ValueError(f"suffix is {suffix!r}; it can be 'csv', 'npz' or 'parquet'")
+        self.folder = Path(folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        earlier = sorted(self.folder.glob(f"{name}-*.{suffix}"))
+        if earlier and not overwrite:
+            raise FileExistsError(f"{earlier[0]} exists already; choose another folder or name, or set overwrite=True")
+        self._name, self._suffix, self._overwrite = name, suffix, overwrite
+        self._episode = 0
+        self._recorder = recording.Recorder(["motor"], SENSORS)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Finish the file of the last episode and start another."""
+        self._finish()
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: NDArray[Any]) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
+        """Step, and note what the encoders read before it and the voltage that was applied."""
+        time, readings = self._inner.time, self._inner.encoders
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._recorder.append(time, [info["voltage"]], readings)
+        if terminated or truncated:
+            self._finish()
+        return observation, reward, terminated, truncated, info
+
+    def close(self) -> None:
+        """Finish the last file."""
+        self._finish()
+        self.env.close()
+
+    def _finish(self) -> None:
+        if not len(self._recorder):
+            return
+        path = self.folder / f"{self._name}-{self._episode}.{self._suffix}"
+        recorder, self._recorder = self._recorder, recording.Recorder(["motor"], SENSORS)
+        self._episode += 1
+        recording.write(recorder.recording(path.stem), path, overwrite=self._overwrite)
