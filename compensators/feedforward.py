@@ -7,9 +7,9 @@ from typing import Self
 
 import numpy as np
 
-from dipc_gym.compensators.base import Array, Compensator, RigConstants, Samples, Signal, elementwise
+from dipc_gym.compensators.base import Array, Compensator, RigConstants, Samples, Signal, elementwise, numbers
 
-SIGN_VELOCITIES = np.geomspace(1e-3, 0.1, 41)
+SIGN_VELOCITIES = np.geomspace(1e-3, 0.3, 41)
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Feedforward(Compensator):
 
     The hyperbolic tangent stands for the sign of the velocity: a jump at zero would chatter on encoder
     noise, and the cart at rest would get no help either way. Its width is learned like the rest: least
-    squares for each of 41 widths from 1 to 100 mm/s, evenly spaced in the logarithm, and the best is kept.
+    squares for each of 41 widths from 1 to 300 mm/s, evenly spaced in the logarithm, and the best is kept.
     Viscous friction and back-EMF are one term, and only what exceeds the viscous friction in the
     controller's model remains in it.
 
@@ -41,7 +41,7 @@ class Feedforward(Compensator):
     coulomb: float
     per_velocity: float
     offset: float
-    sign_velocity: float
+    sign_velocity: float = numbers(positive=True)
 
     @classmethod
     def fit(cls, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Self:
@@ -56,7 +56,8 @@ class Feedforward(Compensator):
             return float(np.mean((voltage - columns @ coefficients) ** 2)), coefficients
 
         best = min(SIGN_VELOCITIES.tolist(), key=lambda width: solve(width)[0])
-        return cls(*solve(best)[1].tolist(), sign_velocity=best)
+        per_newton, coulomb, per_velocity, offset = solve(best)[1].tolist()
+        return cls(per_newton, coulomb, per_velocity, offset, best)
 
     def volts(self, force: Signal, velocity: Signal, previous_velocity: Signal) -> Signal:
         """Sum of the four terms."""

@@ -158,7 +158,8 @@ class _Reader:
         if not isinstance(entry, Mapping):
             self.fail("fit", f"is {_kind_of(entry)}; it must be an object of fit figures, or null")
         self.only(entry, ("train_mse", "test_mse", "train_samples", "test_samples"), "fit")
-        errors, counts = [], []
+        errors: list[float] = []
+        counts: list[int] = []
         for name in ("train_mse", "test_mse"):
             errors.append(self.number(self.member(entry, name, "fit"), f"fit.{name}"))
             if errors[-1] < 0:
@@ -168,7 +169,7 @@ class _Reader:
             if not isinstance(count, int) or isinstance(count, bool) or count < 0:
                 self.fail(f"fit.{name}", f"is {_short(count)}; it must be a count")
             counts.append(count)
-        return FitFigures(*errors, *counts)
+        return FitFigures(errors[0], errors[1], counts[0], counts[1])
 
     def parameters(self, cls: type[Compensator], entry: Any) -> dict[str, Any]:
         if not isinstance(entry, Mapping):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import inspect
 import math
-import sys
-import warnings
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
+
+from dipc_gym.compensators.tables import checked_inputs, checked_outputs, checked_weights, sklearn_class
 
 if TYPE_CHECKING:
     from sklearn.utils import Tags
@@ -49,8 +49,11 @@ class LOLIMOT:
         estimation: `"local"`, or `"global"` to estimate the linear models of all boxes together after each
             cut: a smaller training error for a longer training, and slopes that mean less on their own.
         ridge: Number of imagined samples that agree with the parent's model.
-        patience: Cuts without a new lowest test error after which growing ends, if `fit` is given test data.
-            The network with the lowest test error is kept.
+        patience: Cuts in a row that do not lower the test error after which growing ends, if `fit` is given
+            test data. One or two such cuts are no reason to stop: cutting a symmetric problem in its middle
+            gains nothing by itself, but the cuts that follow do.
+        tolerance: What counts as lowering: by more than this share of the test error of a single linear
+            model. The network after the last such cut is kept.
 
     Attributes:
         centres_: (models, inputs) centres of the boxes, in units of X.
@@ -80,12 +83,14 @@ class LOLIMOT:
         estimation: str = "local",
         ridge: float = 1e-3,
         patience: int = 3,
+        tolerance: float = 0.01,
     ) -> None:
         self.max_models = max_models
         self.border_validity = border_validity
         self.estimation = estimation
         self.ridge = ridge
         self.patience = patience
+        self.tolerance = tolerance
 
     def fit(
         self,
@@ -110,22 +115,23 @@ class LOLIMOT:
             ValueError: An option, a shape or a value is not usable; the message says which.
         """
         self._check_options()
-        X = _inputs(X)
-        y = _outputs(y, len(X))
-        weight = _weights(sample_weight, len(X))
+        X = checked_inputs(X)
+        y = checked_outputs(y, len(X))
+        weight = checked_weights(sample_weight, len(X))
         X, y, weight = X[weight > 0], y[weight > 0], weight[weight > 0]
 
         low = X.min(axis=0)
         span = X.max(axis=0) - low
         scale = np.where(span > 0, span, 1.0)
+        low = np.where(span > 0, low, low - 0.5)  # an input that does not move sits in the middle of its box
         spread = 1 / math.sqrt(-8 * math.log(self.border_validity))
         tree = _Tree((X - low) / scale, y, weight, spread=spread, ridge=self.ridge)
         watch = None
         if test is not None:
-            test_X = _inputs(test[0])
+            test_X = checked_inputs(test[0])
             if test_X.shape[1] != X.shape[1]:
                 raise ValueError(f"test has {test_X.shape[1]} inputs, the training data {X.shape[1]}")
-            watch = ((test_X - low) / scale, _outputs(test[1], len(test_X)))
+            watch = ((test_X - low) / scale, checked_outputs(test[1], len(test_X)))
         kept, self.train_errors_, self.test_errors_ = self._grow(tree, watch)
 
         centres, widths, theta = kept
@@ -141,6 +147,7 @@ class LOLIMOT:
         train_errors: list[float] = []
         test_errors: list[float] = []
         kept = tree.network()
+        lowest, cuts_in_vain = math.inf, 0
         total = tree.squared_error_of_mean()
         while True:
             if self.estimation == "global":
@@ -149,11 +156,12 @@ class LOLIMOT:
             if watch is None:
                 kept = tree.network()
             else:
-                error = float(np.mean((tree.predict(watch[0]) - watch[1]) ** 2))
-                if not test_errors or error < min(test_errors):
-                    kept = tree.network()
-                test_errors.append(error)
-                if len(test_errors) - 1 - int(np.argmin(test_errors)) >= self.patience:
+                test_errors.append(float(np.mean((tree.predict(watch[0]) - watch[1]) ** 2)))
+                if test_errors[-1] < lowest - self.tolerance * test_errors[0]:
+                    kept, lowest, cuts_in_vain = tree.network(), test_errors[-1], 0
+                else:
+                    cuts_in_vain += 1
+                if cuts_in_vain >= self.patience:
                     break
             at_rounding = train_errors[-1] <= 1e-20 * total
             if tree.models >= self.max_models or at_rounding or not tree.cut_worst():
@@ -173,9 +181,9 @@ class LOLIMOT:
             ValueError: Not fitted yet, or X is not usable.
         """
         if not hasattr(self, "centres_"):
-            error = _sklearn_class("NotFittedError", ValueError)
+            error = sklearn_class("NotFittedError", ValueError)
             raise error("This LOLIMOT instance is not fitted yet: call fit first.")
-        X = _inputs(X)
+        X = checked_inputs(X)
         if X.shape[1] != self.n_features_in_:
             raise ValueError(
                 f"X has {X.shape[1]} features, but LOLIMOT is expecting {self.n_features_in_} features as input"
@@ -185,8 +193,8 @@ class LOLIMOT:
     def score(self, X: npt.ArrayLike, y: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> float:
         """Return the coefficient of determination R^2 of the prediction."""
         prediction = self.predict(X)
-        y = _outputs(y, len(prediction))
-        weight = _weights(sample_weight, len(y))
+        y = checked_outputs(y, len(prediction))
+        weight = checked_weights(sample_weight, len(y))
         mean = np.average(y, weights=weight)
         return float(1 - np.sum(weight * (y - prediction) ** 2) / np.sum(weight * (y - mean) ** 2))
 
@@ -232,6 +240,8 @@ class LOLIMOT:
             raise ValueError(f"ridge is {self.ridge}; it must be a positive number")
         if self.patience < 1:
             raise ValueError(f"patience is {self.patience}; it must be at least 1")
+        if not 0 <= self.tolerance < 1:
+            raise ValueError(f"tolerance is {self.tolerance}; it must be at least 0 and below 1")
 
 
 class _Tree:
@@ -376,65 +386,3 @@ def _blend(X: Array, centres: Array, sigmas: Array, levels: Array, slopes: Array
 
 def _option_names() -> list[str]:
     return [name for name in inspect.signature(LOLIMOT.__init__).parameters if name != "self"]
-
-
-def _sklearn_class(name: str, fallback: type[Exception]) -> Any:
-    """Scikit-learn's class of that name where scikit-learn is loaded, so that its tools recognise it."""
-    return getattr(sys.modules.get("sklearn.exceptions"), name, fallback)
-
-
-def _inputs(X: Any) -> Array:
-    if hasattr(X, "toarray"):
-        raise TypeError("X is a sparse matrix; LOLIMOT needs a dense array: pass X.toarray()")
-    X = np.asarray(X)
-    if np.iscomplexobj(X):
-        raise ValueError("Complex data not supported: X must be real")
-    if X.ndim != 2:
-        raise ValueError(
-            f"X must be a table (samples, inputs), got {X.ndim} dimension(s). Reshape your data: "
-            "X.reshape(-1, 1) for one input, X.reshape(1, -1) for one sample"
-        )
-    X = X.astype(np.float64)
-    if X.shape[0] < 1:
-        raise ValueError(f"Found array with 0 sample(s) (shape={X.shape}) while a minimum of 1 is required.")
-    if X.shape[1] < 1:
-        raise ValueError(f"0 feature(s) (shape={X.shape}) while a minimum of 1 is required.")
-    if not np.isfinite(X).all():
-        raise ValueError("X has NaN or infinity; drop or repair those samples")
-    return X
-
-
-def _outputs(y: Any, samples: int) -> Array:
-    if y is None:
-        raise ValueError("requires y to be passed, but the target y is None")
-    y = np.asarray(y)
-    if np.iscomplexobj(y):
-        raise ValueError("Complex data not supported: y must be real")
-    if y.ndim == 2 and y.shape[1] == 1:
-        warnings.warn(
-            "A column-vector y was passed when a 1d array was expected: use y.ravel()",
-            _sklearn_class("DataConversionWarning", UserWarning),
-            stacklevel=3,
-        )
-        y = y.ravel()
-    if y.shape != (samples,):
-        raise ValueError(f"y has shape {y.shape}, but X has {samples} samples: y must be ({samples},)")
-    y = y.astype(np.float64)
-    if not np.isfinite(y).all():
-        raise ValueError("y has NaN or infinity (inf); drop or repair those samples")
-    return y
-
-
-def _weights(sample_weight: Any, samples: int) -> Array:
-    if sample_weight is None:
-        return np.ones(samples)
-    weight = np.asarray(sample_weight, dtype=np.float64)
-    if weight.ndim == 0:
-        weight = np.full(samples, float(weight))
-    if weight.shape != (samples,):
-        raise ValueError(f"sample_weight has shape {weight.shape}, but X has {samples} samples")
-    if not (np.isfinite(weight).all() and (weight >= 0).all()):
-        raise ValueError("sample_weight must be finite and not negative")
-    if not weight.any():
-        raise ValueError("sample_weight is zero everywhere: at least one sample must count")
-    return weight

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dipc_gym.compensators.base import Array, Compensator, RigConstants, Samples, Signal
+from dipc_gym.compensators.base import Array, Compensator, RigConstants, Samples, Signal, numbers
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class StaticGain(Compensator):
         2.5
     """
 
-    newtons_per_volt: float
+    newtons_per_volt: float = numbers(positive=True)
 
     @classmethod
     def fit(cls, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Self:
@@ -51,7 +51,7 @@ class Ideal(Compensator):
 
     needs_friction: ClassVar[bool] = True
 
-    newtons_per_volt: float
+    newtons_per_volt: float = numbers(positive=True)
 
     @classmethod
     def fit(cls, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Self:
