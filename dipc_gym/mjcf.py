@@ -144,7 +144,7 @@ def compile(source: Source | str | Path, *, trusted: bool = False) -> mujoco.MjM
         _tried.add(source.sha256)
     try:
         return mujoco.MjModel.from_xml_string(source.text, assets=dict(source.files))
-    except ValueError as error:
+    except (ValueError, mujoco.FatalError) as error:
         raise MjcfError(f"{source.name}: {_one_line(str(error))}") from None
 
 
@@ -201,7 +201,7 @@ def check_supported(model: mujoco.MjModel) -> None:
         MjcfError: free or ball joints, flexible bodies, geoms that can touch, no joint, or no named scalar sensor.
     """
     for joint in range(model.njnt):
-        kind = model.jnt_type[joint]
+        kind = int(model.jnt_type[joint])  # a NumPy integer in a tuple of MuJoCo's enums is not found
         if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
             word = "free" if kind == mujoco.mjtJoint.mjJNT_FREE else "ball"
             raise MjcfError(f"joint {_label(model.joint(joint))} is a {word} joint. {SUPPORTED}")

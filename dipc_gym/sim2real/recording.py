@@ -19,8 +19,8 @@ import numpy as np
 from dipc_gym import mjcf
 from dipc_gym.sim2real import channels
 from dipc_gym.sim2real.channels import noise
+from dipc_gym.sim2real.matching import COMMAND, SENSOR, match_columns, unit_factors
 from dipc_gym.sim2real.tables import RecordingError, check_format, read_table, row_label, write_table
-from dipc_gym.sim2real.units import factor
 
 if TYPE_CHECKING:
     import mujoco
@@ -38,7 +38,6 @@ __all__ = [
 ]
 
 MIN_SAMPLES = 20  # fewer rows cannot tell motion from noise
-COMMAND, SENSOR = "ctrl:", "sensor:"
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,25 +73,25 @@ class Recording:
 
     def __post_init__(self) -> None:
         where = str(self.path or self.name)
-        time = _frozen(self.time)
-        if time.ndim != 1 or not len(time):
-            raise RecordingError(f"{where}: time has shape {time.shape}; it must be a list of at least one number")
-        parts = {"time": time}
-        for kind, names in (("commands", self.actuator_names), ("sensors", self.sensor_names)):
-            values = _frozen(getattr(self, kind))
-            if values.shape != (len(time), len(names)):
+        for names in ("actuator_names", "sensor_names"):
+            object.__setattr__(self, names, tuple(getattr(self, names)))
+        for numbers in ("time", "commands", "sensors"):
+            object.__setattr__(self, numbers, _frozen(getattr(self, numbers)))
+        n = len(self.time) if self.time.ndim == 1 else 0
+        if not n:
+            raise RecordingError(f"{where}: time has shape {self.time.shape}; it must list at least one number")
+        for kind, names, values in (
+            ("commands", self.actuator_names, self.commands),
+            ("sensors", self.sensor_names, self.sensors),
+        ):
+            if values.shape != (n, len(names)):
                 raise RecordingError(
-                    f"{where}: {kind} has shape {values.shape}, but {len(time)} samples of {len(names)} names "
-                    f"{list(names)} need {(len(time), len(names))}"
+                    f"{where}: {kind} has shape {values.shape}, but {n} samples of {list(names)} need {(n, len(names))}"
                 )
-            parts[kind] = values
-            object.__setattr__(self, {"commands": "actuator_names"}.get(kind, "sensor_names"), tuple(names))
-        for kind, values in parts.items():
-            object.__setattr__(self, kind, values)
         _check_numbers(where, (), self.columns())
         if not self.sha256:
             digest = hashlib.sha256(repr((self.actuator_names, self.sensor_names)).encode())
-            for values in parts.values():
+            for values in (self.time, self.commands, self.sensors):
                 digest.update(values.tobytes())
             object.__setattr__(self, "sha256", digest.hexdigest())
 
@@ -246,11 +245,11 @@ def read(
     ctrl, sensor = mjcf.controls(model), mjcf.scalar_sensors(model)
 
     def choose(names: Sequence[str]) -> Sequence[str]:
-        wanted.update(_match(str(path), names, ctrl, sensor, mapping))
+        wanted.update(match_columns(str(path), names, ctrl, sensor, mapping))
         return list(wanted.values())
 
     table = read_table(path, choose)
-    factors = _factors(str(path), wanted, units)
+    factors = unit_factors(str(path), wanted, units)
     columns = {channel: table.columns[name] * factors.get(channel, 1.0) for channel, name in wanted.items()}
     if len(columns["time"]) < MIN_SAMPLES:
         raise RecordingError(f"{path}: {len(columns['time'])} samples are too few; at least {MIN_SAMPLES} are needed")
@@ -349,62 +348,3 @@ def _check_numbers(where: str, lines: Sequence[int], columns: Mapping[str, NDArr
             f"{where}, {row_label(lines, k)}, column {next(iter(columns))!r}: time must increase, but "
             f"{time[k]} follows {time[k - 1]} ({len(back)} such places)"
         )
-
-
-def _match(
-    where: str, names: Sequence[str], ctrl: Sequence[str], sensor: Sequence[str], mapping: Mapping[str, str]
-) -> dict[str, str]:
-    """Which file column holds which channel; time first, then the model's order."""
-    sides = f"the file has {list(names)}; the model wants ['time'], controls {list(ctrl)} and sensors {list(sensor)}"
-    channels_of: dict[str, list[str]] = {"time": ["time"]}
-    for prefix, wanted in ((COMMAND, ctrl), (SENSOR, sensor)):
-        for name in wanted:
-            channels_of.setdefault(prefix + name, []).append(prefix + name)
-            if name != "time":
-                channels_of.setdefault(name, []).append(prefix + name)
-    for column, name in mapping.items():
-        if column not in names:
-            hint = " (a mapping is FILE_COLUMN=MODEL_NAME)" if name in names else ""
-            raise RecordingError(f"{where}: there is no column {column!r} to map to {name!r}{hint}; {sides}")
-        if name not in channels_of:
-            raise RecordingError(
-                f"{where}: column {column!r} is mapped to {name!r}, which is not in the model; {sides}"
-            )
-    found: dict[str, str] = {}
-    for column in names:
-        meant = channels_of.get(mapping.get(column, column), [])
-        if len(meant) > 1:
-            raise RecordingError(
-                f"{where}: column {column!r} may be an actuator or a sensor, the model has both; "
-                f"name it {meant[0]!r} or {meant[1]!r}"
-            )
-        for channel in meant:
-            if channel in found:
-                raise RecordingError(f"{where}: columns {found[channel]!r} and {column!r} both mean {channel!r}")
-            found[channel] = column
-    order = ["time", *(COMMAND + name for name in ctrl), *(SENSOR + name for name in sensor)]
-    missing = [channel for channel in order if channel not in found]
-    if missing:
-        raise RecordingError(f"{where}: no column for {missing}; {sides}; rename them or use --map COLUMN=NAME")
-    return {channel: found[channel] for channel in order}
-
-
-def _factors(where: str, wanted: Mapping[str, str], units: Mapping[str, str]) -> dict[str, float]:
-    """Factor to SI of each channel that a unit is given for."""
-    factors: dict[str, float] = {}
-    for key, unit in units.items():
-        meant = [c for c, column in wanted.items() if key in (column, c)] or [
-            c for c in wanted if key in (c.removeprefix(COMMAND), c.removeprefix(SENSOR))
-        ]
-        if not meant:
-            raise RecordingError(
-                f"{where}: a unit is given for {key!r}, which is neither a column that is used nor a name of the "
-                f"model; there are {list(wanted.values())}"
-            )
-        if len(meant) > 1:
-            raise RecordingError(f"{where}: the unit of {key!r} may mean {meant[0]!r} or {meant[1]!r}; say which")
-        try:
-            factors[meant[0]] = factor(unit)
-        except ValueError as error:
-            raise RecordingError(f"{where}: unit of {key!r}: {error}") from None
-    return factors
