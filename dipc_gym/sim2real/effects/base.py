@@ -1,0 +1,179 @@
+"""What an effect is: an edit of the MJCF with named parameters, and a sentence that says it in words."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.document import Document
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of an effect.
+
+    Attributes:
+        name: as reports call it.
+        unit: SI; `N` stands for N m, `m` for rad and so on where the joint is a hinge.
+        low: smallest allowed value.
+        high: largest allowed value.
+        log: whether ratios rather than differences matter, as for stiffnesses and time constants.
+    """
+
+    name: str
+    unit: str
+    low: float = -math.inf
+    high: float = math.inf
+    log: bool = False
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known at one place before an effect is fitted there; first guesses come from it.
+
+    Attributes:
+        model: the nominal model, compiled.
+        force: force at the joint that the model does not explain, N or N m, (n,).
+        velocity: of the joint, m/s or rad/s, (n,).
+        position: m or rad, (n,).
+        load: what the joint transmits, N or N m, (n,).
+        time: s, (n,).
+        command: the actuator's command, (n,); empty where the joint has none.
+        reading: the sensor's reading, (n,); empty where the place is no sensor.
+        gain: force on the joint per unit of command; 0 where it has no actuator.
+        period: of the recording, s.
+    """
+
+    model: mujoco.MjModel
+    force: Array
+    velocity: Array
+    position: Array
+    load: Array
+    time: Array
+    command: Array
+    reading: Array
+    gain: float
+    period: float
+
+    @property
+    def force_scale(self) -> float:
+        """Size of the unexplained force, at least a hundredth of what the joint transmits."""
+        return max(rms(self.force), 0.01 * rms(self.load), 1e-12)
+
+    @property
+    def speed_scale(self) -> float:
+        """Size of the joint's velocity."""
+        return max(rms(self.velocity), 1e-9)
+
+    def along(self, *shapes: Array) -> Array:
+        """Least-squares weights with which these shapes (n,) make up the unexplained force, a constant beside them."""
+        columns = np.stack([*shapes, np.ones_like(self.force)], axis=1)
+        return np.asarray(np.linalg.lstsq(columns, self.force, rcond=None)[0][:-1])
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """Samples at which the joint clearly moves."""
+        return np.abs(self.velocity) > 0.1 * self.speed_scale
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square, 0 for nothing."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+Place = Literal["joint", "actuator", "sensor", "world"]
+
+
+class Effect(ABC):
+    """A piece of physics that a model may lack.
+
+    Attributes:
+        id: name in reports, `friction.coulomb`.
+        place: what it acts at.
+        parameters: its numbers.
+        rivals: ids of effects it is easily mistaken for.
+        contains: ids of effects that are this one with a number at its limit; adding this one replaces them.
+        finest: longest step at which it can be simulated, s.
+        warm: s of simulation before a window, so that hidden states settle.
+        needs_loader: whether stock MuJoCo leaves it out.
+    """
+
+    id: ClassVar[str]
+    place: ClassVar[Place]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    rivals: ClassVar[tuple[str, ...]] = ()
+    contains: ClassVar[tuple[str, ...]] = ()
+    finest: ClassVar[float] = math.inf
+    warm: ClassVar[float] = 0.0
+    needs_loader: ClassVar[bool] = False
+
+    def fits(self, model: mujoco.MjModel, at: str) -> bool:
+        """Whether it can be missing there: False where the model has it already, or it makes no sense."""
+        return True
+
+    @abstractmethod
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """First guesses, small enough that the response is nearly linear; each is tried."""
+
+    @abstractmethod
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """Write the effect into the model."""
+
+    @abstractmethod
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """The effect in one plain sentence."""
+
+
+def dof(model: mujoco.MjModel, joint: str) -> int:
+    """Degree of freedom of a joint."""
+    return int(model.joint(joint).dofadr[0])
+
+
+def is_dcmotor(model: mujoco.MjModel, actuator: str) -> bool:
+    """Whether an actuator is MuJoCo's DC motor."""
+    return bool(model.actuator_gaintype[model.actuator(actuator).id] == mujoco.mjtGain.mjGAIN_DCMOTOR)
+
+
+def joint_of(model: mujoco.MjModel, actuator: str) -> str | None:
+    """The joint that an actuator drives, or None for tendons and sites."""
+    i = model.actuator(actuator).id
+    if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT:
+        return None
+    return str(model.joint(int(model.actuator_trnid[i, 0])).name)
+
+
+def passive_force(document: Document, name: str, joint: str, force: float) -> None:
+    """A constant force on a joint: the cogging torque of a motor with no poles."""
+    passive_wave(document, name, joint, force, 0.0, math.pi / 2)
+
+
+def passive_wave(document: Document, name: str, joint: str, size: float, per_unit: float, phase: float) -> None:
+    """A force size * sin(per_unit * position + phase) on a joint, by the cogging torque of a passive motor."""
+    document.add(
+        "actuator",
+        "dcmotor",
+        name=name,
+        joint=joint,
+        input="none",
+        resistance=1,
+        motorconst="0 0",
+        cogging=(size, per_unit, phase),
+    )
+
+
+def dry(document: Document, joint: str, level: float) -> None:
+    """Dry friction that holds: stiff within two steps, and iterated so that joints do not creep."""
+    option = document.root.find("option")
+    step = float(option.get("timestep", "0.002")) if option is not None else 0.002
+    document.set(document.joint(joint), frictionloss=level, solreffriction=(2 * step, 1))
+    document.at_least(noslip_iterations=3, iterations=100)

@@ -1,0 +1,37 @@
+"""Dry friction of a constant level."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry
+
+
+class Coulomb(Effect):
+    """Friction that opposes motion with the same force at every speed, and holds a joint at rest."""
+
+    id = "friction.coulomb"
+    place = "joint"
+    parameters = (Parameter("level", "N", 0.0),)
+    rivals = ("friction.stribeck", "motor.deadzone", "friction.viscous", "transmission.backlash")
+
+    def fits(self, model: mujoco.MjModel, at: str) -> bool:
+        """Where the model has no dry friction yet."""
+        return bool(model.dof_frictionloss[dof(model, at)] == 0)
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """The part of the unexplained force that opposes motion."""
+        (level,) = evidence.along(-np.tanh(evidence.velocity / (0.05 * evidence.speed_scale)))
+        return [{"level": float(np.clip(level, 0.1 * evidence.force_scale, 2 * evidence.force_scale))}]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """Dry friction on the joint."""
+        dry(document, at, values["level"])
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        return f"Dry (Coulomb) friction of {values['level']:.3g} {unit['level']} at {at}."

@@ -1,0 +1,334 @@
+"""Fit a structure to windows of recordings by multiple shooting.
+
+Every window has a start state of its own, so a fit has many unknowns; they are eliminated window by window (variable
+projection, Golub and Pereyra 1973), which leaves a small problem in the structure's numbers. What remains of each
+window after the elimination is a quadratic in those numbers, and everything that compares structures (screening,
+cross-validation, intervals) works on these quadratics without simulating again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.simulate import Stepping, Windows, grid_step, simulate
+from dipc_gym.sim2real.structure import Structure
+
+Array = NDArray[np.float64]
+
+_PROBE = 0.02  # finite difference of a mapped number; smaller ones drown in the kinks of dry friction
+_BLOCK = 1.0  # s; neighbouring windows closer than this count as one when errors are compared
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Windows to predict, and what is known of their starts.
+
+    Attributes:
+        windows: what to predict.
+        starts: estimated positions and velocities at each window's start, (n, 2 nb).
+        early: the same `warm` seconds before.
+        spread: standard deviation of the estimated starts, (2 nb,).
+        warm: s.
+        stepping: of the simulation.
+        threads: 0 for all cores.
+    """
+
+    windows: Windows
+    starts: Array
+    early: Array
+    spread: Array
+    warm: float
+    stepping: Stepping
+    threads: int = 0
+
+    def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Problem:
+        """Some of the windows."""
+        return replace(
+            self, windows=self.windows.pick(which), starts=self.starts[which], early=self.early[which]
+        )
+
+    @property
+    def counts(self) -> Array:
+        """Readings in each window, (n,)."""
+        return self.windows.valid.sum(axis=1) * float(len(self.windows.noise))
+
+    @property
+    def blocks(self) -> NDArray[np.intp]:
+        """A number for each window; windows within a second of one recording share it."""
+        second = np.floor(self.windows.start / _BLOCK).astype(np.intp)
+        _, block = np.unique(np.stack([self.windows.source, second], axis=1), axis=0, return_inverse=True)
+        return block.ravel()
+
+
+@dataclass(frozen=True)
+class Quadratics:
+    """Each window's squared error as a quadratic in the step of the numbers: c - 2 b.d + d.A.d.
+
+    Attributes:
+        A: (n, p, p).
+        b: (n, p).
+        c: (n,), at the present numbers.
+    """
+
+    A: Array
+    b: Array
+    c: Array
+
+    def after(self, step: Array) -> Array:
+        """Squared errors (n,) after a step (p,)."""
+        return self.c - 2 * self.b @ step + np.einsum("i,nij,j->n", step, self.A, step)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted structure.
+
+    Attributes:
+        structure: what was fitted.
+        z: its mapped numbers, (p,).
+        starts: corrected start states, (n, 2 nb).
+        rest: residual in units of noise after the start correction, (n, m, ns).
+        mse: mean square of it in each window, (n,).
+        sensitivity: of the readings to the starts, in units of noise, (n, m ns + 2 nb, 2 nb).
+        quadratics: local model of the squared errors.
+        steps: accepted steps.
+        converged: whether the last step changed next to nothing.
+    """
+
+    structure: Structure
+    z: Array
+    starts: Array
+    rest: Array
+    mse: Array
+    sensitivity: Array
+    quadratics: Quadratics
+    jacobian: Array = field(repr=False)
+    steps: int = 0
+    converged: bool = True
+
+    @property
+    def error(self) -> float:
+        """Root of the mean square prediction error, in units of noise."""
+        return float(np.sqrt(np.mean(self.mse)))
+
+
+def weights(mse: Array) -> Array:
+    """Weight of each window: those that are far off count less, so that a few cannot decide a fit."""
+    return 1.0 / (max(1.0, float(np.median(mse))) + mse)
+
+
+def predict(problem: Problem, structure: Structure, Z: Sequence[Array], starts: Array) -> Array:
+    """Readings (variants, n, m, ns) of a structure under several sets of numbers."""
+    stepping = problem.stepping
+    if structure.finest < stepping.timestep:
+        stepping = replace(stepping, timestep=structure.finest)
+    made: dict[bytes, object] = {}
+    variants = []
+    for z in Z:
+        key = z.tobytes()
+        if key not in made:
+            made[key] = structure.physics(z)
+        variants.append(made[key])
+    warm = structure.warm and problem.warm
+    return simulate(
+        variants,  # type: ignore[arg-type]
+        problem.windows,
+        starts,
+        stepping,
+        base=structure.base,
+        warm=warm,
+        warm_starts=problem.early,
+        threads=problem.threads,
+    )
+
+
+def _residual(problem: Problem, readings: Array) -> Array:
+    """(observed - readings) / noise, zero where nothing was observed."""
+    rest = (problem.windows.observed - readings) / problem.windows.noise
+    return np.where(problem.windows.valid[..., None], np.clip(rest, -1e6, 1e6), 0.0)
+
+
+class _Shooting:
+    """The linearised problem around one set of numbers and starts."""
+
+    def __init__(self, problem: Problem, structure: Structure) -> None:
+        self.problem, self.structure = problem, structure
+        self.nb2 = problem.starts.shape[1]
+        self.nudge = np.maximum(problem.spread, 1e-7)
+
+    def sensitivity(self, z: Array, starts: Array, base: Array) -> Array:
+        """Of the scaled readings to the starts, prior rows appended: (n, m ns + 2 nb, 2 nb)."""
+        moved = np.stack([starts + self.nudge * unit for unit in np.eye(self.nb2)])
+        readings = predict(self.problem, self.structure, [z] * self.nb2, moved)
+        n = len(starts)
+        rows = (base[None] - _residuals(self.problem, readings)).reshape(self.nb2, n, -1)
+        S = np.moveaxis(rows, 0, -1)  # per nudge, so that columns are of order one
+        prior = np.broadcast_to(np.diag(self.nudge / self.problem.spread), (n, self.nb2, self.nb2))
+        return np.concatenate([S, prior], axis=1)
+
+    def columns(self, z: Array, starts: Array, base: Array) -> Array:
+        """Change of the scaled readings per unit of each mapped number: (n, m ns, p)."""
+        p = len(z)
+        if not p:
+            return np.zeros((len(starts), base[0].size, 0))
+        steps = np.full(p, _PROBE)
+        Z = []
+        for i in range(p):
+            up = self.structure.clip(z + steps[i] * np.eye(p)[i])
+            if abs(up[i] - z[i]) < _PROBE / 2:
+                up = self.structure.clip(z - steps[i] * np.eye(p)[i])
+            steps[i] = up[i] - z[i]
+            Z.append(up)
+        readings = predict(self.problem, self.structure, Z, starts[None])
+        rows = (base[None] - _residuals(self.problem, readings)).reshape(p, len(starts), -1)
+        steps[np.abs(steps) < 1e-12] = np.inf
+        return np.moveaxis(rows / steps[:, None, None], 0, -1)
+
+
+def _residuals(problem: Problem, readings: Array) -> Array:
+    return np.stack([_residual(problem, r) for r in readings])
+
+
+def _project(S: Array, rows: Array) -> tuple[Array, Array]:
+    """Remove from rows (n, M, k) what the starts can explain; also the start steps (n, 2 nb, k) that do so."""
+    Q, R = np.linalg.qr(S)
+    inside = np.swapaxes(Q, 1, 2) @ rows
+    return rows - Q @ inside, np.linalg.solve(R, inside)
+
+
+def _augment(rows: Array, prior: Array | None, nb2: int) -> Array:
+    """Append the rows of the starts' prior to (n, M, k)."""
+    n, _, k = rows.shape
+    extra = np.zeros((n, nb2, k)) if prior is None else prior[..., None]
+    return np.concatenate([rows, extra], axis=1)
+
+
+def fit(
+    problem: Problem,
+    structure: Structure,
+    z: Array | None = None,
+    starts: Array | None = None,
+    *,
+    most: int = 8,
+    tolerance: float = 2e-3,
+) -> Fit:
+    """Fit the numbers of a structure and the windows' starts (Levenberg-Marquardt).
+
+    Args:
+        problem: windows and starts.
+        structure: its numbers are fitted; with none, the starts alone are.
+        z: mapped numbers to begin at, (p,).
+        starts: start states to begin at, (n, 2 nb).
+        most: at most so many accepted steps.
+        tolerance: stop when the objective falls by less than this share.
+    """
+    shooting = _Shooting(problem, structure)
+    z = structure.clip(structure.first if z is None else z)
+    s = problem.starts if starts is None else starts
+    prior_z = np.array([1 / slot.sigma**2 for slot in structure.slots])
+    centre = np.array([slot.centre for slot in structure.slots])
+    counts = problem.counts
+    damping, steps, converged = 1e-3, 0, False
+
+    base = _residual(problem, predict(problem, structure, [z], s[None])[0])
+    S = shooting.sensitivity(z, s, base)
+    # The starts first: against wrong starts, every column would be judged wrongly.
+    base, s, S = _settle(problem, shooting, z, s, base, S)
+    while True:
+        J = shooting.columns(z, s, base)
+        r = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / problem.spread, shooting.nb2)
+        both, moves = _project(S, np.concatenate([r, _augment(J, None, shooting.nb2)], axis=2))
+        r1, J1 = both[..., 0], both[..., 1:]
+        quadratics = Quadratics(
+            np.swapaxes(J1, 1, 2) @ J1, np.einsum("nmk,nm->nk", J1, r1), np.einsum("nm,nm->n", r1, r1)
+        )
+        mse = quadratics.c / counts
+        if steps >= most or not len(z) or converged:
+            break
+        scale = max(1.0, float(np.median(mse)))
+        w = 1.0 / (scale + mse) / counts
+        now = _objective(mse, scale) + prior_z @ (z - centre) ** 2 / counts.mean()
+        H = np.einsum("n,nij->ij", w, quadratics.A) / len(w) + np.diag(prior_z / counts.mean())
+        g = w @ quadratics.b / len(w) - prior_z * (z - centre) / counts.mean()
+        accepted = False
+        for _ in range(5):
+            step = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
+            step = np.clip(step, -1.0, 1.0)
+            trial = structure.clip(z + step)
+            moved = s + shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
+            rest = _residual(problem, predict(problem, structure, [trial], moved[None])[0])
+            left, _ = _project(
+                S, _augment(rest.reshape(len(s), -1, 1), (problem.starts - moved) / problem.spread, shooting.nb2)
+            )
+            trial_mse = np.einsum("nmk,nmk->n", left, left) / counts
+            then = _objective(trial_mse, scale) + prior_z @ (trial - centre) ** 2 / counts.mean()
+            if then < now:
+                accepted = True
+                break
+            damping = max(damping * 8, 1e-3)
+        if not accepted:
+            converged = True
+            break
+        converged = now - then < tolerance * max(now, 1e-9) or bool(np.abs(trial - z).max() < 1e-4)
+        z, s, base = trial, moved, rest
+        damping, steps = max(damping / 8, 1e-7), steps + 1
+        if steps % 2 == 0 or converged:
+            S = shooting.sensitivity(z, s, base)
+    left = r1[:, : base[0].size].reshape(base.shape)
+    return Fit(structure, z, s, left, mse, S, quadratics, J1, steps, converged)
+
+
+def _settle(
+    problem: Problem, shooting: _Shooting, z: Array, s: Array, base: Array, S: Array
+) -> tuple[Array, Array, Array]:
+    """One or two corrections of the starts alone."""
+    for _ in range(2):
+        r = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / problem.spread, shooting.nb2)
+        _, moves = _project(S, r)
+        moved = s + shooting.nudge * moves[..., 0]
+        rest = _residual(problem, predict(problem, shooting.structure, [z], moved[None])[0])
+        better = np.sum(rest**2, axis=(1, 2)) < np.sum(base**2, axis=(1, 2))
+        if not better.any():
+            break
+        s = np.where(better[:, None], moved, s)
+        base = np.where(better[:, None, None], rest, base)
+        S = shooting.sensitivity(z, s, base)
+    return base, s, S
+
+
+def _objective(mse: Array, scale: float) -> float:
+    return float(np.mean(np.log1p(mse / scale)))
+
+
+def cross_validated(fitted: Fit, problem: Problem) -> Array:
+    """Mean square errors (n,) of each window under numbers fitted without its block, by one Newton step.
+
+    The blocks alternate between two halves. At the minimum the step from all data to one half needs no simulation.
+    """
+    q, counts = fitted.quadratics, problem.counts
+    if not len(fitted.z):
+        return fitted.mse
+    half = problem.blocks % 2 == 0
+    w = weights(fitted.mse) / counts
+    prior = np.array([1 / slot.sigma**2 for slot in fitted.structure.slots])
+    out = np.empty_like(fitted.mse)
+    for mine in (half, ~half):
+        if not mine.any() or mine.all():
+            out[mine] = fitted.mse[mine]
+            continue
+        other = ~mine
+        H = np.einsum("n,nij->ij", w[other], q.A[other]) + np.diag(prior / counts.mean()) * w.sum() / 2
+        H += 1e-9 * np.trace(H) / len(H) * np.eye(len(H)) + 1e-300 * np.eye(len(H))
+        step = np.clip(np.linalg.lstsq(H, w[other] @ q.b[other], rcond=1e-10)[0], -0.5, 0.5)
+        out[mine] = np.maximum(q.after(step)[mine], 0) / counts[mine]
+    return out
+
+
+def step_of(problem: Problem, structure: Structure) -> float:
+    """The step at which a structure is simulated, s."""
+    stepping = problem.stepping
+    return grid_step(problem.windows, replace(stepping, timestep=min(stepping.timestep, structure.finest)))

@@ -1,0 +1,125 @@
+"""The numbers a model has already: what a refit may change before any new physics is considered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from dipc_gym.sim2real.document import Document, text
+from dipc_gym.sim2real.effects.base import is_dcmotor
+
+
+@dataclass(frozen=True)
+class Number:
+    """A positive number of the nominal model.
+
+    Attributes:
+        parameter: MJCF attribute, as `damping`.
+        at: joint, body or actuator.
+        value: in the nominal model.
+        unit: SI.
+        write: puts another value into a document.
+        sigma: how far, as a ratio, it may plausibly be off; loosely holds what the data does not determine.
+    """
+
+    parameter: str
+    at: str
+    value: float
+    unit: str
+    write: Callable[[Document, float], None]
+    sigma: float = 0.5
+
+    @property
+    def key(self) -> str:
+        """`at.parameter`, as on the command line."""
+        return f"{self.at}.{self.parameter}"
+
+
+def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
+    """Every number of the model that a refit may change, those that are zero left out: they are absent structure."""
+    found: list[Number] = []
+    for name in document.joint_names():
+        joint = model.joint(name)
+        dof = int(joint.dofadr[0])
+        turning = model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_HINGE
+        force, length = ("N m", "rad") if turning else ("N", "m")
+        inertia = "kg m^2" if turning else "kg"
+        for parameter, value, unit in (
+            ("damping", model.dof_damping[dof], f"{force} s/{length}"),
+            ("frictionloss", model.dof_frictionloss[dof], force),
+            ("stiffness", model.jnt_stiffness[joint.id], f"{force}/{length}"),
+            ("armature", model.dof_armature[dof], inertia),
+        ):
+            if np.ravel(value)[0] > 0:
+                found.append(
+                    Number(parameter, name, float(np.ravel(value)[0]), unit, _first_of("joint", name, parameter))
+                )
+    for name in document.actuator_names():
+        i = model.actuator(name).id
+        if is_dcmotor(model, name):
+            element = document.actuator(name)
+            for parameter, unit in (("resistance", "ohm"), ("motorconst", "N m/A")):
+                values = element.get(parameter, "0").split()
+                if values and float(values[0]) > 0:
+                    found.append(
+                        Number(parameter, name, float(values[0]), unit, _all_of("actuator", name, parameter), 0.3)
+                    )
+        elif model.actuator_ctrlnum[i]:
+            gear = float(model.actuator_gear[i, 0])
+            if gear > 0:
+                found.append(Number("gear", name, gear, "", _first_of("actuator", name, "gear"), 0.3))
+    for element in document.root.iterfind(".//worldbody//body"):
+        name = element.get("name")
+        if name and model.body_dofnum[model.body(name).id]:
+            mass = float(model.body(name).mass[0])
+            found.append(Number("mass", name, mass, "kg", _mass(model, name), 0.3))
+    return found
+
+
+def _first_of(kind: str, name: str, attribute: str) -> Callable[[Document, float], None]:
+    """Sets the first number of an attribute; further ones, as polynomial coefficients, stay."""
+
+    def write(document: Document, value: float) -> None:
+        element = document.joint(name) if kind == "joint" else document.actuator(name)
+        rest = element.get(attribute, "").split()[1:]
+        document.set(element, **{attribute: " ".join([text(value), *rest])})
+
+    return write
+
+
+def _all_of(kind: str, name: str, attribute: str) -> Callable[[Document, float], None]:
+    """Scales all numbers of an attribute, as torque and back-EMF constant of a motor."""
+
+    def write(document: Document, value: float) -> None:
+        element = document.actuator(name)
+        numbers = [float(word) for word in element.get(attribute, "0").split()]
+        document.set(element, **{attribute: [number * value / numbers[0] for number in numbers]})
+
+    return write
+
+
+def _mass(model: mujoco.MjModel, name: str) -> Callable[[Document, float], None]:
+    """Scales a body's mass and inertia together, written as an explicit `<inertial>`."""
+    body = model.body(name)
+    mass, inertia = float(body.mass[0]), body.inertia.copy()
+    place, turn = body.ipos.copy(), body.iquat.copy()
+
+    def write(document: Document, value: float) -> None:
+        element = document.body(name)
+        scaled: Mapping[str, object] = {"mass": value, "diaginertia": list(inertia * value / mass)}
+        inertial = element.find("inertial")
+        if inertial is None:
+            inertial = document.add(element, "inertial", pos=list(place), quat=list(turn))
+            element.remove(inertial)
+            element.insert(0, inertial)
+        elif inertial.get("fullinertia"):
+            del inertial.attrib["fullinertia"]
+            for orientation in ("axisangle", "xyaxes", "zaxis", "euler"):
+                inertial.attrib.pop(orientation, None)
+            document.set(inertial, quat=list(turn))
+        document.set(inertial, **scaled)  # type: ignore[arg-type]
+
+    return write

@@ -1,0 +1,339 @@
+"""Simulate windows of recordings with many variants of a model at once: the one place where fits meet MuJoCo.
+
+Everything above this file sees a function from models and start states to predicted readings. A faster simulator
+would replace this file alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import batch as mjbatch
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym.physics import Physics, stack
+from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.document import FOLLOWS
+
+Array = NDArray[np.float64]
+
+# Default of MuJoCo's solref time constant; shorter ones were chosen with the time step in mind and scale with it.
+_SOFT = 0.02
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """How finely, and by which rule, a model is simulated.
+
+    Attributes:
+        timestep: longest step, s; shortened so that a whole number of steps fits one sample.
+        integrator: MuJoCo's, or None for the model's own.
+    """
+
+    timestep: float
+    integrator: mujoco.mjtIntegrator | None = None
+
+    def on(self, model: mujoco.MjModel, step: float) -> mujoco.MjModel:
+        """The model with this integrator at a step of `step` seconds."""
+        given = model.opt.timestep
+        model.opt.timestep = step
+        if self.integrator is not None:
+            model.opt.integrator = self.integrator
+        stiff = (model.dof_solref[:, 0] > 0) & (model.dof_solref[:, 0] < _SOFT)
+        model.dof_solref[stiff, 0] = np.maximum(model.dof_solref[stiff, 0] * step / given, 2 * step)
+        return model
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Short stretches of recordings, each predicted from a start state of its own.
+
+    Attributes:
+        recordings: where they were cut from.
+        source: index into `recordings`, (n,).
+        start: time stamp at which each begins, s, (n,).
+        times: sample times after the start, s, (n, m).
+        observed: readings, (n, m, ns); zero where `valid` is False.
+        valid: which samples exist, (n, m); windows of irregular recordings differ in count.
+        noise: standard deviation of each sensor's noise, (ns,).
+    """
+
+    recordings: tuple[Recording, ...]
+    source: NDArray[np.intp]
+    start: Array
+    times: Array
+    observed: Array
+    valid: NDArray[np.bool_]
+    noise: Array
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Windows:
+        """Some of the windows."""
+        return Windows(
+            self.recordings,
+            self.source[which],
+            self.start[which],
+            self.times[which],
+            self.observed[which],
+            self.valid[which],
+            self.noise,
+        )
+
+    @property
+    def period(self) -> float:
+        """Shortest median sample period among the recordings, s."""
+        return min(recording.period for recording in self.recordings)
+
+
+def cut(recordings: Sequence[Recording], noise: Array, length: float, span: tuple[float, float]) -> Windows:
+    """Cut recordings into windows that lie end to end.
+
+    Args:
+        recordings: with the same sensors.
+        noise: standard deviation of each sensor's noise, (ns,).
+        length: s.
+        span: the part of each recording to use, as fractions of its duration.
+
+    Returns:
+        The windows in order of recording and time; an incomplete one at the end is dropped.
+    """
+    parts: list[tuple[int, int, int]] = []
+    for i, recording in enumerate(recordings):
+        t = recording.time
+        last = t[0] + span[1] * (t[-1] - t[0]) + 1e-9
+        # A window holds the samples before its end, the first sample of the next one excluded.
+        first = int(np.searchsorted(t, t[0] + span[0] * (t[-1] - t[0]) - 1e-9))
+        while first < len(t) and t[first] + length <= last + recording.period:
+            stop = int(np.searchsorted(t, t[first] + length - 1e-3 * recording.period))
+            if stop - first >= 4:
+                parts.append((i, first, stop))
+            first = max(stop, first + 1)
+    count = max((stop - first for _, first, stop in parts), default=0)
+    shape = (len(parts), count)
+    times, valid = np.zeros(shape), np.zeros(shape, dtype=bool)
+    observed = np.zeros((*shape, len(noise)))
+    for k, (i, first, stop) in enumerate(parts):
+        n = stop - first
+        times[k, :n] = recordings[i].time[first:stop] - recordings[i].time[first]
+        times[k, n:] = times[k, n - 1]
+        observed[k, :n] = recordings[i].sensors[first:stop]
+        valid[k, :n] = True
+    source = np.array([i for i, _, _ in parts], dtype=np.intp)
+    start = np.array([recordings[i].time[first] for i, first, _ in parts])
+    return Windows(tuple(recordings), source, start, times, observed, valid, noise)
+
+
+def grid_step(windows: Windows, stepping: Stepping) -> float:
+    """The simulation step, s: the longest within the stepping of which a whole number fits the sample period."""
+    return windows.period / math.ceil(windows.period / stepping.timestep - 1e-6)
+
+
+def simulate(
+    variants: Sequence[Physics],
+    windows: Windows,
+    starts: Array,
+    stepping: Stepping,
+    *,
+    base: Sequence[str],
+    warm: float = 0.0,
+    warm_starts: Array | None = None,
+    threads: int = 0,
+) -> Array:
+    """Predict the sensors of every window with every variant.
+
+    Args:
+        variants: models of one structure with different numbers.
+        windows: what to predict.
+        starts: positions and velocities of the base joints at each window's start, (variants or 1, n, 2 nb).
+        stepping: integrator and step.
+        base: names of the nb joints that `starts` describes; others begin where the joint that they follow does.
+        warm: s simulated before each window, so that bristles, currents and gaps reach their state.
+        warm_starts: as `starts`, at `warm` seconds before each window; needed if `warm` is positive.
+        threads: for MuJoCo's batch; 0 means all cores.
+
+    Returns:
+        Readings (variants, n, m, ns). Where a simulation diverged, its last readings repeat.
+    """
+    step = grid_step(windows, stepping)
+    models = [stepping.on(_copy(variant.model), step) for variant in variants]
+    delays = np.stack([_take_delays(model) for model in models])
+    n, count = len(windows), len(variants)
+    which = np.repeat(np.arange(count), n)
+    physics = stack(variants, which)
+    # More simulations than this at a time fall out of the cache and win nothing.
+    sims = mjbatch.Batch(models[0], count * n, threads)
+    _spread(sims, models, which)
+
+    nwarm = math.ceil(warm / step - 1e-9) if warm > 0 else 0
+    nstep = math.floor(windows.times.max() / step + 1e-6) + 2
+    commands = _commands(windows, delays, step, nwarm, nstep)
+    commands = physics.command(commands.reshape(count * n, nwarm + nstep, -1).swapaxes(0, 1)).swapaxes(0, 1)
+
+    q, dof, follow = _places(models[0], base)
+    begin = np.broadcast_to(starts, (count, n, starts.shape[-1])).reshape(count * n, -1)
+    nb = len(base)
+    sims.time[:] = np.tile(windows.start - nwarm * step, count)
+    track = None
+    if nwarm:
+        assert warm_starts is not None
+        early = np.broadcast_to(warm_starts, (count, n, starts.shape[-1])).reshape(count * n, -1)
+        _place(sims, q, dof, follow, early[:, :nb], early[:, nb:])
+        track = _run(sims, physics, commands[:, :nwarm], record=bool(physics.stage("lag")))
+        # The joints go where the recording says; whatever hides behind a gap keeps its place relative to them.
+        offset = sims.qpos[:, [f for f, _ in follow]] - sims.qpos[:, [q[b] for _, b in follow]]
+        speed = sims.qvel[:, [f for f, _ in follow]].copy()
+        _place(sims, q, dof, follow, begin[:, :nb], begin[:, nb:])
+        if follow:
+            sims.qpos[:, [f for f, _ in follow]] += offset
+            sims.qvel[:, [f for f, _ in follow]] = speed
+    else:
+        _place(sims, q, dof, follow, begin[:, :nb], begin[:, nb:])
+    readings = _run(sims, physics, commands[:, nwarm:], record=True)
+    assert readings is not None
+    readings = _sense(physics, readings, track, step)
+    readings = readings[..., mjcf.sensor_addresses(models[0])]
+    return _at_samples(readings.reshape(count, n, nstep, -1), windows.times, step)
+
+
+def _copy(model: mujoco.MjModel) -> mujoco.MjModel:
+    import copy
+
+    return copy.copy(model)
+
+
+def _take_delays(model: mujoco.MjModel) -> Array:
+    """Delay of each control, s, (nu,); taken out of the model, since recorded commands can simply be read earlier."""
+    delays = np.zeros(model.nu)
+    for i in range(model.nactuator):
+        first = int(model.actuator_ctrladr[i])
+        delays[first : first + int(model.actuator_ctrlnum[i])] = model.actuator_delay[i]
+    model.actuator_delay[:] = 0
+    return delays
+
+
+def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArray[np.intp]) -> None:
+    """Give every simulation the fields in which its variant differs from the first."""
+    if len(models) == 1:
+        return
+    for name in sorted(mjbatch.MODEL_FIELDS):
+        owner = [model.opt if name.startswith("opt.") else model for model in models]
+        field = name.removeprefix("opt.")
+        values = [np.asarray(getattr(o, field)) for o in owner]
+        if all(np.array_equal(values[0], value) for value in values[1:]):
+            continue
+        sims.expand(name)[...] = np.stack(values)[which].reshape(sims.expand(name).shape)
+
+
+def _commands(windows: Windows, delays: Array, step: float, nwarm: int, nstep: int) -> Array:
+    """Mean command over each step, (variants, n, nwarm + nstep, nu); a model's further controls stay at zero."""
+    n, nu = len(windows), delays.shape[1]
+    out = np.zeros((len(delays), n, nwarm + nstep, nu))
+    offsets = (np.arange(nwarm + nstep) - nwarm) * step
+    edges = np.append(offsets, offsets[-1] + step)
+    for k in range(len(delays)):
+        same = next((j for j in range(k) if np.array_equal(delays[j], delays[k])), None)
+        if same is not None:
+            out[k] = out[same]
+            continue
+        for i, recording in enumerate(windows.recordings):
+            mine = np.flatnonzero(windows.source == i)
+            if not len(mine):
+                continue
+            at = windows.start[mine, None] + edges
+            for c in range(recording.commands.shape[1]):
+                out[k, mine, :, c] = np.diff(_held_integral(recording, at - delays[k, c], c), axis=1) / step
+    return out
+
+
+def _held_integral(recording: Recording, time: Array, control: int) -> Array:
+    """Integral of a held command up to `time`; before the first stamp the first command holds, as after the last."""
+    stamps, held = recording.time, recording.commands[:, control]
+    total = np.append(0.0, np.cumsum(held[:-1] * np.diff(stamps)))
+    inside = np.interp(time, stamps, total)
+    before = np.minimum(time - stamps[0], 0.0) * held[0]
+    return inside + before + np.maximum(time - stamps[-1], 0.0) * held[-1]
+
+
+def _places(model: mujoco.MjModel, base: Sequence[str]) -> tuple[list[int], list[int], list[tuple[int, int]]]:
+    """Addresses of the base joints, and for every other joint its address and the base joint that it follows."""
+    q = [int(model.joint(name).qposadr[0]) for name in base]
+    dof = [int(model.joint(name).dofadr[0]) for name in base]
+    leaders = {
+        model.text(i).name.removeprefix(FOLLOWS): model.text(i).data.decode().rstrip("\0")
+        if isinstance(model.text(i).data, bytes)
+        else str(model.text(i).data)
+        for i in range(model.ntext)
+        if model.text(i).name.startswith(FOLLOWS)
+    }
+    follow = [
+        (int(model.joint(name).qposadr[0]), list(base).index(leader)) for name, leader in sorted(leaders.items())
+    ]
+    return q, dof, follow
+
+
+def _place(
+    sims: mjbatch.Batch, q: list[int], dof: list[int], follow: list[tuple[int, int]], pos: Array, vel: Array
+) -> None:
+    sims.qpos[:, q] = pos
+    sims.qvel[:, dof] = vel
+    for mine, leader in follow:
+        sims.qpos[:, mine] = pos[:, leader]
+        sims.qvel[:, mine] = vel[:, leader]
+
+
+def _run(sims: mjbatch.Batch, physics: Physics, commands: Array, *, record: bool) -> Array | None:
+    """Advance under commands (sims, nstep, nu); readings (sims, nstep, nsensordata) at the beginning of each step."""
+    nstep = commands.shape[1]
+    if not physics.acts:
+        return sims.rollout(nstep, commands, record=("sensordata",) if record else ())["sensordata"] if record else (
+            sims.rollout(nstep, commands, record=()) and None
+        )
+    readings = np.empty((sims.nsim, nstep, sims.model.nsensordata)) if record else None
+    friction = sims.expand("dof_frictionloss")
+    sensed = sims.bind("sensordata")
+    sims.bind("qfrc_actuator"), sims.bind("qfrc_bias")
+    sims.forward()
+    for k in range(nstep):
+        sims.ctrl[:] = commands[:, k]
+        physics.act(sims, friction, sims.qfrc_applied)
+        sims.step()
+        if readings is not None:
+            readings[:, k] = sensed
+    return readings
+
+
+def _sense(physics: Physics, readings: Array, track: Array | None, step: float) -> Array:
+    """Apply what the sensors do to the model's readings (sims, nstep, nsensordata)."""
+    if not physics.stage("lag"):
+        return physics.sense(readings.swapaxes(0, 1)).swapaxes(0, 1)
+    whole = readings if track is None else np.concatenate([track, readings], axis=1)
+    out = np.empty_like(whole)
+    memory = physics.sensor_memory(whole[:, 0])
+    for k in range(whole.shape[1]):
+        out[:, k] = physics.sense(whole[:, k], memory, step if k else 0.0)
+    return out[:, -readings.shape[1] :]
+
+
+def _at_samples(readings: Array, times: Array, step: float) -> Array:
+    """Readings on the grid (variants, n, nstep, ns), interpolated at sample times (n, m) by a local cubic."""
+    along = times / step
+    nearest = np.rint(along).astype(np.intp)
+    rows = np.arange(len(times))[:, None]
+    if np.abs(along - nearest).max() < 1e-6:
+        return readings[:, rows, nearest]
+    first = np.clip(np.floor(along).astype(np.intp) - 1, 0, readings.shape[2] - 4)
+    x = along - first
+    weights = [
+        -(x - 1) * (x - 2) * (x - 3) / 6,
+        x * (x - 2) * (x - 3) / 2,
+        -x * (x - 1) * (x - 3) / 2,
+        x * (x - 1) * (x - 2) / 6,
+    ]
+    return np.asarray(sum(w[..., None] * readings[:, rows, first + j] for j, w in enumerate(weights)))

@@ -1,0 +1,179 @@
+"""A structure: the nominal model, the numbers of its own that are free, and the effects added to it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf, physics
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects.base import Effect
+from dipc_gym.sim2real.numbers import Number
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect at a place, with the guess it starts from; the guess also sets the scale of its parameters."""
+
+    effect: Effect
+    at: str
+    guess: Mapping[str, float]
+
+    @property
+    def key(self) -> str:
+        """`effect@place`."""
+        return f"{self.effect.id}@{self.at}"
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One free number of a structure, mapped so that a unit step is a sizeable change.
+
+    Attributes:
+        key: `place.parameter` of an own number, or `effect@place.parameter`.
+        unit: SI.
+        low: smallest value.
+        high: largest value.
+        log: whether the mapped number is a logarithm.
+        scale: value that the mapped number 1 stands for (0 if `log`).
+        sigma: standard deviation of the mapped number's prior around 0; infinite for effects.
+    """
+
+    key: str
+    unit: str
+    low: float
+    high: float
+    log: bool
+    scale: float
+    sigma: float = math.inf
+    centre: float = 0.0
+
+    def value(self, z: float) -> float:
+        """The number itself."""
+        value = self.scale * math.exp(min(z, 50.0)) if self.log else self.scale * z
+        return min(max(value, self.low), self.high)
+
+    def mapped(self, value: float) -> float:
+        """The mapped number of a value."""
+        return math.log(value / self.scale) if self.log else value / self.scale
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Nominal model, free own numbers, added effects.
+
+    Attributes:
+        document: the nominal model's text.
+        model: the nominal model.
+        base: names of its joints.
+        numbers: own numbers that are free.
+        terms: effects added, in the order in which they are written.
+        fixed: values of own numbers that were changed and are not free, by key.
+    """
+
+    document: Document
+    model: mujoco.MjModel
+    base: tuple[str, ...]
+    numbers: tuple[Number, ...] = ()
+    terms: tuple[Term, ...] = ()
+    slots: tuple[Slot, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        slots = [Slot(n.key, n.unit, 0.0, math.inf, True, n.value, n.sigma) for n in self.numbers]
+        for term in self.terms:
+            for p in term.effect.parameters:
+                guess = term.guess[p.name]
+                scale = abs(guess) if guess else _fallback(p.low, p.high)
+                slots.append(Slot(f"{term.key}.{p.name}", p.unit, p.low, p.high, p.log, scale))
+        object.__setattr__(self, "slots", tuple(slots))
+
+    @functools.cached_property
+    def first(self) -> Array:
+        """Mapped numbers at the nominal values and the guesses, (p,)."""
+        z = [0.0] * len(self.numbers)
+        for term in self.terms:
+            for p in term.effect.parameters:
+                z.append(self.slots[len(z)].mapped(term.guess[p.name]))
+        return np.array(z)
+
+    def clip(self, z: Array) -> Array:
+        """The nearest mapped numbers within bounds."""
+        out = z.copy()
+        for i, slot in enumerate(self.slots):
+            value = slot.value(z[i])
+            if value in (slot.low, slot.high) and (not slot.log or value > 0):
+                out[i] = slot.mapped(value)
+        return out
+
+    def with_term(self, term: Term) -> Structure:
+        """This structure and one more effect; effects that the new one contains at that place go."""
+        kept = tuple(t for t in self.terms if not (t.at == term.at and t.effect.id in term.effect.contains))
+        return replace(self, terms=(*kept, term))
+
+    def without(self, key: str) -> Structure:
+        """This structure less one effect."""
+        return replace(self, terms=tuple(t for t in self.terms if t.key != key))
+
+    def values(self, z: Array) -> dict[str, float]:
+        """Every free number by key."""
+        return {slot.key: slot.value(x) for slot, x in zip(self.slots, z, strict=True)}
+
+    def term_values(self, z: Array, term: Term) -> dict[str, float]:
+        """Parameters of one effect."""
+        values = self.values(z)
+        return {p.name: values[f"{term.key}.{p.name}"] for p in term.effect.parameters}
+
+    def write(self, z: Array) -> Document:
+        """The nominal document with these numbers and effects written in."""
+        document, values = self.document.copy(), self.values(z)
+        for number in self.numbers:
+            number.write(document, values[number.key])
+        for term in self.terms:
+            term.effect.edit(document, term.at, self.term_values(z, term))
+        return document
+
+    def physics(self, z: Array) -> physics.Physics:
+        """The compiled model.
+
+        Raises:
+            mjcf.MjcfError: an edit does not compile.
+        """
+        source = self.document.source.edited(self.write(z).text())
+        return physics.from_model(mjcf.compile(source, trusted=True))
+
+    @property
+    def warm(self) -> float:
+        """s to simulate before a window."""
+        return max((term.effect.warm for term in self.terms), default=0.0)
+
+    @property
+    def finest(self) -> float:
+        """Longest step at which every effect can be simulated, s."""
+        return min((term.effect.finest for term in self.terms), default=math.inf)
+
+
+def _fallback(low: float, high: float) -> float:
+    finite = [abs(b) for b in (low, high) if math.isfinite(b) and b]
+    return 0.1 * max(finite) if finite else 1.0
+
+
+def carry(old: Structure, z: Array, new: Structure) -> Array:
+    """Mapped numbers of `new` that start where `old` stands, and at the guess where `old` has no such number."""
+    values, out = old.values(z), new.first.copy()
+    for i, slot in enumerate(new.slots):
+        if slot.key in values and not (slot.log and values[slot.key] <= 0):
+            out[i] = slot.mapped(values[slot.key])
+    return out
+
+
+def names(terms: Sequence[Term]) -> list[str]:
+    """Keys of terms."""
+    return [term.key for term in terms]
