@@ -227,30 +227,9 @@ def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
 
 
 PIECES = st.sampled_from(
-    [
-        "<mujoco>",
-        "</mujoco>",
-        "<include file='",
-        "option.xml",
-        "../x",
-        "'/>",
-        "<replicate count='",
-        "9",
-        "1e9",
-        "<!--",
-        "-->",
-        "<![CDATA[",
-        "]]>",
-        "<!DOCTYPE a>",
-        "&lt;",
-        "\x00",
-        "é",
-        "<asset>",
-        "</asset>",
-        "<mesh file='",
-        "<compiler meshdir='",
-        "<body>",
-    ]
+    ["<mujoco>", "</mujoco>", "<include file='", "option.xml", "../x", "'/>", "<replicate count='", "9", "1e9", "\0"]
+) | st.sampled_from(
+    ["<!--", "-->", "<![CDATA[", "]]>", "<!DOCTYPE a>", "&lt;", "é", "<asset>", "</asset>", "<mesh file='", "<body>"]
 )
 
 

@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from dipc_gym.sim2real.tables import RecordingError
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from dipc_gym.sim2real.recording import Recording
 
 ORDERS = range(3, 8)  # of the differences that remove the motion
-BLOCK = 64  # samples over which the differences are averaged before the median is taken
+FEWEST = 10  # samples that noise can be estimated from
+BLOCK = 32  # samples over which the differences are averaged before the median is taken
 SLOW = 0.2  # s between samples, beyond which time is more likely in milliseconds
 FAR_HINGE = 4 * math.pi  # rad that a hinge without limits seldom goes beyond
 FAR_SLIDE = 5.0  # m that a slide without limits seldom goes beyond
@@ -28,50 +31,62 @@ def noise(recording: Recording) -> NDArray[np.float64]:
     and stick-slip out. Never less than the quantisation step over sqrt(12).
 
     Args:
-        recording: at least 20 samples, sampled several times faster than the motion.
+        recording: at least 10 samples, taken several times faster than the motion.
 
     Returns:
         (ns,) in the sensors' units; `inf` for a sensor that never changes, of which nothing is known.
+
+    Raises:
+        RecordingError: fewer than 10 samples.
     """
+    if len(recording) < FEWEST:
+        raise RecordingError(f"{recording.name}: {len(recording)} samples are too few to tell noise from motion")
     return np.array([_noise(recording.time, values) for values in recording.sensors.T])
 
 
 def _noise(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:
-    step = quantum(values)
     if np.ptp(values) == 0:
         return math.inf
-    white = min(_white(time, values, order) for order in ORDERS if order < len(values) - 1)
-    return max(white, step / math.sqrt(12))
+    left = [_white(time, values, order) for order in ORDERS]
+    # Not the least itself, which chance makes too small, but the first that is as good.
+    white = next(estimate for estimate in left if estimate <= 1.05 * min(left))
+    return max(white, quantum(values) / math.sqrt(12))
 
 
 def _white(time: NDArray[np.float64], values: NDArray[np.float64], order: int) -> float:
+    """Standard deviation of white noise in a signal that is otherwise a polynomial of lower order nearly everywhere."""
     stamps = np.lib.stride_tricks.sliding_window_view(time, order + 1)
-    spacing = (stamps[:, -1] - stamps[:, 0])[:, None]
-    gaps = (stamps[:, :, None] - stamps[:, None, :]) / spacing[:, :, None]
+    gaps = stamps[:, :, None] - stamps[:, None, :]
+    gaps /= (stamps[:, -1] - stamps[:, 0])[:, None, None]
     gaps[:, range(order + 1), range(order + 1)] = 1.0
     weights = 1.0 / gaps.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     rest = np.einsum("ij,ij->i", weights, np.lib.stride_tricks.sliding_window_view(values, order + 1))
-    blocks = max(1, len(rest) // BLOCK)
-    return float(np.median([math.sqrt(np.mean(part**2)) for part in np.array_split(rest, blocks)]))
+    parts = np.array_split(rest, max(1, len(rest) // BLOCK))
+    typical = float(np.median([np.mean(part**2) for part in parts]))
+    # Neighbouring differences are correlated, so a block has fewer degrees of freedom than samples, and the median
+    # of chi squared lies below its mean (Wilson and Hilferty 1931).
+    freedom = len(rest) / len(parts) * math.comb(2 * order, order) ** 2 / math.comb(4 * order, 2 * order)
+    return math.sqrt(typical / (1 - 2 / (9 * freedom)) ** 3)
 
 
 def quantum(values: NDArray[np.float64]) -> float:
     """Step of a quantised signal; 0 where its values are on no lattice.
 
-    The smallest change between neighbouring samples, if nearly all changes are multiples of it.
+    The smallest change between neighbouring samples, if nearly all changes are multiples of it and the values come
+    back to the same levels (which those of a noisy signal at constant speed do not).
     """
     steps = np.abs(np.diff(values))
     steps = steps[steps > 64 * np.finfo(float).eps * np.max(np.abs(values), initial=0.0)]
     if not len(steps):
         return 0.0
     smallest = float(np.min(steps))
-    multiples = steps / smallest
-    near = multiples < 50
-    on_lattice = np.abs(multiples[near] - np.round(multiples[near])) < 0.05
-    if np.mean(on_lattice) < 0.95:
+    multiples = steps[steps < 50 * smallest] / smallest
+    step = smallest * float(np.median(multiples / np.round(multiples)))
+    levels = len(np.unique(values))
+    if np.mean(np.abs(multiples - np.round(multiples)) < 0.05) < 0.95 or levels > np.ptp(values) / step + 2:
         return 0.0
-    return float(np.median(steps[near] / np.round(multiples[near])))
+    return step
 
 
 def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:
