@@ -45,6 +45,9 @@ CPU_LIMIT = 20  # seconds of computing for the trial compilation
 WALL_LIMIT = 60  # seconds on the clock for the trial compilation
 MEMORY_LIMIT = 2 << 30  # bytes of address space for the trial compilation
 
+# A `<text>` in `<custom>` with this prefix names an actuator that stands in for a passive force: its control stays zero.
+PASSIVE = "dipc_gym:passive:"
+
 SUPPORTED = (
     "Supported are models with hinge and slide joints and no contacts, with any number of actuators, "
     "whose scalar sensors determine the joints."
@@ -166,21 +169,27 @@ def controls(model: mujoco.MjModel) -> list[str]:
     """Names of the model's controls, in the order of `data.ctrl`.
 
     A passive actuator (`input="none"`) has no control and no name here. One with several inputs has one name for
-    each: `servo.pos`, `servo.vel`.
+    each: `servo.pos`, `servo.vel`. Controls of elements that `<custom>` calls passive come last and are left out.
 
     Raises:
         MjcfError: an actuator with a control has no name.
     """
     names = [""] * model.nu
+    passive = {model.text(i).name.removeprefix(PASSIVE) for i in range(model.ntext)}
     for actuator in range(model.nactuator):
         name = model.actuator(actuator).name
+        if name in passive:
+            continue
         first, count = int(model.actuator_ctrladr[actuator]), int(model.actuator_ctrlnum[actuator])
         if count and not name:
             raise MjcfError(f"actuator {actuator} has no name; recordings are matched by name, so give it one")
         for k in range(count):
             part = mujoco.mj_actuatorInputName(model, actuator, k) or str(k)
             names[first + k] = name if count == 1 else f"{name}.{part}"
-    return names
+    commanded = sum(1 for name in names if name)
+    if not all(names[:commanded]):
+        raise MjcfError("passive actuators must come after all that are commanded")
+    return names[:commanded]
 
 
 def scalar_sensors(model: mujoco.MjModel) -> list[str]:

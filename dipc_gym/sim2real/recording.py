@@ -73,10 +73,10 @@ class Recording:
 
     def __post_init__(self) -> None:
         where = str(self.path or self.name)
-        for names in ("actuator_names", "sensor_names"):
-            object.__setattr__(self, names, tuple(getattr(self, names)))
-        for numbers in ("time", "commands", "sensors"):
-            object.__setattr__(self, numbers, _frozen(getattr(self, numbers)))
+        for attribute in ("actuator_names", "sensor_names"):
+            object.__setattr__(self, attribute, tuple(getattr(self, attribute)))
+        for attribute in ("time", "commands", "sensors"):
+            object.__setattr__(self, attribute, _frozen(getattr(self, attribute)))
         n = len(self.time) if self.time.ndim == 1 else 0
         if not n:
             raise RecordingError(f"{where}: time has shape {self.time.shape}; it must list at least one number")
