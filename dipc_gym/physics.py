@@ -212,8 +212,9 @@ class Physics:
             if extra.stage == "sensor":
                 read[..., i] = extra(_moment(0.0, value=read[..., i]))
             elif memory is not None and dt > 0:
-                read[..., i] = _follow(memory[0][..., i], memory[1][..., i], read[..., i], dt, extra.data[..., 0])
-                memory[0][..., i], memory[1][..., i] = sensordata[..., i], read[..., i]
+                given = read[..., i].copy()
+                read[..., i] = _follow(memory[0][..., i], memory[1][..., i], given, dt, extra.data[..., 0])
+                memory[0][..., i], memory[1][..., i] = given, read[..., i]
         return read
 
     def sensor_memory(self, sensordata: Array) -> Array | None:

@@ -7,6 +7,7 @@ Hypotheses are edits of the user's own XML, so what is fitted and what is writte
 from __future__ import annotations
 
 import copy
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -82,6 +83,18 @@ class Document:
                 return element
         raise mjcf.MjcfError(f"{self.source.name}: no {kind} named {name!r} stands in the text")
 
+    @property
+    def timestep(self) -> float:
+        """The model's time step, s; MuJoCo's default if it has none."""
+        option = self.root.find("option")
+        return float(option.get("timestep", "0.002")) if option is not None else 0.002
+
+    def angle(self, joint: ET.Element, radians: float) -> float:
+        """A position of a joint as this file writes it: in degrees for hinges, unless the compiler says radian."""
+        hinge = joint.get("type", "hinge") == "hinge"
+        in_degrees = all(c.get("angle", "degree") == "degree" for c in self.root.iterfind("compiler"))
+        return math.degrees(radians) if hinge and in_degrees else radians
+
     # ------------------------------------------------------------------------------------------------- editing
 
     def section(self, tag: str) -> ET.Element:
@@ -135,6 +148,10 @@ class Document:
     def follows(self, joint: str, leader: str) -> None:
         """Say that an unseen joint starts where another one is."""
         self.add("custom", "text", name=FOLLOWS + joint, data=leader)
+
+    def passive(self, actuator: str) -> None:
+        """Say that an actuator is a passive element, whose control nobody commands."""
+        self.add("custom", "text", name=mjcf.PASSIVE + actuator, data="no command")
 
     def text(self) -> str:
         """The whole file."""

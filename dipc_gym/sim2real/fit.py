@@ -47,9 +47,7 @@ class Problem:
 
     def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Problem:
         """Some of the windows."""
-        return replace(
-            self, windows=self.windows.pick(which), starts=self.starts[which], early=self.early[which]
-        )
+        return replace(self, windows=self.windows.pick(which), starts=self.starts[which], early=self.early[which])
 
     @property
     def counts(self) -> Array:
@@ -159,6 +157,8 @@ class _Shooting:
         self.problem, self.structure = problem, structure
         self.nb2 = problem.starts.shape[1]
         self.nudge = np.maximum(problem.spread, 1e-7)
+        # A sensor with a bias or a lag tells a state only through the model.
+        self.spread = problem.spread * (1e3 if structure.moves_readings else 1.0)
 
     def sensitivity(self, z: Array, starts: Array, base: Array) -> Array:
         """Of the scaled readings to the starts, prior rows appended: (n, m ns + 2 nb, 2 nb)."""
@@ -167,7 +167,7 @@ class _Shooting:
         n = len(starts)
         rows = (base[None] - _residuals(self.problem, readings)).reshape(self.nb2, n, -1)
         S = np.moveaxis(rows, 0, -1)  # per nudge, so that columns are of order one
-        prior = np.broadcast_to(np.diag(self.nudge / self.problem.spread), (n, self.nb2, self.nb2))
+        prior = np.broadcast_to(np.diag(self.nudge / self.spread), (n, self.nb2, self.nb2))
         return np.concatenate([S, prior], axis=1)
 
     def columns(self, z: Array, starts: Array, base: Array) -> Array:
@@ -240,7 +240,7 @@ def fit(
     base, s, S = _settle(problem, shooting, z, s, base, S)
     while True:
         J = shooting.columns(z, s, base)
-        r = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / problem.spread, shooting.nb2)
+        r = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / shooting.spread, shooting.nb2)
         both, moves = _project(S, np.concatenate([r, _augment(J, None, shooting.nb2)], axis=2))
         r1, J1 = both[..., 0], both[..., 1:]
         quadratics = Quadratics(
@@ -262,7 +262,7 @@ def fit(
             moved = s + shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
             rest = _residual(problem, predict(problem, structure, [trial], moved[None])[0])
             left, _ = _project(
-                S, _augment(rest.reshape(len(s), -1, 1), (problem.starts - moved) / problem.spread, shooting.nb2)
+                S, _augment(rest.reshape(len(s), -1, 1), (problem.starts - moved) / shooting.spread, shooting.nb2)
             )
             trial_mse = np.einsum("nmk,nmk->n", left, left) / counts
             then = _objective(trial_mse, scale) + prior_z @ (trial - centre) ** 2 / counts.mean()
@@ -287,7 +287,7 @@ def _settle(
 ) -> tuple[Array, Array, Array]:
     """One or two corrections of the starts alone."""
     for _ in range(2):
-        r = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / problem.spread, shooting.nb2)
+        r = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / shooting.spread, shooting.nb2)
         _, moves = _project(S, r)
         moved = s + shooting.nudge * moves[..., 0]
         rest = _residual(problem, predict(problem, shooting.structure, [z], moved[None])[0])

@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics, stack
-from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.document import FOLLOWS
+from dipc_gym.sim2real.recording import Recording
 
 Array = NDArray[np.float64]
+
+# Sizes of buffers that recorded commands do not need: delays are taken out of the model.
+_LAYOUT = frozenset({"actuator_history", "actuator_historyadr", "sensor_history", "sensor_historyadr"})
 
 # Default of MuJoCo's solref time constant; shorter ones were chosen with the time step in mind and scale with it.
 _SOFT = 0.02
@@ -222,7 +225,7 @@ def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArra
     """Give every simulation the fields in which its variant differs from the first."""
     if len(models) == 1:
         return
-    for name in sorted(mjbatch.MODEL_FIELDS):
+    for name in sorted(mjbatch.MODEL_FIELDS - _LAYOUT):
         owner = [model.opt if name.startswith("opt.") else model for model in models]
         field = name.removeprefix("opt.")
         values = [np.asarray(getattr(o, field)) for o in owner]
@@ -272,9 +275,7 @@ def _places(model: mujoco.MjModel, base: Sequence[str]) -> tuple[list[int], list
         for i in range(model.ntext)
         if model.text(i).name.startswith(FOLLOWS)
     }
-    follow = [
-        (int(model.joint(name).qposadr[0]), list(base).index(leader)) for name, leader in sorted(leaders.items())
-    ]
+    follow = [(int(model.joint(name).qposadr[0]), list(base).index(leader)) for name, leader in sorted(leaders.items())]
     return q, dof, follow
 
 
@@ -292,8 +293,10 @@ def _run(sims: mjbatch.Batch, physics: Physics, commands: Array, *, record: bool
     """Advance under commands (sims, nstep, nu); readings (sims, nstep, nsensordata) at the beginning of each step."""
     nstep = commands.shape[1]
     if not physics.acts:
-        return sims.rollout(nstep, commands, record=("sensordata",) if record else ())["sensordata"] if record else (
-            sims.rollout(nstep, commands, record=()) and None
+        return (
+            sims.rollout(nstep, commands, record=("sensordata",) if record else ())["sensordata"]
+            if record
+            else (sims.rollout(nstep, commands, record=()) and None)
         )
     readings = np.empty((sims.nsim, nstep, sims.model.nsensordata)) if record else None
     friction = sims.expand("dof_frictionloss")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.effects.base import Effect
+from dipc_gym.sim2real.effects.base import Effect, Parameter
 from dipc_gym.sim2real.numbers import Number
 
 Array = NDArray[np.float64]
@@ -89,7 +89,7 @@ class Structure:
     def __post_init__(self) -> None:
         slots = [Slot(n.key, n.unit, 0.0, math.inf, True, n.value, n.sigma) for n in self.numbers]
         for term in self.terms:
-            for p in term.effect.parameters:
+            for p in _free(term.effect):
                 guess = term.guess[p.name]
                 scale = abs(guess) if guess else _fallback(p.low, p.high)
                 slots.append(Slot(f"{term.key}.{p.name}", p.unit, p.low, p.high, p.log, scale))
@@ -100,7 +100,7 @@ class Structure:
         """Mapped numbers at the nominal values and the guesses, (p,)."""
         z = [0.0] * len(self.numbers)
         for term in self.terms:
-            for p in term.effect.parameters:
+            for p in _free(term.effect):
                 z.append(self.slots[len(z)].mapped(term.guess[p.name]))
         return np.array(z)
 
@@ -129,7 +129,9 @@ class Structure:
     def term_values(self, z: Array, term: Term) -> dict[str, float]:
         """Parameters of one effect."""
         values = self.values(z)
-        return {p.name: values[f"{term.key}.{p.name}"] for p in term.effect.parameters}
+        return {
+            p.name: term.guess[p.name] if p.fixed else values[f"{term.key}.{p.name}"] for p in term.effect.parameters
+        }
 
     def write(self, z: Array) -> Document:
         """The nominal document with these numbers and effects written in."""
@@ -151,13 +153,22 @@ class Structure:
 
     @property
     def warm(self) -> float:
-        """s to simulate before a window."""
+        """S to simulate before a window."""
         return max((term.effect.warm for term in self.terms), default=0.0)
+
+    @property
+    def moves_readings(self) -> bool:
+        """Whether an effect changes what sensors say of a state."""
+        return any(term.effect.moves_readings for term in self.terms)
 
     @property
     def finest(self) -> float:
         """Longest step at which every effect can be simulated, s."""
         return min((term.effect.finest for term in self.terms), default=math.inf)
+
+
+def _free(effect: Effect) -> list[Parameter]:
+    return [p for p in effect.parameters if not p.fixed]
 
 
 def _fallback(low: float, high: float) -> float:

@@ -1,1 +1,39 @@
-"""The catalogue of physical effects, one file an effect."""
+"""The catalogue of physical effects, one file an effect.
+
+A file in this folder that defines a subclass of `Effect` is in the catalogue. An effect of your own, from anywhere,
+joins it by `register`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+
+__all__ = ["Effect", "Evidence", "Parameter", "Values", "catalogue", "register"]
+
+_effects: dict[str, Effect] = {}
+
+
+def register(effect: Effect) -> None:
+    """Add an effect to the catalogue.
+
+    Raises:
+        ValueError: the catalogue has that id.
+    """
+    if effect.id in catalogue():
+        raise ValueError(f"the catalogue has an effect {effect.id!r} already")
+    _effects[effect.id] = effect
+
+
+def catalogue() -> dict[str, Effect]:
+    """Every effect by id, in alphabetical order."""
+    if not _effects:
+        for info in pkgutil.iter_modules(__path__):
+            module = importlib.import_module(f"{__name__}.{info.name}")
+            for _, found in inspect.getmembers(module, inspect.isclass):
+                if issubclass(found, Effect) and not inspect.isabstract(found) and found.__module__ == module.__name__:
+                    _effects[found.id] = found()
+    return dict(sorted(_effects.items()))

@@ -28,6 +28,7 @@ class Parameter:
         low: smallest allowed value.
         high: largest allowed value.
         log: whether ratios rather than differences matter, as for stiffnesses and time constants.
+        fixed: whether it stays at its guess, as the range that a table covers.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Parameter:
     low: float = -math.inf
     high: float = math.inf
     log: bool = False
+    fixed: bool = False
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ class Evidence:
         time: s, (n,).
         command: the actuator's command, (n,); empty where the joint has none.
         reading: the sensor's reading, (n,); empty where the place is no sensor.
-        gain: force on the joint per unit of command; 0 where it has no actuator.
+        gear: of the actuator's transmission, 0 where there is none.
+        inertia: what the joint moves, kg or kg m^2.
         period: of the recording, s.
     """
 
@@ -62,7 +65,8 @@ class Evidence:
     time: Array
     command: Array
     reading: Array
-    gain: float
+    gear: float
+    inertia: float
     period: float
 
     @property
@@ -106,6 +110,8 @@ class Effect(ABC):
         finest: longest step at which it can be simulated, s.
         warm: s of simulation before a window, so that hidden states settle.
         needs_loader: whether stock MuJoCo leaves it out.
+        moves_readings: whether it changes what sensors say of a state, so that estimated starts mean little.
+        once: whether it happened once, so that other recordings cannot confirm it.
     """
 
     id: ClassVar[str]
@@ -116,6 +122,8 @@ class Effect(ABC):
     finest: ClassVar[float] = math.inf
     warm: ClassVar[float] = 0.0
     needs_loader: ClassVar[bool] = False
+    moves_readings: ClassVar[bool] = False
+    once: ClassVar[bool] = False
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Whether it can be missing there: False where the model has it already, or it makes no sense."""
@@ -173,7 +181,5 @@ def passive_wave(document: Document, name: str, joint: str, size: float, per_uni
 
 def dry(document: Document, joint: str, level: float) -> None:
     """Dry friction that holds: stiff within two steps, and iterated so that joints do not creep."""
-    option = document.root.find("option")
-    step = float(option.get("timestep", "0.002")) if option is not None else 0.002
-    document.set(document.joint(joint), frictionloss=level, solreffriction=(2 * step, 1))
+    document.set(document.joint(joint), frictionloss=level, solreffriction=(2 * document.timestep, 1))
     document.at_least(noslip_iterations=3, iterations=100)

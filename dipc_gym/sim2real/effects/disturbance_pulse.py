@@ -1,0 +1,53 @@
+"""Something pushed the rig once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+
+
+class Pulse(Effect):
+    """A push: a constant force on a joint for a short time."""
+
+    id = "disturbance.pulse"
+    place = "joint"
+    parameters = (
+        Parameter("force", "N"),
+        Parameter("start", "s"),
+        Parameter("duration", "s", 1e-3, log=True),
+    )
+    rivals = ("disturbance.periodic",)
+    needs_loader = True
+    once = True
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Where the unexplained force, averaged over a short time, stands out most."""
+        f = evidence.force - np.median(evidence.force)
+        found = []
+        for width in (0.05, 0.2):
+            n = max(3, int(width / max(evidence.period, 1e-9)))
+            mean = np.convolve(f, np.ones(n) / n, mode="same")
+            k = int(np.argmax(np.abs(mean)))
+            found.append(
+                {
+                    "force": float(mean[k]) or evidence.force_scale,
+                    "start": float(evidence.time[max(0, k - n // 2)]),
+                    "duration": n * evidence.period,
+                }
+            )
+        return found
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """An entry for the loader."""
+        document.custom(self.id, at, [values["force"], values["start"], values["duration"]])
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        return (
+            f"A push of {values['force']:.3g} {unit['force']} on {at} from {values['start']:.3f} s on, for "
+            f"{1e3 * values['duration']:.0f} ms."
+        )

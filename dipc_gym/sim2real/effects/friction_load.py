@@ -1,0 +1,49 @@
+"""Dry friction that grows with the load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry
+
+
+class UnderLoad(Effect):
+    """Friction of a gearbox or bearing that grows with what it transmits: level + coefficient |load|.
+
+    The load is the actuator's force together with the force that gravity and motion ask for, as in the gearbox models
+    of Duclusaud et al. (BAM, 2024).
+    """
+
+    id = "friction.load"
+    place = "joint"
+    parameters = (Parameter("level", "N", 0.0), Parameter("coefficient", "", 0.0, 2.0))
+    rivals = ("friction.coulomb", "friction.position", "friction.viscous")
+    contains = ("friction.coulomb",)
+    needs_loader = True
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Force against motion, split into a constant and a part in proportion to load."""
+        against = -np.tanh(evidence.velocity / (0.05 * evidence.speed_scale))
+        level, coefficient = evidence.along(against, against * np.abs(evidence.load))
+        scale = evidence.force_scale / max(float(np.mean(np.abs(evidence.load))), 1e-12)
+        return [
+            {
+                "level": float(np.clip(level, 0.1 * evidence.force_scale, 2 * evidence.force_scale)),
+                "coefficient": float(np.clip(coefficient, 0.05 * scale, min(scale, 1.0))),
+            }
+        ]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """An entry for the loader; stock MuJoCo gets the level without load."""
+        dry(document, at, max(values["level"], 1e-9))
+        document.custom(self.id, at, [values["level"], values["coefficient"]])
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        return (
+            f"Friction at {at} that grows with load: {values['level']:.3g} {unit['level']} and "
+            f"{100 * values['coefficient']:.3g} % of the force it transmits."
+        )

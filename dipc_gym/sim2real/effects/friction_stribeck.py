@@ -1,0 +1,66 @@
+"""Dry friction that is larger at rest than in motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry
+
+
+class Stribeck(Effect):
+    """Static friction above kinetic friction; the excess fades out over a speed, the Stribeck velocity.
+
+    Without memory: dry friction at the static level, and a passive force along the motion that grows with speed up to
+    the difference. LuGre, which adds presliding, needs steps far below a millisecond to be any better.
+    """
+
+    id = "friction.stribeck"
+    place = "joint"
+    parameters = (
+        Parameter("level", "N", 0.0),
+        Parameter("static", "N", 0.0),
+        Parameter("velocity", "m/s", 1e-5, log=True),
+    )
+    rivals = ("friction.coulomb", "friction.asymmetric", "transmission.backlash")
+    contains = ("friction.coulomb",)
+    finest = 1e-3
+
+    def fits(self, model: mujoco.MjModel, at: str) -> bool:
+        """Where the model has no dry friction yet."""
+        return bool(model.dof_frictionloss[dof(model, at)] == 0)
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Kinetic level from the force that opposes motion, a static one half as large again."""
+        (level,) = evidence.along(-np.tanh(evidence.velocity / (0.05 * evidence.speed_scale)))
+        level = float(np.clip(level, 0.1 * evidence.force_scale, 2 * evidence.force_scale))
+        return [
+            {"level": level, "static": 1.5 * level, "velocity": share * evidence.speed_scale} for share in (0.05, 0.2)
+        ]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """Friction at the static level, and what speed takes off it."""
+        excess = max(values["static"] - values["level"], 0.0)
+        dry(document, at, values["level"] + excess)
+        document.add(
+            "actuator",
+            "general",
+            name=f"{at}_stribeck",
+            joint=at,
+            gainprm=1,
+            biastype="affine",
+            biasprm=(0, 0, max(excess, 1e-9) / values["velocity"]),
+            forcerange=(-max(excess, 1e-9), max(excess, 1e-9)),
+        )
+        document.passive(f"{at}_stribeck")
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        return (
+            f"Stick-slip (Stribeck) friction at {at}: {values['static']:.3g} {unit['static']} to break away, "
+            f"{values['level']:.3g} {unit['level']} in motion, with the change below "
+            f"{values['velocity']:.2g} {unit['velocity']}."
+        )

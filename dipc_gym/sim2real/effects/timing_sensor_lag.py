@@ -1,0 +1,32 @@
+"""A sensor follows late."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+
+
+class SensorLag(Effect):
+    """A sensor whose filter follows its quantity with a time constant."""
+
+    id = "timing.sensor_lag"
+    place = "sensor"
+    parameters = (Parameter("time_constant", "s", 1e-4, 0.2, log=True),)
+    rivals = ("timing.delay", "motor.inductance", "transmission.compliance")
+    warm = 0.06
+    needs_loader = True
+    moves_readings = True
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """A short and a long one."""
+        return [{"time_constant": 0.002}, {"time_constant": 0.01}]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """An entry for the loader."""
+        document.custom(self.id, at, [values["time_constant"]])
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        return f"Sensor {at} lags with a time constant of {1e3 * values['time_constant']:.3g} ms."
