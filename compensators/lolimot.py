@@ -46,8 +46,9 @@ class LOLIMOT:
     Args:
         max_models: Most local models to grow.
         border_validity: Validity b at the border of a box, between 0 and 1.
-        estimation: `"local"`, or `"global"` to estimate the linear models of all boxes together after each
-            cut: a smaller training error for a longer training, and slopes that mean less on their own.
+        estimation: `"local"`, or `"global"` to estimate the linear models of all boxes together once the
+            boxes are laid out: a smaller training error for a longer training, and slopes that mean less on
+            their own. The boxes are the same, laid out with local estimates.
         ridge: Number of imagined samples that agree with the parent's model.
         patience: Cuts in a row that do not lower the test error after which growing ends, if `fit` is given
             test data. One or two such cuts are no reason to stop: cutting a symmetric problem in its middle
@@ -146,19 +147,19 @@ class LOLIMOT:
         """Cut boxes until a stopping rule holds; return the network to keep and both error curves."""
         train_errors: list[float] = []
         test_errors: list[float] = []
-        kept = tree.network()
+        kept = tree.centres, tree.widths, tree.theta
         lowest, cuts_in_vain = math.inf, 0
         total = tree.squared_error_of_mean()
         while True:
-            if self.estimation == "global":
-                tree.estimate_all()
-            train_errors.append(tree.mean_squared_error())
+            theta = tree.theta if self.estimation == "local" else tree.estimate_together()
+            train_errors.append(tree.mean_squared_error(theta))
             if watch is None:
-                kept = tree.network()
+                kept = tree.centres, tree.widths, theta
             else:
-                test_errors.append(float(np.mean((tree.predict(watch[0]) - watch[1]) ** 2)))
+                test_errors.append(float(np.mean((tree.predict(watch[0], theta) - watch[1]) ** 2)))
                 if test_errors[-1] < lowest - self.tolerance * test_errors[0]:
-                    kept, lowest, cuts_in_vain = tree.network(), test_errors[-1], 0
+                    kept = tree.centres, tree.widths, theta
+                    lowest, cuts_in_vain = test_errors[-1], 0
                 else:
                     cuts_in_vain += 1
                 if cuts_in_vain >= self.patience:
@@ -262,24 +263,22 @@ class _Tree:
         mean = np.zeros(inputs + 1)
         mean[0] = np.average(y, weights=weight)
         self.theta = self._estimate(self.centres[0], self.widths[0], np.ones(samples), mean)[None]
-        self.total, self.numerator = self._sums()
+        self.total, self.numerator = self.mu[0], self._blended(self.theta)
 
     @property
     def models(self) -> int:
         return len(self.centres)
 
-    def network(self) -> tuple[Array, Array, Array]:
-        return self.centres, self.widths, self.theta
-
-    def predict(self, Z: Array) -> Array:
-        levels = self.theta[:, 0] + np.einsum("ij,ij->i", self.theta[:, 1:], self.centres)
-        return _blend(Z, self.centres, self.spread * self.widths, levels, self.theta[:, 1:])
+    def predict(self, Z: Array, theta: Array) -> Array:
+        levels = theta[:, 0] + np.einsum("ij,ij->i", theta[:, 1:], self.centres)
+        return _blend(Z, self.centres, self.spread * self.widths, levels, theta[:, 1:])
 
     def squared_error_of_mean(self) -> float:
         return float(np.average((self.y - np.average(self.y, weights=self.weight)) ** 2, weights=self.weight))
 
-    def mean_squared_error(self) -> float:
-        return float(np.average((self.y - self.numerator / self.total) ** 2, weights=self.weight))
+    def mean_squared_error(self, theta: Array) -> float:
+        numerator = self.numerator if theta is self.theta else self._blended(theta)
+        return float(np.average((self.y - numerator / self.total) ** 2, weights=self.weight))
 
     def cut_worst(self) -> bool:
         """Halve the box with the largest local error along its best axis; False if no box can be cut."""
@@ -312,8 +311,8 @@ class _Tree:
         self.theta = _replace(self.theta, worst, theta)
         return True
 
-    def estimate_all(self) -> None:
-        """Estimate the linear models of all boxes together, drawn to their local estimates by the ridge."""
+    def estimate_together(self) -> Array:
+        """Least squares for the linear models of all boxes at once, as a correction of the local estimates."""
         models, size = self.theta.shape
         regressors = ((self.mu / self.total)[:, None, :] * self.rows).reshape(models * size, -1)
         normal = (regressors * self.weight) @ regressors.T
@@ -321,12 +320,11 @@ class _Tree:
             block = slice(i * size, (i + 1) * size)
             normal[block, block] += self._prior(self.centres[i], self.widths[i])
         gradient = regressors @ (self.weight * (self.y - self.numerator / self.total))
-        self.theta = self.theta + np.linalg.solve(normal, gradient).reshape(models, size)
-        self.total, self.numerator = self._sums()
+        return self.theta + np.linalg.solve(normal, gradient).reshape(models, size)
 
-    def _sums(self) -> tuple[Array, Array]:
-        """Sum of validities and validity-weighted sum of outputs at every sample."""
-        return self.mu.sum(axis=0), np.einsum("ik,ik->k", self.mu, self.theta @ self.rows)
+    def _blended(self, theta: Array) -> Array:
+        """Sum of the models' outputs at every sample, weighted with their validities."""
+        return np.einsum("ik,ik->k", self.mu, theta @ self.rows)
 
     def _divisible_axes(self, box: int) -> npt.NDArray[np.intp]:
         """Axes along which both halves of the box hold enough samples for a linear model each."""
