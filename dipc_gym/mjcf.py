@@ -175,7 +175,7 @@ def controls(model: mujoco.MjModel) -> list[str]:
         MjcfError: an actuator with a control has no name.
     """
     names = [""] * model.nu
-    passive = {model.text(i).name.removeprefix(PASSIVE) for i in range(model.ntext)}
+    passive = {name.removeprefix(PASSIVE) for name in texts(model)}
     for actuator in range(model.nactuator):
         name = model.actuator(actuator).name
         if name in passive:
@@ -190,6 +190,16 @@ def controls(model: mujoco.MjModel) -> list[str]:
     if not all(names[:commanded]):
         raise MjcfError("passive actuators must come after all that are commanded")
     return names[:commanded]
+
+
+def texts(model: mujoco.MjModel) -> dict[str, str]:
+    """The `<text>` entries of `<custom>`, by name."""
+    found = {}
+    for i in range(model.ntext):
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, i)
+        start, size = int(model.text_adr[i]), int(model.text_size[i])
+        found[name] = bytes(model.text_data[start : start + size]).rstrip(b"\0").decode(errors="replace")
+    return found
 
 
 def scalar_sensors(model: mujoco.MjModel) -> list[str]:

@@ -71,7 +71,9 @@ def refused(path: Path, model: mujoco.MjModel, **how: object) -> str:
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 NAMES = st.lists(
     st.one_of(
-        st.sampled_from(["time", "cart", "ctrl:cart", "sensor:cart", "file", "a,b", 'say "x"', "a/b", "é", "ctrl:"]),
+        st.sampled_from(
+            ["time", "cart", "ctrl:cart", "sensor:cart", "cart.pos", "file", "a,b", 'say "x"', "a/b", "é", "ctrl:"]
+        ),
         st.text(st.characters(codec="utf-8", min_codepoint=32), min_size=1, max_size=8).filter(
             lambda name: name == name.strip()
         ),

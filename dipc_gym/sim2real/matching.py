@@ -19,7 +19,7 @@ def match_columns(
     for prefix, wanted in ((COMMAND, ctrl), (SENSOR, sensor)):
         for name in wanted:
             channels_of.setdefault(prefix + name, []).append(prefix + name)
-            if name != "time":
+            if name != "time" and not name.startswith((COMMAND, SENSOR)):
                 channels_of.setdefault(name, []).append(prefix + name)
     for column, name in mapping.items():
         if column not in names:

@@ -96,6 +96,9 @@ def read_table(path: Path, choose: Choose) -> Table:
         raise RecordingError(f"{path}: the file is empty")
     reader = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}[suffix]
     names, columns, lines = reader(path, data, choose)
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise RecordingError(f"{path}: the columns differ in length: {lengths}")
     return Table(tuple(names), columns, lines, hashlib.sha256(data).hexdigest())
 
 
@@ -268,7 +271,7 @@ def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], d
         if not (arrow.types.is_floating(kind) or arrow.types.is_integer(kind)):
             raise RecordingError(f"{path}, column {name!r}: holds {kind}, not numbers")
         try:
-            column = file.read(columns=[name]).column(0)
+            column = file.read(columns=[name]).column(name)  # a dot in the name may have brought others along
             values = column.cast(arrow.float64(), safe=False).to_numpy()
         except Exception as error:
             raise RecordingError(f"{path}, column {name!r}: cannot be read: {_first_line(error)}") from None
@@ -300,9 +303,6 @@ def _read_npz(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[
         raise
     except Exception as error:  # a corrupt archive can provoke any of a dozen classes
         raise RecordingError(f"{path}: not a readable npz file: {_first_line(error)}") from None
-    lengths = {name: len(column) for name, column in columns.items()}
-    if len(set(lengths.values())) > 1:
-        raise RecordingError(f"{path}: the columns differ in length: {lengths}")
     return names, columns, ()
 
 
