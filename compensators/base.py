@@ -142,11 +142,12 @@ class Compensator(ABC):
 
     Besides force F(k) and velocity v(k) the formula gets one past value, the velocity v(k-1). It tells which
     way the motion goes and needs nothing but the encoder. A past voltage would close a second loop through
-    the compensator itself: in a trial with LuGre friction, encoders and the paper's gains (five seeds, two
-    ways to differentiate the encoder), networks fed with u(k-1) fitted held-out data no better and cost
-    1.5 to 3.9 times as much in the loop. F(k-1) was no clear gain: 0.99 and 1.09 times the cost for the
-    LLNF, 0.5 and 1.2 times for the MLP. On the first call after `reset`, v(k-1) is taken to be v(k). A
-    compensator that needs another memory overrides `voltage`, `voltage_batch`, `initial_state` and `reset`.
+    the compensator itself. In a trial with LuGre friction, encoders and the paper's gains (MLP and LLNF, two
+    ways to differentiate the encoder, five starts each), networks fed with u(k-1) fitted held-out data
+    better in one of the four cases and cost 1.5 to 3.9 times as much in the loop. F(k-1) was no clear gain:
+    0.99 and 1.09 times the cost for the LLNF, 0.5 and 1.2 times for the MLP. On the first call after
+    `reset`, v(k-1) is taken to be v(k). A compensator that needs another memory overrides `voltage`,
+    `voltage_batch`, `initial_state` and `reset`.
 
     The voltage is not limited to the supply; that is the amplifier's business.
 
