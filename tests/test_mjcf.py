@@ -6,7 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dipc_gym import mjcf
@@ -233,6 +233,7 @@ PIECES = st.sampled_from(
 )
 
 
+@settings(deadline=None)
 @given(st.lists(PIECES, max_size=20).map("".join) | st.text(max_size=60))
 def test_whatever_the_text_the_scan_raises_nothing_else(text: str) -> None:
     try:
@@ -359,6 +360,7 @@ def test_what_is_not_supported_is_said(text: str, said: str) -> None:
 GEOM = st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(0, 4))
 
 
+@settings(deadline=None)
 @given(st.lists(GEOM, max_size=5), st.booleans(), st.sampled_from(["enable", "disable"]))
 def test_contact_filters_agree_with_mujoco(geoms: list[tuple[int, int, int]], exclude: bool, parents: str) -> None:
     """With all geoms in one place and overlapping, MuJoCo finds a contact exactly where the filters allow one."""
