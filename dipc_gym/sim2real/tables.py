@@ -322,7 +322,7 @@ def _npy(path: Path, name: str, data: bytes) -> NDArray[np.float64]:
 
 def _write_npz(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64]]) -> None:
     # Written entry by entry, because numpy.savez takes the names as keywords and has its own called `file`.
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(file, "w") as archive:
         for name, values in columns.items():
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as entry:
                 np.lib.format.write_array(entry, np.asarray(values, dtype=np.float64), allow_pickle=False)
