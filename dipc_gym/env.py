@@ -235,6 +235,11 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         return self._plant
 
     @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model of this episode."""
+        return self._physics.model
+
+    @property
     def state(self) -> Array:
         """The simulation's exact state, (6,), as the observation orders it."""
         return np.array(self._read_state())
