@@ -235,6 +235,11 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         return self._plant
 
     @property
+    def source(self) -> mjcf.Source:
+        """The text of the model, before any plant is written into it."""
+        return self._source
+
+    @property
     def model(self) -> mujoco.MjModel:
         """The compiled model of this episode."""
         return self._physics.model

@@ -1,0 +1,460 @@
+"""The paper's experiment, over many rigs: identify friction, train compensators, balance, and compare.
+
+A seed stands for a rig of the same build: its friction, its encoder noise and its starting state are drawn from
+`Spread`. Each rig is identified, its compensators are trained on that run, and every controller then balances it with
+every compensator.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import platform
+import shutil
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import ENV_ID, compensators, controllers, lqr
+from dipc_gym.compensators import OutOfRangeWarning
+from dipc_gym.identification import Cart, Sweep, cart, cart_model, record, samples
+from dipc_gym.plant import Friction, Plant
+from dipc_gym.sim2real import recording
+from dipc_gym.sim2real.recording import Recording
+
+Array = NDArray[np.float64]
+
+SCHEMA = "dipc-gym/compare/1"
+SETTLED = 20.0  # s; the paper reads deviations off its Fig. 12 after that
+FOLDERS = ("cells", "compensators", "recordings", "figures")
+FILES = ("summary.json", "table.txt", "rig.gif")
+
+# Table 2 of the paper: largest deviations of cart (m) and poles (degrees), cost.
+PAPER = {
+    "none": {"cart_m": 0.045, "pole1_deg": 5.0, "pole2_deg": 3.0, "cost": 9.49e6},
+    "mlp": {"cart_m": 0.04, "pole1_deg": 2.0, "pole2_deg": 1.5, "cost": 6.74e6},
+    "llnf": {"cart_m": 0.02, "pole1_deg": 1.0, "pole2_deg": 0.6, "cost": 4.93e6},
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """How rigs of one build differ from each other.
+
+    Attributes:
+        friction: Coulomb force, what static friction has above it, and Stribeck velocity are each scaled by a factor
+            drawn uniformly within this share of 1.
+        noise: the standard deviation of encoder noise is drawn uniformly between 0 and this, counts; a quarter of a
+            count is what the phase error of an incremental encoder comes to.
+
+    The starting state is the environment's: uniform within 0.02 m and 0.02 rad of upright.
+    """
+
+    friction: float = 0.2
+    noise: float = 0.25
+
+    def draw(self, plant: Plant, seed: int) -> Plant:
+        """One rig of the build that `plant` describes."""
+        a, b, c, noise = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, 4).tolist()
+        encoders = dataclasses.replace(plant.encoders, noise=plant.encoders.noise + self.noise * (1 + noise) / 2)
+        plant = dataclasses.replace(plant, encoders=encoders)
+        if plant.friction is None:
+            return plant
+        coulomb = plant.friction.coulomb * (1 + self.friction * a)
+        above = (plant.friction.static - plant.friction.coulomb) * (1 + self.friction * b)
+        stribeck = plant.friction.stribeck_velocity * (1 + self.friction * c)
+        friction: Friction = dataclasses.replace(
+            plant.friction, coulomb=coulomb, static=coulomb + above, stribeck_velocity=stribeck
+        )
+        return dataclasses.replace(plant, friction=friction)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """What is compared.
+
+    Attributes:
+        controllers: `lqr` or paths of saved policies.
+        compensators: registered names, or paths of saved compensators.
+        seeds: number of rigs.
+        seconds: length of a balancing run, s.
+        plant: file of the rig's plant; None is the default rig.
+        model: file of an MJCF model; None is the package's.
+        recording: file of an identification run to train all compensators from; None simulates one on every rig.
+        sweep: the simulated identification run.
+        spread: how rigs differ.
+    """
+
+    controllers: tuple[str, ...] = ("lqr",)
+    compensators: tuple[str, ...] = ("none", "feedforward", "mlp", "llnf", "ideal")
+    seeds: int = 10
+    seconds: float = 80.0
+    plant: str | None = None
+    model: str | None = None
+    recording: str | None = None
+    sweep: Sweep = field(default_factory=Sweep)
+    spread: Spread = field(default_factory=Spread)
+
+    def check(self) -> None:
+        """Refuse what cannot be run, before anything is.
+
+        Raises:
+            ValueError: an unknown controller or compensator, a count or length that is not positive, or a file that
+                cannot be used.
+        """
+        if self.seeds < 1 or not self.seconds > 0 or not self.controllers or not self.compensators:
+            raise ValueError("a comparison needs at least one controller, compensator and seed, and a positive length")
+        for name in self.controllers:
+            controllers.load(name)
+        for name in self.compensators:
+            if name.endswith(".json"):
+                compensators.load(name)
+            elif name not in compensators.names():
+                raise ValueError(
+                    f"there is no compensator {name!r}; there are {', '.join(compensators.names())} and paths of "
+                    "saved ones (.json)"
+                )
+        self.base_plant()
+        if self.recording is not None:
+            self.identification(0)
+
+    def base_plant(self) -> Plant:
+        """The build that all rigs are of."""
+        return _unwrapped(gymnasium.make(ENV_ID, plant=self.plant, model=self.model)).plant
+
+    def rig(self, seed: int) -> Plant:
+        """The rig of a seed."""
+        return self.spread.draw(self.base_plant(), seed)
+
+    def identification(self, seed: int) -> tuple[Recording, Cart, Plant]:
+        """The identification run for a seed, with the linear model of its cart and the rig that made it."""
+        plant = self.rig(seed) if self.recording is None else self.base_plant()
+        model = cart_model(_unwrapped(gymnasium.make(ENV_ID, model=self.model)).source, plant)
+        if self.recording is None:
+            return record(model, plant, self.sweep, seed=seed), cart(model), plant
+        return recording.read(self.recording, model), cart(model), plant
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What one identification run gave.
+
+    Attributes:
+        seed: the rig.
+        run: the identification run.
+        trained: compensators as dictionaries, by the name they were asked for.
+    """
+
+    seed: int
+    run: Recording
+    trained: dict[str, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One balancing run: its figures, and its course if that was asked for.
+
+    Attributes:
+        cell: what `cells/*.json` holds.
+        time: (n,) s; empty if the course was not kept.
+        state: (n, 6) exact state before each command.
+        force: (n,) N, as the controller commanded it.
+        voltage: (n,) V, as applied.
+        readings: (n, 3) encoders.
+    """
+
+    cell: dict[str, Any]
+    time: Array
+    state: Array
+    force: Array
+    voltage: Array
+    readings: Array
+
+
+def fit(comparison: Comparison, seed: int) -> Fitted:
+    """Identify one rig and train its compensators."""
+    run, linear, plant = comparison.identification(seed)
+    data = samples(run, linear, plant.encoders, plant.control_period, block=comparison.sweep.block)
+    trained = {}
+    for name in comparison.compensators:
+        if name.endswith(".json"):
+            trained[name] = compensators.load(name).to_dict()
+        else:
+            trained[name] = compensators.fit(name, data, linear.constants, seed=seed).to_dict()
+    return Fitted(seed, run, trained)
+
+
+def balance(
+    comparison: Comparison, seed: int, controller: str, name: str, trained: Mapping[str, Any], keep: bool
+) -> Run:
+    """Balance one rig with one controller and one compensator.
+
+    Args:
+        comparison: length and rigs.
+        seed: the rig.
+        controller: name of the controller.
+        name: name of the compensator.
+        trained: the compensator as a dictionary.
+        keep: return the course too.
+    """
+    from dipc_gym.wrappers import ForceCommand
+
+    brain = controllers.load(controller)
+    compensator = compensators.load(dict(trained))
+    plant = comparison.rig(seed)
+    steps = round(comparison.seconds / plant.control_period)
+    env = gymnasium.make(ENV_ID, plant=plant, model=comparison.model, max_episode_steps=steps)
+    inner = _unwrapped(env)
+    env = ForceCommand(env, compensator)
+    observation, info = env.reset(seed=seed)
+    state, force, voltage, readings = np.zeros((steps, 6)), np.zeros(steps), np.zeros(steps), np.zeros((steps, 3))
+    action = np.zeros(1)
+    done, terminated, clipped = 0, False, 0
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", OutOfRangeWarning)
+        for k in range(steps):
+            state[k], readings[k] = inner.state, inner.encoders
+            action[0] = brain.force(observation)
+            observation, _, terminated, _, info = env.step(action)  # type: ignore[arg-type]
+            force[k], voltage[k] = info["force"], info["voltage"]
+            clipped += info["clipped"]
+            done = k + 1
+            if terminated:
+                break
+    env.close()
+    period = plant.control_period
+    cell: dict[str, Any] = {
+        "controller": brain.name,
+        "compensator": _label(name),
+        "seed": seed,
+        "survived": not terminated,
+        "seconds": done * period,
+        "cost": _cost(state[:done], force[:done], lqr.RECOVERED_Q),
+        "cost_printed_q": _cost(state[:done], force[:done], lqr.PRINTED_Q),
+        "voltage_rms": float(np.sqrt(np.mean(voltage[:done] ** 2))),
+        "clipped_share": clipped / done,
+        "test_mse": None if compensator.figures is None else compensator.figures.test_mse,
+        "parameters": compensator.parameters,
+        "notes": [str(w.message) for w in said if issubclass(w.category, OutOfRangeWarning)],
+    }
+    late = np.abs(state[round(min(SETTLED, comparison.seconds / 4) / period) : done])
+    for key, column, scale in (("cart_m", 0, 1.0), ("pole1_deg", 1, 180 / np.pi), ("pole2_deg", 2, 180 / np.pi)):
+        cell[key] = float(late[:, column].max()) * scale if len(late) else None
+    if not keep:
+        done = 0
+    return Run(cell, period * np.arange(done), state[:done], force[:done], voltage[:done], readings[:done])
+
+
+def run(comparison: Comparison, out: str | Path, *, jobs: int = 2, overwrite: bool = False) -> dict[str, Any]:
+    """Run a comparison and leave its results in a folder.
+
+    Every finished part is on disk at once; after Ctrl-C the summary holds what was finished, marked as incomplete.
+
+    Args:
+        comparison: what to compare.
+        out: the folder, new or empty.
+        jobs: processes.
+        overwrite: replace the results that an earlier comparison left in the folder.
+
+    Returns:
+        What `summary.json` holds.
+
+    Raises:
+        ValueError: see `Comparison.check`.
+        FileExistsError: the folder is not empty and `overwrite` is not set.
+        KeyboardInterrupt: after the summary of what is finished was written.
+    """
+    from dipc_gym import figures
+
+    comparison.check()
+    out = prepare_folder(out, overwrite=overwrite)
+    cells: list[dict[str, Any]] = []
+    fits: dict[int, Fitted] = {}
+    courses: dict[tuple[str, str], Run] = {}
+    notes: list[str] = []
+    complete = False
+    try:
+        for fitted in _parallel(_fits(comparison), jobs, "identify and train"):
+            fits[fitted.seed] = fitted
+            _save_fit(fitted, out)
+        for done in _parallel(_balances(comparison, fits), jobs, "balance"):
+            cells.append(done.cell)
+            _save_cell(done, out)
+            if len(done.time):
+                courses[done.cell["controller"], done.cell["compensator"]] = done
+        notes += figures.draw_all(comparison, fits[0], courses, out)
+        complete = True
+    finally:
+        summary = summarise(comparison, cells, notes, complete)
+        write_json(out / "summary.json", summary)
+        (out / "table.txt").write_text(table(summary) + "\n", encoding="utf-8")
+    return summary
+
+
+def prepare_folder(out: str | Path, *, overwrite: bool) -> Path:
+    """Make the output folder, or clear an earlier comparison's results from it.
+
+    Raises:
+        FileExistsError: it is not empty and `overwrite` is not set, or it is a file.
+    """
+    out = Path(out)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if not out.is_dir() or not overwrite:
+            raise FileExistsError(f"{out} exists and is not empty; choose another folder or say --overwrite")
+        for name in FOLDERS:
+            shutil.rmtree(out / name, ignore_errors=True)
+        for name in FILES:
+            (out / name).unlink(missing_ok=True)
+    for name in FOLDERS:
+        (out / name).mkdir(parents=True, exist_ok=True)
+    return out
+
+
+def summarise(
+    comparison: Comparison, cells: Sequence[Mapping[str, Any]], notes: Sequence[str], complete: bool
+) -> dict[str, Any]:
+    """Medians and spreads over the seeds; costs and deviations are those of runs that did not fall."""
+    rows = []
+    pairs = dict.fromkeys((cell["controller"], cell["compensator"]) for cell in cells)
+    wanted = [(controllers.load(a).name, _label(b)) for a in comparison.controllers for b in comparison.compensators]
+    for pair in (pair for pair in wanted if pair in pairs):
+        mine = [cell for cell in cells if (cell["controller"], cell["compensator"]) == pair]
+        stood = [cell for cell in mine if cell["survived"]]
+        errors = [cell["test_mse"] for cell in mine if cell["test_mse"] is not None]
+        row: dict[str, Any] = {"controller": pair[0], "compensator": pair[1], "seeds": len(mine)}
+        row["survived"] = len(stood)
+        for key in ("cost", "cost_printed_q", "cart_m", "pole1_deg", "pole2_deg", "voltage_rms"):
+            row[key] = _spread([cell[key] for cell in stood])
+        row["test_mse"] = float(np.median(errors)) if errors else None
+        row["parameters"] = round(float(np.median([cell["parameters"] for cell in mine])))
+        rows.append(row)
+    outside = sorted({cell["compensator"] for cell in cells if cell["notes"]})
+    if outside:
+        notes = [*notes, f"asked far outside their training range in some runs: {', '.join(outside)}"]
+    return {
+        "schema": SCHEMA,
+        "complete": complete,
+        "rows": rows,
+        "paper": PAPER,
+        "cost_is": "sum over control periods of x'Qx + F^2, x the simulated state, F the commanded force (N)",
+        "Q": np.diag(lqr.RECOVERED_Q).tolist(),
+        "printed_Q": np.diag(lqr.PRINTED_Q).tolist(),
+        "settings": dataclasses.asdict(comparison),
+        "notes": list(notes),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: metadata.version(name) for name in ("dipc-gym", "mujoco", "gymnasium", "numpy")},
+        },
+    }
+
+
+def table(summary: Mapping[str, Any]) -> str:
+    """The paper's Table 2 beside ours, as text: medians, below them 10th and 90th percentile."""
+    head = ("controller", "compensator", "stood", "cart m", "pole 1 deg", "pole 2 deg", "cost J", "test MSE", "numbers")
+    lines = [head]
+    for row in summary["rows"]:
+        columns = [(row[key], form) for key, form in _FORMATS.items()]
+        mse = "-" if row["test_mse"] is None else f"{row['test_mse']:.3g}"
+        lines.append(
+            (
+                row["controller"],
+                row["compensator"],
+                f"{row['survived']}/{row['seeds']}",
+                *("-" if c is None else format(c["median"], form) for c, form in columns),
+                mse,
+                str(row["parameters"]),
+            )
+        )
+        spread = ("" if c is None else f"{c['low']:{form}}..{c['high']:{form}}" for c, form in columns)
+        lines.append(("", "", "", *spread, "", ""))
+        paper = summary["paper"].get(row["compensator"]) if row["controller"] == "lqr" else None
+        if paper:
+            lines.append(("", "  paper", "", *(format(paper[key], form) for key, form in _FORMATS.items()), "", ""))
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    text.insert(1, "-" * len(text[0]))
+    if not summary["complete"]:
+        text.append("interrupted: this is what was finished")
+    return "\n".join([*text, *(f"note: {note}" for note in summary["notes"])])
+
+
+_FORMATS = {"cart_m": ".3f", "pole1_deg": ".2f", "pole2_deg": ".2f", "cost": ".3g"}
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a JSON file that appears whole or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    partial.replace(path)
+
+
+# ------------------------------------------------------------------------------------------------ parts
+
+
+def _fits(comparison: Comparison) -> list[Any]:
+    from joblib import delayed
+
+    seeds = range(comparison.seeds) if comparison.recording is None else range(1)
+    return [delayed(fit)(comparison, seed) for seed in seeds]
+
+
+def _balances(comparison: Comparison, fits: Mapping[int, Fitted]) -> list[Any]:
+    from joblib import delayed
+
+    return [
+        delayed(balance)(comparison, seed, controller, name, fits.get(seed, fits[0]).trained[name], seed == 0)
+        for seed in range(comparison.seeds)
+        for controller in comparison.controllers
+        for name in comparison.compensators
+    ]
+
+
+def _parallel(tasks: Sequence[Any], jobs: int, label: str) -> Iterator[Any]:
+    """Results as they are finished, with a progress bar."""
+    from joblib import Parallel
+    from tqdm import tqdm
+
+    results: Iterable[Any] = Parallel(n_jobs=jobs, return_as="generator_unordered")(tasks)
+    yield from tqdm(results, total=len(tasks), desc=label, unit="run")
+
+
+def _save_fit(fitted: Fitted, out: Path) -> None:
+    for name, trained in fitted.trained.items():
+        compensators.save(compensators.load(trained), out / "compensators" / f"{_label(name)}-{fitted.seed:02d}.json")
+    if fitted.seed == 0:
+        recording.write(fitted.run, out / "recordings" / "identification-00.csv")
+
+
+def _save_cell(run: Run, out: Path) -> None:
+    name = f"{run.cell['controller']}-{run.cell['compensator']}-{run.cell['seed']:02d}"
+    write_json(out / "cells" / f"{name}.json", run.cell)
+    if len(run.time):
+        course = Recording(name, run.time, run.voltage[:, None], run.readings, ("motor",), ("cart", "pole1", "pole2"))
+        recording.write(course, out / "recordings" / f"{name}.csv")
+
+
+def _cost(state: Array, force: Array, Q: Array) -> float:
+    return float(np.einsum("ni,ij,nj->", state, Q, state) + lqr.R * force @ force)
+
+
+def _spread(values: Sequence[float]) -> dict[str, float] | None:
+    if not values:
+        return None
+    low, median, high = np.percentile(values, [10, 50, 90]).tolist()
+    return {"median": median, "low": low, "high": high}
+
+
+def _label(name: str) -> str:
+    """What a compensator is called in tables and file names."""
+    return Path(name).stem if name.endswith(".json") else name
+
+
+def _unwrapped(env: gymnasium.Env[Any, Any]) -> Any:
+    return env.unwrapped

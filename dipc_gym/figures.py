@@ -1,0 +1,162 @@
+"""Pictures of a comparison: the paper's figures from our data, and the rig in motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+
+from dipc_gym import ENV_ID, compensators
+from dipc_gym.compensators import LOLIMOT, Samples
+from dipc_gym.identification import samples
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from dipc_gym.compare import Comparison, Fitted, Run
+
+GREY, BLUE, RED, GREEN = "#8a8f98", "#2b5d9b", "#c8452f", "#2c8c68"
+COLOURS = {"none": RED, "feedforward": "#b07aa1", "mlp": BLUE, "llnf": GREEN, "ideal": GREY}
+GIF_SECONDS, GIF_RATE, GIF_SIZE = 8.0, 12.5, (300, 340)
+MOST_MODELS = 30
+
+
+def draw_all(comparison: Comparison, fitted: Fitted, courses: Mapping[tuple[str, str], Run], out: Path) -> list[str]:
+    """Draw what the comparison has data for, into `out`.
+
+    Returns:
+        What could not be drawn, and why.
+    """
+    folder = out / "figures"
+    run, linear, plant = comparison.identification(fitted.seed)
+    data = samples(run, linear, plant.encoders, plant.control_period, block=comparison.sweep.block)
+    time = plant.control_period * np.arange(len(data.force))
+    _save(identification(time, data), folder / "fig07_identification.png")
+    for number, name in ((8, "mlp"), (10, "llnf")):
+        if name in fitted.trained:
+            picture = model_output(time, data, compensators.load(fitted.trained[name]), name)
+            _save(picture, folder / f"fig{number:02d}_{name}.png")
+    _save(lolimot_growth(data), folder / "fig09_lolimot.png")
+    controller = next(iter(courses), ("", ""))[0]
+    mine = {name: course for (brain, name), course in courses.items() if brain == controller}
+    if mine:
+        _save(balancing(controller, mine), folder / "fig12_balance.png")
+    pair = [name for name in ("none", "llnf") if name in mine]
+    if len(pair) < 2:
+        return []
+    try:
+        animate({name: mine[name] for name in pair}, comparison, out / "rig.gif")
+    except Exception as error:  # OpenGL fails in as many ways as there are drivers; the figures do not depend on it
+        return [f"rig.gif was not drawn ({type(error).__name__}: {error}); see the README on headless drawing"]
+    return []
+
+
+def identification(time: np.ndarray, data: Samples) -> Figure:
+    """Paper's Fig. 7: the run that compensators are trained on, force and velocity against voltage."""
+    figure = _figure(3, "Identification run, poles locked", (8, 5.5))
+    for axis, values, label in zip(
+        figure.axes, (data.voltage, data.force, data.velocity), ("voltage, V", "force, N", "velocity, m/s"), strict=True
+    ):
+        for part, colour, name in ((data.train, BLUE, "training"), (~data.train, RED, "test")):
+            axis.plot(time, np.where(part, values, np.nan), color=colour, lw=0.7, label=name)
+        axis.set_ylabel(label)
+    figure.axes[0].legend(loc="upper right", ncols=2)
+    figure.axes[-1].set_xlabel("time, s")
+    return figure
+
+
+def model_output(time: np.ndarray, data: Samples, model: Any, name: str) -> Figure:
+    """Paper's Figs. 8 and 10: voltage of the inverse model against the voltage applied, on test data."""
+    output = model.volts(data.force, data.velocity, data.previous_velocity)
+    error = output - data.voltage
+    mse = float(np.mean(error[~data.train] ** 2))
+    figure = _figure(2, f"{name.upper()} on test data: mean square error {mse:.3g} V²", (8, 4.5))
+    for axis, start in zip(figure.axes, (9.0, 45.0), strict=True):
+        shown = (time >= start) & (time <= start + 5)
+        axis.plot(time[shown], data.voltage[shown], color=GREY, lw=2.5, label="applied")
+        axis.plot(time[shown], np.where(data.train, np.nan, output)[shown], color=RED, lw=1.0, label="model, test")
+        axis.set_ylabel("voltage, V")
+    figure.axes[0].legend(loc="upper right", ncols=2)
+    figure.axes[-1].set_xlabel("time, s (two stretches; gaps are training data)")
+    return figure
+
+
+def lolimot_growth(data: Samples) -> Figure:
+    """Paper's Fig. 9: error over the number of local models, grown beyond the point where training stops."""
+    train = data.train
+    model = LOLIMOT(max_models=MOST_MODELS, border_validity=0.7, patience=MOST_MODELS).fit(
+        data.inputs[train], data.voltage[train], test=(data.inputs[~train], data.voltage[~train])
+    )
+    figure = _figure(1, "LOLIMOT: error over number of local linear models", (6, 3.6))
+    axis = figure.axes[0]
+    models = np.arange(1, len(model.train_errors_) + 1)
+    axis.semilogy(models, model.train_errors_, "o-", color=BLUE, ms=3, label="training")
+    axis.semilogy(models, model.test_errors_, "s-", color=RED, ms=3, label="test")
+    axis.set_xlabel("local models")
+    axis.set_ylabel("mean square error, V²")
+    axis.legend()
+    return figure
+
+
+def balancing(controller: str, courses: Mapping[str, Run]) -> Figure:
+    """Paper's Fig. 12: cart and poles over the whole run, without and with compensation."""
+    figure = _figure(3, f"Balancing under {controller}, one rig", (8, 6))
+    labels = ("cart, m", "pole 1, deg", "pole 2, deg")
+    for name, course in courses.items():
+        for axis, column, scale in zip(figure.axes, range(3), (1, 180 / np.pi, 180 / np.pi), strict=True):
+            axis.plot(course.time, scale * course.state[:, column], color=COLOURS.get(name), lw=0.7, label=name)
+    for axis, label in zip(figure.axes, labels, strict=True):
+        axis.set_ylabel(label)
+    figure.axes[0].legend(loc="upper right", ncols=len(courses))
+    figure.axes[-1].set_xlabel("time, s")
+    return figure
+
+
+def animate(courses: Mapping[str, Run], comparison: Comparison, path: Path) -> None:
+    """Runs side by side as an animated GIF, from their start.
+
+    Raises:
+        RuntimeError: nothing can be drawn on this machine.
+    """
+    from PIL import Image, ImageDraw
+
+    width, height = GIF_SIZE
+    env = gymnasium.make(
+        ENV_ID, model=comparison.model, render_mode="rgb_array", width=width, height=height, exact_state=True
+    )
+    frames = []
+    try:
+        for moment in np.arange(0.0, GIF_SECONDS, 1 / GIF_RATE):
+            frame = Image.new("RGB", (width * len(courses), height))
+            for column, (name, course) in enumerate(courses.items()):
+                k = min(int(np.searchsorted(course.time, moment)), len(course.time) - 1)
+                env.reset(options={"state": course.state[k]})
+                picture: Any = env.render()
+                frame.paste(Image.fromarray(picture), (width * column, 0))
+                ImageDraw.Draw(frame).text((width * column + 10, 8), _CAPTIONS.get(name, name), fill=(20, 24, 30))
+            frames.append(frame.quantize(64, dither=Image.Dither.NONE))
+    finally:
+        env.close()
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=1000 / GIF_RATE, loop=0, optimize=True)
+
+
+_CAPTIONS = {"none": "without compensation", "llnf": "with the LLNF compensator"}
+
+
+def _figure(rows: int, title: str, size: tuple[float, float]) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(size, layout="constrained")
+    figure.subplots(rows, 1, sharex=rows == 3)
+    figure.suptitle(title, fontsize=11)
+    for axis in figure.axes:
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.grid(alpha=0.25)
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> None:
+    figure.savefig(path, dpi=110)
