@@ -89,10 +89,12 @@ class Fit:
         structure: what was fitted.
         z: its mapped numbers, (p,).
         starts: corrected start states, (n, 2 nb).
-        rest: residual in units of noise after the start correction, (n, m, ns).
+        raw: residual in units of noise at these starts, (n, m, ns).
+        left: the same less what a further correction of the starts would explain, prior rows appended, (n, M).
         mse: mean square of it in each window, (n,).
         sensitivity: of the readings to the starts, in units of noise, (n, m ns + 2 nb, 2 nb).
         quadratics: local model of the squared errors.
+        jacobian: change of `left` per unit of each mapped number, with opposite sign, (n, M, p).
         steps: accepted steps.
         converged: whether the last step changed next to nothing.
     """
@@ -100,7 +102,8 @@ class Fit:
     structure: Structure
     z: Array
     starts: Array
-    rest: Array
+    raw: Array
+    left: Array
     mse: Array
     sensitivity: Array
     quadratics: Quadratics
@@ -159,6 +162,20 @@ class _Shooting:
         self.nudge = np.maximum(problem.spread, 1e-7)
         # A sensor with a bias or a lag tells a state only through the model.
         self.spread = problem.spread * (1e3 if structure.moves_readings else 1.0)
+
+    def best_starts(self, z: Array, tries: Array, S: Array) -> tuple[Array, Array, Array]:
+        """For each window the start (of tries, (k, n, 2 nb)) that leaves least, its residual, its mean square error."""
+        problem = self.problem
+        rests = _residuals(problem, predict(problem, self.structure, [z] * len(tries), tries))
+        n = tries.shape[1]
+        mse = []
+        for starts, rest in zip(tries, rests, strict=True):
+            rows = _augment(rest.reshape(n, -1, 1), (problem.starts - starts) / self.spread, self.nb2)
+            left, _ = _project(S, rows)
+            mse.append(np.einsum("nmk,nmk->n", left, left) / problem.counts)
+        best = np.argmin(np.stack(mse), axis=0)
+        each = np.arange(n)
+        return tries[best, each], rests[best, each], np.stack(mse)[best, each]
 
     def sensitivity(self, z: Array, starts: Array, base: Array) -> Array:
         """Of the scaled readings to the starts, prior rows appended: (n, m ns + 2 nb, 2 nb)."""
@@ -259,12 +276,8 @@ def fit(
             step = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
             step = np.clip(step, -1.0, 1.0)
             trial = structure.clip(z + step)
-            moved = s + shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
-            rest = _residual(problem, predict(problem, structure, [trial], moved[None])[0])
-            left, _ = _project(
-                S, _augment(rest.reshape(len(s), -1, 1), (problem.starts - moved) / shooting.spread, shooting.nb2)
-            )
-            trial_mse = np.einsum("nmk,nmk->n", left, left) / counts
+            ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
+            moved, rest, trial_mse = shooting.best_starts(trial, np.stack([s + ahead, s + ahead / 3, problem.starts]), S)
             then = _objective(trial_mse, scale) + prior_z @ (trial - centre) ** 2 / counts.mean()
             if then < now:
                 accepted = True
@@ -278,24 +291,19 @@ def fit(
         damping, steps = max(damping / 8, 1e-7), steps + 1
         if steps % 2 == 0 or converged:
             S = shooting.sensitivity(z, s, base)
-    left = r1[:, : base[0].size].reshape(base.shape)
-    return Fit(structure, z, s, left, mse, S, quadratics, J1, steps, converged)
+    return Fit(structure, z, s, base, r1, mse, S, quadratics, J1, steps, converged)
 
 
 def _settle(
     problem: Problem, shooting: _Shooting, z: Array, s: Array, base: Array, S: Array
 ) -> tuple[Array, Array, Array]:
-    """One or two corrections of the starts alone."""
+    """Correct the starts alone, twice; a joint that sticks may as well start at rest."""
+    still = problem.starts.copy()
+    still[np.abs(still) < 2 * problem.spread * (np.arange(shooting.nb2) >= shooting.nb2 // 2)] = 0.0
     for _ in range(2):
         r = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / shooting.spread, shooting.nb2)
-        _, moves = _project(S, r)
-        moved = s + shooting.nudge * moves[..., 0]
-        rest = _residual(problem, predict(problem, shooting.structure, [z], moved[None])[0])
-        better = np.sum(rest**2, axis=(1, 2)) < np.sum(base**2, axis=(1, 2))
-        if not better.any():
-            break
-        s = np.where(better[:, None], moved, s)
-        base = np.where(better[:, None, None], rest, base)
+        ahead = shooting.nudge * _project(S, r)[1][..., 0]
+        s, base, _ = shooting.best_starts(z, np.stack([s + ahead, s, s + ahead / 3, still, problem.starts]), S)
         S = shooting.sensitivity(z, s, base)
     return base, s, S
 

@@ -19,6 +19,7 @@ from dipc_gym import mjcf
 from dipc_gym.physics import Physics, stack
 from dipc_gym.sim2real.document import FOLLOWS
 from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.stick import DryFriction
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,8 @@ class Stepping:
 
     Attributes:
         timestep: longest step, s; shortened so that a whole number of steps fits one sample.
-        integrator: MuJoCo's, or None for the model's own.
+        integrator: MuJoCo's, or None for the model's own. With one of its choice, dry friction is not left to
+            MuJoCo's constraint either, but to `stick.DryFriction`, which locates reversals inside the step.
     """
 
     timestep: float
@@ -167,6 +169,11 @@ def simulate(
     step = grid_step(windows, stepping)
     models = [stepping.on(_copy(variant.model), step) for variant in variants]
     delays = np.stack([_take_delays(model) for model in models])
+    level = np.stack([model.dof_frictionloss.copy() for model in models])
+    located = stepping.integrator is not None and bool((level > 0).any())
+    if located:
+        for model in models:
+            model.dof_frictionloss[:] = 0
     n, count = len(windows), len(variants)
     which = np.repeat(np.arange(count), n)
     physics = stack(variants, which)
@@ -174,6 +181,7 @@ def simulate(
     sims = mjbatch.Batch(models[0], count * n, threads)
     _spread(sims, models, which)
 
+    dry = DryFriction(sims, level[which]) if located else None
     nwarm = math.ceil(warm / step - 1e-9) if warm > 0 else 0
     nstep = math.floor(windows.times.max() / step + 1e-6) + 2
     commands = _commands(windows, delays, step, nwarm, nstep)
@@ -188,7 +196,7 @@ def simulate(
         assert warm_starts is not None
         early = np.broadcast_to(warm_starts, (count, n, starts.shape[-1])).reshape(count * n, -1)
         _place(sims, q, dof, follow, early[:, :nb], early[:, nb:])
-        track = _run(sims, physics, commands[:, :nwarm], record=bool(physics.stage("lag")))
+        track = _run(sims, physics, dry, commands[:, :nwarm], record=bool(physics.stage("lag")))
         # The joints go where the recording says; whatever hides behind a gap keeps its place relative to them.
         offset = sims.qpos[:, [f for f, _ in follow]] - sims.qpos[:, [q[b] for _, b in follow]]
         speed = sims.qvel[:, [f for f, _ in follow]].copy()
@@ -198,7 +206,7 @@ def simulate(
             sims.qvel[:, [f for f, _ in follow]] = speed
     else:
         _place(sims, q, dof, follow, begin[:, :nb], begin[:, nb:])
-    readings = _run(sims, physics, commands[:, nwarm:], record=True)
+    readings = _run(sims, physics, dry, commands[:, nwarm:], record=True)
     assert readings is not None
     readings = _sense(physics, readings, track, step)
     readings = readings[..., mjcf.sensor_addresses(models[0])]
@@ -268,13 +276,7 @@ def _places(model: mujoco.MjModel, base: Sequence[str]) -> tuple[list[int], list
     """Addresses of the base joints, and for every other joint its address and the base joint that it follows."""
     q = [int(model.joint(name).qposadr[0]) for name in base]
     dof = [int(model.joint(name).dofadr[0]) for name in base]
-    leaders = {
-        model.text(i).name.removeprefix(FOLLOWS): model.text(i).data.decode().rstrip("\0")
-        if isinstance(model.text(i).data, bytes)
-        else str(model.text(i).data)
-        for i in range(model.ntext)
-        if model.text(i).name.startswith(FOLLOWS)
-    }
+    leaders = {n.removeprefix(FOLLOWS): leader for n, leader in mjcf.texts(model).items() if n.startswith(FOLLOWS)}
     follow = [(int(model.joint(name).qposadr[0]), list(base).index(leader)) for name, leader in sorted(leaders.items())]
     return q, dof, follow
 
@@ -289,27 +291,35 @@ def _place(
         sims.qvel[:, mine] = vel[:, leader]
 
 
-def _run(sims: mjbatch.Batch, physics: Physics, commands: Array, *, record: bool) -> Array | None:
+def _run(
+    sims: mjbatch.Batch, physics: Physics, dry: DryFriction | None, commands: Array, *, record: bool
+) -> Array | None:
     """Advance under commands (sims, nstep, nu); readings (sims, nstep, nsensordata) at the beginning of each step."""
     nstep = commands.shape[1]
-    if not physics.acts:
-        return (
-            sims.rollout(nstep, commands, record=("sensordata",) if record else ())["sensordata"]
-            if record
-            else (sims.rollout(nstep, commands, record=()) and None)
-        )
-    readings = np.empty((sims.nsim, nstep, sims.model.nsensordata)) if record else None
-    friction = sims.expand("dof_frictionloss")
+    if dry is None and not physics.acts:
+        out = sims.rollout(nstep, commands, record=("sensordata",) if record else ())
+        return out.get("sensordata")
+    readings = np.empty((nstep, sims.nsim, sims.model.nsensordata)) if record else None
     sensed = sims.bind("sensordata")
-    sims.bind("qfrc_actuator"), sims.bind("qfrc_bias")
-    sims.forward()
+    forces = np.zeros((sims.nsim, sims.model.nv))
+    level = sims.expand("dof_frictionloss") if dry is None else dry.level
+    if physics.stage("friction"):
+        sims.bind("qfrc_actuator"), sims.bind("qfrc_bias")
+        sims.forward()
+    if dry is not None:
+        dry.begin()
     for k in range(nstep):
         sims.ctrl[:] = commands[:, k]
-        physics.act(sims, friction, sims.qfrc_applied)
+        physics.act(sims, level, forces)
+        now = None if readings is None else readings[k]
+        if dry is not None:
+            dry.step(forces, now, sensed)
+            continue
+        sims.qfrc_applied[:] = forces
         sims.step()
-        if readings is not None:
-            readings[:, k] = sensed
-    return readings
+        if now is not None:
+            now[:] = sensed
+    return None if readings is None else readings.swapaxes(0, 1)
 
 
 def _sense(physics: Physics, readings: Array, track: Array | None, step: float) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from dipc_gym import mjcf
+from dipc_gym.physics import Physics
 from dipc_gym.sim2real.recording import Recording
 
 Array = NDArray[np.float64]
@@ -155,19 +156,21 @@ def smoothed(time: Array, values: Array, noise: float) -> Array:
     return solve(10**low)
 
 
-def unexplained_force(model: mujoco.MjModel, recording: Recording, motion: Motion) -> tuple[Array, Array]:
+def unexplained_force(physics: Physics, recording: Recording, motion: Motion) -> tuple[Array, Array]:
     """Generalised force that the motion needs beyond what the model gives, by inverse dynamics.
 
     Returns:
         The unexplained force (n, nv), N or N m, and the load that each joint transmits (n, nv).
     """
+    model = physics.model
     data = mujoco.MjData(model)
     n = len(motion.time)
+    commands = physics.command(recording.commands)
     rest, load = np.empty((n, model.nv)), np.empty((n, model.nv))
     nu = recording.commands.shape[1]
     for k in range(n):
         data.qpos[:], data.qvel[:] = motion.position[k], motion.velocity[k]
-        data.ctrl[:nu] = recording.commands[k]
+        data.ctrl[:nu] = commands[k]
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)

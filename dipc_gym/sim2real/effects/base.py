@@ -55,6 +55,7 @@ class Evidence:
         gear: of the actuator's transmission, 0 where there is none.
         inertia: what the joint moves, kg or kg m^2.
         period: of the recording, s.
+        level: of dry friction that the structure has there already, N or N m; None without.
     """
 
     model: mujoco.MjModel
@@ -68,6 +69,7 @@ class Evidence:
     gear: float
     inertia: float
     period: float
+    level: float | None = None
 
     @property
     def force_scale(self) -> float:
@@ -85,9 +87,17 @@ class Evidence:
         return np.asarray(np.linalg.lstsq(columns, self.force, rcond=None)[0][:-1])
 
     @property
-    def moving(self) -> NDArray[np.bool_]:
-        """Samples at which the joint clearly moves."""
-        return np.abs(self.velocity) > 0.1 * self.speed_scale
+    def direction(self) -> Array:
+        """Sign of the velocity, smoothed at speeds where it is uncertain, (n,)."""
+        return np.asarray(np.tanh(self.velocity / (0.05 * self.speed_scale)))
+
+    @property
+    def dry_level(self) -> float:
+        """Level of dry friction: the known one, or the part of the unexplained force that opposes motion."""
+        if self.level is not None:
+            return self.level
+        (level,) = self.along(-self.direction)
+        return float(np.clip(level, 0.1 * self.force_scale, 2 * self.force_scale))
 
 
 def rms(values: Array) -> float:

@@ -30,8 +30,7 @@ class Asymmetric(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Force that opposes motion, and half of it more or less in one direction."""
-        (level,) = evidence.along(-np.tanh(evidence.velocity / (0.05 * evidence.speed_scale)))
-        level = float(np.clip(level, 0.1 * evidence.force_scale, 2 * evidence.force_scale))
+        level = evidence.dry_level
         offset = float(np.clip(-np.mean(evidence.force), -0.8 * level, 0.8 * level)) or 0.1 * level
         return [{"forward": level + offset, "backward": level - offset}]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import mujoco
-import numpy as np
 
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry
@@ -25,8 +24,7 @@ class Coulomb(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The part of the unexplained force that opposes motion."""
-        (level,) = evidence.along(-np.tanh(evidence.velocity / (0.05 * evidence.speed_scale)))
-        return [{"level": float(np.clip(level, 0.1 * evidence.force_scale, 2 * evidence.force_scale))}]
+        return [{"level": evidence.dry_level}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Dry friction on the joint."""

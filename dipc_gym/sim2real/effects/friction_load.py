@@ -25,16 +25,11 @@ class UnderLoad(Effect):
     needs_loader = True
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Force against motion, split into a constant and a part in proportion to load."""
-        against = -np.tanh(evidence.velocity / (0.05 * evidence.speed_scale))
-        level, coefficient = evidence.along(against, against * np.abs(evidence.load))
-        scale = evidence.force_scale / max(float(np.mean(np.abs(evidence.load))), 1e-12)
-        return [
-            {
-                "level": float(np.clip(level, 0.1 * evidence.force_scale, 2 * evidence.force_scale)),
-                "coefficient": float(np.clip(coefficient, 0.05 * scale, min(scale, 1.0))),
-            }
-        ]
+        """Dry friction, three tenths of it in proportion to load."""
+        share = 0.3
+        typical = max(float(np.mean(np.abs(evidence.load))), 1e-12)
+        level = evidence.dry_level
+        return [{"level": (1 - share) * level, "coefficient": min(share * level / typical, 0.5)}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader; stock MuJoCo gets the level without load."""

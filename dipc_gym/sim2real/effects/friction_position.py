@@ -36,10 +36,10 @@ class AlongTheWay(Effect):
         first, last = (float(x) for x in np.quantile(evidence.position, [0.005, 0.995]))
         at = np.linspace(first, last, KNOTS)
         hats = [np.interp(evidence.position, at, row) for row in np.eye(KNOTS)]
-        against = -np.tanh(evidence.velocity / (0.05 * evidence.speed_scale))
-        levels = np.clip(
-            evidence.along(*(against * hat for hat in hats)), 0.1 * evidence.force_scale, 3 * evidence.force_scale
-        )
+        parts = evidence.along(*(-evidence.direction * hat for hat in hats))
+        level = evidence.dry_level
+        rest = parts if evidence.level is None else level + parts
+        levels = np.clip(rest, 0.1 * level, 3 * level)
         return [{"first": first, "last": last} | {f"level_{k + 1}": float(x) for k, x in enumerate(levels)}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:

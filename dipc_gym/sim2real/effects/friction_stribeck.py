@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import mujoco
-import numpy as np
 
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry
@@ -35,10 +34,9 @@ class Stribeck(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Kinetic level from the force that opposes motion, a static one half as large again."""
-        (level,) = evidence.along(-np.tanh(evidence.velocity / (0.05 * evidence.speed_scale)))
-        level = float(np.clip(level, 0.1 * evidence.force_scale, 2 * evidence.force_scale))
+        level = evidence.dry_level
         return [
-            {"level": level, "static": 1.5 * level, "velocity": share * evidence.speed_scale} for share in (0.05, 0.2)
+            {"level": level, "static": 1.4 * level, "velocity": share * evidence.speed_scale} for share in (0.05, 0.2)
         ]
 
     def edit(self, document: Document, at: str, values: Values) -> None:

@@ -1,0 +1,116 @@
+"""Gather what is known at each place before anything is fitted there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.physics import Physics
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Place, joint_of
+from dipc_gym.sim2real.effects.coupling import inertia_at
+from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.states import Motion, unexplained_force
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Motion and unexplained force over all recordings.
+
+    Attributes:
+        model: whose force is lacking.
+        recordings: what was measured.
+        time: s, (n,), beginning anew with each recording.
+        position: of each joint, (n, nq).
+        velocity: (n, nv).
+        force: unexplained generalised force, (n, nv).
+        load: that each joint transmits, (n, nv).
+        source: index of the recording, (n,).
+    """
+
+    model: mujoco.MjModel
+    recordings: tuple[Recording, ...]
+    time: Array
+    position: Array
+    velocity: Array
+    force: Array
+    load: Array
+    source: NDArray[np.intp]
+
+    def at(self, place: Place, name: str, levels: dict[str, float]) -> Evidence:
+        """The evidence at one place; a sensor's or actuator's joint stands for it.
+
+        Args:
+            place: kind of place.
+            name: of the joint, actuator or sensor; anything for the world.
+            levels: dry friction that the structure has at joints.
+        """
+        joint, command, reading, gear = name, np.zeros(0), np.zeros(0), 0.0
+        if place == "actuator":
+            joint = joint_of(self.model, name) or ""
+            k = self.recordings[0].actuator_names.index(name)
+            command = np.concatenate([r.commands[:, k] for r in self.recordings])
+            gear = float(self.model.actuator(name).gear[0])
+        elif place == "sensor":
+            joint = ""
+            k = self.recordings[0].sensor_names.index(name)
+            reading = np.concatenate([r.sensors[:, k] for r in self.recordings])
+        if joint not in self._joints:
+            power = np.sqrt(np.mean(self.force**2, axis=0)) / (np.sqrt(np.mean(self.load**2, axis=0)) + 1e-12)
+            joint = self._joints[int(np.argmax(power))]
+        j = self._joints.index(joint)
+        return Evidence(
+            self.model,
+            self.force[:, j],
+            self.velocity[:, j],
+            self.position[:, j],
+            self.load[:, j],
+            self.time,
+            command,
+            reading,
+            gear,
+            inertia_at(self.model, joint),
+            min(r.period for r in self.recordings),
+            levels.get(joint),
+        )
+
+    @property
+    def _joints(self) -> list[str]:
+        return [self.model.joint(j).name for j in range(self.model.njnt)]
+
+
+def scene(physics: Physics, recordings: Sequence[Recording], motions: Sequence[Motion], until: float) -> Scene:
+    """What a model leaves unexplained.
+
+    Args:
+        physics: the model.
+        recordings: what was measured.
+        motions: of the joints.
+        until: the part of each recording to look at, from its start.
+    """
+    model = physics.model
+    parts = []
+    for recording, motion in zip(recordings, motions, strict=True):
+        n = int(until * len(recording))
+        force, load = unexplained_force(physics, recording, motion)
+        parts.append((recording.time[:n], motion.position[:n], motion.velocity[:n], force[:n], load[:n]))
+    time, position, velocity, force, load = (np.concatenate(part) for part in zip(*parts, strict=True))
+    source = np.concatenate([np.full(len(part[0]), i) for i, part in enumerate(parts)])
+    cut = tuple(recording.slice(0, int(until * len(recording))) for recording in recordings)
+    return Scene(model, cut, time, position, velocity, force, load, source)
+
+
+def places(effect: Effect, model: mujoco.MjModel, joints: Sequence[str], recording: Recording) -> list[str]:
+    """Names of the places at which an effect may be missing."""
+    names: dict[Place, list[str]] = {
+        "joint": list(joints),
+        "actuator": list(recording.actuator_names),
+        "sensor": list(recording.sensor_names),
+        "world": ["world"],
+    }
+    return [name for name in names[effect.place] if effect.fits(model, name)]

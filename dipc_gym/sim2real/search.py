@@ -1,0 +1,273 @@
+"""Find the effects that a model lacks, one at a time, by what they do to predictions of windows not fitted.
+
+Screening costs one simulation a hypothesis: its response at a first guess, laid over the residual beside everything
+that is free already. The best few are fitted fully. What decides is the error of windows whose numbers were fitted
+without them, as a mean of logarithms, so that each window counts alike and its standard error means something.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym.sim2real.effects.base import Effect
+from dipc_gym.sim2real.evidence import Scene, places
+from dipc_gym.sim2real.fit import Fit, Problem, cross_validated, fit, predict, weights
+from dipc_gym.sim2real.structure import Structure, Term, carry
+
+Array = NDArray[np.float64]
+
+FINALISTS = 6  # hypotheses fitted fully in a round
+CLEAR = 4.0  # standard errors by which an improvement must stand out; dozens of hypotheses are tried
+WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
+ALIKE = 2.0  # standard errors within which two hypotheses are not told apart
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How much better one fit predicts than another.
+
+    Attributes:
+        gain: mean fall of the log square error of unseen windows; 0.7 is a factor of two.
+        error: standard error of it, over blocks of a second.
+    """
+
+    gain: float
+    error: float
+
+    @property
+    def clear(self) -> bool:
+        """Better beyond chance, and by enough to matter."""
+        return self.gain > WORTH and self.gain > CLEAR * self.error
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A hypothesis and what became of it.
+
+    Attributes:
+        key: `effect@place`.
+        promise: fall of the log error that screening foretold.
+        fitted: the full fit, or None if it was not among the finalists.
+        score: mean log square error of unseen windows; infinite if not fitted.
+    """
+
+    term: Term
+    promise: float
+    fitted: Fit | None = None
+    score: float = math.inf
+
+    @property
+    def key(self) -> str:
+        """`effect@place`."""
+        return self.term.key
+
+
+@dataclass
+class Search:
+    """One diagnosis in progress.
+
+    Attributes:
+        problem: training windows.
+        effects: the catalogue.
+        joints: base joints.
+        look: gives the evidence for a structure.
+        rounds: hypotheses of each round, the best first.
+        tell: called with a line about progress.
+    """
+
+    problem: Problem
+    effects: Sequence[Effect]
+    joints: tuple[str, ...]
+    look: Callable[[Fit], Scene]
+    tell: Callable[[str], None] = lambda line: None
+    rounds: list[list[Tried]] = field(default_factory=list)
+
+    def losses(self, fitted: Fit) -> Array:
+        """Log square error of each window under numbers fitted without it, (n,)."""
+        return np.log1p(cross_validated(fitted, self.problem))
+
+    def compare(self, new: Fit, old: Fit) -> Comparison:
+        """How much better `new` predicts than `old`."""
+        return compare(self.losses(new), self.losses(old), self.problem.blocks)
+
+    # -------------------------------------------------------------------------------------------- one round
+
+    def hypotheses(self, current: Fit, scene: Scene) -> list[Term]:
+        """Every effect at every place it can act, with first guesses."""
+        levels = {
+            term.at: current.structure.term_values(current.z, term)["level"]
+            for term in current.structure.terms
+            if term.effect.id == "friction.coulomb"
+        }
+        taken = {term.key for term in current.structure.terms}
+        covered = {(inner, term.at) for term in current.structure.terms for inner in term.effect.contains}
+        found = []
+        for effect in self.effects:
+            for at in places(effect, scene.model, self.joints, scene.recordings[0]):
+                if f"{effect.id}@{at}" in taken or (effect.id, at) in covered:
+                    continue
+                if _clash(current.structure, effect, at):
+                    continue
+                evidence = scene.at(effect.place, at, levels)
+                found += [Term(effect, at, dict(guess)) for guess in effect.guesses(evidence)]
+        return found
+
+    def screen(self, current: Fit, terms: Sequence[Term]) -> list[Tried]:
+        """Rank hypotheses by what they promise; the best guess of each, the most promising first."""
+        before = float(np.mean(np.log1p(current.mse)))
+        best: dict[str, Tried] = {}
+        for term in terms:
+            try:
+                promise, size = self._promise(current, term)
+            except mjcf.MjcfError:
+                continue
+            promise = before - promise
+            if term.key not in best or promise > best[term.key].promise:
+                best[term.key] = Tried(_scaled(term, size), promise)
+        return sorted(best.values(), key=lambda tried: -tried.promise)
+
+    def _promise(self, current: Fit, term: Term) -> tuple[float, float]:
+        """Mean log square error after adding this effect at its best size, and that size in guesses."""
+        structure = current.structure.with_term(term)
+        z = carry(current.structure, current.z, structure)
+        readings = predict(self.problem, structure, [z], current.starts[None])[0]
+        w = self.problem.windows
+        rest = np.where(w.valid[..., None], np.clip((w.observed - readings) / w.noise, -1e6, 1e6), 0.0)
+        change = current.raw - rest  # what the effect adds to the prediction, in units of noise
+        n = len(current.mse)
+        rows = np.concatenate([change.reshape(n, -1, 1), np.zeros((n, current.sensitivity.shape[2], 1))], axis=1)
+        Q, _ = np.linalg.qr(current.sensitivity)
+        rows = (rows - Q @ (np.swapaxes(Q, 1, 2) @ rows))[..., 0]
+        counts = self.problem.counts
+        weight = weights(current.mse) / counts
+        columns = np.concatenate([rows[..., None], current.jacobian], axis=2)
+        A = np.einsum("n,nmi,nmj->ij", weight, columns, columns)
+        b = np.einsum("n,nmi,nm->i", weight, columns, current.left)
+        prior = np.array([0.0, *(1 / slot.sigma**2 for slot in current.structure.slots)])
+        A = A + np.diag(prior / counts.mean()) * len(counts) / n
+        scale = np.sqrt(np.diag(A)) + 1e-300
+        step = np.linalg.lstsq(A / np.outer(scale, scale), b / scale, rcond=1e-9)[0] / scale
+        size = float(np.clip(step[0], 0.0, 4.0))
+        if size == 0.0:
+            return float(np.mean(np.log1p(current.mse))), 1.0
+        step = np.append(size, np.clip(step[1:], -1, 1))
+        left = current.left - columns @ step
+        return float(np.mean(np.log1p(np.einsum("nm,nm->n", left, left) / counts))), size
+
+    def full(self, current: Fit, term: Term, most: int = 8) -> Fit | None:
+        """Fit the structure with one more effect; None where it cannot be simulated."""
+        structure = current.structure.with_term(term)
+        try:
+            return fit(
+                self.problem, structure, carry(current.structure, current.z, structure), current.starts, most=most
+            )
+        except (mjcf.MjcfError, np.linalg.LinAlgError):
+            return None
+
+    def round(self, current: Fit) -> Fit | None:
+        """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
+        scene = self.look(current)
+        ranked = self.screen(current, self.hypotheses(current, scene))
+        finalists = [tried for tried in ranked if tried.promise > WORTH / 4][:FINALISTS]
+        done: list[Tried] = []
+        for tried in finalists:
+            fitted = self.full(current, tried.term)
+            if fitted is not None:
+                score = float(np.mean(self.losses(fitted)))
+                done.append(replace(tried, fitted=fitted, score=score))
+                self.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
+        done.sort(key=lambda tried: tried.score)
+        self.rounds.append(done + [t for t in ranked if t.key not in {d.key for d in done}])
+        return self.choose(current, done)
+
+    def choose(self, current: Fit, done: Sequence[Tried]) -> Fit | None:
+        """The simplest of the hypotheses that predict best, if it is clearly better than `current`."""
+        clear = [t for t in done if t.fitted is not None and self.compare(t.fitted, current).clear]
+        if not clear:
+            return None
+        best = clear[0]
+        assert best.fitted is not None
+        alike = [t for t in clear if t.fitted is not None and self.alike(best.fitted, t.fitted, current)]
+        chosen = min(alike, key=lambda t: (len(t.fitted.z) if t.fitted else 0, t.score))
+        return chosen.fitted
+
+    def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
+        """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""
+        difference = self.compare(best, other)
+        gained = self.compare(best, current).gain
+        return difference.gain < max(ALIKE * difference.error, WORTH / 2) and difference.gain < 0.02 * gained + WORTH
+
+    def run(self, start: Fit, most: int = 4) -> Fit:
+        """Add effects until none earns its place, then take out those that the later ones made idle."""
+        current = start
+        for _ in range(most):
+            better = self.round(current)
+            if better is None:
+                break
+            current = better
+            self.tell(f"added {current.structure.terms[-1].key}")
+            current = self.prune(current)
+        return current
+
+    def prune(self, current: Fit) -> Fit:
+        """Take out effects whose absence costs nothing."""
+        if len(current.structure.terms) < 2:
+            return current
+        for term in current.structure.terms[:-1]:
+            less = self.without(current, term.key)
+            lost = self.compare(current, less)
+            if not (lost.gain > WORTH / 2 and lost.gain > ALIKE * lost.error):
+                self.tell(f"dropped {term.key}")
+                return self.prune(less)
+        return current
+
+    def without(self, current: Fit, key: str) -> Fit:
+        """Refit with one effect less."""
+        structure = current.structure.without(key)
+        return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
+
+
+def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
+    """Paired comparison of the losses (n,) of windows, by blocks."""
+    difference = old - new
+    sums = np.bincount(blocks, difference)
+    sizes = np.bincount(blocks)
+    sums, sizes = sums[sizes > 0], sizes[sizes > 0]
+    mean = float(np.sum(sums) / np.sum(sizes))
+    if len(sums) < 3:
+        return Comparison(mean, math.inf)
+    spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
+    return Comparison(mean, float(spread))
+
+
+def _clash(structure: Structure, effect: Effect, at: str) -> bool:
+    """Whether an effect would write over one that is there: two friction laws at a joint, two rotors at a motor."""
+    for term in structure.terms:
+        if term.effect.id in effect.contains:
+            continue
+        same = term.at == at and term.effect.id.split(".")[0] == effect.id.split(".")[0]
+        if (
+            same
+            and effect.id.startswith(("friction.", "transmission."))
+            and "friction.viscous"
+            not in (
+                effect.id,
+                term.effect.id,
+            )
+        ):
+            return True
+    return False
+
+
+def _scaled(term: Term, size: float) -> Term:
+    """A guess made `size` times as strong, where its first free parameter is a strength."""
+    parameter = next(p for p in term.effect.parameters if not p.fixed)
+    if parameter.log or not 0.2 < size < 4.0 or term.effect.contains:
+        return term
+    return replace(term, guess={**term.guess, parameter.name: term.guess[parameter.name] * size})
