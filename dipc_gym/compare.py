@@ -22,10 +22,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, compensators, controllers, lqr
+from dipc_gym import ENV_ID, compensators, controllers, lqr, runs
 from dipc_gym.compensators import OutOfRangeWarning
-from dipc_gym.identification import Cart, Sweep, cart, cart_model, record, samples
+from dipc_gym.identification import Sweep
 from dipc_gym.plant import Friction, Plant
+from dipc_gym.runs import Course, Identification, identify
 from dipc_gym.sim2real import recording
 from dipc_gym.sim2real.recording import Recording
 
@@ -127,30 +128,22 @@ class Comparison:
 
     def base_plant(self) -> Plant:
         """The build that all rigs are of."""
-        return _unwrapped(gymnasium.make(ENV_ID, plant=self.plant, model=self.model)).plant
+        env: Any = gymnasium.make(ENV_ID, plant=self.plant, model=self.model).unwrapped
+        return env.plant
 
     def rig(self, seed: int) -> Plant:
         """The rig of a seed."""
         return self.spread.draw(self.base_plant(), seed)
 
-    def identification(self, seed: int) -> tuple[Recording, Cart, Plant]:
-        """The identification run for a seed, with the linear model of its cart and the rig that made it."""
+    def identification(self, seed: int) -> Identification:
+        """The identification run of a seed's rig, or the one that was recorded."""
         plant = self.rig(seed) if self.recording is None else self.base_plant()
-        model = cart_model(_unwrapped(gymnasium.make(ENV_ID, model=self.model)).source, plant)
-        if self.recording is None:
-            return record(model, plant, self.sweep, seed=seed), cart(model), plant
-        return recording.read(self.recording, model), cart(model), plant
+        return identify(plant, model=self.model, from_recording=self.recording, sweep=self.sweep, seed=seed)
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """What one identification run gave.
-
-    Attributes:
-        seed: the rig.
-        run: the identification run.
-        trained: compensators as dictionaries, by the name they were asked for.
-    """
+    """What one identification run gave: the run, and compensators as dictionaries by the name they were asked for."""
 
     seed: int
     run: Recording
@@ -158,42 +151,23 @@ class Fitted:
 
 
 @dataclass(frozen=True)
-class Run:
-    """One balancing run: its figures, and its course if that was asked for.
-
-    Attributes:
-        cell: what `cells/*.json` holds.
-        time: (n,) s; empty if the course was not kept.
-        state: (n, 6) exact state before each command.
-        force: (n,) N, as the controller commanded it.
-        voltage: (n,) V, as applied.
-        readings: (n, 3) encoders.
-    """
+class Done:
+    """A balancing run: what `cells/*.json` holds of it, and its course where that is kept."""
 
     cell: dict[str, Any]
-    time: Array
-    state: Array
-    force: Array
-    voltage: Array
-    readings: Array
+    course: Course | None
 
 
 def fit(comparison: Comparison, seed: int) -> Fitted:
     """Identify one rig and train its compensators."""
-    run, linear, plant = comparison.identification(seed)
-    data = samples(run, linear, plant.encoders, plant.control_period, block=comparison.sweep.block)
-    trained = {}
-    for name in comparison.compensators:
-        if name.endswith(".json"):
-            trained[name] = compensators.load(name).to_dict()
-        else:
-            trained[name] = compensators.fit(name, data, linear.constants, seed=seed).to_dict()
-    return Fitted(seed, run, trained)
+    identified = comparison.identification(seed)
+    trained = {name: identified.fit(name, seed=seed).to_dict() for name in comparison.compensators}
+    return Fitted(seed, identified.run, trained)
 
 
 def balance(
     comparison: Comparison, seed: int, controller: str, name: str, trained: Mapping[str, Any], keep: bool
-) -> Run:
+) -> Done:
     """Balance one rig with one controller and one compensator.
 
     Args:
@@ -204,52 +178,30 @@ def balance(
         trained: the compensator as a dictionary.
         keep: return the course too.
     """
-    from dipc_gym.wrappers import ForceCommand
-
-    brain = controllers.load(controller)
-    compensator = compensators.load(dict(trained))
-    plant = comparison.rig(seed)
-    steps = round(comparison.seconds / plant.control_period)
-    env = gymnasium.make(ENV_ID, plant=plant, model=comparison.model, max_episode_steps=steps)
-    inner = _unwrapped(env)
-    env = ForceCommand(env, compensator)
-    observation, info = env.reset(seed=seed)
-    state, force, voltage, readings = np.zeros((steps, 6)), np.zeros(steps), np.zeros(steps), np.zeros((steps, 3))
-    action = np.zeros(1)
-    done, terminated, clipped = 0, False, 0
+    brain, compensator, plant = controllers.load(controller), compensators.load(dict(trained)), comparison.rig(seed)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", OutOfRangeWarning)
-        for k in range(steps):
-            state[k], readings[k] = inner.state, inner.encoders
-            action[0] = brain.force(observation)
-            observation, _, terminated, _, info = env.step(action)  # type: ignore[arg-type]
-            force[k], voltage[k] = info["force"], info["voltage"]
-            clipped += info["clipped"]
-            done = k + 1
-            if terminated:
-                break
-    env.close()
-    period = plant.control_period
+        course = runs.balance(
+            brain, compensator, seconds=comparison.seconds, seed=seed, plant=plant, model=comparison.model
+        )
     cell: dict[str, Any] = {
         "controller": brain.name,
         "compensator": _label(name),
         "seed": seed,
-        "survived": not terminated,
-        "seconds": done * period,
-        "cost": _cost(state[:done], force[:done], lqr.RECOVERED_Q),
-        "cost_printed_q": _cost(state[:done], force[:done], lqr.PRINTED_Q),
-        "voltage_rms": float(np.sqrt(np.mean(voltage[:done] ** 2))),
-        "clipped_share": clipped / done,
+        "survived": not course.fell,
+        "seconds": len(course.time) * plant.control_period,
+        "cost": _cost(course, lqr.RECOVERED_Q),
+        "cost_printed_q": _cost(course, lqr.PRINTED_Q),
+        "voltage_rms": float(np.sqrt(np.mean(course.voltage**2))),
+        "clipped_share": course.clipped / len(course.time),
         "test_mse": None if compensator.figures is None else compensator.figures.test_mse,
         "parameters": compensator.parameters,
         "notes": [str(w.message) for w in said if issubclass(w.category, OutOfRangeWarning)],
     }
-    late = np.abs(state[round(min(SETTLED, comparison.seconds / 4) / period) : done])
+    late = np.abs(course.state[course.time >= min(SETTLED, comparison.seconds / 4)])
     for key, column, scale in (("cart_m", 0, 1.0), ("pole1_deg", 1, 180 / np.pi), ("pole2_deg", 2, 180 / np.pi)):
         cell[key] = float(late[:, column].max()) * scale if len(late) else None
-    if not keep:
-        done = 0
-    return Run(cell, period * np.arange(done), state[:done], force[:done], voltage[:done], readings[:done])
+    return Done(cell, course if keep else None)
 
 
 def run(comparison: Comparison, out: str | Path, *, jobs: int = 2, overwrite: bool = False) -> dict[str, Any]:
@@ -277,7 +229,7 @@ def run(comparison: Comparison, out: str | Path, *, jobs: int = 2, overwrite: bo
     out = prepare_folder(out, overwrite=overwrite)
     cells: list[dict[str, Any]] = []
     fits: dict[int, Fitted] = {}
-    courses: dict[tuple[str, str], Run] = {}
+    courses: dict[tuple[str, str], Course] = {}
     notes: list[str] = []
     complete = False
     try:
@@ -287,8 +239,8 @@ def run(comparison: Comparison, out: str | Path, *, jobs: int = 2, overwrite: bo
         for done in _parallel(_balances(comparison, fits), jobs, "balance"):
             cells.append(done.cell)
             _save_cell(done, out)
-            if len(done.time):
-                courses[done.cell["controller"], done.cell["compensator"]] = done
+            if done.course is not None:
+                courses[done.cell["controller"], done.cell["compensator"]] = done.course
         notes += figures.draw_all(comparison, fits[0], courses, out)
         complete = True
     finally:
@@ -432,16 +384,15 @@ def _save_fit(fitted: Fitted, out: Path) -> None:
         recording.write(fitted.run, out / "recordings" / "identification-00.csv")
 
 
-def _save_cell(run: Run, out: Path) -> None:
-    name = f"{run.cell['controller']}-{run.cell['compensator']}-{run.cell['seed']:02d}"
-    write_json(out / "cells" / f"{name}.json", run.cell)
-    if len(run.time):
-        course = Recording(name, run.time, run.voltage[:, None], run.readings, ("motor",), ("cart", "pole1", "pole2"))
-        recording.write(course, out / "recordings" / f"{name}.csv")
+def _save_cell(done: Done, out: Path) -> None:
+    name = f"{done.cell['controller']}-{done.cell['compensator']}-{done.cell['seed']:02d}"
+    write_json(out / "cells" / f"{name}.json", done.cell)
+    if done.course is not None:
+        recording.write(done.course.recording(name), out / "recordings" / f"{name}.csv")
 
 
-def _cost(state: Array, force: Array, Q: Array) -> float:
-    return float(np.einsum("ni,ij,nj->", state, Q, state) + lqr.R * force @ force)
+def _cost(course: Course, Q: Array) -> float:
+    return float(np.einsum("ni,ij,nj->", course.state, Q, course.state) + lqr.R * course.force @ course.force)
 
 
 def _spread(values: Sequence[float]) -> dict[str, float] | None:
@@ -454,7 +405,3 @@ def _spread(values: Sequence[float]) -> dict[str, float] | None:
 def _label(name: str) -> str:
     """What a compensator is called in tables and file names."""
     return Path(name).stem if name.endswith(".json") else name
-
-
-def _unwrapped(env: gymnasium.Env[Any, Any]) -> Any:
-    return env.unwrapped

@@ -11,12 +11,12 @@ import numpy as np
 
 from dipc_gym import ENV_ID, compensators
 from dipc_gym.compensators import LOLIMOT, Samples
-from dipc_gym.identification import samples
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dipc_gym.compare import Comparison, Fitted, Run
+    from dipc_gym.compare import Comparison, Fitted
+    from dipc_gym.runs import Course
 
 GREY, BLUE, RED, GREEN = "#8a8f98", "#2b5d9b", "#c8452f", "#2c8c68"
 COLOURS = {"none": RED, "feedforward": "#b07aa1", "mlp": BLUE, "llnf": GREEN, "ideal": GREY}
@@ -24,16 +24,16 @@ GIF_SECONDS, GIF_RATE, GIF_SIZE = 8.0, 12.5, (300, 340)
 MOST_MODELS = 30
 
 
-def draw_all(comparison: Comparison, fitted: Fitted, courses: Mapping[tuple[str, str], Run], out: Path) -> list[str]:
+def draw_all(comparison: Comparison, fitted: Fitted, courses: Mapping[tuple[str, str], Course], out: Path) -> list[str]:
     """Draw what the comparison has data for, into `out`.
 
     Returns:
         What could not be drawn, and why.
     """
     folder = out / "figures"
-    run, linear, plant = comparison.identification(fitted.seed)
-    data = samples(run, linear, plant.encoders, plant.control_period, block=comparison.sweep.block)
-    time = plant.control_period * np.arange(len(data.force))
+    identified = comparison.identification(fitted.seed)
+    data = identified.samples
+    time = identified.plant.control_period * np.arange(len(data.force))
     _save(identification(time, data), folder / "fig07_identification.png")
     for number, name in ((8, "mlp"), (10, "llnf")):
         if name in fitted.trained:
@@ -48,7 +48,7 @@ def draw_all(comparison: Comparison, fitted: Fitted, courses: Mapping[tuple[str,
     if len(pair) < 2:
         return []
     try:
-        animate({name: mine[name] for name in pair}, comparison, out / "rig.gif")
+        animate({_CAPTIONS[name]: mine[name] for name in pair}, out / "rig.gif", model=comparison.model)
     except Exception as error:  # OpenGL fails in as many ways as there are drivers; the figures do not depend on it
         return [f"rig.gif was not drawn ({type(error).__name__}: {error}); see the README on headless drawing"]
     return []
@@ -101,7 +101,7 @@ def lolimot_growth(data: Samples) -> Figure:
     return figure
 
 
-def balancing(controller: str, courses: Mapping[str, Run]) -> Figure:
+def balancing(controller: str, courses: Mapping[str, Course]) -> Figure:
     """Paper's Fig. 12: cart and poles over the whole run, without and with compensation."""
     figure = _figure(3, f"Balancing under {controller}, one rig", (8, 6))
     labels = ("cart, m", "pole 1, deg", "pole 2, deg")
@@ -110,13 +110,21 @@ def balancing(controller: str, courses: Mapping[str, Run]) -> Figure:
             axis.plot(course.time, scale * course.state[:, column], color=COLOURS.get(name), lw=0.7, label=name)
     for axis, label in zip(figure.axes, labels, strict=True):
         axis.set_ylabel(label)
-    figure.axes[0].legend(loc="upper right", ncols=len(courses))
+    figure.axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(courses), frameon=False)
     figure.axes[-1].set_xlabel("time, s")
     return figure
 
 
-def animate(courses: Mapping[str, Run], comparison: Comparison, path: Path) -> None:
+def animate(
+    courses: Mapping[str, Course], path: Path, *, model: str | None = None, seconds: float = GIF_SECONDS
+) -> None:
     """Runs side by side as an animated GIF, from their start.
+
+    Args:
+        courses: by caption.
+        path: of the GIF.
+        model: MJCF file of the rig; None is the package's.
+        seconds: how much of the runs, s.
 
     Raises:
         RuntimeError: nothing can be drawn on this machine.
@@ -124,20 +132,18 @@ def animate(courses: Mapping[str, Run], comparison: Comparison, path: Path) -> N
     from PIL import Image, ImageDraw
 
     width, height = GIF_SIZE
-    env = gymnasium.make(
-        ENV_ID, model=comparison.model, render_mode="rgb_array", width=width, height=height, exact_state=True
-    )
+    env = gymnasium.make(ENV_ID, model=model, render_mode="rgb_array", width=width, height=height)
     frames = []
     try:
-        for moment in np.arange(0.0, GIF_SECONDS, 1 / GIF_RATE):
+        for moment in np.arange(0.0, min(seconds, max(c.time[-1] for c in courses.values())), 1 / GIF_RATE):
             frame = Image.new("RGB", (width * len(courses), height))
-            for column, (name, course) in enumerate(courses.items()):
+            for column, (caption, course) in enumerate(courses.items()):
                 k = min(int(np.searchsorted(course.time, moment)), len(course.time) - 1)
                 env.reset(options={"state": course.state[k]})
                 picture: Any = env.render()
                 frame.paste(Image.fromarray(picture), (width * column, 0))
-                ImageDraw.Draw(frame).text((width * column + 10, 8), _CAPTIONS.get(name, name), fill=(20, 24, 30))
-            frames.append(frame.quantize(64, dither=Image.Dither.NONE))
+                ImageDraw.Draw(frame).text((width * column + 10, 8), caption, fill=(20, 24, 30))
+            frames.append(frame.quantize(128, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
     finally:
         env.close()
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=1000 / GIF_RATE, loop=0, optimize=True)

@@ -1,0 +1,153 @@
+"""Runs that experiments and the command line share: training on a rig, and balancing one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import ENV_ID, compensators
+from dipc_gym.compensators import Compensator, Samples
+from dipc_gym.controllers import Controller
+from dipc_gym.identification import Cart, Sweep, cart, cart_model, record, samples
+from dipc_gym.plant import Plant
+from dipc_gym.sim2real import recording
+from dipc_gym.sim2real.recording import Recording
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """An identification run and what it says.
+
+    Attributes:
+        run: the recording.
+        cart: the linear model of the cart.
+        plant: the rig that made it, or that it is taken to be of.
+        samples: what compensators are fitted to.
+    """
+
+    run: Recording
+    cart: Cart
+    plant: Plant
+    samples: Samples
+
+    def fit(self, name: str, *, seed: int = 0) -> Compensator:
+        """Fit a compensator by its registered name, or load a saved one (`.json`).
+
+        Raises:
+            ValueError: neither is there.
+        """
+        if name.endswith(".json"):
+            return compensators.load(name)
+        return compensators.fit(name, self.samples, self.cart.constants, seed=seed)
+
+
+def identify(
+    plant: Plant | str | None = None,
+    *,
+    model: str | None = None,
+    from_recording: str | None = None,
+    sweep: Sweep | None = None,
+    seed: int = 0,
+) -> Identification:
+    """Identify a rig: simulate the paper's run on it, or take a recording of the real one.
+
+    Args:
+        plant: as the environment takes it.
+        model: MJCF file of the rig; None is the package's.
+        from_recording: file of a recording with columns `time`, `motor` and `cart`, made with the poles locked.
+        sweep: the simulated run; the paper's by default.
+        seed: of the encoders' noise.
+
+    Raises:
+        ValueError: a file that cannot be used.
+    """
+    sweep = Sweep() if sweep is None else sweep
+    env = _unwrapped(gymnasium.make(ENV_ID, plant=plant, model=model))
+    fixed = cart_model(env.source, env.plant)
+    linear = cart(fixed)
+    if from_recording is None:
+        run = record(fixed, env.plant, sweep, seed=seed)
+    else:
+        run = recording.read(from_recording, fixed)
+    data = samples(run, linear, env.plant.encoders, env.plant.control_period, block=sweep.block)
+    return Identification(run, linear, env.plant, data)
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a run went, one row for each control period.
+
+    Attributes:
+        time: (n,) s.
+        state: (n, 6) exact state before each command, as the observation orders it.
+        force: (n,) N, as the controller commanded it, limited.
+        voltage: (n,) V, as applied.
+        readings: (n, 3) encoders, the third relative to the first pole.
+        clipped: number of periods in which the voltage met the supply.
+        fell: whether the run ended early.
+    """
+
+    time: Array
+    state: Array
+    force: Array
+    voltage: Array
+    readings: Array
+    clipped: int
+    fell: bool
+
+    def recording(self, name: str) -> Recording:
+        """The run in the form of a recording."""
+        return Recording(name, self.time, self.voltage[:, None], self.readings, ("motor",), ("cart", "pole1", "pole2"))
+
+
+def balance(
+    controller: Controller,
+    compensator: Compensator,
+    *,
+    seconds: float,
+    seed: int,
+    plant: Plant | str | None = None,
+    model: str | None = None,
+) -> Course:
+    """Balance a rig until it falls or time is over.
+
+    Args:
+        controller: commands force.
+        compensator: turns it into voltage.
+        seconds: length of the run, s.
+        seed: of starting state and noise.
+        plant: as the environment takes it.
+        model: MJCF file of the rig; None is the package's.
+    """
+    from dipc_gym.wrappers import ForceCommand
+
+    env: gymnasium.Env[Any, Any] = gymnasium.make(ENV_ID, plant=plant, model=model, max_episode_steps=2**31)
+    inner = _unwrapped(env)
+    period = inner.plant.control_period
+    steps = round(seconds / period)
+    env = ForceCommand(env, compensator)
+    observation, _ = env.reset(seed=seed)
+    state, readings = np.zeros((steps, 6)), np.zeros((steps, 3))
+    force, voltage, action = np.zeros(steps), np.zeros(steps), np.zeros(1)
+    done, clipped, fell = 0, 0, False
+    for k in range(steps):
+        state[k], readings[k] = inner.state, inner.encoders
+        action[0] = controller.force(observation)
+        observation, _, fell, _, info = env.step(action)
+        force[k], voltage[k] = info["force"], info["voltage"]
+        clipped += info["clipped"]
+        done = k + 1
+        if fell:
+            break
+    env.close()
+    return Course(period * np.arange(done), state[:done], force[:done], voltage[:done], readings[:done], clipped, fell)
+
+
+def _unwrapped(env: gymnasium.Env[Any, Any]) -> Any:
+    return env.unwrapped
