@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -147,6 +150,23 @@ def animate(
     finally:
         env.close()
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=1000 / GIF_RATE, loop=0, optimize=True)
+
+
+def show(course: Course, *, model: str | None = None, seconds: float = GIF_SECONDS) -> None:
+    """A run in a window, in real time.
+
+    Raises:
+        ValueError: there is no display.
+    """
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) and sys.platform == "linux":
+        raise ValueError("there is no display for a window; write a GIF with --out")
+    env = gymnasium.make(ENV_ID, model=model, render_mode="human")
+    begin = time.perf_counter()
+    try:
+        while (now := time.perf_counter() - begin) < min(seconds, course.time[-1]):
+            env.reset(options={"state": course.state[int(np.searchsorted(course.time, now))]})
+    finally:
+        env.close()
 
 
 _CAPTIONS = {"none": "without compensation", "llnf": "with the LLNF compensator"}

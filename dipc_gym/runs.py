@@ -79,6 +79,18 @@ def identify(
     return Identification(run, linear, env.plant, data)
 
 
+def compensator(name: str, plant: Plant | str | None = None, *, model: str | None = None, seed: int = 0) -> Compensator:
+    """A compensator by name, trained on a simulated identification run of the rig, or a saved one (`.json`).
+
+    Raises:
+        ValueError: neither is there.
+    """
+    if name.endswith(".json"):
+        return compensators.load(name)
+    compensators.registry.kind(name)  # an unknown name is refused before anything is simulated
+    return identify(plant, model=model, seed=seed).fit(name, seed=seed)
+
+
 @dataclass(frozen=True)
 class Course:
     """How a run went, one row for each control period.
@@ -147,6 +159,22 @@ def balance(
             break
     env.close()
     return Course(period * np.arange(done), state[:done], force[:done], voltage[:done], readings[:done], clipped, fell)
+
+
+def recorded(path: str, *, model: str | None = None) -> Course:
+    """The course of a recorded run, as far as the encoders tell it: rates and force are zero.
+
+    Raises:
+        RecordingError: the file cannot be used, or lacks an encoder.
+    """
+    env = _unwrapped(gymnasium.make(ENV_ID, model=model))
+    run = recording.read(path, env.model)
+    cart, pole1, pole2 = (run.sensors[:, run.sensor_names.index(name)] for name in ("cart", "pole1", "pole2"))
+    state = np.zeros((len(run), 6))
+    state[:, :3] = np.stack([cart, pole1, pole1 + pole2], axis=1)
+    volts = run.commands[:, run.actuator_names.index("motor")]
+    readings = np.stack([cart, pole1, pole2], axis=1)
+    return Course(run.time - run.time[0], state, np.zeros(len(run)), volts, readings, 0, False)
 
 
 def _unwrapped(env: gymnasium.Env[Any, Any]) -> Any:

@@ -1,0 +1,275 @@
+"""The command line. Every subcommand is a dataclass: fields are its options, `run` does the work.
+
+What a subcommand needs is imported when it runs, so that help comes at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import tyro
+
+
+class Command(Protocol):
+    """What `main` asks of a subcommand."""
+
+    def run(self) -> int:
+        """Do it; the exit code."""
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Run the paper's experiment over many rigs and compare friction compensators.
+
+    On each rig: record the identification run (poles locked, a voltage swept from 0.3 to 10 Hz in 60 s), train the
+    compensators on it, and balance the pendulum for 80 s with every controller and compensator. The folder gets
+    summary.json, table.txt, figures, a GIF, the trained compensators and recordings of the first rig's runs.
+
+    Try:
+        dipc-gym compare --out runs/compare
+        dipc-gym compare --out runs/mine --compensator none,llnf,mine.json --controller lqr,policy.zip --seeds 20
+    """
+
+    out: Path
+    """folder for the results, new or empty"""
+    controller: str = "lqr"
+    """names with commas between: lqr, or policies saved by stable-baselines3 (.zip, trained behind ForceCommand)"""
+    compensator: str = "none,feedforward,mlp,llnf,ideal"
+    """names with commas between; or saved compensators (.json)"""
+    seeds: int = 10
+    """number of rigs; friction, encoder noise and starting state differ"""
+    seconds: float = 80.0
+    """length of a balancing run, s"""
+    recording: str | None = None
+    """train from this recording (time, motor, cart; poles locked) instead of simulated identification runs"""
+    plant: str | None = None
+    """JSON file of the plant that all rigs vary about"""
+    model: str | None = None
+    """MJCF file of another rig, with the actuator motor and the sensors cart, pole1, pole2"""
+    jobs: int = 2
+    """processes at a time"""
+    overwrite: bool = False
+    """replace what an earlier comparison left in the folder"""
+
+    def run(self) -> int:
+        """Compare, and print the table."""
+        from dipc_gym import compare
+
+        comparison = compare.Comparison(
+            controllers=_listed(self.controller),
+            compensators=_listed(self.compensator),
+            seeds=self.seeds,
+            seconds=self.seconds,
+            plant=self.plant,
+            model=self.model,
+            recording=self.recording,
+        )
+        try:
+            summary = compare.run(comparison, self.out, jobs=self.jobs, overwrite=self.overwrite)
+        except KeyboardInterrupt:
+            print(f"\ninterrupted; what was finished is in {self.out / 'summary.json'}", file=sys.stderr)
+            return 130
+        print(compare.table(summary))
+        print(f"\nresults in {self.out}")
+        return 0
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a friction compensator and save it as JSON.
+
+    It is trained on a simulated identification run, or on a recording of your rig made with the poles locked.
+
+    Try:
+        dipc-gym train --out llnf.json
+        dipc-gym train --out mine.json --compensator mlp --recording sweep.csv --plant rig.json
+    """
+
+    out: Path
+    """file for the compensator"""
+    compensator: str = "llnf"
+    """none, feedforward, mlp (needs torch), llnf or ideal"""
+    recording: str | None = None
+    """recording with columns time, motor (V) and cart (m)"""
+    plant: str | None = None
+    """JSON file of the plant"""
+    model: str | None = None
+    """MJCF file of the rig"""
+    seed: int = 0
+    """of training and of the simulated encoders' noise"""
+    overwrite: bool = False
+    """replace the file if it exists"""
+
+    def run(self) -> int:
+        """Train and save."""
+        from dipc_gym import compensators
+        from dipc_gym.runs import identify
+
+        _free(self.out, self.overwrite)
+        compensators.registry.kind(self.compensator)  # refuse an unknown name before anything is simulated
+        found = identify(self.plant, model=self.model, from_recording=self.recording, seed=self.seed)
+        trained = found.fit(self.compensator, seed=self.seed)
+        compensators.save(trained, self.out)
+        print(f"{self.out}: {self.compensator}, {trained.parameters} numbers")
+        if trained.figures is not None:
+            fit = trained.figures
+            print(f"mean square error: training {fit.train_mse:.4g} V^2, test {fit.test_mse:.4g} V^2")
+        return 0
+
+
+@dataclass(frozen=True)
+class Record:
+    """Simulate a run of the rig and write it as a recording.
+
+    The recording has the columns time, motor and the encoders; `identification` has the cart's alone. It can be
+    replayed, diagnosed, and trained from.
+
+    Try:
+        dipc-gym record --out balance.csv --compensator llnf --seconds 20
+        dipc-gym record --out sweep.parquet --experiment identification
+    """
+
+    out: Path
+    """file to write: .csv, .npz or .parquet"""
+    experiment: Literal["balance", "identification"] = "balance"
+    """balance the poles, or sweep the voltage with the poles locked"""
+    controller: str = "lqr"
+    """lqr, or a policy saved by stable-baselines3 (.zip)"""
+    compensator: str = "none"
+    """a name, trained for this on a simulated run, or a saved compensator (.json)"""
+    seconds: float = 80.0
+    """length of a balancing run, s"""
+    plant: str | None = None
+    """JSON file of the plant"""
+    model: str | None = None
+    """MJCF file of the rig"""
+    seed: int = 0
+    """of starting state and noise"""
+    overwrite: bool = False
+    """replace the file if it exists"""
+
+    def run(self) -> int:
+        """Simulate and write."""
+        from dipc_gym import controllers, runs
+        from dipc_gym.sim2real import recording
+
+        _free(self.out, self.overwrite)
+        if self.experiment == "identification":
+            run = runs.identify(self.plant, model=self.model, seed=self.seed).run
+        else:
+            brain = controllers.load(self.controller)
+            compensator = runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed)
+            course = runs.balance(
+                brain, compensator, seconds=self.seconds, seed=self.seed, plant=self.plant, model=self.model
+            )
+            run = course.recording(self.out.stem)
+            if course.fell:
+                print(f"fell after {course.time[-1]:.2f} s")
+        recording.write(run, self.out, overwrite=self.overwrite)
+        print(f"{self.out}: {len(run)} samples, {run.duration:.1f} s")
+        return 0
+
+
+@dataclass(frozen=True)
+class Render:
+    """Draw a run of the rig as an animated GIF, or in a window.
+
+    Works without a display too. The run is simulated, or taken from a recording that has all three encoders.
+
+    Try:
+        dipc-gym render --out rig.gif --compensator llnf
+        dipc-gym render --out run.gif --recording balance.csv
+        dipc-gym render
+    """
+
+    out: Path | None = None
+    """GIF to write; without it a window opens"""
+    recording: str | None = None
+    """recording to draw instead of a simulated run"""
+    controller: str = "lqr"
+    """lqr, or a policy saved by stable-baselines3 (.zip)"""
+    compensator: str = "none"
+    """a name, trained for this on a simulated run, or a saved compensator (.json)"""
+    seconds: float = 10.0
+    """length, s"""
+    plant: str | None = None
+    """JSON file of the plant"""
+    model: str | None = None
+    """MJCF file of the rig"""
+    seed: int = 0
+    """of starting state and noise"""
+    overwrite: bool = False
+    """replace the file if it exists"""
+
+    def run(self) -> int:
+        """Draw."""
+        from dipc_gym import controllers, figures, runs
+
+        if self.out is not None:
+            _free(self.out, self.overwrite)
+            if self.out.suffix.lower() != ".gif":
+                raise ValueError(f"{self.out}: only .gif can be written")
+        if self.recording is not None:
+            course = runs.recorded(self.recording, model=self.model)
+        else:
+            course = runs.balance(
+                controllers.load(self.controller),
+                runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed),
+                seconds=self.seconds,
+                seed=self.seed,
+                plant=self.plant,
+                model=self.model,
+            )
+        if self.out is None:
+            figures.show(course, model=self.model, seconds=self.seconds)
+        else:
+            caption = Path(self.recording).stem if self.recording else f"{self.controller}, {self.compensator}"
+            figures.animate({caption: course}, self.out, model=self.model, seconds=self.seconds)
+            print(f"{self.out}: {min(self.seconds, course.time[-1]):.1f} s")
+        return 0
+
+
+COMMANDS: dict[str, type[Command]] = {
+    "compare": Compare,
+    "train": Train,
+    "record": Record,
+    "render": Render,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; the exit code is 0, 2 for bad input, 130 after Ctrl-C."""
+    command = tyro.extras.subcommand_cli_from_dict(
+        COMMANDS,  # type: ignore[arg-type]
+        prog="dipc-gym",
+        description=(
+            "A double inverted pendulum on a cart with stick-slip friction: an environment, friction compensators, "
+            "and a tool that names the physics a simulator leaves out."
+        ),
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    try:
+        return command.run()
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    except (ValueError, OSError, ImportError) as error:  # what the package raises for input it cannot use
+        print(f"dipc-gym: {error}", file=sys.stderr)
+        return 2
+
+
+def _listed(names: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
+
+
+def _free(path: Path, overwrite: bool) -> None:
+    """Refuse to write over a file, before any work is done."""
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists; choose another name or say --overwrite")
+    if not path.absolute().parent.is_dir():
+        raise FileNotFoundError(f"{path}: there is no folder {path.absolute().parent}")
