@@ -1,0 +1,132 @@
+"""Plants: files, MJCF, and everything that cannot be."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dipc_gym.plant import Encoders, Friction, Motor, Plant, PlantError
+
+RIG = resources.files("dipc_gym").joinpath("rig.xml").read_text()
+
+positive = st.floats(1e-3, 1e3)
+plants = st.builds(
+    lambda motor, coulomb, above, rest, supply: Plant(
+        motor=Motor(resistance=motor[0], constant=motor[1], pulley_radius=motor[2]),
+        friction=Friction(
+            coulomb=coulomb,
+            static=coulomb + above,
+            stribeck_velocity=rest[0],
+            bristle_stiffness=rest[1],
+            bristle_damping=rest[2],
+            viscous=rest[3],
+        ),
+        supply=supply,
+    ),
+    st.tuples(positive, positive, positive),
+    positive,
+    positive,
+    st.tuples(positive, positive, positive, positive),
+    positive,
+)
+
+
+def test_default_plant_is_what_the_rig_says() -> None:
+    assert Plant.from_mjcf(RIG) == Plant()
+
+
+@given(plants)
+def test_mjcf_holds_a_plant(plant: Plant) -> None:
+    again = Plant.from_mjcf(plant.to_mjcf(RIG))
+    assert again.friction == plant.friction
+    assert again.supply == plant.supply
+    assert again.motor is not None
+    assert plant.motor is not None
+    # The file holds the gear, one over the radius: the last bit may differ.
+    assert again.motor.pulley_radius == pytest.approx(plant.motor.pulley_radius, rel=1e-15)
+    assert dataclasses.replace(again.motor, pulley_radius=1.0) == dataclasses.replace(plant.motor, pulley_radius=1.0)
+
+
+@given(plants)
+def test_dictionary_holds_a_plant(plant: Plant) -> None:
+    assert Plant.from_dict(json.loads(json.dumps(plant.to_dict()))) == plant
+
+
+def test_file_holds_a_plant(tmp_path: Path) -> None:
+    plant = Plant(motor=None, encoders=Encoders(noise=0.5), control_period=0.01)
+    plant.write(tmp_path / "plant.json")
+    assert Plant.read(tmp_path / "plant.json") == plant
+
+
+def test_dictionary_changes_only_what_it_names() -> None:
+    base = Plant(supply=12.0, friction=Friction(coulomb=3.0, static=4.0))
+    changed = Plant.from_dict({"friction": {"static": 5}}, base)
+    assert changed == Plant(supply=12.0, friction=Friction(coulomb=3.0, static=5.0))
+
+
+def test_no_dry_friction_removes_the_element() -> None:
+    text = Plant(friction=Friction(coulomb=0.0, static=0.0, viscous=7.0)).to_mjcf(RIG)
+    assert "lugre" not in text
+    assert 'damping="7.0"' in text
+
+
+def test_none_leaves_the_model_alone() -> None:
+    text = Plant(motor=None, friction=None).to_mjcf(RIG)
+    assert Plant.from_mjcf(text) == Plant()
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        ({"friction": {"coulomb": -1.0}}, "friction.coulomb is -1"),
+        ({"friction": {"static": 1.0}}, "friction.static is 1 N, below friction.coulomb"),
+        ({"friction": {"coulomb": 0.0}}, "friction.coulomb is 0 while"),
+        ({"friction": {"stribeck_velocity": 0.0}}, "friction.stribeck_velocity is 0"),
+        ({"friction": {"wet": 1.0}}, "unknown field 'friction.wet'"),
+        ({"friction": 3}, "friction must be an object"),
+        ({"motor": {"resistance": "1.2"}}, "motor.resistance must be a number"),
+        ({"motor": {"constant": float("nan")}}, "motor.constant is nan"),
+        ({"encoders": None}, "encoders must be an object"),
+        ({"encoders": {"noise": float("inf")}}, "encoders.noise is inf"),
+        ({"supply": True}, "supply must be a number"),
+        ({"voltage": 24}, "unknown field 'voltage'"),
+        ({"schema": "dipc-gym/plant/2"}, "this version reads"),
+        ([1, 2], "a plant is a JSON object"),
+    ],
+)
+def test_impossible_plants_are_refused(data: Any, says: str, tmp_path: Path) -> None:
+    with pytest.raises(PlantError, match=says.replace(".", r"\.")):
+        Plant.from_dict(data)
+    file = tmp_path / "plant.json"
+    file.write_text(json.dumps(data))
+    with pytest.raises(PlantError, match=r"plant\.json: "):
+        Plant.read(file)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00\xff\xfe", b'{"supply": 24', b"[" * 100_000])
+def test_broken_files_are_refused(content: bytes, tmp_path: Path) -> None:
+    file = tmp_path / "plant.json"
+    file.write_bytes(content)
+    with pytest.raises(PlantError, match=r"plant\.json: not a JSON file"):
+        Plant.read(file)
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PlantError, match=r"no such plant file"):
+        Plant.read(tmp_path / "none.json")
+
+
+def test_model_without_the_names_is_refused() -> None:
+    with pytest.raises(PlantError, match="no actuator named 'motor'"):
+        Plant().to_mjcf("<mujoco/>")
+    with pytest.raises(PlantError, match="no joint named 'cart'"):
+        Plant().to_mjcf('<mujoco><actuator><dcmotor name="motor"/></actuator></mujoco>')
+    with pytest.raises(PlantError, match="is a <motor>, not a <dcmotor>"):
+        Plant().to_mjcf('<mujoco><actuator><motor name="motor"/></actuator></mujoco>')
