@@ -51,8 +51,8 @@ class Problem:
 
     @property
     def counts(self) -> Array:
-        """Readings in each window, (n,)."""
-        return self.windows.valid.sum(axis=1) * float(len(self.windows.noise))
+        """Readings in each window, (n,); sensors that never change say nothing and do not count."""
+        return self.windows.valid.sum(axis=1) * float(np.isfinite(self.windows.noise).sum())
 
     @property
     def blocks(self) -> NDArray[np.intp]:
@@ -306,6 +306,38 @@ def _settle(
         s, base, _ = shooting.best_starts(z, np.stack([s + ahead, s, s + ahead / 3, still, problem.starts]), S)
         S = shooting.sensitivity(z, s, base)
     return base, s, S
+
+
+def correct_starts(problem: Problem, fitted: Fit, rounds: int = 3) -> tuple[Array, Array]:
+    """Start states that predict each window best, and what is predicted from them.
+
+    A fit judges windows by what no start could explain, and does not need these; whoever draws or reports
+    predictions does.
+
+    Args:
+        problem: windows and estimated starts.
+        fitted: structure and numbers; its starts are where the search begins.
+        rounds: Gauss-Newton steps; each keeps a window's better start.
+
+    Returns:
+        Starts (n, 2 nb) and readings (n, m, ns).
+    """
+    shooting, structure = _Shooting(problem, fitted.structure), fitted.structure
+    s, rest, S = fitted.starts, fitted.raw, fitted.sensitivity
+    each = np.arange(len(s))
+    readings = np.zeros((0,))
+    for k in range(rounds):
+        if k:
+            S = shooting.sensitivity(fitted.z, s, rest)
+        r = _augment(rest.reshape(len(s), -1, 1), (problem.starts - s) / shooting.spread, shooting.nb2)
+        ahead = shooting.nudge * _project(S, r)[1][..., 0]
+        tries = np.stack([s, s + ahead, s + ahead / 3, problem.starts])
+        readings = predict(problem, structure, [fitted.z] * len(tries), tries)
+        rests = _residuals(problem, readings)
+        far = np.sum(((problem.starts - tries) / shooting.spread) ** 2, axis=2)
+        best = np.argmin(np.sum(rests**2, axis=(2, 3)) + far, axis=0)
+        s, rest, readings = tries[best, each], rests[best, each], readings[best, each]
+    return s, readings
 
 
 def _objective(mse: Array, scale: float) -> float:

@@ -6,6 +6,7 @@ simulation, since differentiated encoder noise biases any regression on accelera
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from scipy.linalg import solveh_banded
 
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics
+from dipc_gym.sim2real.document import FOLLOWS
 from dipc_gym.sim2real.recording import Recording
 
 Array = NDArray[np.float64]
@@ -31,9 +33,9 @@ class Motion:
 
     Attributes:
         time: s, (n,).
-        position: of each joint, m or rad, (n, nq).
-        velocity: m/s or rad/s, (n, nq).
-        acceleration: m/s^2 or rad/s^2, (n, nq).
+        position: of each base joint, m or rad, (n, nb).
+        velocity: m/s or rad/s, (n, nb).
+        acceleration: m/s^2 or rad/s^2, (n, nb).
     """
 
     time: Array
@@ -42,36 +44,73 @@ class Motion:
     acceleration: Array
 
     def at(self, time: Array) -> Array:
-        """Positions and velocities (..., 2 nq) at any time, linear between samples."""
+        """Positions and velocities (..., 2 nb) at any time, linear between samples."""
         columns = [np.interp(time, self.time, c) for c in (*self.position.T, *self.velocity.T)]
         return np.stack(columns, axis=-1)
 
 
-def sensor_map(model: mujoco.MjModel) -> tuple[Array, Array, Array]:
-    """How the scalar sensors read positions and velocities: y = P q + V v + c.
+def base_joints(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Names of the joints whose state is estimated: all but those that follow another one, unseen.
+
+    Raises:
+        mjcf.MjcfError: a joint without a name, or an entry of `<custom>` that ties joints which cannot be tied.
+    """
+    return tuple(_ties(model)[0])
+
+
+def spread_out(model: mujoco.MjModel) -> Array:
+    """Matrix (nq, nb) from the base joints to all joints, with followers where their leaders are."""
+    base, leader = _ties(model)
+    return np.array([[float(leader[model.joint(j).name] == name) for name in base] for j in range(model.njnt)])
+
+
+def _ties(model: mujoco.MjModel) -> tuple[list[str], dict[str, str]]:
+    """The base joints, and for every joint the base joint that says where it is."""
+    names = [model.joint(j).name for j in range(model.njnt)]
+    if "" in names:
+        raise mjcf.MjcfError(f"joint {names.index('')} of the model has no name; reports speak of joints, so name it")
+    leader = {
+        entry.removeprefix(FOLLOWS): text for entry, text in mjcf.texts(model).items() if entry.startswith(FOLLOWS)
+    }
+    base = [name for name in names if name not in leader]
+    for follower, led in leader.items():
+        for name, known in ((follower, names), (led, base)):
+            if name not in known:
+                raise mjcf.MjcfError(
+                    f"<custom> entry '{FOLLOWS}{follower}': no {name!r} among the joints {', '.join(known)}"
+                )
+    return base, leader | {name: name for name in base}
+
+
+def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
+    """How the scalar sensors read positions and velocities of the base joints: y = P q + V v + c.
+
+    What the model's `<custom>` entries do to readings is in it, a lag excepted.
 
     Returns:
-        P (ns, nq), V (ns, nv), c (ns,).
+        P (ns, nb), V (ns, nb), c (ns,).
 
     Raises:
         Undetermined: a sensor is not linear in them, or the position sensors leave a joint free.
     """
+    model = physics.model
     data, address = mujoco.MjData(model), mjcf.sensor_addresses(model)
+    base, out = base_joints(model), spread_out(model)
     rng = np.random.default_rng(0)
 
     def read(q: Array, v: Array) -> Array:
-        data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, 0
+        data.qpos[:], data.qvel[:], data.ctrl[:] = out @ q, out @ v, 0
         mujoco.mj_forward(model, data)
-        return data.sensordata[address].copy()
+        return np.array(physics.sense(data.sensordata)[address])
 
-    nq = model.nq
-    c = read(np.zeros(nq), np.zeros(nq))
-    eye = np.eye(nq)
-    P = np.stack([read(eye[j], np.zeros(nq)) - c for j in range(nq)], axis=1)
-    V = np.stack([read(np.zeros(nq), eye[j]) - c for j in range(nq)], axis=1)
+    nb = len(base)
+    c = read(np.zeros(nb), np.zeros(nb))
+    eye = np.eye(nb)
+    P = np.stack([read(eye[j], np.zeros(nb)) - c for j in range(nb)], axis=1)
+    V = np.stack([read(np.zeros(nb), eye[j]) - c for j in range(nb)], axis=1)
     names = mjcf.scalar_sensors(model)
     for _ in range(3):
-        q, v = rng.normal(size=nq), rng.normal(size=nq)
+        q, v = rng.normal(size=nb), rng.normal(size=nb)
         off = np.abs(read(q, v) - (P @ q + V @ v + c)) > 1e-6 * (1 + np.abs(P @ q) + np.abs(V @ v))
         if off.any():
             raise Undetermined(
@@ -80,11 +119,10 @@ def sensor_map(model: mujoco.MjModel) -> tuple[Array, Array, Array]:
                 "transmissions"
             )
     seen = P[~V.any(axis=1)]
-    blind = np.linalg.matrix_rank(seen) < nq if len(seen) else True
-    if blind:
-        _, s, rows = np.linalg.svd(seen if len(seen) else np.zeros((1, nq)))
+    if not len(seen) or np.linalg.matrix_rank(seen) < nb:
+        _, s, rows = np.linalg.svd(seen if len(seen) else np.zeros((1, nb)))
         free = rows[int((s > 1e-9).sum()) :]
-        joints = [model.joint(j).name for j in range(model.njnt) if np.abs(free[:, j]).max() > 1e-6]
+        joints = [name for name, column in zip(base, free.T, strict=True) if np.abs(column).max() > 1e-6]
         raise Undetermined(
             f"no position sensor sees joint {', '.join(joints)}, so its state cannot be known; "
             "add a sensor for it to the recording, or lock the joint in the model"
@@ -92,26 +130,43 @@ def sensor_map(model: mujoco.MjModel) -> tuple[Array, Array, Array]:
     return P, V, c
 
 
-def estimate(recording: Recording, model: mujoco.MjModel, noise: Array) -> Motion:
+def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
     """Smooth the sensors and invert them to joints.
 
     Args:
         recording: with the model's sensors.
-        model: says how the sensors read the joints.
-        noise: standard deviation of each sensor, (ns,).
+        physics: says how the sensors read the joints.
+        noise: standard deviation of each sensor, (ns,); of a sensor that never changes, infinite.
 
     Raises:
         Undetermined: as `sensor_map`.
     """
-    P, V, c = sensor_map(model)
-    positional = ~V.any(axis=1)
-    smooth = [smoothed(recording.time, recording.sensors[:, s], noise[s]) for s in np.flatnonzero(positional)]
-    weight = 1 / noise[positional]
-    inverse = np.linalg.pinv(P[positional] * weight[:, None]) * weight
-    position = (np.stack(smooth, axis=1) - c[positional]) @ inverse.T
+    P, V, c = sensor_map(physics)
+    positional = np.flatnonzero(~V.any(axis=1))
+    smooth = np.stack([smoothed(recording.time, recording.sensors[:, s], noise[s]) for s in positional], axis=1)
+    _undo_lag(physics, recording.time, smooth, positional)
+    position = (smooth - c[positional]) @ inverse_map(P[positional], noise[positional]).T
     velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
     acceleration = np.gradient(velocity, recording.time, axis=0, edge_order=2)
     return Motion(recording.time, position, velocity, acceleration)
+
+
+def inverse_map(P: Array, noise: Array) -> Array:
+    """Least-squares inverse (nb, ns) of y = P q; sensors that never change count like the noisiest other one.
+
+    They may be dead, or their joint locked: they have to do where nothing else sees the joint.
+    """
+    known = noise[np.isfinite(noise)]
+    weight = 1 / np.where(np.isfinite(noise), noise, known.max(initial=0.0) or 1.0)
+    return np.asarray(np.linalg.pinv(P * weight[:, None]) * weight)
+
+
+def _undo_lag(physics: Physics, time: Array, smooth: Array, positional: NDArray[np.intp]) -> None:
+    """Lead lagging sensors (n, ns) by their time constant, in place: tau dy/dt + y is what they follow."""
+    address = mjcf.sensor_addresses(physics.model)
+    for extra in physics.stage("lag"):
+        for k in np.flatnonzero(address[positional] == extra.index):
+            smooth[:, k] += extra.data[0] * np.gradient(smooth[:, k], time, edge_order=2)
 
 
 def smoothed(time: Array, values: Array, noise: float) -> Array:
@@ -122,6 +177,8 @@ def smoothed(time: Array, values: Array, noise: float) -> Array:
         values: (n,).
         noise: standard deviation that the residual is to have.
     """
+    if np.ptp(values) == 0:
+        return values.copy()
     n, scale = len(time), float(np.median(np.diff(time)))
     t = time / scale
     gaps = [t[j:] - t[: n - j] for j in range(4)]
@@ -146,7 +203,8 @@ def smoothed(time: Array, values: Array, noise: float) -> Array:
         banded[3] += 1
         return np.asarray(solveh_banded(banded, values))
 
-    low, high = -6.0, 12.0
+    # Stamps that nearly coincide make the matrix so stiff that its Cholesky factor is lost in rounding.
+    low, high = -6.0, min(12.0, 14.0 - math.log10(float(roughness.max())))
     for _ in range(18):
         middle = (low + high) / 2
         if np.std(values - solve(10**middle)) < noise:
@@ -159,30 +217,36 @@ def smoothed(time: Array, values: Array, noise: float) -> Array:
 def unexplained_force(physics: Physics, recording: Recording, motion: Motion) -> tuple[Array, Array]:
     """Generalised force that the motion needs beyond what the model gives, by inverse dynamics.
 
+    Joints that follow others are taken to move with them, and what acts on them counts for their leaders.
+
     Returns:
-        The unexplained force (n, nv), N or N m, and the load that each joint transmits (n, nv).
+        The unexplained force (n, nb), N or N m, and the load that each base joint transmits (n, nb).
     """
-    model = physics.model
+    model, out = physics.model, spread_out(physics.model)
     data = mujoco.MjData(model)
+    level = model.dof_frictionloss.copy()
     n = len(motion.time)
-    commands = physics.command(recording.commands)
+    commands = physics.command(recording.commands, recording.time)
     rest, load = np.empty((n, model.nv)), np.empty((n, model.nv))
     nu = recording.commands.shape[1]
+    position, velocity, acceleration = (x @ out.T for x in (motion.position, motion.velocity, motion.acceleration))
     for k in range(n):
-        data.qpos[:], data.qvel[:] = motion.position[k], motion.velocity[k]
+        data.time, data.qpos[:], data.qvel[:] = motion.time[k], position[k], velocity[k]
         data.ctrl[:nu] = commands[k]
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
-        data.qacc[:] = motion.acceleration[k]
+        physics.act(data, model.dof_frictionloss, data.qfrc_applied)
+        data.qacc[:] = acceleration[k]
         mujoco.mj_inverse(model, data)
-        rest[k] = data.qfrc_inverse - data.qfrc_actuator
+        rest[k] = data.qfrc_inverse - data.qfrc_actuator - data.qfrc_applied
         load[k] = data.qfrc_actuator + data.qfrc_bias
-    return rest, load
+    model.dof_frictionloss[:] = level
+    return rest @ out, load @ out
 
 
 def starts(motions: Sequence[Motion], source: NDArray[np.intp], time: Array) -> Array:
-    """Start states (n, 2 nq) of windows that begin at `time` in the recordings `source`."""
+    """Start states (n, 2 nb) of windows that begin at `time` in the recordings `source`."""
     out = np.empty((len(time), 2 * motions[0].position.shape[1]))
     for i, motion in enumerate(motions):
         mine = source == i

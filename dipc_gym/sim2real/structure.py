@@ -18,6 +18,8 @@ from dipc_gym.sim2real.numbers import Number
 
 Array = NDArray[np.float64]
 
+WARM = 0.06  # s that bristles, currents and delays need to reach their state
+
 
 @dataclass(frozen=True)
 class Term:
@@ -154,7 +156,14 @@ class Structure:
     @property
     def warm(self) -> float:
         """S to simulate before a window."""
-        return max((term.effect.warm for term in self.terms), default=0.0)
+        return max([self._own_warm, *(term.effect.warm for term in self.terms)])
+
+    @functools.cached_property
+    def _own_warm(self) -> float:
+        """S that the nominal model needs: windings, bristles, lagging sensors and joints behind a gap remember."""
+        own = physics.from_model(self.model)
+        remembers = self.model.na > 0 or len(self.base) < self.model.njnt or bool(own.stage("lag"))
+        return WARM if remembers else 0.0
 
     @property
     def moves_readings(self) -> bool:
