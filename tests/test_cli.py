@@ -1,0 +1,102 @@
+"""The command line: help that teaches and comes at once, and errors without a traceback."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dipc_gym import compensators
+from dipc_gym.cli import COMMANDS, main
+from dipc_gym.plant import Friction, Plant
+
+
+def test_help_comes_in_under_half_a_second() -> None:
+    command = [sys.executable, "-m", "dipc_gym", "--help"]
+    subprocess.run(command, capture_output=True, check=True)  # compiles what is not compiled yet
+    times = []
+    for _ in range(5):
+        start = time.perf_counter()
+        shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        times.append(time.perf_counter() - start)
+    assert all(name in shown for name in COMMANDS)
+    assert min(times) < 0.5
+
+
+def test_help_does_not_load_what_it_does_not_need() -> None:
+    code = (
+        "import sys, dipc_gym.cli as c\ntry: c.main(['--help'])\nexcept SystemExit: pass\n"
+        "print([m for m in ('torch', 'matplotlib', 'scipy', 'mujoco', 'joblib', 'PIL') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_every_command_teaches(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([name, "--help"])
+    assert stop.value.code == 0
+    shown = capsys.readouterr().out
+    assert f"dipc-gym {name}" in shown
+    assert "Try:" in shown
+
+
+def test_train_record_render_go_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plant, sweep, llnf, run = (str(tmp_path / name) for name in ("rig.json", "sweep.csv", "llnf.json", "run.csv"))
+    Plant(friction=Friction(coulomb=6.0, static=8.0)).write(plant)
+    assert main(["record", "--out", sweep, "--experiment", "identification", "--plant", plant]) == 0
+    assert main(["train", "--out", llnf, "--recording", sweep, "--plant", plant]) == 0
+    trained = compensators.load(llnf)
+    assert trained.name == "llnf"
+    assert main(["record", "--out", run, "--compensator", llnf, "--plant", plant, "--seconds", "2"]) == 0
+    assert "400 samples" in capsys.readouterr().out
+    assert len(Path(run).read_text().splitlines()) == 401
+    # The simulated run, identified directly, trains the same network as its recording.
+    assert main(["train", "--out", str(tmp_path / "direct.json"), "--plant", plant]) == 0
+    assert compensators.load(tmp_path / "direct.json") == trained
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["compare", "--out", "full"], "--overwrite"),
+        (["compare", "--out", "new", "--controller", "pid"], "there is no controller 'pid'"),
+        (["compare", "--out", "new", "--compensator", "x,y"], "there is no compensator 'x'"),
+        (["train", "--out", "full/file"], "exists"),
+        (["train", "--out", "new.json", "--compensator", "x"], "there is no compensator 'x'"),
+        (["train", "--out", "no/new.json"], "there is no folder"),
+        (["train", "--out", "new.json", "--recording", "none.csv"], "none.csv"),
+        (["record", "--out", "new.csv", "--plant", "full/file"], "not a JSON file"),
+        (["record", "--out", "new.mat", "--seconds", "0.5"], "new.mat"),
+        (["render", "--out", "new.png"], "only .gif"),
+        (["render", "--out", "new.gif", "--model", "full/file"], "full/file"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    arguments: list[str],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "file").write_text("precious")
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert "Traceback" not in said
+    assert (tmp_path / "full" / "file").read_text() == "precious"
+    assert [path.name for path in tmp_path.iterdir()] == ["full"]
+
+
+def test_window_needs_a_display(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert main(["render", "--seconds", "0.1"]) == 2
+    assert "no display" in capsys.readouterr().err

@@ -1,0 +1,173 @@
+"""The comparison: what it leaves, what it refuses, and that it can be stopped."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dipc_gym import compare, compensators, lqr
+from dipc_gym.compare import Comparison, Spread
+from dipc_gym.compensators import StaticGain
+from dipc_gym.controllers import LQR
+from dipc_gym.env import DoublePendulumEnv
+from dipc_gym.plant import Friction, Plant
+from dipc_gym.runs import balance, identify
+from dipc_gym.sim2real import recording
+
+QUICK = Comparison(compensators=("none", "feedforward", "llnf", "ideal"), seeds=2, seconds=2.0)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    out = tmp_path_factory.mktemp("compare") / "out"
+    return compare.run(QUICK, out, jobs=1), out
+
+
+def test_summary_has_the_promised_form(finished: tuple[dict[str, Any], Path]) -> None:
+    summary, out = finished
+    assert json.loads((out / "summary.json").read_text()) == json.loads(json.dumps(summary))
+    assert summary["schema"] == "dipc-gym/compare/1"
+    assert summary["complete"]
+    assert [row["compensator"] for row in summary["rows"]] == list(QUICK.compensators)
+    for row in summary["rows"]:
+        assert row["controller"] == "lqr"
+        assert (row["seeds"], row["survived"]) == (2, 2)
+        for key in ("cost", "cost_printed_q", "cart_m", "pole1_deg", "pole2_deg", "voltage_rms"):
+            assert row[key]["low"] <= row[key]["median"] <= row[key]["high"]
+        assert row["cost_printed_q"]["median"] < row["cost"]["median"]
+    learned = {row["compensator"]: (row["parameters"], row["test_mse"]) for row in summary["rows"]}
+    assert learned["none"][0] == 0
+    assert learned["feedforward"][0] == 5
+    assert learned["llnf"][1] < learned["feedforward"][1] < learned["none"][1]
+    assert learned["ideal"] == (0, None)
+
+
+def test_folder_has_everything(finished: tuple[dict[str, Any], Path]) -> None:
+    _, out = finished
+    for seed in (0, 1):
+        for name in QUICK.compensators:
+            assert compensators.load(out / "compensators" / f"{name}-{seed:02d}.json").name == name
+            cell = json.loads((out / "cells" / f"lqr-{name}-{seed:02d}.json").read_text())
+            assert (cell["compensator"], cell["seed"], cell["survived"]) == (name, seed, True)
+    for figure in ("fig07_identification", "fig09_lolimot", "fig10_llnf", "fig12_balance"):
+        assert (out / "figures" / f"{figure}.png").read_bytes().startswith(b"\x89PNG")
+    run = recording.read(out / "recordings" / "lqr-llnf-00.csv", DoublePendulumEnv().model)
+    assert len(run) == 400
+    assert "paper" in (out / "table.txt").read_text()
+    notes = " ".join(finished[0]["notes"])
+    assert (out / "rig.gif").exists() or "rig.gif was not drawn" in notes
+
+
+def test_cost_is_what_the_summary_says() -> None:
+    course = balance(LQR(), StaticGain(newtons_per_volt=4.0), seconds=1.0, seed=0)
+    expected = sum(x @ lqr.RECOVERED_Q @ x + f * f for x, f in zip(course.state, course.force, strict=True))
+    assert compare._cost(course, lqr.RECOVERED_Q) == pytest.approx(expected)
+
+
+def test_results_are_the_same_with_more_processes(finished: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+    again = compare.run(dataclasses.replace(QUICK, compensators=("none", "ideal")), tmp_path / "two", jobs=2)
+    assert again["rows"] == [row for row in finished[0]["rows"] if row["compensator"] in ("none", "ideal")]
+
+
+def test_rigs_differ_within_the_spread() -> None:
+    spread, base = Spread(), Plant()
+    rigs = [spread.draw(base, seed) for seed in range(200)]
+    frictions = [rig.friction or Friction() for rig in rigs]
+    coulomb = np.array([f.coulomb for f in frictions]) / 8.0
+    assert coulomb.min() >= 1 - spread.friction
+    assert coulomb.max() <= 1 + spread.friction
+    assert np.ptp(coulomb) > 1.8 * spread.friction
+    assert all(f.static > f.coulomb for f in frictions)
+    noise = np.array([rig.encoders.noise for rig in rigs])
+    assert 0 <= noise.min() < 0.02 * spread.noise + noise.min() <= noise.max() <= spread.noise
+    assert spread.draw(base, 3) == rigs[3]
+
+
+def test_fallen_runs_are_counted_and_left_out_of_the_figures() -> None:
+    cells = [
+        {"controller": "lqr", "compensator": "none", "seed": 0, "survived": False, "cost": 9.0, "cost_printed_q": 9.0,
+         "cart_m": None, "pole1_deg": None, "pole2_deg": None, "voltage_rms": 9.0, "test_mse": None, "parameters": 0,
+         "notes": []},
+        {"controller": "lqr", "compensator": "none", "seed": 1, "survived": True, "cost": 1.0, "cost_printed_q": 1.0,
+         "cart_m": 0.1, "pole1_deg": 1.0, "pole2_deg": 1.0, "voltage_rms": 1.0, "test_mse": None, "parameters": 0,
+         "notes": []},
+    ]  # fmt: skip
+    row = compare.summarise(QUICK, cells, [], True)["rows"][0]
+    assert (row["seeds"], row["survived"], row["cost"]["median"]) == (2, 1, 1.0)
+    none = compare.summarise(QUICK, cells[:1], [], True)
+    assert none["rows"][0]["cost"] is None
+    assert "0/1" in compare.table(none)
+
+
+def test_training_from_a_recording(tmp_path: Path) -> None:
+    recording.write(identify(seed=5).run, tmp_path / "sweep.csv")
+    comparison = Comparison(compensators=("feedforward",), seeds=2, seconds=2.0, recording=str(tmp_path / "sweep.csv"))
+    compare.run(comparison, tmp_path / "out", jobs=1)
+    assert [path.name for path in (tmp_path / "out" / "compensators").iterdir()] == ["feedforward-00.json"]
+    expected = identify(seed=5).fit("feedforward")
+    assert compensators.load(tmp_path / "out" / "compensators" / "feedforward-00.json") == expected
+
+
+def test_folder_that_is_not_empty_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(FileExistsError, match="--overwrite"):
+        compare.run(QUICK, tmp_path)
+    (tmp_path / "cells").mkdir()
+    (tmp_path / "cells" / "old.json").write_text("{}")
+    compare.prepare_folder(tmp_path, overwrite=True)
+    assert (tmp_path / "thesis.tex").read_text() == "precious"
+    assert not list((tmp_path / "cells").iterdir())
+    with pytest.raises(FileExistsError):
+        compare.prepare_folder(tmp_path / "thesis.tex", overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"controllers": ("pid",)}, "no controller 'pid'"),
+        ({"compensators": ("magic",)}, "there are none, feedforward, mlp, llnf, ideal"),
+        ({"compensators": ("missing.json",)}, "missing.json"),
+        ({"compensators": ()}, "at least one"),
+        ({"seeds": 0}, "at least one"),
+        ({"seconds": 0.0}, "positive length"),
+        ({"plant": "missing.json"}, "no such plant file"),
+        ({"recording": "missing.csv"}, "missing.csv"),
+        ({"model": "missing.xml"}, "no such model file"),
+    ],
+)
+def test_what_cannot_run_is_refused_before_anything_is_written(change: Any, says: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=says):
+        compare.run(Comparison(**change), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_interrupt_leaves_what_is_finished(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "dipc_gym", "compare", "--out", str(out), "--jobs", "2", "--seeds", "12"]
+    command += ["--compensator", "none,ideal", "--seconds", "80"]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 60
+    while len(list((out / "cells").glob("*.json"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the whole group
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    summary = json.loads((out / "summary.json").read_text())
+    assert not summary["complete"]
+    finished = [json.loads(path.read_text()) for path in (out / "cells").glob("*.json")]
+    assert 2 <= len(finished) < 24
+    assert sum(row["seeds"] for row in summary["rows"]) <= len(finished)
+    assert "interrupted" in (out / "table.txt").read_text()
+    assert "summary.json" in said

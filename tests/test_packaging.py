@@ -1,0 +1,75 @@
+"""What is on disk, what is declared, and what is shipped are the same."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from importlib import metadata, resources
+from pathlib import Path
+
+import pytest
+
+import dipc_gym
+
+ROOT = Path(__file__).resolve().parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SETUPTOOLS = PROJECT["tool"]["setuptools"]
+
+
+def folder(package: str) -> Path:
+    known = SETUPTOOLS["package-dir"]
+    owner = max((name for name in known if package == name or package.startswith(name + ".")), key=len)
+    return ROOT.joinpath(known[owner], *package.removeprefix(owner).strip(".").split(".")).resolve()
+
+
+def test_every_folder_with_code_is_a_listed_package() -> None:
+    listed = {folder(package) for package in SETUPTOOLS["packages"]}
+    found = {
+        path.parent
+        for top in SETUPTOOLS["package-dir"].values()
+        for path in (ROOT / top).rglob("*.py")
+        if "__pycache__" not in path.parts
+    }
+    assert found == listed
+
+
+def test_every_other_file_is_package_data() -> None:
+    for package in SETUPTOOLS["packages"]:
+        patterns = SETUPTOOLS["package-data"].get(package, [])
+        shipped = {path for pattern in patterns for path in folder(package).glob(pattern)}
+        others = {path for path in folder(package).iterdir() if path.is_file() and path.suffix not in (".py", ".pyc")}
+        assert others <= shipped
+
+
+def test_versions_agree() -> None:
+    assert dipc_gym.__version__ == PROJECT["project"]["version"] == metadata.version("dipc-gym")
+    assert f"## {dipc_gym.__version__}" in (ROOT / "CHANGELOG.md").read_text()
+    assert f"version: {dipc_gym.__version__}" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_rig_is_shipped() -> None:
+    assert resources.files("dipc_gym").joinpath("rig.xml").is_file()
+    assert resources.files("dipc_gym").joinpath("py.typed").is_file()
+
+
+def test_pins_cover_what_is_declared() -> None:
+    pinned = {
+        line.split("==")[0].lower() for line in (ROOT / "constraints.txt").read_text().splitlines() if "==" in line
+    }
+    project = PROJECT["project"]
+    declared = [
+        *project["dependencies"],
+        *(item for extra in project["optional-dependencies"].values() for item in extra),
+    ]
+    names = {re.split(r"[\[<>=!~ ;]", item)[0].lower() for item in declared} - {"dipc-gym"}
+    assert names <= pinned
+
+
+@pytest.mark.parametrize("top", ["dipc_gym", "wrappers", "compensators", "examples", "benchmarks"])
+def test_imports_are_absolute(top: str) -> None:
+    for path in (ROOT / top).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom):
+                assert node.level == 0, path
+                assert (node.module or "").split(".")[0] not in ("wrappers", "compensators"), path

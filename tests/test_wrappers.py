@@ -1,0 +1,246 @@
+"""Force in, voltage out; and runs on disk."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+import math
+import pickle
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.wrappers import NormalizeObservation, RescaleAction
+
+import dipc_gym
+from dipc_gym import compensators, mjcf
+from dipc_gym.compensators import Compensator, CompensatorError, Ideal, RigConstants, Samples, StaticGain
+from dipc_gym.env import DoublePendulumEnv
+from dipc_gym.lqr import PRINTED_GAIN
+from dipc_gym.sim2real import recording
+from dipc_gym.wrappers import ForceCommand, RecordRun
+
+GAIN = StaticGain(newtons_per_volt=4.0)
+
+
+def rig(**kwargs: Any) -> Any:
+    return gymnasium.make(dipc_gym.ENV_ID, **kwargs)
+
+
+@dataclasses.dataclass(frozen=True)
+class Watching(Compensator):
+    """Half a volt a newton; remembers what it was asked."""
+
+    asked: list[tuple[float, float]] = dataclasses.field(default_factory=list, init=False)
+    resets: list[int] = dataclasses.field(default_factory=list, init=False)
+
+    @classmethod
+    def fit(cls, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Watching:
+        return cls()
+
+    def volts(self, force: Any, velocity: Any, previous_velocity: Any) -> Any:
+        self.asked.append((force, velocity))
+        return 0.5 * force
+
+    def reset(self) -> None:
+        super().reset()
+        self.resets.append(1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Remembering(Compensator):
+    """Its voltage depends on the velocity before, so a copy without the memory would show."""
+
+    @classmethod
+    def fit(cls, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Remembering:
+        return cls()
+
+    def volts(self, force: Any, velocity: Any, previous_velocity: Any) -> Any:
+        return 0.25 * force + 5.0 * (velocity - previous_velocity)
+
+
+def test_force_goes_through_the_compensator_with_the_observed_velocity() -> None:
+    env = ForceCommand(rig(), Watching())
+    watch: Any = env.compensator
+    observation, info = env.reset(seed=0)
+    assert info["force"] == 0.0
+    for force in (10.0, -20.0, 30.0):
+        velocity = observation[3]
+        observation, _, _, _, info = env.step(np.array([force]))
+        assert watch.asked[-1] == (force, velocity)
+        assert (info["force"], info["voltage"]) == (force, force / 2)
+    assert len(watch.resets) == 1
+    env.reset()
+    assert len(watch.resets) == 2
+
+
+def test_velocity_is_the_rigs_whatever_stands_around() -> None:
+    env = NormalizeObservation(ForceCommand(rig(), Watching()))
+    env.reset(seed=0)
+    env.step(np.array([20.0], np.float32))
+    env.step(np.array([20.0], np.float32))
+    watch: Any = env.env.compensator  # type: ignore[attr-defined]
+    assert watch.asked[-1][1] != 0.0
+    assert abs(watch.asked[-1][1]) < 0.1
+
+
+def test_force_is_limited_to_what_the_motor_can_do() -> None:
+    env = ForceCommand(rig(), GAIN)
+    assert env.force_limit == pytest.approx(96.0)
+    assert env.action_space == gymnasium.spaces.Box(-96.0, 96.0, (1,), np.float32)
+    env.reset(seed=0)
+    info = env.step(np.array([500.0]))[4]
+    assert info["force"] == pytest.approx(96.0)
+    tight = ForceCommand(rig(), GAIN, force_limit=10.0)
+    tight.reset(seed=0)
+    assert tight.step(np.array([-50.0]))[4]["force"] == -10.0
+
+
+def test_ideal_removes_the_limit_cycle() -> None:
+    largest = {}
+    for compensator in (GAIN, Ideal(newtons_per_volt=4.0)):
+        env = ForceCommand(rig(exact_state=True), compensator)
+        observation, _ = env.reset(seed=0)
+        xs = []
+        for _ in range(4_000):
+            observation, _, terminated, _, _ = env.step(np.array([-PRINTED_GAIN @ observation]))
+            assert not terminated
+            xs.append(abs(observation[0]))
+        largest[compensator.name] = max(xs[-1_000:])
+    assert largest["none"] > 0.02
+    assert largest["ideal"] < 1e-4
+
+
+def test_accepts_object_path_and_dictionary(tmp_path: Path) -> None:
+    compensators.save(GAIN, tmp_path / "gain.json")
+    for form in (GAIN, GAIN.to_dict(), tmp_path / "gain.json", str(tmp_path / "gain.json")):
+        env = ForceCommand(rig(), form)
+        assert env.compensator == GAIN
+        spec = env.spec
+        assert spec is not None
+        again = gymnasium.make(type(spec).from_json(spec.to_json()))
+        assert isinstance(again, ForceCommand)
+        assert again.compensator == GAIN
+
+
+def test_two_environments_share_no_memory() -> None:
+    shared = Watching()
+    a, b = ForceCommand(rig(), shared), ForceCommand(rig(), shared)
+    assert a.compensator is not b.compensator
+    assert a.compensator is not shared
+
+
+@pytest.mark.parametrize("clone", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_bit_for_bit(clone: Any) -> None:
+    env = ForceCommand(rig(), Remembering())
+    env.reset(seed=2)
+    forces = np.random.default_rng(0).uniform(-30, 30, (40, 1))
+    for force in forces[:20]:
+        env.step(force)
+    twin = clone(env)
+    first, second = ([e.step(force) for force in forces[20:]] for e in (env, twin))
+    assert data_equivalence(first, second, exact=True)
+
+
+@pytest.mark.filterwarnings("ignore:.*minimum value is -infinity", "ignore:.*maximum value is infinity")
+@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")  # it is: that is the point
+def test_gymnasium_finds_no_fault() -> None:
+    check_env(RescaleAction(ForceCommand(rig(), GAIN), np.float32(-1), np.float32(1)), skip_render_check=True)
+
+
+def test_stable_baselines3_takes_the_wrapped_rig(tmp_path: Path) -> None:
+    sb3 = pytest.importorskip("stable_baselines3")
+    vec = sb3.common.vec_env.VecMonitor(sb3.common.vec_env.DummyVecEnv([lambda: ForceCommand(rig(), GAIN)]))
+    vec.seed(0)
+    assert vec.reset().shape == (1, 6)
+    observation, _, _, info = vec.step(np.array([[10.0]], np.float32))
+    assert np.isfinite(observation).all()
+    assert info[0]["force"] == 10.0
+
+
+@pytest.mark.parametrize("action", [[math.nan], [math.inf], [], [1.0, 2.0], 3.0, None, "x"])
+def test_wrong_forces_are_refused(action: Any) -> None:
+    env = ForceCommand(rig(), GAIN)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="force"):
+        env.step(action)
+
+
+def test_what_cannot_be_wrapped_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="DIPC-Friction-v0"):
+        ForceCommand(gymnasium.make("Pendulum-v1"), GAIN)
+    with pytest.raises(TypeError, match="DIPC-Friction-v0"):
+        RecordRun(gymnasium.make("Pendulum-v1"), tmp_path)
+    for limit in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="force_limit"):
+            ForceCommand(rig(), GAIN, force_limit=limit)
+    with pytest.raises(CompensatorError, match="no_such"):
+        ForceCommand(rig(), str(tmp_path / "no_such.json"))
+
+
+# ------------------------------------------------------------------------------------------------ recordings
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
+def test_recording_repeats_in_the_simulation(suffix: str, tmp_path: Path) -> None:
+    if suffix == "parquet":
+        pytest.importorskip("pyarrow")
+    env = RecordRun(ForceCommand(rig(), GAIN), tmp_path / "runs", name="push", suffix=suffix)
+    start = [0.01, 0.02, -0.01, 0, 0, 0]
+    env.reset(options={"state": start})
+    forces = np.random.default_rng(0).uniform(-200, 200, (30, 1))
+    for force in forces:
+        env.step(force)
+    env.close()
+    inner = DoublePendulumEnv()
+    run = recording.read(tmp_path / "runs" / f"push-0.{suffix}", inner.model)
+    assert len(run) == 30
+    assert run.period == pytest.approx(0.005)
+    # The recorded voltages alone bring back the recorded encoder readings.
+    inner.reset(options={"state": start})
+    for volts, sensors in zip(run.commands, run.sensors, strict=True):
+        assert inner.encoders == tuple(sensors)
+        inner.step(volts)
+    assert np.abs(run.commands).max() == 24.0  # as applied, after the supply's limit
+
+
+def test_one_file_an_episode(tmp_path: Path) -> None:
+    env = RecordRun(gymnasium.make(dipc_gym.ENV_ID, max_episode_steps=25), tmp_path)
+    for _ in range(2):
+        env.reset(seed=0)
+        for _ in range(25):
+            env.step(np.zeros(1))
+    env.reset()
+    env.step(np.zeros(1))
+    env.reset()
+    env.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run-0.csv", "run-1.csv", "run-2.csv"]
+
+
+def test_earlier_recordings_are_not_lost(tmp_path: Path) -> None:
+    (tmp_path / "run-0.csv").write_text("precious")
+    with pytest.raises(FileExistsError, match=r"run-0\.csv"):
+        RecordRun(rig(), tmp_path)
+    RecordRun(rig(), tmp_path, name="other")
+    env = RecordRun(rig(), tmp_path, overwrite=True)
+    env.reset(seed=0)
+    env.step(np.zeros(1))
+    env.close()
+    assert (tmp_path / "run-0.csv").read_text().startswith("time,motor,cart,pole1,pole2")
+    with pytest.raises(ValueError, match="suffix"):
+        RecordRun(rig(), tmp_path, name="x", suffix="mat")
+
+
+def test_recorder_is_in_the_spec(tmp_path: Path) -> None:
+    env = RecordRun(rig(), tmp_path, name="a")
+    assert env.spec is not None
+    wrappers = json.loads(env.spec.to_json())["additional_wrappers"]
+    assert wrappers[-1]["kwargs"] == {"folder": str(tmp_path), "name": "a", "suffix": "csv", "overwrite": False}
+
+
+def test_sensor_names_are_the_models() -> None:
+    assert mjcf.scalar_sensors(DoublePendulumEnv().model) == ["cart", "pole1", "pole2"]
