@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import mujoco
+
 _TURN = 2 * math.pi
 
 FACTORS: dict[str, float] = {
@@ -43,3 +45,25 @@ def factor(unit: str) -> float:
     if not math.isfinite(value) or value == 0:
         raise ValueError(f"unknown unit {unit!r}; use a number (the factor to SI) or one of {', '.join(FACTORS)}")
     return value
+
+
+def of_sensor(model: mujoco.MjModel, name: str) -> str:
+    """SI unit of a joint, tendon or actuator sensor's reading; empty where it is none of these, or mixes units."""
+    kind = mujoco.mjtSensor
+    sensor = model.sensor(name).id
+    what, of = int(model.sensor_type[sensor]), int(model.sensor_objid[sensor])
+    if what in (int(kind.mjSENS_JOINTPOS), int(kind.mjSENS_JOINTVEL)):
+        joints = [of]
+    elif what in (int(kind.mjSENS_TENDONPOS), int(kind.mjSENS_TENDONVEL)):
+        wraps = range(model.tendon_adr[of], model.tendon_adr[of] + model.tendon_num[of])
+        joints = [int(model.wrap_objid[w]) for w in wraps if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT]
+    elif what in (int(kind.mjSENS_ACTUATORPOS), int(kind.mjSENS_ACTUATORVEL)):
+        on_joint = model.actuator_trntype[of] == mujoco.mjtTrn.mjTRN_JOINT
+        joints = [int(model.actuator_trnid[of, 0])] if on_joint and abs(model.actuator_gear[of, 0]) == 1 else []
+    else:
+        return ""
+    units = {"rad" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE else "m" for joint in joints}
+    if len(units) != 1:
+        return ""
+    speed = what in (int(kind.mjSENS_JOINTVEL), int(kind.mjSENS_TENDONVEL), int(kind.mjSENS_ACTUATORVEL))
+    return units.pop() + ("/s" if speed else "")

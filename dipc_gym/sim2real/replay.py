@@ -1,0 +1,299 @@
+"""Replay a recording in a model, window by window, and say where the two part.
+
+Every window starts from the state that the sensors show, corrected so that the model predicts that window best. What
+is left is the model's: wrong numbers, absent physics, or a time step too long.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym import physics as custom
+from dipc_gym.sim2real import recording as recordings
+from dipc_gym.sim2real import units as si
+from dipc_gym.sim2real.fit import correct_starts, fit
+from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.simulate import Stepping, Windows, grid_step
+from dipc_gym.sim2real.windows import prepare
+
+Array = NDArray[np.float64]
+
+SCHEMA = "dipc-gym/replay/1"
+WORST = 3  # windows that are named for each sensor
+
+
+@dataclass(frozen=True)
+class SensorError:
+    """How far predictions of one sensor are off.
+
+    Attributes:
+        name: of the sensor.
+        unit: SI; empty if unknown.
+        error: root mean square over all windows, each counting alike, in that unit.
+        noise: standard deviation of the sensor's own noise; infinite if it never changes, so that nothing is known.
+        median: of the windows' root mean square errors.
+        high: the same, 90th percentile.
+        worst: start times of the windows that are farthest off, s.
+    """
+
+    name: str
+    unit: str
+    error: float
+    noise: float
+    median: float
+    high: float
+    worst: tuple[float, ...]
+
+    @property
+    def ratio(self) -> float:
+        """Error over noise; NaN for a sensor that never changes."""
+        return self.error / self.noise if math.isfinite(self.noise) else math.nan
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A recording beside its prediction.
+
+    Attributes:
+        model: file.
+        recording: what was replayed.
+        window: length of a window, s.
+        step: of the simulation, s.
+        sensors: errors, in the model's order.
+        windows: what was predicted.
+        predicted: readings, (n, m, ns).
+        inputs: sha256 of every file that took part.
+    """
+
+    model: Path
+    recording: Recording
+    window: float
+    step: float
+    sensors: tuple[SensorError, ...]
+    windows: Windows = field(repr=False)
+    predicted: Array = field(repr=False)
+    inputs: Mapping[str, str] = field(repr=False)
+
+    @property
+    def errors(self) -> Array:
+        """Root mean square error of each window over all sensors, in units of their noise, (n,)."""
+        w = self.windows
+        alive = np.isfinite(w.noise)
+        rest = np.where(w.valid[..., None], w.observed - self.predicted, 0.0)[..., alive] / w.noise[alive]
+        return np.asarray(np.sqrt(np.sum(rest**2, axis=(1, 2)) / (w.valid.sum(axis=1) * alive.sum())))
+
+    @property
+    def error(self) -> float:
+        """Root mean square of all windows' errors, in units of noise: 1 is a model that lacks nothing."""
+        return float(np.sqrt(np.mean(self.errors**2)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """What `--json` writes; numbers that do not exist are None."""
+        errors = self.errors
+        return {
+            "schema": SCHEMA,
+            "error": self.error,
+            "median_error": float(np.median(errors)),
+            "window": self.window,
+            "sensors": {
+                s.name: {
+                    "unit": s.unit,
+                    "error": s.error,
+                    "noise": _or_none(s.noise),
+                    "ratio": _or_none(s.ratio),
+                    "median": s.median,
+                    "high": s.high,
+                    "worst": list(s.worst),
+                }
+                for s in self.sensors
+            },
+            "windows": [
+                {"start": float(t), "error": float(e)} for t, e in zip(self.windows.start, errors, strict=True)
+            ],
+            "notes": list(self.recording.notes),
+            "provenance": {
+                "versions": {
+                    "python": platform.python_version(),
+                    **{name: metadata.version(name) for name in ("dipc-gym", "mujoco", "numpy")},
+                },
+                "timestep": self.step,
+                "inputs": dict(self.inputs),
+            },
+        }
+
+    def table(self) -> str:
+        """One line a sensor, and one for all."""
+        head = ("sensor", "unit", "rms error", "noise", "ratio", "median", "90 %", f"worst windows, s (of {len(self)})")
+        rows = [head]
+        for s in self.sensors:
+            known = math.isfinite(s.noise)
+            rows.append(
+                (
+                    s.name,
+                    s.unit,
+                    f"{s.error:.3g}",
+                    f"{s.noise:.3g}" if known else "constant",
+                    f"{s.ratio:.3g}" if known else "",
+                    f"{s.median:.3g}",
+                    f"{s.high:.3g}",
+                    ", ".join(f"{t:.2f}" for t in s.worst),
+                )
+            )
+        widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
+        lines = []
+        for row in rows:
+            cells = [
+                cell.ljust(width) if k in (0, 1, len(head) - 1) else cell.rjust(width)
+                for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ]
+            lines.append("  ".join(cells).rstrip())
+        return "\n".join([*lines, f"error: {self.error:.3g} x noise, in windows of {self.window:.3g} s"])
+
+    def __len__(self) -> int:
+        return len(self.windows)
+
+    def plot(self, path: str | Path) -> Path:
+        """Draw observed against predicted, and their difference below, a pair of axes for each sensor.
+
+        Raises:
+            ValueError: matplotlib cannot write such a file.
+        """
+        from matplotlib.figure import Figure
+
+        path = Path(path)
+        figure = Figure((11, 3.4 * len(self.sensors)), layout="constrained")
+        figure.suptitle(f"{self.recording.name} in {self.model.name}: error {self.error:.3g} x noise", fontsize=11)
+        axes = np.ravel(
+            figure.subplots(2 * len(self.sensors), 1, sharex=True, height_ratios=[2, 1] * len(self.sensors))
+        )
+        w = self.windows
+        time = _joined(w.start[:, None] + w.times, w.valid)
+        for k, sensor in enumerate(self.sensors):
+            above, below = axes[2 * k : 2 * k + 2]
+            seen, said = _joined(w.observed[..., k], w.valid), _joined(self.predicted[..., k], w.valid)
+            above.plot(time, seen, color="#8a8f98", lw=2.2, label="observed")
+            above.plot(time, said, color="#c8452f", lw=0.9, label="predicted")
+            above.set_ylabel(f"{sensor.name}, {sensor.unit}" if sensor.unit else sensor.name)
+            below.plot(time, seen - said, color="#2b5d9b", lw=0.7)
+            if math.isfinite(sensor.noise):
+                below.axhspan(-2 * sensor.noise, 2 * sensor.noise, color="#8a8f98", alpha=0.35, lw=0)
+            below.set_ylabel("difference")
+            for start in sensor.worst:
+                for axis in (above, below):
+                    axis.axvspan(start, start + self.window, color="#e8b04a", alpha=0.3, lw=0)
+        for axis in axes:
+            axis.spines[["top", "right"]].set_visible(False)
+            axis.grid(alpha=0.25)
+        axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+        axes[-1].set_xlabel("time, s; yellow: worst windows; grey: twice the noise")
+        figure.savefig(path, dpi=110)
+        return path
+
+
+def replay(
+    model: str | Path,
+    recording: str | Path,
+    *,
+    window: float | None = None,
+    mapping: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    threads: int = 0,
+) -> Replay:
+    """Predict windows of a recording with a model as it stands in its file.
+
+    The model is simulated with its own integrator and time step (shortened at most so that a whole number of steps
+    fits a sample), with what `<custom>` says for `dipc_gym.physics`.
+
+    Args:
+        model: MJCF file.
+        recording: `.csv`, `.parquet` or `.npz` file.
+        window: s; None means 0.25 s, or less where an unstable rig amplifies the start more than tenfold.
+        mapping: column of the file -> name in the model.
+        units: column or name -> unit that it is in.
+        threads: of the simulation, 0 for all cores.
+
+    Raises:
+        mjcf.MjcfError: the model does not compile, or cannot be treated.
+        RecordingError: the recording cannot be used, or holds no such window.
+        states.Undetermined: the sensors do not say where the joints are.
+
+    Example:
+        >>> import tempfile
+        >>> from dipc_gym.sim2real import recording
+        >>> folder = Path(tempfile.mkdtemp())
+        >>> _ = (folder / "fall.xml").write_text('''
+        ...     <mujoco><worldbody><body><joint name="z" type="slide"/><geom size="1"/></body></worldbody>
+        ...     <sensor><jointpos name="z" joint="z"/></sensor></mujoco>''')
+        >>> recorder = recording.Recorder([], ["z"])
+        >>> for k in range(200):
+        ...     recorder.append(0.01 * k, [], [-9.81 * (0.01 * k) ** 2 / 2])
+        >>> file = recording.write(recorder.recording("fall"), folder / "fall.csv")
+        >>> replay(folder / "fall.xml", file).sensors[0].error < 1e-6
+        True
+    """
+    source = mjcf.read(model)
+    physics = custom.load(source)
+    mjcf.check_supported(physics.model)
+    read = recordings.read(recording, physics.model, mapping=mapping, units=units)
+    prepared = prepare(
+        source, physics, [read], Stepping(physics.model.opt.timestep, None), length=window, threads=threads
+    )
+    problem = prepared.problem
+    _, predicted = correct_starts(problem, fit(problem, prepared.structure))
+    inputs = {str(model): hashlib.sha256(Path(model).read_bytes()).hexdigest()}
+    inputs |= {name: hashlib.sha256(data).hexdigest() for name, data in source.files.items()}
+    inputs[str(recording)] = read.sha256
+    return Replay(
+        Path(model),
+        read,
+        prepared.length,
+        grid_step(problem.windows, problem.stepping),
+        _sensor_errors(problem.windows, predicted, physics.model, read.sensor_names),
+        problem.windows,
+        predicted,
+        inputs,
+    )
+
+
+def _sensor_errors(
+    w: Windows, predicted: Array, model: mujoco.MjModel, names: tuple[str, ...]
+) -> tuple[SensorError, ...]:
+    square = np.where(w.valid[..., None], w.observed - predicted, 0.0) ** 2
+    count = w.valid.sum(axis=1)
+    each = np.sqrt(square.sum(axis=1) / count[:, None])
+    worst = np.argsort(-each, axis=0, kind="stable")[:WORST]
+    return tuple(
+        SensorError(
+            name,
+            si.of_sensor(model, name),
+            float(np.sqrt(np.mean(each[:, k] ** 2))),
+            float(w.noise[k]),
+            float(np.median(each[:, k])),
+            float(np.quantile(each[:, k], 0.9)),
+            tuple(float(t) for t in w.start[worst[:, k]]),
+        )
+        for k, name in enumerate(names)
+    )
+
+
+def _joined(values: Array, valid: NDArray[np.bool_]) -> Array:
+    """Windows (n, m) end to end, with a gap after each so that a line breaks there."""
+    gap = np.full((len(values), 1), math.nan)
+    kept = np.concatenate([valid, np.ones_like(gap, dtype=bool)], axis=1)
+    return np.concatenate([values, gap], axis=1)[kept]
+
+
+def _or_none(number: float) -> float | None:
+    return number if math.isfinite(number) else None
