@@ -55,7 +55,9 @@ def test_rig_is_shipped() -> None:
 
 def test_pins_cover_what_is_declared() -> None:
     pinned = {
-        line.split("==")[0].lower() for line in (ROOT / "constraints.txt").read_text().splitlines() if "==" in line
+        line.split("==")[0].lower().replace("_", "-")
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+        if "==" in line
     }
     project = PROJECT["project"]
     declared = [

@@ -1,0 +1,30 @@
+# One environment for everything: .venv, made with the versions in constraints.txt.
+PYTHON ?= python3
+EXTRAS := rl,parquet,trial,test,dev
+BIN := .venv/bin
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: compare test lint bench clean
+
+compare: .venv/installed
+	$(BIN)/dipc-gym compare --out runs/compare --jobs 2 --overwrite
+
+test: .venv/installed
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+lint: .venv/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+bench: .venv/installed
+	$(BIN)/python -m benchmarks
+
+.venv/installed: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
+	touch $@
+
+clean:
+	rm -rf .venv build dist *.egg-info
