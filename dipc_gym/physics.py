@@ -44,7 +44,8 @@ class Moment:
     Attributes:
         time: simulation time, s, (...).
         position: position of the joint it acts on, m or rad, (...); zeros for commands and sensors.
-        load: what the joint transmits, actuator force less the force that gravity and inertia ask for, N or N m, (...).
+        load: what presses on the joint's transmission from both sides, the actuator's force less that of gravity and
+            inertia (-qfrc_bias), N or N m, (...).
         value: the command or the reading to change, (...); zeros for forces and friction.
     """
 
@@ -73,7 +74,7 @@ def sensor_gain(data: Array, now: Moment) -> Array:
 
 
 def lag(data: Array, now: Moment) -> Array:
-    """The reading a first-order lag settles at, the input itself; data: time constant. `Physics.sense` keeps time."""
+    """The reading that a lag settles at, the input itself (`Physics.sense` keeps time); data: time constant > 0."""
     return now.value + 0.0 * data[..., 0]
 
 
@@ -295,12 +296,16 @@ def from_model(model: mujoco.MjModel) -> Physics:
     physics = Physics(model, tuple(extras))
     for extra in physics.extras:
         try:
-            extra(_moment(0.0, value=0.0))
+            with np.errstate(all="ignore"):  # at the first number as position a table of no length shows itself
+                tried = extra(_moment(0.0, position=extra.data[0]))
+            usable = bool(np.all(np.isfinite([*extra.data, *np.ravel(tried)])))
         except (IndexError, ValueError):
+            usable = False
+        if not usable or (extra.stage == "lag" and extra.data[0] <= 0):
             raise mjcf.MjcfError(
-                f"<custom> entry '{PREFIX}:{extra.effect}:{extra.at}': {extra.data.size} numbers are too few; "
-                f"{(_rules[extra.effect][1].__doc__ or '').strip()}"
-            ) from None
+                f"<custom> entry '{PREFIX}:{extra.effect}:{extra.at}' has the numbers {extra.data.tolist()}, too few "
+                f"or out of range; {(_rules[extra.effect][1].__doc__ or '').strip()}"
+            )
     return physics
 
 
@@ -308,7 +313,7 @@ def _index(model: mujoco.MjModel, name: str, stage: Stage, at: str) -> int:
     known: Mapping[str, int]
     if stage == "command":
         known = {control: i for i, control in enumerate(mjcf.controls(model))}
-    elif stage == "sensor":
+    elif stage in ("sensor", "lag"):
         addresses = mjcf.sensor_addresses(model)
         known = {sensor: int(a) for sensor, a in zip(mjcf.scalar_sensors(model), addresses, strict=True)}
     else:

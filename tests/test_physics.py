@@ -1,0 +1,247 @@
+"""What MJCF cannot say: each rule by its mechanics, batches against single simulations, and wrong entries."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mujoco import batch
+
+from dipc_gym import mjcf, physics
+
+MASS = 2.0
+
+
+def cart(custom: str = "", axis: str = "1 0 0", timestep: float = 1e-3) -> physics.Physics:
+    """A mass on a rail, a force motor, its position sensed."""
+    return physics.load(f"""
+        <mujoco>
+          <option timestep="{timestep}" integrator="implicitfast" iterations="50" tolerance="1e-12"
+                  noslip_iterations="3"/>
+          <worldbody>
+            <body>
+              <inertial pos="0 0 0" mass="{MASS}" diaginertia="1 1 1"/>
+              <joint name="cart" type="slide" axis="{axis}" solreffriction="0.002 1"/>
+            </body>
+          </worldbody>
+          <actuator><motor name="motor" joint="cart"/></actuator>
+          <sensor>
+            <clock name="clock"/>
+            <jointpos name="x" joint="cart"/>
+          </sensor>
+          <custom>{custom}</custom>
+        </mujoco>""")
+
+
+def entry(effect: str, at: str, *numbers: float) -> str:
+    return f'<numeric name="dipc_gym:{effect}:{at}" data="{" ".join(repr(float(x)) for x in numbers)}"/>'
+
+
+def run(rig: physics.Physics, command: float, steps: int, x: float = 0.0) -> mujoco.MjData:
+    data = mujoco.MjData(rig.model)
+    data.qpos[0] = x
+    mujoco.mj_forward(rig.model, data)
+    rig.step(data, np.array([command]), steps)
+    return data
+
+
+# Rules
+
+
+@pytest.mark.parametrize(("command", "force"), [(0.3, 0.0), (-0.5, 0.0), (2.0, 1.5), (-2.0, -1.5)])
+def test_dead_zone_takes_its_width_from_the_command(command: float, force: float) -> None:
+    data = run(cart(entry("motor.deadzone", "motor", 0.5)), command, 100)
+    assert data.qvel[0] == pytest.approx(force / MASS * 0.1, abs=1e-12)
+
+
+def test_commands_are_not_changed_in_place() -> None:
+    rig = cart(entry("motor.deadzone", "motor", 0.5))
+    sent = np.array([[2.0], [0.1]])
+    np.testing.assert_array_equal(rig.command(sent), [[1.5], [0.0]])
+    np.testing.assert_array_equal(sent, [[2.0], [0.1]])
+
+
+def test_gain_and_bias_act_in_the_order_of_the_file() -> None:
+    gain, bias = entry("sensor.gain", "x", 3.0), entry("sensor.bias", "x", 0.1)
+    readings = np.array([[7.0, 2.0], [8.0, -1.0]])
+    np.testing.assert_allclose(cart(gain + bias).sense(readings), [[7.0, 6.1], [8.0, -2.9]])
+    np.testing.assert_allclose(cart(bias + gain).sense(readings), [[7.0, 6.3], [8.0, -2.7]])
+    np.testing.assert_array_equal(readings, [[7.0, 2.0], [8.0, -1.0]])
+
+
+@given(st.floats(1e-3, 1.0), st.floats(1e-4, 0.5), st.floats(-5, 5), st.floats(-5, 5))
+@settings(max_examples=50, deadline=None)
+def test_lag_behind_a_ramp_is_exact_at_any_step(tau: float, dt: float, start: float, slope: float) -> None:
+    rig = cart(entry("timing.sensor_lag", "x", tau))
+    memory = rig.sensor_memory(np.array([0.0, start]))
+    for k in range(1, 8):
+        t = k * dt
+        read = rig.sense(np.array([t, start + slope * t]), memory, dt)
+        expected = start + slope * (t - tau * (1 - np.exp(-t / tau)))
+        assert read[1] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        assert read[0] == t
+
+
+def test_lag_behind_a_sine_has_the_gain_and_phase_of_first_order() -> None:
+    tau, omega, dt = 0.02, 30.0, 1e-4
+    rig = cart(entry("timing.sensor_lag", "x", tau))
+    memory = rig.sensor_memory(np.zeros(2))
+    time = dt * np.arange(1, 20001)
+    read = np.array([rig.sense(np.array([t, np.sin(omega * t)]), memory, dt)[1] for t in time])
+    late = time > 20 * tau
+    settled = np.sin(omega * time - np.arctan(omega * tau)) / np.hypot(1, omega * tau)
+    np.testing.assert_allclose(read[late], settled[late], atol=1e-5)
+
+
+@given(st.floats(-3, 3), st.lists(st.floats(0, 10), min_size=2, max_size=6))
+@settings(max_examples=50, deadline=None)
+def test_friction_between_stations_is_linear_and_beyond_them_constant(x: float, levels: list[float]) -> None:
+    data = np.array([-1.0, 2.0, *levels])
+    now = physics.Moment(np.asarray(0.0), np.asarray(x), np.asarray(0.0), np.asarray(0.0))
+    expected = np.interp(x, np.linspace(-1, 2, len(levels)), levels)
+    assert physics.friction_along(data, now) == pytest.approx(expected, abs=1e-4)
+
+
+def test_friction_along_the_rail_holds_where_it_is_high_and_lets_go_where_it_is_low() -> None:
+    rig = cart(entry("friction.position", "cart", 0.0, 1.0, 5.0, 5.0, 2.0))
+    assert abs(run(rig, 4.0, 500, x=0.2).qvel[0]) < 1e-4
+    assert run(rig, 4.0, 500, x=1.5).qvel[0] == pytest.approx((4.0 - 2.0) / MASS * 0.5, rel=0.01)
+
+
+def test_friction_under_load_grows_with_what_the_joint_carries() -> None:
+    lift = cart(entry("friction.load", "cart", 1.0, 0.1), axis="0 0 1")
+    weight, force = MASS * 9.81, 40.0
+    friction = 1.0 + 0.1 * (force + weight)  # the motor pushes up, the weight down, the gear carries both
+    assert run(lift, force, 300).qvel[0] == pytest.approx((force - weight - friction) / MASS * 0.3, rel=0.01)
+
+
+def test_periodic_force_moves_a_free_mass_as_integration_says() -> None:
+    size, frequency, phase = 3.0, 2.0, 0.7
+    rig = cart(entry("disturbance.periodic", "cart", size, frequency, phase), timestep=1e-4)
+    omega = 2 * np.pi * frequency
+    expected = size / MASS / omega * (np.cos(phase) - np.cos(omega * 0.4 + phase))
+    assert run(rig, 0.0, 4000).qvel[0] == pytest.approx(expected, abs=2e-4)
+
+
+def test_a_pulse_gives_its_momentum_and_is_over() -> None:
+    rig = cart(entry("disturbance.pulse", "cart", 5.0, 0.1, 0.05))
+    assert run(rig, 0.0, 99).qvel[0] == 0.0
+    after = run(rig, 0.0, 160)
+    assert after.qvel[0] == pytest.approx(5.0 * 0.05 / MASS, abs=5.0 * 1.1e-3 / MASS)
+    assert run(rig, 0.0, 300).qvel[0] == after.qvel[0]
+
+
+def test_stock_mujoco_simulates_the_file_without_the_effect() -> None:
+    rig = cart(entry("disturbance.pulse", "cart", 5.0, 0.0, 1.0))
+    data = mujoco.MjData(rig.model)
+    mujoco.mj_step(rig.model, data, 100)
+    assert data.qvel[0] == 0.0
+
+
+# Batches
+
+
+def test_a_batch_of_variants_equals_single_simulations_bit_for_bit() -> None:
+    rng = np.random.default_rng(0)
+    pendulum = """
+        <mujoco>
+          <option timestep="0.002" integrator="implicitfast"/>
+          <worldbody>
+            <body>
+              <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+              <joint name="cart" type="slide" axis="1 0 0"/>
+              <body>
+                <inertial pos="0 0 -0.3" mass="0.5" diaginertia="0.01 0.01 0.01"/>
+                <joint name="pole" axis="0 1 0" damping="0.01"/>
+              </body>
+            </body>
+          </worldbody>
+          <actuator><motor name="motor" joint="cart"/></actuator>
+          <sensor><jointpos name="cart" joint="cart"/><jointpos name="pole" joint="pole"/></sensor>
+          <custom>%s</custom>
+        </mujoco>"""
+    variants = [
+        physics.load(
+            pendulum
+            % "".join(
+                [
+                    entry("motor.deadzone", "motor", rng.uniform(0, 1)),
+                    entry("friction.load", "cart", *rng.uniform(0.1, 0.5, 2)),
+                    entry("friction.position", "pole", -0.5, 0.5, *rng.uniform(0, 0.1, 3)),
+                    entry("disturbance.periodic", "pole", *rng.uniform(0.1, 2, 3)),
+                    entry("disturbance.pulse", "cart", 3.0, *rng.uniform(0.02, 0.1, 2)),
+                    entry("sensor.gain", "pole", rng.uniform(0.5, 2)),
+                    entry("timing.sensor_lag", "cart", rng.uniform(0.01, 0.1)),
+                ]
+            )
+        )
+        for _ in range(3)
+    ]
+    which = np.array([0, 1, 2, 1, 0])
+    n, steps, dt = len(which), 100, 0.002
+    commands = rng.normal(scale=3, size=(steps, n, 1))
+    first = rng.normal(scale=0.3, size=(n, 2))
+
+    many = physics.stack(variants, which)
+    sims = batch.Batch(variants[0].model, n, 1)
+    friction, sensed = sims.expand("dof_frictionloss"), sims.bind("sensordata")
+    sims.bind("qfrc_actuator"), sims.bind("qfrc_bias")
+    sims.qpos[:] = first
+    sims.forward()
+    memory = many.sensor_memory(sensed.copy())
+    together = []
+    for k in range(steps):
+        sims.ctrl[:] = many.command(commands[k])
+        many.act(sims, friction, sims.qfrc_applied)
+        sims.step()
+        together.append(many.sense(sensed, memory, dt))
+
+    for i, variant in enumerate(which):
+        alone, data = variants[variant], mujoco.MjData(variants[variant].model)
+        data.qpos[:] = first[i]
+        mujoco.mj_forward(alone.model, data)
+        memory = alone.sensor_memory(data.sensordata.copy())
+        for k in range(steps):
+            alone.step(data, commands[k, i])
+            read = alone.sense(data.sensordata, memory, dt)
+            np.testing.assert_array_equal(together[k][i], read)
+        np.testing.assert_array_equal(sims.qpos[i], data.qpos)
+        np.testing.assert_array_equal(sims.qvel[i], data.qvel)
+
+
+# Entries
+
+
+@pytest.mark.parametrize(
+    ("custom", "words"),
+    [
+        (entry("motor.dedzone", "motor", 1.0), "known effects are .*motor.deadzone"),
+        ('<numeric name="dipc_gym:motor.deadzone" data="1"/>', "known effects"),
+        (entry("motor.deadzone", "cart", 1.0), "no 'cart' in the model; there are motor"),
+        (entry("sensor.bias", "cart", 1.0), "no 'cart' in the model; there are clock, x"),
+        (entry("friction.load", "motor", 1.0, 0.1), "no 'motor' in the model; there are cart"),
+        (entry("friction.load", "cart", 1.0), "numbers \\[1.0\\], too few .*level, coefficient"),
+        (entry("friction.position", "cart", 0.0, 1.0, 2.0), "too few"),
+        (entry("friction.position", "cart", 1.0, 1.0, 2.0, 2.0), "out of range"),
+        (entry("disturbance.pulse", "cart", 1.0, 0.0), "numbers \\[1.0, 0.0\\], too few"),
+        (entry("timing.sensor_lag", "x", 0.0), "out of range; .*time constant > 0"),
+        (entry("timing.sensor_lag", "x", -0.1), "out of range"),
+    ],
+)
+def test_a_wrong_entry_is_refused_with_what_would_be_right(custom: str, words: str) -> None:
+    with pytest.raises(mjcf.MjcfError, match=words):
+        cart(custom)
+
+
+def test_entries_of_others_are_left_alone() -> None:
+    assert cart('<numeric name="mine" data="1 2"/>').extras == ()
+
+
+def test_a_registered_effect_is_understood(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(physics, "_rules", dict(physics._rules))
+    physics.register("motor.square", "command", lambda data, now: data[..., 0] * now.value**2)
+    assert cart(entry("motor.square", "motor", 0.5)).command(np.array([4.0])) == [8.0]
+    with pytest.raises(ValueError, match="registered already"):
+        physics.register("motor.square", "command", physics.deadzone)
