@@ -220,25 +220,31 @@ def render(data: ReportData) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": number, "percent": percent, "short": short, "measured": measured, "tied": tied}
-    shown, rest, screened = _candidates(data.candidates)
+    with np.errstate(all="ignore"):  # a prediction may have diverged; charts leave out what is not finite
+        parts = _parts(data)
     return environment.get_template("report.html.j2").render(
-        data=data,
-        d=data.diagnosis,
-        gloss=VERDICTS[verdict],
-        fit=_fit(data.diagnosis),
-        traces=[(trace, *_trace(trace)) for trace in data.traces[:MOST_TRACES]],
-        maps=[(mismatch, _map(mismatch)) for mismatch in data.maps[:MOST_MAPS]],
-        residuals=[(residual, *_residual(residual)) for residual in data.residuals[:MOST_RESIDUALS]],
-        not_drawn={
+        data=data, d=data.diagnosis, gloss=VERDICTS[verdict], **parts
+    )
+
+
+def _parts(data: ReportData) -> dict[str, Any]:
+    """What the template shows, drawn and sorted."""
+    shown, rest, screened = _candidates(data.candidates)
+    return {
+        "fit": _fit(data.diagnosis),
+        "traces": [(trace, *_trace(trace)) for trace in data.traces[:MOST_TRACES]],
+        "maps": [(mismatch, _map(mismatch)) for mismatch in data.maps[:MOST_MAPS]],
+        "residuals": [(residual, *_residual(residual)) for residual in data.residuals[:MOST_RESIDUALS]],
+        "not_drawn": {
             "traces": data.traces[MOST_TRACES:],
             "maps": data.maps[MOST_MAPS:],
             "residuals": data.residuals[MOST_RESIDUALS:],
         },
-        candidates=shown,
-        candidates_left=rest,
-        screened=screened,
-        difference=_difference(data.difference),
-    )
+        "candidates": shown,
+        "candidates_left": rest,
+        "screened": screened,
+        "difference": _difference(data.difference),
+    }
 
 
 # --------------------------------------------------------------------------------------------------- words and numbers
@@ -345,14 +351,14 @@ def _trace(trace: Trace) -> tuple[Chart, Chart]:
     wide = 0.5 * (high - low)
     all_low, all_high = span([p[inside] for _, p in predictions] + [trace.observed[inside]], 0.98)
     across = axis(start, end, "time", "s")
-    up = axis(max(min(low, all_low), low - wide), min(max(high, all_high), high + wide), "reading", trace.unit, 4)
+    up = axis(max(min(low, all_low), low - wide), min(max(high, all_high), high + wide), "reading", trace.unit, 5)
     layers = [charts.line("observed", trace.time, trace.observed, across, up, 600)]
     layers += [charts.line(tone, trace.time, p, across, up, 600) for tone, p in predictions]
     close = Chart(f"Sensor {trace.sensor} and its predictions, {number(end - start)} s", across, up, tuple(layers))
 
     errors = [(tone, p - trace.observed) for tone, p in predictions if tone != "nominal" or len(predictions) == 1]
     across = axis(*_ends(trace.time), "time", "s")
-    up = axis(*span([e for _, e in errors], 0.99, zero=True), "prediction error", trace.unit, 4)
+    up = axis(*span([e for _, e in errors], 0.99, zero=True), "prediction error", trace.unit, 5)
     edges = np.array([start, end])
     shade = charts.area("shade", edges, np.full(2, up.low), np.full(2, up.high), across, up)
     drawn = [charts.line(tone, trace.time, e, across, up, 800) for tone, e in errors]
@@ -388,7 +394,7 @@ def _map(mismatch: Mismatch) -> list[Chart]:
     if mismatch.after is not None:
         forces.append(("after", mismatch.after))
     low, high = span([f for _, f in forces], 0.98, zero=True)
-    up = axis(low, high, "unexplained force", mismatch.unit, 4)
+    up = axis(low, high, "unexplained force", mismatch.unit, 5)
     unit = mismatch.position_unit
     found = []
     for name, u, x in (
@@ -418,7 +424,7 @@ def _residual(residual: SensorResidual) -> tuple[Chart, Chart]:
         echoes.append(("after", residual.after_autocorrelation))
     time = _end_to_end(residual.time)
     low, high = span([s for _, s in series], 0.99)
-    across, up = axis(*_ends(time), "time", "s"), axis(min(low, -4.0), max(high, 4.0), "residual, × noise", "", 4)
+    across, up = axis(*_ends(time), "time", "s"), axis(min(low, -4.0), max(high, 4.0), "residual, × noise", "", 5)
     two = np.full(2, 2.0)
     layers = [charts.area("shade", np.array(_ends(time)), -two, two, across, up)]
     layers += [charts.dots(tone, time, s, across, up, 600) for tone, s in series]
