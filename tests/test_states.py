@@ -1,0 +1,258 @@
+"""Motion and unexplained force from sensors: known motions come back, and what cannot be known is said."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dipc_gym import mjcf, physics
+from dipc_gym.sim2real import states
+from dipc_gym.sim2real.recording import Recorder, Recording
+
+CART_POLE = """
+    <mujoco>
+      <option timestep="0.001" integrator="RK4"/>
+      <worldbody>
+        <body>
+          <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+          <joint name="cart" type="slide" axis="1 0 0" damping="2"/>
+          <body>
+            <inertial pos="0 0 -0.3" mass="0.5" diaginertia="0.01 0.01 0.01"/>
+            <joint name="pole" axis="0 1 0" damping="0.01"/>
+          </body>
+        </body>
+        {more}
+      </worldbody>
+      <tendon><fixed name="sum"><joint joint="cart" coef="2"/><joint joint="pole" coef="1"/></fixed></tendon>
+      <actuator><motor name="motor" joint="cart" gear="3"/></actuator>
+      <sensor>{sensors}</sensor>
+      <custom>{custom}</custom>
+    </mujoco>"""
+CART, POLE = '<jointpos name="cart" joint="cart"/>', '<jointpos name="pole" joint="pole"/>'
+SUM = '<tendonpos name="sum" tendon="sum"/>'
+SPEED = '<jointvel name="speed" joint="pole"/>'
+ROTOR = """
+    <body>
+      <inertial pos="0 0 0" mass="0.1" diaginertia="1 1 1"/>
+      <joint name="rotor" type="slide" axis="1 0 0"/>
+    </body>"""
+
+
+def cart_pole(sensors: str = CART + POLE, custom: str = "", more: str = "") -> physics.Physics:
+    return physics.load(CART_POLE.format(sensors=sensors, custom=custom, more=more))
+
+
+def stamps(rng: np.random.Generator, n: int, irregular: bool) -> np.ndarray:
+    return np.cumsum(rng.uniform(0.4, 1.6, n) * 0.002 if irregular else np.full(n, 0.002))
+
+
+def recorded(rig: physics.Physics, time: np.ndarray, sensors: np.ndarray) -> Recording:
+    names = mjcf.controls(rig.model), mjcf.scalar_sensors(rig.model)
+    return Recording("made up", time, np.zeros((len(time), len(names[0]))), sensors, *names)
+
+
+# Smoothing
+
+
+@pytest.mark.parametrize("irregular", [False, True])
+@pytest.mark.parametrize("noise", [1e-5, 1e-3, 0.05])
+def test_smoothing_recovers_a_known_motion_within_its_noise(irregular: bool, noise: float) -> None:
+    rng = np.random.default_rng(1)
+    time = stamps(rng, 4000, irregular)
+    true = np.sin(3 * time) + 0.2 * np.sin(11 * time + 1)
+    smooth = states.smoothed(time, true + noise * rng.normal(size=len(time)), noise)
+    inner = slice(50, -50)
+    assert np.std((smooth - true)[inner]) < 0.4 * noise
+    speed = 3 * np.cos(3 * time) + 2.2 * np.cos(11 * time + 1)
+    assert np.std((np.gradient(smooth, time) - speed)[inner]) < 25 * noise + 1e-3
+
+
+@given(st.lists(st.floats(-10, 10), min_size=3, max_size=3), st.floats(1e-6, 1.0), st.integers(0, 100))
+@settings(max_examples=40, deadline=None)
+def test_smoothing_leaves_parabolas_alone(coefficients: list[float], noise: float, seed: int) -> None:
+    time = stamps(np.random.default_rng(seed), 200, irregular=True)
+    values = np.polyval(coefficients, time)
+    np.testing.assert_allclose(states.smoothed(time, values, noise), values, atol=1e-9)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-2, 1.0])
+def test_smoothing_bears_stamps_that_nearly_coincide_and_gaps(noise: float) -> None:
+    time = np.arange(3000) * 0.002
+    time = np.delete(np.sort(np.append(time, time[1000] + 1e-9)), slice(1500, 1900))
+    values = np.sin(3 * time) + noise * np.random.default_rng(0).normal(size=len(time))
+    smooth = states.smoothed(time, values, noise)
+    assert np.std(smooth - np.sin(3 * time)) <= 1.1 * noise + 1e-9
+
+
+def test_a_sensor_that_never_changes_stays_as_it_is() -> None:
+    time = np.arange(100) * 0.01
+    np.testing.assert_array_equal(states.smoothed(time, np.full(100, 0.3), np.inf), np.full(100, 0.3))
+
+
+# Sensors
+
+
+def test_the_map_says_how_sensors_read_joints() -> None:
+    P, V, c = states.sensor_map(cart_pole(CART + SUM + SPEED))
+    np.testing.assert_allclose(P, [[1, 0], [2, 1], [0, 0]], atol=1e-12)
+    np.testing.assert_allclose(V, [[0, 0], [0, 0], [0, 1]], atol=1e-12)
+    np.testing.assert_allclose(c, 0, atol=1e-12)
+
+
+def test_the_map_holds_what_custom_entries_do_to_readings() -> None:
+    custom = (
+        '<numeric name="dipc_gym:sensor.gain:pole" data="1.1"/><numeric name="dipc_gym:sensor.bias:cart" data="0.02"/>'
+    )
+    P, _, c = states.sensor_map(cart_pole(custom=custom))
+    np.testing.assert_allclose(P, [[1, 0], [0, 1.1]], atol=1e-12)
+    np.testing.assert_allclose(c, [0.02, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "joints"), [(CART, "pole"), (POLE, "cart"), (CART + SPEED, "pole"), (SUM, "cart, pole")]
+)
+def test_joints_that_no_position_sensor_determines_are_named(sensors: str, joints: str) -> None:
+    with pytest.raises(states.Undetermined, match=f"sees joint {joints}, so"):
+        states.sensor_map(cart_pole(sensors))
+
+
+def test_a_sensor_that_is_not_linear_is_named() -> None:
+    bent = CART + POLE + '<jointactuatorfrc name="force" joint="cart"/><e_kinetic name="energy"/>'
+    with pytest.raises(states.Undetermined, match="'energy' is not linear"):
+        states.sensor_map(cart_pole(bent))
+
+
+def test_an_unseen_joint_that_follows_another_needs_no_sensor() -> None:
+    follows = '<text name="dipc_gym:follows:rotor" data="cart"/>'
+    with pytest.raises(states.Undetermined, match="joint rotor"):
+        states.sensor_map(cart_pole(more=ROTOR))
+    rig = cart_pole(POLE + '<jointpos name="motor_side" joint="rotor"/>', follows, ROTOR)
+    assert states.base_joints(rig.model) == ("cart", "pole")
+    P, _, _ = states.sensor_map(rig)
+    np.testing.assert_allclose(P, [[0, 1], [1, 0]], atol=1e-12)  # the encoder on the motor tells where the cart is
+
+
+@pytest.mark.parametrize(
+    ("custom", "missing"),
+    [
+        ('<text name="dipc_gym:follows:rotor" data="wagon"/>', "wagon"),
+        ('<text name="dipc_gym:follows:roter" data="cart"/>', "roter"),
+        (
+            '<text name="dipc_gym:follows:rotor" data="cart"/><text name="dipc_gym:follows:cart" data="rotor"/>',
+            "cart",
+        ),
+    ],
+)
+def test_ties_that_cannot_be_are_refused(custom: str, missing: str) -> None:
+    with pytest.raises(mjcf.MjcfError, match=f"no '{missing}' among the joints"):
+        states.base_joints(cart_pole(custom=custom, more=ROTOR).model)
+
+
+def test_a_joint_without_a_name_is_refused() -> None:
+    rig = physics.load('<mujoco><worldbody><body><joint/><geom size="1"/></body></worldbody></mujoco>')
+    with pytest.raises(mjcf.MjcfError, match="joint 0 of the model has no name"):
+        states.base_joints(rig.model)
+
+
+# Motion
+
+
+def test_motion_comes_back_through_redundant_sensors() -> None:
+    rng = np.random.default_rng(2)
+    rig, noise = cart_pole(CART + POLE + SUM), np.array([1e-4, 1e-3, 1e-4])
+    time = stamps(rng, 3000, irregular=True)
+    q = np.stack([0.2 * np.sin(4 * time), np.cos(5 * time)], axis=1)
+    P, _, _ = states.sensor_map(rig)
+    sensors = q @ P.T + noise * rng.normal(size=(len(time), 3))
+    motion = states.estimate(recorded(rig, time, sensors), rig, noise)
+    inner = slice(50, -50)
+    # The sum and the cart together know the pole better than its own encoder does.
+    assert np.std((motion.position - q)[inner], axis=0) == pytest.approx(np.zeros(2), abs=1e-4)
+    assert np.std((motion.acceleration[:, 1] + 25 * np.cos(5 * time))[inner]) < 0.05 * 25
+    halfway = (time[1000] + time[1001]) / 2
+    np.testing.assert_allclose(motion.at(np.array([halfway]))[0, :2], motion.position[1000:1002].mean(axis=0))
+
+
+def test_a_dead_sensor_does_where_nothing_else_sees_its_joint() -> None:
+    rng = np.random.default_rng(3)
+    rig, time = cart_pole(), stamps(rng, 1000, irregular=False)
+    sensors = np.stack([0.1 * np.sin(4 * time) + 1e-5 * rng.normal(size=1000), np.full(1000, 0.3)], axis=1)
+    motion = states.estimate(recorded(rig, time, sensors), rig, np.array([1e-5, np.inf]))
+    np.testing.assert_allclose(motion.position[:, 1], 0.3, atol=1e-9)
+    np.testing.assert_allclose(motion.velocity[:, 1], 0.0, atol=1e-6)
+    np.testing.assert_allclose(motion.position[:, 0], 0.1 * np.sin(4 * time), atol=5e-5)
+
+
+def test_the_lag_of_a_sensor_is_undone() -> None:
+    tau, omega = 0.02, 6.0
+    rig = cart_pole(custom=f'<numeric name="dipc_gym:timing.sensor_lag:pole" data="{tau}"/>')
+    time = np.arange(3000) * 0.002
+    true = np.sin(omega * time)
+    late = np.sin(omega * time - np.arctan(omega * tau)) / np.hypot(1, omega * tau)
+    rng, noise = np.random.default_rng(4), 1e-5
+    sensors = np.stack([0.1 * true, late], axis=1) + noise * rng.normal(size=(3000, 2))
+    motion = states.estimate(recorded(rig, time, sensors), rig, np.full(2, noise))
+    inner = slice(100, -100)
+    assert np.std((motion.position[:, 1] - true)[inner]) < 1e-3 < np.std((late - true)[inner])
+
+
+# Force
+
+
+def extra_force(time: float) -> np.ndarray:
+    return np.array([2.0 + np.sin(7 * time), -0.05 * np.cos(4 * time)])
+
+
+def swinging(rig: physics.Physics, noise: float, seconds: float = 6.0) -> Recording:
+    """A run under a slow voltage, with a force on both joints that the model does not know."""
+    rng, data = np.random.default_rng(5), mujoco.MjData(rig.model)
+    data.qpos[1] = 0.6
+    recorder = Recorder(["motor"], ["cart", "pole"])
+    for _ in range(round(seconds / 0.002)):
+        command = np.array([np.sin(5 * data.time) - 0.7])
+        recorder.append(data.time, command, data.qpos + noise * rng.normal(size=2))
+        for _ in range(2):
+            data.qfrc_applied[:] = extra_force(data.time)
+            rig.step(data, command)
+    return recorder.recording("swinging")
+
+
+def test_a_force_that_the_model_does_not_know_is_recovered() -> None:
+    rig, noise = cart_pole(), 1e-6
+    run = swinging(rig, noise)
+    motion = states.estimate(run, rig, np.full(2, noise))
+    force, load = states.unexplained_force(rig, run, motion)
+    expected = np.stack([extra_force(t) for t in run.time])
+    inner = slice(50, -50)
+    np.testing.assert_allclose(force[inner, 0], expected[inner, 0], atol=0.1)
+    np.testing.assert_allclose(force[inner, 1], expected[inner, 1], atol=0.02)
+    assert load.shape == force.shape
+    assert np.std(load[inner, 1]) > 0.1  # the weight that swings
+
+
+def test_a_force_on_a_follower_counts_for_its_leader() -> None:
+    noise = 1e-6
+    run = swinging(cart_pole(), noise)
+    heavy = cart_pole(custom='<text name="dipc_gym:follows:rotor" data="cart"/>', more=ROTOR)
+    motion = states.estimate(run, heavy, np.full(2, noise))
+    force, _ = states.unexplained_force(heavy, run, motion)
+    expected = np.array([extra_force(t)[0] for t in run.time]) + 0.1 * motion.acceleration[:, 0]
+    np.testing.assert_allclose(force[50:-50, 0], expected[50:-50], atol=0.1)
+
+
+def test_forces_in_the_model_file_are_not_unexplained() -> None:
+    custom = '<numeric name="dipc_gym:disturbance.periodic:cart" data="2 1 0.3"/>'
+    rig, noise = cart_pole(custom=custom), 1e-6
+    data, recorder = mujoco.MjData(rig.model), Recorder(["motor"], ["cart", "pole"])
+    for _ in range(2000):
+        recorder.append(data.time, [0.5], data.qpos)
+        rig.step(data, np.array([0.5]), 2)
+    run = recorder.recording("shaken")
+    motion = states.estimate(run, rig, np.full(2, noise))
+    with_it, _ = states.unexplained_force(rig, run, motion)
+    without, _ = states.unexplained_force(cart_pole(), run, motion)
+    assert np.abs(with_it[50:-50, 0]).max() < 0.05
+    assert np.abs(without[50:-50, 0]).max() > 1.9
