@@ -58,6 +58,7 @@ class Compare:
     def run(self) -> int:
         """Compare, and print the table."""
         from dipc_gym import compare
+        from dipc_gym.summary import table
 
         comparison = compare.Comparison(
             controllers=_listed(self.controller),
@@ -73,7 +74,7 @@ class Compare:
         except KeyboardInterrupt:
             print(f"\ninterrupted; what was finished is in {self.out / 'summary.json'}", file=sys.stderr)
             return 130
-        print(compare.table(summary))
+        print(table(summary))
         print(f"\nresults in {self.out}")
         return 0
 

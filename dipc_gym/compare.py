@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import platform
 import shutil
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -29,20 +27,13 @@ from dipc_gym.plant import Friction, Plant
 from dipc_gym.runs import Course, Identification, identify
 from dipc_gym.sim2real import recording
 from dipc_gym.sim2real.recording import Recording
+from dipc_gym.summary import summarise, table
 
 Array = NDArray[np.float64]
 
-SCHEMA = "dipc-gym/compare/1"
 SETTLED = 20.0  # s; the paper reads deviations off its Fig. 12 after that
 FOLDERS = ("cells", "compensators", "recordings", "figures")
 FILES = ("summary.json", "table.txt", "rig.gif")
-
-# Table 2 of the paper: largest deviations of cart (m) and poles (degrees), cost.
-PAPER = {
-    "none": {"cart_m": 0.045, "pole1_deg": 5.0, "pole2_deg": 3.0, "cost": 9.49e6},
-    "mlp": {"cart_m": 0.04, "pole1_deg": 2.0, "pole2_deg": 1.5, "cost": 6.74e6},
-    "llnf": {"cart_m": 0.02, "pole1_deg": 1.0, "pole2_deg": 0.6, "cost": 4.93e6},
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,6 +117,10 @@ class Comparison:
         if self.recording is not None:
             self.identification(0)
 
+    def pairs(self) -> list[tuple[str, str]]:
+        """Controllers and compensators as tables call them, in the order of the table."""
+        return [(controllers.load(a).name, _label(b)) for a in self.controllers for b in self.compensators]
+
     def base_plant(self) -> Plant:
         """The build that all rigs are of."""
         env: Any = gymnasium.make(ENV_ID, plant=self.plant, model=self.model).unwrapped
@@ -192,6 +187,7 @@ def balance(
         "seconds": len(course.time) * plant.control_period,
         "cost": _cost(course, lqr.RECOVERED_Q),
         "cost_printed_q": _cost(course, lqr.PRINTED_Q),
+        "force_rms": float(np.sqrt(np.mean(course.force**2))),
         "voltage_rms": float(np.sqrt(np.mean(course.voltage**2))),
         "clipped_share": course.clipped / len(course.time),
         "test_mse": None if compensator.figures is None else compensator.figures.test_mse,
@@ -244,7 +240,7 @@ def run(comparison: Comparison, out: str | Path, *, jobs: int = 2, overwrite: bo
         notes += figures.draw_all(comparison, fits[0], courses, out)
         complete = True
     finally:
-        summary = summarise(comparison, cells, notes, complete)
+        summary = summarise(dataclasses.asdict(comparison), comparison.pairs(), cells, notes, complete)
         write_json(out / "summary.json", summary)
         (out / "table.txt").write_text(table(summary) + "\n", encoding="utf-8")
     return summary
@@ -267,77 +263,6 @@ def prepare_folder(out: str | Path, *, overwrite: bool) -> Path:
     for name in FOLDERS:
         (out / name).mkdir(parents=True, exist_ok=True)
     return out
-
-
-def summarise(
-    comparison: Comparison, cells: Sequence[Mapping[str, Any]], notes: Sequence[str], complete: bool
-) -> dict[str, Any]:
-    """Medians and spreads over the seeds; costs and deviations are those of runs that did not fall."""
-    rows = []
-    pairs = dict.fromkeys((cell["controller"], cell["compensator"]) for cell in cells)
-    wanted = [(controllers.load(a).name, _label(b)) for a in comparison.controllers for b in comparison.compensators]
-    for pair in (pair for pair in wanted if pair in pairs):
-        mine = [cell for cell in cells if (cell["controller"], cell["compensator"]) == pair]
-        stood = [cell for cell in mine if cell["survived"]]
-        errors = [cell["test_mse"] for cell in mine if cell["test_mse"] is not None]
-        row: dict[str, Any] = {"controller": pair[0], "compensator": pair[1], "seeds": len(mine)}
-        row["survived"] = len(stood)
-        for key in ("cost", "cost_printed_q", "cart_m", "pole1_deg", "pole2_deg", "voltage_rms"):
-            row[key] = _spread([cell[key] for cell in stood])
-        row["test_mse"] = float(np.median(errors)) if errors else None
-        row["parameters"] = round(float(np.median([cell["parameters"] for cell in mine])))
-        rows.append(row)
-    outside = sorted({cell["compensator"] for cell in cells if cell["notes"]})
-    if outside:
-        notes = [*notes, f"asked far outside their training range in some runs: {', '.join(outside)}"]
-    return {
-        "schema": SCHEMA,
-        "complete": complete,
-        "rows": rows,
-        "paper": PAPER,
-        "cost_is": "sum over control periods of x'Qx + F^2, x the simulated state, F the commanded force (N)",
-        "Q": np.diag(lqr.RECOVERED_Q).tolist(),
-        "printed_Q": np.diag(lqr.PRINTED_Q).tolist(),
-        "settings": dataclasses.asdict(comparison),
-        "notes": list(notes),
-        "versions": {
-            "python": platform.python_version(),
-            **{name: metadata.version(name) for name in ("dipc-gym", "mujoco", "gymnasium", "numpy")},
-        },
-    }
-
-
-def table(summary: Mapping[str, Any]) -> str:
-    """The paper's Table 2 beside ours, as text: medians, below them 10th and 90th percentile."""
-    head = ("controller", "compensator", "stood", "cart m", "pole 1 deg", "pole 2 deg", "cost J", "test MSE", "numbers")
-    lines = [head]
-    for row in summary["rows"]:
-        columns = [(row[key], form) for key, form in _FORMATS.items()]
-        mse = "-" if row["test_mse"] is None else f"{row['test_mse']:.3g}"
-        lines.append(
-            (
-                row["controller"],
-                row["compensator"],
-                f"{row['survived']}/{row['seeds']}",
-                *("-" if c is None else format(c["median"], form) for c, form in columns),
-                mse,
-                str(row["parameters"]),
-            )
-        )
-        spread = ("" if c is None else f"{c['low']:{form}}..{c['high']:{form}}" for c, form in columns)
-        lines.append(("", "", "", *spread, "", ""))
-        paper = summary["paper"].get(row["compensator"]) if row["controller"] == "lqr" else None
-        if paper:
-            lines.append(("", "  paper", "", *(format(paper[key], form) for key, form in _FORMATS.items()), "", ""))
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
-    text.insert(1, "-" * len(text[0]))
-    if not summary["complete"]:
-        text.append("interrupted: this is what was finished")
-    return "\n".join([*text, *(f"note: {note}" for note in summary["notes"])])
-
-
-_FORMATS = {"cart_m": ".3f", "pole1_deg": ".2f", "pole2_deg": ".2f", "cost": ".3g"}
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -393,13 +318,6 @@ def _save_cell(done: Done, out: Path) -> None:
 
 def _cost(course: Course, Q: Array) -> float:
     return float(np.einsum("ni,ij,nj->", course.state, Q, course.state) + lqr.R * course.force @ course.force)
-
-
-def _spread(values: Sequence[float]) -> dict[str, float] | None:
-    if not values:
-        return None
-    low, median, high = np.percentile(values, [10, 50, 90]).tolist()
-    return {"median": median, "low": low, "high": high}
 
 
 def _label(name: str) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dipc_gym import kernels, mjcf
+from dipc_gym import drawing, kernels, mjcf
 from dipc_gym.physics import from_model
 from dipc_gym.plant import Plant, PlantError
 
@@ -212,7 +211,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             )
             return None
         if self._viewer is None:
-            self._viewer = self._new_viewer()
+            self._viewer = drawing.viewer(self.model, self._data, *self._picture)
         return self._viewer.render(self.render_mode)
 
     def _draw_frame(self) -> None:
@@ -422,7 +421,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             "diverged": diverged,
         }
 
-    # ------------------------------------------------------------------------------------- pickling and drawing
+    # ------------------------------------------------------------------------------------- pickling
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything, the simulation's hidden state included, but the window and the views into the arrays."""
@@ -432,51 +431,6 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._bind()
-
-    def _new_viewer(self) -> Any:
-        choose_renderer()
-        try:
-            from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
-        except ImportError as error:
-            raise gymnasium.error.DependencyNotInstalled(
-                f"drawing needs Gymnasium's MuJoCo renderer ({error}); pip install 'gymnasium[mujoco]'"
-            ) from error
-        width, height, camera = self._picture
-        model = self._physics.model
-        if camera is not None and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera) < 0:
-            camera = None  # a model of one's own need not have ours
-        model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
-        model.vis.global_.offheight = max(model.vis.global_.offheight, height)
-        return MujocoRenderer(
-            model, self._data, width=width, height=height, camera_name=camera, camera_id=None if camera else -1
-        )
-
-
-def choose_renderer() -> None:
-    """Where there is no display and `MUJOCO_GL` is not set, set it to `egl` or `osmesa`, whichever works.
-
-    Gymnasium would otherwise try to open a window. With neither library the variable stays unset, and drawing fails
-    with Gymnasium's message.
-    """
-    if "MUJOCO_GL" in os.environ or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        return
-    for backend in ("egl", "osmesa"):
-        if _works(backend):
-            os.environ["MUJOCO_GL"] = backend
-            return
-
-
-@functools.cache
-def _works(backend: str) -> bool:
-    """Whether a fresh process gets a picture from this backend; a failed try would spoil the OpenGL of this one."""
-    import subprocess
-    import sys
-
-    code = f"from mujoco.{backend} import GLContext; c = GLContext(8, 8); c.make_current(); c.free()"
-    environment = {**os.environ, "MUJOCO_GL": backend}
-    return not subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, check=False, timeout=60
-    ).returncode
 
 
 @functools.cache

@@ -23,6 +23,7 @@ from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.runs import balance, identify
 from dipc_gym.sim2real import recording
+from dipc_gym.summary import summarise, table
 
 QUICK = Comparison(compensators=("none", "feedforward", "llnf", "ideal"), seeds=2, seconds=2.0)
 
@@ -50,6 +51,23 @@ def test_summary_has_the_promised_form(finished: tuple[dict[str, Any], Path]) ->
     assert learned["feedforward"][0] == 5
     assert learned["llnf"][1] < learned["feedforward"][1] < learned["none"][1]
     assert learned["ideal"] == (0, None)
+
+
+def test_rigs_are_compared_one_by_one(finished: tuple[dict[str, Any], Path]) -> None:
+    summary, out = finished
+    pairs = summary["rig_by_rig"]
+    assert [(p["than"], p["compensator"], p["rigs"]) for p in pairs] == [
+        ("none", "feedforward", 2), ("feedforward", "llnf", 2), ("llnf", "ideal", 2)
+    ]  # fmt: skip
+    costs = [
+        [
+            json.loads((out / "cells" / f"lqr-{name}-{s:02d}.json").read_text())["cost"]
+            for name in ("none", "feedforward")
+        ]
+        for s in (0, 1)
+    ]
+    assert pairs[0]["cost_ratio"]["median"] == pytest.approx(np.mean([after / before for before, after in costs]))
+    assert pairs[0]["less_on"] == sum(after < before for before, after in costs)
 
 
 def test_folder_has_everything(finished: tuple[dict[str, Any], Path]) -> None:
@@ -94,19 +112,17 @@ def test_rigs_differ_within_the_spread() -> None:
 
 
 def test_fallen_runs_are_counted_and_left_out_of_the_figures() -> None:
+    zeros = dict.fromkeys(("cost_printed_q", "cart_m", "pole1_deg", "pole2_deg", "force_rms", "voltage_rms"), 0.0)
+    shared = {**zeros, "controller": "lqr", "compensator": "none", "test_mse": None, "parameters": 0, "notes": []}
     cells = [
-        {"controller": "lqr", "compensator": "none", "seed": 0, "survived": False, "cost": 9.0, "cost_printed_q": 9.0,
-         "cart_m": None, "pole1_deg": None, "pole2_deg": None, "voltage_rms": 9.0, "test_mse": None, "parameters": 0,
-         "notes": []},
-        {"controller": "lqr", "compensator": "none", "seed": 1, "survived": True, "cost": 1.0, "cost_printed_q": 1.0,
-         "cart_m": 0.1, "pole1_deg": 1.0, "pole2_deg": 1.0, "voltage_rms": 1.0, "test_mse": None, "parameters": 0,
-         "notes": []},
-    ]  # fmt: skip
-    row = compare.summarise(QUICK, cells, [], True)["rows"][0]
+        {**shared, "seed": 0, "survived": False, "cost": 9.0, "cart_m": None},
+        {**shared, "seed": 1, "survived": True, "cost": 1.0},
+    ]
+    row = summarise({}, QUICK.pairs(), cells, [], True)["rows"][0]
     assert (row["seeds"], row["survived"], row["cost"]["median"]) == (2, 1, 1.0)
-    none = compare.summarise(QUICK, cells[:1], [], True)
+    none = summarise({}, QUICK.pairs(), cells[:1], [], True)
     assert none["rows"][0]["cost"] is None
-    assert "0/1" in compare.table(none)
+    assert "0/1" in table(none)
 
 
 def test_training_from_a_recording(tmp_path: Path) -> None:
