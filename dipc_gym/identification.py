@@ -122,7 +122,7 @@ def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) 
     rng = np.random.default_rng(seed)
     period, encoders = plant.control_period, plant.encoders
     nstep = round(period / model.opt.timestep)
-    time = period * np.arange(round(sweep.duration / period))
+    time: Array = period * np.arange(round(sweep.duration / period), dtype=np.float64)
     volts = np.clip(sweep.voltage(time), -plant.supply, plant.supply)
     motor = mjcf.controls(model).index("motor")
     data = mujoco.MjData(model)

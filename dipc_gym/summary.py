@@ -87,9 +87,7 @@ def _rig_by_rig(cells: Sequence[Mapping[str, Any]], wanted: Sequence[tuple[str, 
 
 def table(summary: Mapping[str, Any]) -> str:
     """The paper's Table 2 beside ours, as text: medians, below them 10th and 90th percentile."""
-    head = ("controller", "compensator", "stood", "cart m", "pole 1 deg", "pole 2 deg", "cost J", "printed Q")
-    head = (*head, "force N", "test MSE", "numbers")
-    lines = [head]
+    lines: list[tuple[str, ...]] = [_HEAD]
     for row in summary["rows"]:
         columns = [(row[key], form) for key, form in _FORMATS.items()]
         mse = "-" if row["test_mse"] is None else f"{row['test_mse']:.3g}"
@@ -130,6 +128,19 @@ def table(summary: Mapping[str, Any]) -> str:
     return "\n".join([*text, *(f"note: {note}" for note in summary["notes"])])
 
 
+_HEAD = (
+    "controller",
+    "compensator",
+    "stood",
+    "cart m",
+    "pole 1 deg",
+    "pole 2 deg",
+    "cost J",
+    "printed Q",
+    "force N",
+    "test MSE",
+    "numbers",
+)
 _FORMATS = {
     "cart_m": ".3f",
     "pole1_deg": ".2f",

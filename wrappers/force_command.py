@@ -107,7 +107,7 @@ class ForceCommand(
             volts = self.compensator.voltage(force, velocity, friction=held_back)  # type: ignore[call-arg]
         else:
             volts = self.compensator.voltage(force, velocity)
-        observation, reward, terminated, truncated, info = self.env.step(np.array((volts,)))  # type: ignore[arg-type]
+        observation, reward, terminated, truncated, info = self.env.step(np.array((volts,)))
         info["force"] = force
         return observation, reward, terminated, truncated, info
 
