@@ -263,7 +263,7 @@ def example(verdict: str = "explained", seed: int = 0) -> ReportData:
                 s["force improved"] if found else None,
             )
         ],
-        candidates=rows if refit else [],
+        candidates=rows[0 if found else 3 :] if refit else [],
         residuals=[
             SensorResidual(
                 "cart_position",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Kind = Literal["line", "dots", "area"]
-Tone = Literal["observed", "nominal", "before", "after", "shade", "rule"]
+Tone = Literal["observed", "nominal", "before", "after", "shade"]
 
 WIDTH, HEIGHT = 2000, 1000  # of the box; twice the pixels of the widest chart
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
