@@ -275,7 +275,7 @@ def example(verdict: str = "explained", seed: int = 0) -> ReportData:
                 autocorrelation(scaled["improved"], lags) if found else None,
                 1.96 / np.sqrt(len(s["time"])),
                 "What is left looks like noise: 96 % of the autocorrelation lies inside the band."
-                if found
+                if verdict not in ("partly explained", "unexplained")
                 else "What is left does not look like noise: it remembers itself for 40 ms.",
             )
         ],

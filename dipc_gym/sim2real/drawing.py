@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real import charts
-from dipc_gym.sim2real.charts import Chart, Layer, axis, span
+from dipc_gym.sim2real.charts import Chart, Layer, Tone, axis, span
 from dipc_gym.sim2real.wording import number
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ CLOSE_UP = 4  # windows
 
 def trace(trace: Trace) -> tuple[Chart, Chart]:
     """Readings and predictions close up, and prediction errors all along."""
-    predictions: list[tuple[charts.Tone, Array]] = [("nominal", trace.nominal)]
+    predictions: list[tuple[Tone, Array]] = [("nominal", trace.nominal)]
     if trace.recalibrated is not None:
         predictions.append(("before", trace.recalibrated))
     if trace.improved is not None:
@@ -70,9 +70,9 @@ def _close_up(trace: Trace) -> tuple[float, float]:
     return start, start + width
 
 
-def mismatch_map(mismatch: Mismatch) -> list[Chart]:
-    """Unexplained force against velocity, position and time."""
-    forces: list[tuple[charts.Tone, Array]] = [("before", mismatch.before)]
+def mismatch_map(mismatch: Mismatch, first: Tone) -> list[Chart]:
+    """Unexplained force against velocity, position and time; `first` says which model stands for before."""
+    forces: list[tuple[Tone, Array]] = [(first, mismatch.before)]
     if mismatch.after is not None:
         forces.append(("after", mismatch.after))
     low, high = span([f for _, f in forces], 0.98, zero=True)
@@ -96,10 +96,10 @@ def mismatch_map(mismatch: Mismatch) -> list[Chart]:
     return found
 
 
-def residual(residual: SensorResidual) -> tuple[Chart, Chart]:
-    """Residual over time and its autocorrelation."""
-    series: list[tuple[charts.Tone, Array]] = [("before", residual.before)]
-    echoes: list[tuple[charts.Tone, Array]] = [("before", residual.before_autocorrelation)]
+def residual(residual: SensorResidual, first: Tone) -> tuple[Chart, Chart]:
+    """Residual over time and its autocorrelation; `first` says which model stands for before."""
+    series: list[tuple[Tone, Array]] = [(first, residual.before)]
+    echoes: list[tuple[Tone, Array]] = [(first, residual.before_autocorrelation)]
     if residual.after is not None:
         series.append(("after", residual.after))
     if residual.after_autocorrelation is not None:

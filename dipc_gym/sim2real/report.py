@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real import drawing
+from dipc_gym.sim2real.charts import Tone
 from dipc_gym.sim2real.wording import clean, measured, number, percent, short, tied
 
 Array = NDArray[np.float64]
@@ -226,11 +227,13 @@ def render(data: ReportData) -> str:
 def _parts(data: ReportData) -> dict[str, Any]:
     """What the template shows, drawn and sorted."""
     shown, rest, screened = _candidates(data.candidates)
+    first: Tone = "nominal" if data.before == "nominal" else "before"
     return {
+        "first": first,
         "fit": _fit(data.diagnosis),
         "traces": [(trace, *drawing.trace(trace)) for trace in data.traces[:MOST_TRACES]],
-        "maps": [(mismatch, drawing.mismatch_map(mismatch)) for mismatch in data.maps[:MOST_MAPS]],
-        "residuals": [(residual, *drawing.residual(residual)) for residual in data.residuals[:MOST_RESIDUALS]],
+        "maps": [(mismatch, drawing.mismatch_map(mismatch, first)) for mismatch in data.maps[:MOST_MAPS]],
+        "residuals": [(residual, *drawing.residual(residual, first)) for residual in data.residuals[:MOST_RESIDUALS]],
         "not_drawn": {
             "traces": data.traces[MOST_TRACES:],
             "maps": data.maps[MOST_MAPS:],
