@@ -326,7 +326,13 @@ def _sense(physics: Physics, readings: Array, track: Array | None, step: float) 
     """Apply what the sensors do to the model's readings (sims, nstep, nsensordata)."""
     if not physics.stage("lag"):
         return physics.sense(readings.swapaxes(0, 1)).swapaxes(0, 1)
-    whole = readings if track is None else np.concatenate([track, readings], axis=1)
+    if track is None:
+        whole = readings
+    else:
+        # The joints were put back to where the window starts; what a sensor remembers moves along.
+        last = track[:, -2:]
+        shift = readings[:, :1] - (2 * last[:, -1:] - last[:, :1])
+        whole = np.concatenate([track + shift, readings], axis=1)
     out = np.empty_like(whole)
     memory = physics.sensor_memory(whole[:, 0])
     for k in range(whole.shape[1]):
