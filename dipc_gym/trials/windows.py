@@ -1,0 +1,290 @@
+"""Recordings made by the independent integrator, and prediction errors on short windows of them.
+
+A window of 0.25 s starts from the recorded state; what a better start could still remove (the response to a
+change of each start position and velocity) is projected out of the residual. Errors are in units of the
+sensors' noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dipc_gym.trials import integrator
+from dipc_gym.trials.effects import Effect, Number
+from dipc_gym.trials.integrator import index
+from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig
+
+WINDOW = 125
+FINE, COARSE = 5e-5, 5e-4
+ONES = np.ones(SAMPLES)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recording with what no encoder shows.
+
+    Attributes:
+        plant: the numbers it was made with.
+        command: shape (samples,).
+        gain: factor on the command, shape (samples,).
+        q: joint positions, shape (samples, joints).
+        v: joint velocities.
+        reading: sensor values before noise and quantisation.
+        slope: their rates.
+        measured: what is written.
+    """
+
+    plant: Array
+    command: Array
+    gain: Array
+    q: Array
+    v: Array
+    reading: Array
+    slope: Array
+    measured: Array
+
+
+def step_size(rig: Rig, plant: Array, largest: float) -> float:
+    """Integration step that a plant's fastest mode allows, s."""
+    step = largest
+    if plant[index("inductance")] > 0:
+        step = min(step, 2 * plant[index("inductance")] / plant[index("resistance")])
+    bristle, level = plant[index("bristle", 0)], plant[index("coulomb", 0)]
+    if bristle > 0:
+        step = min(step, max(0.5 * level / (bristle * 4 * rig.speed[0]), 1e-5))
+    return step
+
+
+def record(
+    rig: Rig, plant: Array, drive: Array, gain: Array, rng: np.random.Generator, step: float = FINE
+) -> Recording:
+    """Run the rig and keep everything.
+
+    Args:
+        rig: the rig.
+        plant: its true numbers.
+        drive: excitation, shape (SAMPLES,).
+        gain: factor on the command, shape (SAMPLES,).
+        rng: source of the sensor noise.
+        step: largest integration step, s.
+    """
+    shape = (SAMPLES, rig.count)
+    noise = rig.white * rng.standard_normal(shape)
+    start = np.tile(np.asarray(rig.start, dtype=float), (SAMPLES, 1))
+    q, v, reading, slope, measured, command = integrator.simulate(
+        plant, rig.count, SAMPLE_TIME, step_size(rig, plant, step), drive, gain, rig.feedback, rig.quantum, noise,
+        start, np.zeros(shape), start, 0,
+    )  # fmt: skip
+    return Recording(plant, command, gain, q, v, reading, slope, measured)
+
+
+def _starts(rig: Rig, plant: Array, recording: Recording) -> tuple[Array, Array]:
+    """Joint states that a plant's sensors say were there, from noise-free readings."""
+    time = np.arange(SAMPLES) * SAMPLE_TIME
+    q, v = np.empty_like(recording.q), np.empty_like(recording.v)
+    for joint in range(rig.count):
+        y, slope = recording.reading[:, joint], recording.slope[:, joint]
+        lag, filtered = plant[index("lag", joint)], plant[index("filter", joint)]
+        if lag > 0:
+            from scipy.interpolate import CubicHermiteSpline
+
+            spline = CubicHermiteSpline(time, y, slope)
+            later = np.minimum(time + lag, time[-1])
+            y, slope = spline(later), spline(later, 1)
+        if filtered > 0:
+            y, slope = y + filtered * slope, slope + filtered * np.gradient(slope, SAMPLE_TIME)
+        scale = 1 + plant[index("gain", joint)]
+        q[:, joint] = (y - plant[index("bias", joint)]) / scale
+        v[:, joint] = slope / scale
+    return q, v
+
+
+def predict(
+    rig: Rig, plant: Array, recording: Recording, *, gain: Array = ONES, true_start: bool = False,
+    shift: tuple[Array, Array] | None = None,
+) -> Array:  # fmt: skip
+    """Readings that a plant predicts window by window, shape (samples, joints).
+
+    Args:
+        rig: the rig.
+        plant: the numbers that predict.
+        recording: where the windows start, and the command.
+        gain: factor on the command.
+        true_start: start from the true states instead of what this plant's sensors say.
+        shift: added to the start positions and velocities.
+    """
+    q, v = (recording.q, recording.v) if true_start else _starts(rig, plant, recording)
+    if shift is not None:
+        q, v = q + shift[0], v + shift[1]
+    start_y = recording.reading / (1 + plant[[index("gain", j) for j in range(rig.count)]])
+    return np.asarray(
+        integrator.simulate(
+            plant, rig.count, SAMPLE_TIME, step_size(rig, plant, COARSE), recording.command, gain,
+            integrator.NO_FEEDBACK, rig.quantum, np.zeros_like(q), q, v, start_y, WINDOW,
+        )[2]
+    )  # fmt: skip
+
+
+class Windows:
+    """Residuals of predictions on one recording, in noise units, freed of what a better start would remove.
+
+    Args:
+        rig: the rig.
+        recording: the recording.
+        plant: the plant whose response to its start is projected out (its dry friction is left out).
+    """
+
+    def __init__(self, rig: Rig, recording: Recording, plant: Array) -> None:
+        self.rig, self.recording = rig, recording
+        smooth = plant.copy()
+        for joint in range(rig.count):
+            smooth[index("coulomb", joint)] = 0.0
+        base = predict(rig, smooth, recording)
+        columns = []
+        for joint in range(rig.count):
+            for velocity in (False, True):
+                change = np.zeros(rig.count)
+                size = 1e-3 * (rig.speed[joint] if velocity else rig.span[joint])
+                change[joint] = size
+                shift = (np.zeros(rig.count), change) if velocity else (change, np.zeros(rig.count))
+                columns.append(self._shape(predict(rig, smooth, recording, shift=shift) - base) / size)
+        self.basis = np.linalg.qr(np.stack(columns, axis=-1))[0]
+
+    def _shape(self, values: Array) -> Array:
+        """(samples, joints) to (windows, window samples x joints), in noise units."""
+        return (values / self.rig.noise).reshape(-1, WINDOW * self.rig.count)
+
+    def residual(self, prediction: Array, reference: Array) -> Array:
+        """Difference in noise units without what the start explains, flat."""
+        raw = self._shape(prediction - reference)
+        along = np.einsum("wij,wi->wj", self.basis, raw)
+        return np.asarray((raw - np.einsum("wij,wj->wi", self.basis, along)).ravel())
+
+
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def standard_numbers(rig: Rig, plant: Array) -> list[Number]:
+    """The model's own numbers that anybody refits: damping, motor constant, driven mass, known dry friction."""
+    numbers = []
+    for j, at in enumerate(rig.joints):
+        scale = max(plant[index("damping", j)], 0.01 * rig.force[j] / rig.speed[j])
+        numbers.append(Number(f"damping.{at}", "", index("damping", j), 0, 0, "change", scale))
+    kt, ke = plant[index("kt")], plant[index("ke")]
+    numbers.append(Number("motor_constant", "", index("kt"), 0, 0, "change", kt, ((index("ke"), ke),)))
+    if rig.name in ("hanging", "upright", "pendulum"):
+        numbers.append(Number("mass", "", index("m0"), 0, 0, "change", plant[index("m0")]))
+    for j, at in enumerate(rig.joints):
+        level = plant[index("coulomb", j)]
+        if level > 0:
+            numbers.append(Number(f"coulomb.{at}", "", index("coulomb", j), 0, 0, "change", level))
+    return numbers
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A refitted plant.
+
+    Attributes:
+        plant: its numbers.
+        values: of the effect's own numbers, none for a mere refit.
+        error: windowed difference from the reference on the fitted recordings, noise units.
+    """
+
+    plant: Array
+    values: tuple[float, ...]
+    error: float
+
+
+def fit(
+    windows: Sequence[Windows], references: Sequence[Array], plant: Array, effects: Sequence[Effect],
+    start: Sequence[float], *, effort: int = 10, refit: bool = True,
+) -> Fit:  # fmt: skip
+    """Fit the standard numbers, and those of added effects, to readings.
+
+    Positive numbers are fitted as logarithms, the rest on the scale of their start. Gauss-Newton with a trust
+    region (`scipy.optimize.least_squares`) on a forward-difference Jacobian.
+
+    Args:
+        windows: one for each recording.
+        references: readings to be predicted, one for each recording.
+        plant: start for the standard numbers.
+        effects: added to it.
+        start: values of the effects' numbers to start from.
+        effort: largest number of Jacobians.
+        refit: free the standard numbers too.
+    """
+    from scipy.optimize import least_squares
+
+    rig = windows[0].rig
+    own = standard_numbers(rig, plant) if refit else []
+    added = [number for effect in effects for number in effect.numbers]
+    logarithmic = np.array([number.kind == "log" for number in added], dtype=bool)
+    begin = np.asarray(start, dtype=float)
+    scale = np.where(logarithmic, 1.0, np.where([n.kind == "uniform" for n in added], 0.3, np.abs(begin) + 1e-12))
+    low = np.array([np.log(n.low / 5) if n.kind == "log" else -np.inf for n in added])
+    high = np.array([np.log(n.high * 4) if n.kind == "log" else np.inf for n in added])
+    x0 = np.concatenate(
+        [np.zeros(len(own)), np.where(logarithmic, np.log(np.where(logarithmic, begin, 1.0)), begin) / scale]
+    )
+    lower = np.concatenate([np.full(len(own), -0.95), low / scale])
+    upper = np.concatenate([np.full(len(own), 50.0), high / scale])
+
+    def split(x: Array) -> tuple[Array, Array]:
+        result = plant.copy()
+        for number, change in zip(own, x[: len(own)], strict=True):
+            result[number.place] += number.factor * change
+            for place, factor in number.also:
+                result[place] += factor * change
+        raw = x[len(own) :] * scale
+        values = np.where(logarithmic, np.exp(np.where(logarithmic, raw, 0.0)), raw)
+        done = 0
+        for effect in effects:
+            count = len(effect.numbers)
+            result = effect.apply(result, values[done : done + count])
+            done += count
+        return result, values
+
+    latest: dict[bytes, Array] = {}
+
+    def residuals(x: Array) -> Array:
+        if x.tobytes() in latest:
+            return latest[x.tobytes()]
+        candidate, _ = split(x)
+        parts = [
+            w.residual(predict(rig, candidate, w.recording), reference)
+            for w, reference in zip(windows, references, strict=True)
+        ]
+        latest.clear()
+        latest[x.tobytes()] = np.clip(np.nan_to_num(np.concatenate(parts), nan=1e6), -1e6, 1e6)
+        return latest[x.tobytes()]
+
+    def jacobian(x: Array) -> Array:
+        base = residuals(x)
+        matrix = np.empty((base.size, x.size))
+        for k in range(x.size):
+            moved = x.copy()
+            step = 1e-3 if x[k] + 1e-3 < upper[k] else -1e-3
+            moved[k] += step
+            matrix[:, k] = (residuals(moved) - base) / step
+        return matrix
+
+    inside = np.clip(x0, lower + 1e-6, upper - 1e-6)
+    found = least_squares(
+        residuals,
+        inside,
+        jac=jacobian,
+        bounds=(lower, upper),
+        x_scale="jac",
+        max_nfev=effort,
+        ftol=1e-5,
+        xtol=1e-6,
+        gtol=1e-9,
+    )
+    best, values = split(found.x)
+    return Fit(best, tuple(float(v) for v in values), rms(found.fun))
