@@ -50,6 +50,8 @@ class Compare:
     """JSON file of the plant that all rigs vary about"""
     model: str | None = None
     """MJCF file of another rig, with the actuator motor and the sensors cart, pole1, pole2"""
+    exact_state: bool = False
+    """balance with the exact state: what encoder noise costs is then left out"""
     jobs: int = 2
     """processes at a time"""
     overwrite: bool = False
@@ -68,6 +70,7 @@ class Compare:
             plant=self.plant,
             model=self.model,
             recording=self.recording,
+            exact_state=self.exact_state,
         )
         try:
             summary = compare.run(comparison, self.out, jobs=self.jobs, overwrite=self.overwrite)

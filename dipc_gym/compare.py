@@ -80,6 +80,7 @@ class Comparison:
         plant: file of the rig's plant; None is the default rig.
         model: file of an MJCF model; None is the package's.
         recording: file of an identification run to train all compensators from; None simulates one on every rig.
+        exact_state: balance with the exact state instead of encoder readings; training still sees encoders.
         sweep: the simulated identification run.
         spread: how rigs differ.
     """
@@ -91,6 +92,7 @@ class Comparison:
     plant: str | None = None
     model: str | None = None
     recording: str | None = None
+    exact_state: bool = False
     sweep: Sweep = field(default_factory=Sweep)
     spread: Spread = field(default_factory=Spread)
 
@@ -177,7 +179,13 @@ def balance(
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", OutOfRangeWarning)
         course = runs.balance(
-            brain, compensator, seconds=comparison.seconds, seed=seed, plant=plant, model=comparison.model
+            brain,
+            compensator,
+            seconds=comparison.seconds,
+            seed=seed,
+            plant=plant,
+            model=comparison.model,
+            exact_state=comparison.exact_state,
         )
     cell: dict[str, Any] = {
         "controller": brain.name,

@@ -126,6 +126,7 @@ def balance(
     seed: int,
     plant: Plant | str | None = None,
     model: str | None = None,
+    exact_state: bool = False,
 ) -> Course:
     """Balance a rig until it falls or time is over.
 
@@ -136,10 +137,13 @@ def balance(
         seed: of starting state and noise.
         plant: as the environment takes it.
         model: MJCF file of the rig; None is the package's.
+        exact_state: let controller and compensator see the exact state instead of encoder readings.
     """
     from dipc_gym.wrappers import ForceCommand
 
-    env: gymnasium.Env[Any, Any] = gymnasium.make(ENV_ID, plant=plant, model=model, max_episode_steps=2**31)
+    env: gymnasium.Env[Any, Any] = gymnasium.make(
+        ENV_ID, plant=plant, model=model, exact_state=exact_state, max_episode_steps=2**31
+    )
     inner = _unwrapped(env)
     period = inner.plant.control_period
     steps = round(seconds / period)
