@@ -134,6 +134,11 @@ def _joint(rig: Rig, joint: int) -> list[Effect]:
         return index(name, joint)
 
     level = Number("level", n, place("coulomb"), 0.0008 * force, 0.5 * force)
+    pulse = (
+        Number("force", n, place("pulse_size"), 0.02 * force, 1.5 * force, "signed"),
+        Number("start", "s", place("pulse_start"), 3.0, 14.0, "uniform"),
+        Number("duration", "s", place("pulse_length"), 0.03, 0.3),
+    )
     found = [
         Effect("friction.coulomb", at, (level,)),
         Effect(
@@ -167,15 +172,8 @@ def _joint(rig: Rig, joint: int) -> list[Effect]:
                 Number("phase", "rad", place("periodic_phase"), -np.pi, np.pi, "uniform"),
             ),
         ),
-        Effect(
-            "disturbance.pulse",
-            at,
-            (
-                Number("peak", n, place("pulse_size"), 0.01 * force, 1.5 * force, "signed"),
-                Number("start", "s", place("pulse_start"), 3.0, 14.0, "uniform"),
-                Number("length", "s", place("pulse_length"), 0.03, 0.3),
-            ),
-        ),
+        Effect("disturbance.pulse", at, pulse, kind="half-sine"),
+        Effect("disturbance.pulse", at, pulse, fixed=((place("pulse_square"), 1.0),), kind="square"),
     ]
     rotates = not (rig.linear and joint == 0)
     if rotates and rig.name != "motor_axis":

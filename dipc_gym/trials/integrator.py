@@ -19,7 +19,8 @@ MAX_JOINTS = 3
 
 GLOBAL = (
     "m0", "m1", "m2", "com1", "com2", "inertia1", "inertia2", "length1", "gravity", "tilt", "mgl",  # bodies
-    "kt", "ke", "resistance", "inductance", "dead", "vlimit", "flimit", "cog_size", "cog_wave", "cog_phase",  # motor, seen at the joint
+    "kt", "ke", "resistance", "inductance", "dead", "vlimit", "flimit",  # motor, seen at the joint
+    "cog_size", "cog_wave", "cog_phase",
     "heat_coefficient", "heat_resistance", "heat_time", "delay",
     "rotor", "gap", "stiffness", "shaft_damping",  # transmission
     "drift", "drift_time", "dwell", "dwell_time", "slosh_mass", "slosh_rate", "slosh_damping",  # in no catalogue
@@ -36,14 +37,15 @@ GLOBAL = (
 
 JOINT = (
     "damping", "quadratic", "coulomb", "asymmetry", "excess", "stribeck_speed", "bristle", "bristle_damping",
-    "place_size", "place_wave", "place_phase", "per_load", "constant", "spring", "force_size", "force_wave", "force_phase",
-    "periodic_size", "periodic_rate", "periodic_phase", "pulse_size", "pulse_start", "pulse_length",
+    "place_size", "place_wave", "place_phase", "per_load", "constant", "spring",
+    "force_size", "force_wave", "force_phase",
+    "periodic_size", "periodic_rate", "periodic_phase", "pulse_size", "pulse_start", "pulse_length", "pulse_square",
     "bias", "gain", "lag", "filter",
 )  # fmt: skip
 (
     DAMPING, QUADRATIC, COULOMB, ASYMMETRY, EXCESS, STRIBECK_SPEED, BRISTLE, BRISTLE_DAMPING,
     PLACE_SIZE, PLACE_WAVE, PLACE_PHASE, PER_LOAD, CONSTANT, SPRING, FORCE_SIZE, FORCE_WAVE, FORCE_PHASE,
-    PERIODIC_SIZE, PERIODIC_RATE, PERIODIC_PHASE, PULSE_SIZE, PULSE_START, PULSE_LENGTH,
+    PERIODIC_SIZE, PERIODIC_RATE, PERIODIC_PHASE, PULSE_SIZE, PULSE_START, PULSE_LENGTH, PULSE_SQUARE,
     BIAS, GAIN, LAG, FILTER,
 ) = range(len(JOINT))  # fmt: skip
 JOINT_BASE = len(GLOBAL)
@@ -169,7 +171,8 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
             f += p[b + PERIODIC_SIZE] * np.sin(p[b + PERIODIC_RATE] * time + p[b + PERIODIC_PHASE])
         since = time - p[b + PULSE_START]
         if p[b + PULSE_SIZE] != 0.0 and since >= 0.0 and since < p[b + PULSE_LENGTH]:
-            f += p[b + PULSE_SIZE] * np.sin(np.pi * since / p[b + PULSE_LENGTH])
+            round_pulse = np.sin(np.pi * since / p[b + PULSE_LENGTH])
+            f += p[b + PULSE_SIZE] * (1.0 if p[b + PULSE_SQUARE] > 0.0 else round_pulse)
         if mode[j] == 1 or mode[j] == -1:
             f -= mode[j] * _level(p, j, q, v, mode[j], time, drive)
         rhs[j] = f

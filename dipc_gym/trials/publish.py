@@ -1,0 +1,128 @@
+"""The blind trial's scores as a table, as JSON and as a figure."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def write_report(out: Path, scores: Mapping[str, Any], *, seed: int) -> None:
+    """Write `report.md`, `report.json` and, if anything was judged, `report.png` into `out`.
+
+    Args:
+        out: folder.
+        scores: from `dipc_gym.trials.score.score`.
+        seed: of the trials, for the record.
+    """
+    (out / "report.json").write_text(json.dumps(_finite({"seed": seed, **scores}), indent=1), encoding="utf-8")
+    (out / "report.md").write_text(markdown(scores, seed=seed), encoding="utf-8")
+    if scores["trials"]:
+        figure(scores, out / "report.png")
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN."""
+    if isinstance(value, Mapping):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _share(rate: Mapping[str, Any]) -> str:
+    if not rate["of"]:
+        return "none"
+    return f"{100 * rate['rate']:.0f} % ({rate['right']} of {rate['of']})"
+
+
+def _percent(value: float | None) -> str:
+    return "none" if value is None else f"{100 * value:.0f} %"
+
+
+def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
+    """Tables for the README.
+
+    Args:
+        scores: from `dipc_gym.trials.score.score`.
+        seed: of the trials.
+    """
+    s = scores["summary"]
+    routes = ", ".join(f"{count} by {route}" for route, count in s["routes"].items() if count)
+    alarms = "none"
+    if s["nulls"]:
+        alarms = f"{s['false_alarms']} of {s['nulls']} (95 % upper bound {100 * s['false_alarms_upper_95']:.1f} %)"
+    seconds = ", ".join(f"{rig} {value:.0f}" for rig, value in s["seconds_by_rig"].items() if math.isfinite(value))
+    lines = [
+        f"Blind trial, seed {seed}: {s['trials']} trials, {len(s['failed'])} failed, {scores['open']} open.",
+        "",
+        "| effects that move the held-out prediction by at least twice the noise | |",
+        "|---|---|",
+        f"| right name first | {_share(s['name'])}{f': {routes}' if routes else ''} |",
+        f"| right set | {_share(s['set'])} |",
+        f"| right place | {_share(s['place'])} |",
+        f"| held-out error reached, median | {_percent(s['reached_median'])} ({s['reached_trials']} trials) |",
+        "| **other questions** | |",
+        f"| false alarms where nothing is missing | {alarms} |",
+        f"| right numbers called wrong there | {s['nulls_renumbered']} of {s['nulls']} |",
+        f"| wrong numbers called just that | {_share(s['wrong_numbers'])} |",
+        f"| unknown physics called unknown | {_share(s['unknown'])} |",
+        f"| unknown physics given a known name | {_share(s['unknown_misnamed'])} |",
+        f"| 90 % intervals that cover the truth | {_share(s['interval_coverage'])} |",
+        f"| intervals printed | {_share(s['intervals_printed'])} |",
+        f"| right name first, all sizes | {_share(s['name_all_sizes'])} |",
+        f"| seconds a trial, median | {seconds or 'none'} |",
+        "",
+        "| size (noise = 1) | trials | right name first | right set | right place | error reached |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in scores["by_size"]:
+        size = f"{row['low']:g} to {row['high']:g}" if row["high"] else f"over {row['low']:g}"
+        lines.append(
+            f"| {size} | {row['trials']} | {_share(row['name'])} | {_share(row['set'])} | {_share(row['place'])} "
+            f"| {_percent(row['reached_median'])} |"
+        )
+    confusion = scores["confusion"]
+    columns = sorted({name for row in confusion.values() for name in row})
+    lines += ["", "| truth, said first | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+    for truth in sorted(confusion):
+        cells = " | ".join(str(confusion[truth].get(name, "")) for name in columns)
+        lines.append(f"| {truth} | {cells} |")
+    return "\n".join(lines) + "\n"
+
+
+def figure(scores: Mapping[str, Any], path: Path) -> None:
+    """Naming rate against effect size, and the confusion matrix.
+
+    Args:
+        scores: from `dipc_gym.trials.score.score`.
+        path: of the picture.
+    """
+    from matplotlib.figure import Figure
+
+    confusion = scores["confusion"]
+    rows = sorted(confusion)
+    columns = sorted({name for row in confusion.values() for name in row})
+    canvas = Figure(figsize=(7 + 0.3 * len(columns), max(4.5, 0.28 * len(rows) + 2.5)), layout="constrained")
+    left, right = canvas.subplots(1, 2, width_ratios=(1, 1.6))
+    marks = {"name": ("right name first", "o-"), "set": ("right set", "s--"), "place": ("right place", "^:")}
+    filled = [row for row in scores["by_size"] if row["trials"]]
+    for key, (label, style) in marks.items():
+        known = [row for row in filled if row[key]["of"]]
+        centres = [math.sqrt(max(row["low"], 0.3) * (row["high"] or 5 * row["low"])) for row in known]
+        left.plot(centres, [100 * row[key]["rate"] for row in known], style, label=label)
+    left.set(xscale="log", ylim=(-5, 105), xlabel="effect size (noise standard deviations)", ylabel="%")
+    left.axvline(2.0, color="0.6", linewidth=0.8)
+    left.legend(loc="lower right")
+    counts = np.array([[confusion[truth].get(name, 0) for name in columns] for truth in rows], dtype=float)
+    right.imshow(counts / counts.sum(axis=1, keepdims=True), cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    right.set_xticks(range(len(columns)), columns, rotation=90, fontsize=7)
+    right.set_yticks(range(len(rows)), rows, fontsize=7)
+    right.set(xlabel="said first", ylabel="truth")
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        right.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7)
+    canvas.savefig(path, dpi=130)
