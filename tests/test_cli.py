@@ -14,6 +14,7 @@ from dipc_gym.cli import COMMANDS, main
 from dipc_gym.plant import Friction, Plant
 
 
+@pytest.mark.timing
 def test_help_comes_in_under_half_a_second() -> None:
     command = [sys.executable, "-m", "dipc_gym", "--help"]
     subprocess.run(command, capture_output=True, check=True)  # compiles what is not compiled yet

@@ -289,6 +289,7 @@ def test_it_is_frozen(fitted, name):
         fitted[name].figures = None
 
 
+@pytest.mark.timing
 def test_a_call_in_the_control_loop_takes_ten_microseconds_or_less(fitted):
     compensators = [fitted["feedforward"], fitted["mlp"], fitted["llnf"], small_llnf(MAX_MODELS)]
     for compensator in compensators:

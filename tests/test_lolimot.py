@@ -285,6 +285,7 @@ def test_scikit_learn_is_not_needed():
     subprocess.run([sys.executable, "-W", "error", "-c", script], check=True)
 
 
+@pytest.mark.timing
 def test_thirty_models_on_ten_thousand_samples_take_150_ms():
     X, y = surface(np.random.default_rng(14), 10_000, noise=0.05)
 
