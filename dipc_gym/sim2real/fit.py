@@ -2,8 +2,8 @@
 
 Every window has a start state of its own, so a fit has many unknowns; they are eliminated window by window (variable
 projection, Golub and Pereyra 1973), which leaves a small problem in the structure's numbers. What remains of each
-window after the elimination is a quadratic in those numbers, and everything that compares structures (screening,
-cross-validation, intervals) works on these quadratics without simulating again.
+window after the elimination is a quadratic in those numbers; screening and intervals work on these quadratics without
+simulating again.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dipc_gym.sim2real.structure import Structure
 Array = NDArray[np.float64]
 
 _PROBE = 0.02  # finite difference of a mapped number; smaller ones drown in the kinks of dry friction
+_FAR = 1e6  # times the noise; a simulation that blew up is no worse than this
 _BLOCK = 1.0  # s; neighbouring windows closer than this count as one when errors are compared
 
 
@@ -147,10 +148,11 @@ def predict(problem: Problem, structure: Structure, Z: Sequence[Array], starts: 
     )
 
 
-def _residual(problem: Problem, readings: Array) -> Array:
+def residual(problem: Problem, readings: Array) -> Array:
     """(observed - readings) / noise, zero where nothing was observed."""
     rest = (problem.windows.observed - readings) / problem.windows.noise
-    return np.where(problem.windows.valid[..., None], np.clip(rest, -1e6, 1e6), 0.0)
+    rest = np.nan_to_num(np.clip(rest, -_FAR, _FAR), nan=_FAR)
+    return np.where(problem.windows.valid[..., None], rest, 0.0)
 
 
 class _Shooting:
@@ -163,19 +165,14 @@ class _Shooting:
         # A sensor with a bias or a lag tells a state only through the model.
         self.spread = problem.spread * (1e3 if structure.moves_readings else 1.0)
 
-    def best_starts(self, z: Array, tries: Array, S: Array) -> tuple[Array, Array, Array]:
+    def best_starts(self, z: Array, tries: Array) -> tuple[Array, Array, Array]:
         """For each window the start (of tries, (k, n, 2 nb)) that leaves least, its residual, its mean square error."""
         problem = self.problem
         rests = _residuals(problem, predict(problem, self.structure, [z] * len(tries), tries))
-        n = tries.shape[1]
-        mse = []
-        for starts, rest in zip(tries, rests, strict=True):
-            rows = _augment(rest.reshape(n, -1, 1), (problem.starts - starts) / self.spread, self.nb2)
-            left, _ = _project(S, rows)
-            mse.append(np.einsum("nmk,nmk->n", left, left) / problem.counts)
-        best = np.argmin(np.stack(mse), axis=0)
-        each = np.arange(n)
-        return tries[best, each], rests[best, each], np.stack(mse)[best, each]
+        far = np.sum(((problem.starts - tries) / self.spread) ** 2, axis=2)
+        mse = (np.sum(rests**2, axis=(2, 3)) + far) / problem.counts
+        best, each = np.argmin(mse, axis=0), np.arange(tries.shape[1])
+        return tries[best, each], rests[best, each], mse[best, each]
 
     def sensitivity(self, z: Array, starts: Array, base: Array) -> Array:
         """Of the scaled readings to the starts, prior rows appended: (n, m ns + 2 nb, 2 nb)."""
@@ -207,7 +204,7 @@ class _Shooting:
 
 
 def _residuals(problem: Problem, readings: Array) -> Array:
-    return np.stack([_residual(problem, r) for r in readings])
+    return np.stack([residual(problem, r) for r in readings])
 
 
 def _project(S: Array, rows: Array) -> tuple[Array, Array]:
@@ -251,7 +248,7 @@ def fit(
     counts = problem.counts
     damping, steps, converged = 1e-3, 0, False
 
-    base = _residual(problem, predict(problem, structure, [z], s[None])[0])
+    base = residual(problem, predict(problem, structure, [z], s[None])[0])
     S = shooting.sensitivity(z, s, base)
     # The starts first: against wrong starts, every column would be judged wrongly.
     base, s, S = _settle(problem, shooting, z, s, base, S)
@@ -268,7 +265,8 @@ def fit(
             break
         scale = max(1.0, float(np.median(mse)))
         w = 1.0 / (scale + mse) / counts
-        now = _objective(mse, scale) + prior_z @ (z - centre) ** 2 / counts.mean()
+        uncorrected = np.einsum("nmk,nmk->n", r, r) / counts
+        now = _objective(uncorrected, scale) + prior_z @ (z - centre) ** 2 / counts.mean()
         H = np.einsum("n,nij->ij", w, quadratics.A) / len(w) + np.diag(prior_z / counts.mean())
         g = w @ quadratics.b / len(w) - prior_z * (z - centre) / counts.mean()
         accepted = False
@@ -277,7 +275,7 @@ def fit(
             step = np.clip(step, -1.0, 1.0)
             trial = structure.clip(z + step)
             ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
-            moved, rest, trial_mse = shooting.best_starts(trial, np.stack([s + ahead, s + ahead / 3, problem.starts]), S)
+            moved, rest, trial_mse = shooting.best_starts(trial, np.stack([s + ahead, s + ahead / 3, problem.starts]))
             then = _objective(trial_mse, scale) + prior_z @ (trial - centre) ** 2 / counts.mean()
             if then < now:
                 accepted = True
@@ -303,7 +301,7 @@ def _settle(
     for _ in range(2):
         r = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / shooting.spread, shooting.nb2)
         ahead = shooting.nudge * _project(S, r)[1][..., 0]
-        s, base, _ = shooting.best_starts(z, np.stack([s + ahead, s, s + ahead / 3, still, problem.starts]), S)
+        s, base, _ = shooting.best_starts(z, np.stack([s + ahead, s, s + ahead / 3, still, problem.starts]))
         S = shooting.sensitivity(z, s, base)
     return base, s, S
 
@@ -344,28 +342,26 @@ def _objective(mse: Array, scale: float) -> float:
     return float(np.mean(np.log1p(mse / scale)))
 
 
-def cross_validated(fitted: Fit, problem: Problem) -> Array:
-    """Mean square errors (n,) of each window under numbers fitted without its block, by one Newton step.
+def evaluate(problem: Problem, structure: Structure, z: Array, starts: Array | None = None) -> tuple[Array, Array]:
+    """Predict windows that took no part in a fit; only their starts are corrected.
 
-    The blocks alternate between two halves. At the minimum the step from all data to one half needs no simulation.
+    Args:
+        problem: the windows.
+        structure: of the model.
+        z: its mapped numbers, (p,).
+        starts: start states to begin at, (n, 2 nb).
+
+    Returns:
+        Mean square error of each window in units of noise, (n,), and the corrected starts.
     """
-    q, counts = fitted.quadratics, problem.counts
-    if not len(fitted.z):
-        return fitted.mse
-    half = problem.blocks % 2 == 0
-    w = weights(fitted.mse) / counts
-    prior = np.array([1 / slot.sigma**2 for slot in fitted.structure.slots])
-    out = np.empty_like(fitted.mse)
-    for mine in (half, ~half):
-        if not mine.any() or mine.all():
-            out[mine] = fitted.mse[mine]
-            continue
-        other = ~mine
-        H = np.einsum("n,nij->ij", w[other], q.A[other]) + np.diag(prior / counts.mean()) * w.sum() / 2
-        H += 1e-9 * np.trace(H) / len(H) * np.eye(len(H)) + 1e-300 * np.eye(len(H))
-        step = np.clip(np.linalg.lstsq(H, w[other] @ q.b[other], rcond=1e-10)[0], -0.5, 0.5)
-        out[mine] = np.maximum(q.after(step)[mine], 0) / counts[mine]
-    return out
+    shooting = _Shooting(problem, structure)
+    s = problem.starts if starts is None else starts
+    base = residual(problem, predict(problem, structure, [z], s[None])[0])
+    S = shooting.sensitivity(z, s, base)
+    base, s, S = _settle(problem, shooting, z, s, base, S)
+    rows = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / shooting.spread, shooting.nb2)
+    left, _ = _project(S, rows)
+    return np.einsum("nmk,nmk->n", left, left) / problem.counts, s
 
 
 def step_of(problem: Problem, structure: Structure) -> float:

@@ -75,7 +75,7 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
         name = element.get("name")
         if name and model.body_dofnum[model.body(name).id]:
             mass = float(model.body(name).mass[0])
-            found.append(Number("mass", name, mass, "kg", _mass(model, name), 0.3))
+            found.append(Number("mass", name, mass, "kg", _mass(model, name), 0.1))
     return found
 
 

@@ -1,8 +1,8 @@
 """Find the effects that a model lacks, one at a time, by what they do to predictions of windows not fitted.
 
 Screening costs one simulation a hypothesis: its response at a first guess, laid over the residual beside everything
-that is free already. The best few are fitted fully. What decides is the error of windows whose numbers were fitted
-without them, as a mean of logarithms, so that each window counts alike and its standard error means something.
+that is free already. The best few are fitted fully. What decides is the error of other windows than those that were
+fitted, as a mean of logarithms, so that each window counts alike and its standard error means something.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect
 from dipc_gym.sim2real.evidence import Scene, places
-from dipc_gym.sim2real.fit import Fit, Problem, cross_validated, fit, predict, weights
+from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, predict, residual, weights
 from dipc_gym.sim2real.structure import Structure, Term, carry
 
 Array = NDArray[np.float64]
@@ -73,7 +73,8 @@ class Search:
     """One diagnosis in progress.
 
     Attributes:
-        problem: training windows.
+        problem: windows to fit.
+        unseen: windows to compare on, between those.
         effects: the catalogue.
         joints: base joints.
         look: gives the evidence for a structure.
@@ -82,19 +83,24 @@ class Search:
     """
 
     problem: Problem
+    unseen: Problem
     effects: Sequence[Effect]
     joints: tuple[str, ...]
     look: Callable[[Fit], Scene]
     tell: Callable[[str], None] = lambda line: None
     rounds: list[list[Tried]] = field(default_factory=list)
+    _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
 
     def losses(self, fitted: Fit) -> Array:
-        """Log square error of each window under numbers fitted without it, (n,)."""
-        return np.log1p(cross_validated(fitted, self.problem))
+        """Log square error of each unseen window, (n,)."""
+        if id(fitted) not in self._known:
+            mse, _ = evaluate(self.unseen, fitted.structure, fitted.z)
+            self._known[id(fitted)] = (fitted, np.log1p(mse))
+        return self._known[id(fitted)][1]
 
     def compare(self, new: Fit, old: Fit) -> Comparison:
         """How much better `new` predicts than `old`."""
-        return compare(self.losses(new), self.losses(old), self.problem.blocks)
+        return compare(self.losses(new), self.losses(old), self.unseen.blocks)
 
     # -------------------------------------------------------------------------------------------- one round
 
@@ -137,9 +143,8 @@ class Search:
         structure = current.structure.with_term(term)
         z = carry(current.structure, current.z, structure)
         readings = predict(self.problem, structure, [z], current.starts[None])[0]
-        w = self.problem.windows
-        rest = np.where(w.valid[..., None], np.clip((w.observed - readings) / w.noise, -1e6, 1e6), 0.0)
-        change = current.raw - rest  # what the effect adds to the prediction, in units of noise
+        # What the effect adds to the prediction, in units of noise.
+        change = current.raw - residual(self.problem, readings)
         n = len(current.mse)
         rows = np.concatenate([change.reshape(n, -1, 1), np.zeros((n, current.sensitivity.shape[2], 1))], axis=1)
         Q, _ = np.linalg.qr(current.sensitivity)
@@ -151,7 +156,7 @@ class Search:
         b = np.einsum("n,nmi,nm->i", weight, columns, current.left)
         prior = np.array([0.0, *(1 / slot.sigma**2 for slot in current.structure.slots)])
         A = A + np.diag(prior / counts.mean()) * len(counts) / n
-        scale = np.sqrt(np.diag(A)) + 1e-300
+        scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
         step = np.linalg.lstsq(A / np.outer(scale, scale), b / scale, rcond=1e-9)[0] / scale
         size = float(np.clip(step[0], 0.0, 4.0))
         if size == 0.0:

@@ -5,16 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import mujoco
+import numpy as np
 
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry
+
+# The curve exp(-(v / velocity)^2) between these multiples of the Stribeck velocity is drawn with straight lines.
+KNOTS = np.array([0.0, 0.4, 0.9, 1.4, 2.1])
 
 
 class Stribeck(Effect):
     """Static friction above kinetic friction; the excess fades out over a speed, the Stribeck velocity.
 
-    Without memory: dry friction at the static level, and a passive force along the motion that grows with speed up to
-    the difference. LuGre, which adds presliding, needs steps far below a millisecond to be any better.
+    Friction is level + (static - level) exp(-(v / velocity)^2), without memory: dry friction at the static level, and
+    passive forces along the motion, each in proportion to speed up to a limit, that together take the excess away.
+    LuGre, which adds presliding, needs steps far below a millisecond to be any better.
     """
 
     id = "friction.stribeck"
@@ -26,7 +31,6 @@ class Stribeck(Effect):
     )
     rivals = ("friction.coulomb", "friction.asymmetric", "transmission.backlash")
     contains = ("friction.coulomb",)
-    finest = 1e-3
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Where the model has no dry friction yet."""
@@ -41,19 +45,23 @@ class Stribeck(Effect):
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Friction at the static level, and what speed takes off it."""
-        excess = max(values["static"] - values["level"], 0.0)
+        excess = max(values["static"] - values["level"], 1e-9)
         dry(document, at, values["level"] + excess)
-        document.add(
-            "actuator",
-            "general",
-            name=f"{at}_stribeck",
-            joint=at,
-            gainprm=1,
-            biastype="affine",
-            biasprm=(0, 0, max(excess, 1e-9) / values["velocity"]),
-            forcerange=(-max(excess, 1e-9), max(excess, 1e-9)),
-        )
-        document.passive(f"{at}_stribeck")
+        fall = 1 - np.exp(-(KNOTS**2))
+        slope = np.append(np.diff(fall / fall[-1]) / np.diff(KNOTS), 0.0)
+        for k, bend in enumerate(-np.diff(slope)):
+            limit = abs(float(bend * KNOTS[k + 1])) * excess
+            document.add(
+                "actuator",
+                "general",
+                name=f"{at}_stribeck_{k + 1}",
+                joint=at,
+                gainprm=1,
+                biastype="affine",
+                biasprm=(0, 0, float(bend) * excess / values["velocity"]),
+                forcerange=(-limit, limit),
+            )
+            document.passive(f"{at}_stribeck_{k + 1}")
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
