@@ -305,7 +305,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         controls = mjcf.controls(model)
         if "motor" not in controls:
             raise mjcf.MjcfError(f"{self._source.name}: no actuator 'motor' with a control; there are {controls}")
-        self._motor = controls.index("motor")
+        self._motor, self._command = controls.index("motor"), np.zeros(model.nu)
         joints = []
         for name in NAMES:
             i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
@@ -324,10 +324,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._frictionloss = bool(model.dof_frictionloss[self._dof[0]] > 0 or self._physics.stage("friction"))
         self._passive = [
             (i, float(model.actuator_gear[i, 0]))
-            for i in range(model.nactuator)
-            if model.actuator_ctrlnum[i] == 0
-            and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-            and model.actuator_trnid[i, 0] == cart
+            for i in mjcf.passive_actuators(model)
+            if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i, 0] == cart
         ]
 
     def _bind(self) -> None:
@@ -338,9 +336,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     def _advance(self, volts: float) -> None:
         if self._physics.extras:
-            command = np.zeros(len(self._ctrl))
-            command[self._motor] = volts
-            self._physics.step(self._data, command, self._nstep)
+            self._command[self._motor] = volts
+            self._physics.step(self._data, self._command, self._nstep)
         else:
             self._ctrl[self._motor] = volts
             mujoco.mj_step(self._physics.model, self._data, self._nstep)

@@ -88,7 +88,7 @@ def cart(model: mujoco.MjModel) -> Cart:
     """
     data = mujoco.MjData(model)
     motor = mjcf.controls(model).index("motor")
-    passive = [i for i in range(model.nactuator) if model.actuator_ctrlnum[i] == 0]
+    passive = mjcf.passive_actuators(model)
     gear = model.actuator_gear.copy()
     loss = model.dof_frictionloss.copy()
     model.actuator_gear[passive], model.dof_frictionloss[:] = 0.0, 0.0

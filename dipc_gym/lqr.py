@@ -49,9 +49,7 @@ def linear_model(model: mujoco.MjModel) -> tuple[Array, Array]:
     """
     model = copy.copy(model)
     model.dof_frictionloss[:] = 0.0
-    for i in range(model.nactuator):
-        if model.actuator_ctrlnum[i] == 0:
-            model.actuator_gear[i] = 0.0  # passive elements hold the dry friction
+    model.actuator_gear[mjcf.passive_actuators(model)] = 0.0  # they hold the dry friction
     q, v = [], []
     for name in ("cart", "pole1", "pole2"):
         sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)

@@ -45,7 +45,7 @@ CPU_LIMIT = 20  # seconds of computing for the trial compilation
 WALL_LIMIT = 60  # seconds on the clock for the trial compilation
 MEMORY_LIMIT = 2 << 30  # bytes of address space for the trial compilation
 
-# A `<text>` in `<custom>` with this prefix names an actuator that stands in for a passive force: its control stays zero.
+# A `<text>` in `<custom>` with this prefix names an actuator that stands in for a passive force; its control stays 0.
 PASSIVE = "dipc_gym:passive:"
 
 SUPPORTED = (
@@ -190,6 +190,14 @@ def controls(model: mujoco.MjModel) -> list[str]:
     if not all(names[:commanded]):
         raise MjcfError("passive actuators must come after all that are commanded")
     return names[:commanded]
+
+
+def passive_actuators(model: mujoco.MjModel) -> list[int]:
+    """Numbers of the actuators that nobody commands: friction, cogging and other forces in an actuator's clothes."""
+    commanded = len(controls(model))
+    return [
+        i for i in range(model.nactuator) if model.actuator_ctrlnum[i] == 0 or model.actuator_ctrladr[i] >= commanded
+    ]
 
 
 def texts(model: mujoco.MjModel) -> dict[str, str]:

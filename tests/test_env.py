@@ -461,3 +461,17 @@ def test_the_page_tells_what_info_holds() -> None:
     for key in info:
         assert key in page or key.startswith("cost_"), key
     json.dumps(info)
+
+
+def test_stand_ins_for_passive_forces_are_not_commanded(tmp_path: Path) -> None:
+    stand_in = '<general name="drag" joint="cart" gainprm="1" biastype="affine" biasprm="0 0 -5"/></actuator>'
+    extras = (
+        '<custom><text name="dipc_gym:passive:drag" data="drag"/>'
+        '<numeric name="dipc_gym:motor.deadzone:motor" data="0.1"/></custom>'
+    )
+    env = make(model=str(own_model(tmp_path, ("</actuator>", stand_in), ("<sensor>", extras + "<sensor>"))))
+    env.reset(options={"state": [0.0, math.pi, math.pi, 0.5, 0, 0]})
+    env.step(np.array([6.0]))
+    speed = env.state[3]
+    # Dry friction as the motor does not command it: LuGre's Coulomb level and the stand-in's drag.
+    assert env.friction == pytest.approx(-8.0 - 5.0 * speed, rel=0.05)
