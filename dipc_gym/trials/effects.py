@@ -454,3 +454,6 @@ RIVALS: dict[str, tuple[str, ...]] = {
     "unknown": ("friction.stribeck", "load.spring", "transmission.compliance", "motor.thermal"),
 }
 """Names that could be the same model as another on some rig; whether they are is worked out by simulation."""
+
+SETS: dict[str, tuple[tuple[str, ...], ...]] = {"friction.asymmetric": (("friction.coulomb", "load.constant"),)}
+"""Several effects at one place that together could be the same model as a single one."""

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from dipc_gym.trials import rigs
-from dipc_gym.trials.effects import RIVALS, Effect, Hidden, draw, effects, unknowns
+from dipc_gym.trials.effects import RIVALS, SETS, Effect, Hidden, draw, effects, unknowns
 from dipc_gym.trials.integrator import index
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig, excitation, nominal_xml
-from dipc_gym.trials.windows import ONES, WINDOW, Recording, Windows, fit, predict, record, rms
+from dipc_gym.trials.windows import ONES, WINDOW, Recording, Windows, fit, predict, record, rms, standard_numbers
 
 SCHEMA = "dipc-gym/trial/1"
 SMALL = {"null": 15, "single": 18, "pair": 3, "unknown": 3, "wrong": 3}
@@ -230,10 +230,8 @@ class _Trial:
         """Refit the simulator to the recordings, as its owner would, unless nothing would be left to find."""
         rig, train = self.rig, self.recordings[:2]
         windows = [Windows(rig, r, rig.plant) for r in train]
-        tuned = fit(windows, [r.measured for r in train], rig.plant, [], [], effort=8).plant
-        keep = [index("damping", j) for j in range(rig.count)] + [index("kt"), index("ke")]
-        nominal = rig.plant.copy()
-        nominal[keep] = tuned[keep]
+        own = [n for n in standard_numbers(rig, rig.plant) if n.name.split(".")[0] in ("damping", "motor_constant")]
+        nominal = fit(windows, [r.measured for r in train], rig.plant, [], [], effort=8, own=own).plant
         left = [w.residual(predict(rig, nominal, r), r.reading) for w, r in zip(windows, train, strict=True)]
         if rms(np.concatenate(left)) > FAINTEST:
             self.nominal, self.tuned = nominal, True
@@ -303,6 +301,10 @@ class _Trial:
             "includes": sorted({name for h in self.hidden for name in h.effect.includes}),
             "parameters": {f"{h.effect.name}@{h.effect.at}": h.parameters() for h in self.hidden},
             "equivalents": equal,
+            "equivalent_sets": {
+                f"{h.effect.name}@{h.effect.at}": self._equivalent_sets(h, windows[:2], references, refit.error)
+                for h in self.hidden
+            },
             "recalibrated_suffices": bool(self.hidden) and share <= limit,
             "share_of_signal": share,
             "share_of_each": self._shares(windows, references),
@@ -344,6 +346,7 @@ class _Trial:
         )
         # Where a refit explains everything, any name would do beside it: then names compete without a refit.
         refit = recalibrated > SAME * min(1.0, without)
+        own = None if refit else ()
         scale = recalibrated if refit else without
         limit = SAME * min(1.0, scale)
         kept = [value for h in others for value in h.values]
@@ -363,7 +366,7 @@ class _Trial:
                     [*(h.effect for h in others), rival],
                     [*kept, *start],
                     effort=7,
-                    refit=refit,
+                    own=own,
                 )
                 best = min(best, trying.error)
                 if best <= limit:
@@ -372,6 +375,23 @@ class _Trial:
                 if best > 0.7 * scale:
                     # Nowhere near: the other starts differ in size only.
                     break
+        return found
+
+    def _equivalent_sets(
+        self, hidden: Hidden, windows: Sequence[Windows], references: Sequence[Array], recalibrated: float
+    ) -> list[list[dict[str, str]]]:
+        """Several effects at the same place that together explain the readings as well as the truth does."""
+        found = []
+        others = [h for h in self.hidden if h is not hidden]
+        kept = [value for h in others for value in h.values]
+        for names in SETS.get(hidden.effect.name, ()):
+            rivals = [e for name in names for e in effects(self.rig) if (e.name, e.at) == (name, hidden.effect.at)]
+            start = [value for rival in rivals for value in _starts(rival, hidden)[0]]
+            trying = fit(
+                windows, references, self.rig.plant, [*(h.effect for h in others), *rivals], [*kept, *start], effort=12
+            )
+            if trying.error <= SAME * min(1.0, recalibrated):
+                found.append([{"effect": rival.name, "at": rival.at} for rival in rivals])
         return found
 
 
@@ -419,7 +439,9 @@ def _choose(plan: Plan, rig: Rig, rng: np.random.Generator, known: bool) -> list
     while True:
         first, second = (strong[i] for i in rng.integers(len(strong), size=2))
         family, other = first.name.split(".")[0], second.name.split(".")[0]
-        if family != other and second.name not in RIVALS.get(first.name, ()):
+        together = {first.name, second.name}
+        merges = any(together == set(names) for sets in SETS.values() for names in sets)
+        if family != other and second.name not in RIVALS.get(first.name, ()) and not merges:
             return [draw(first, rng), draw(second, rng)]
 
 

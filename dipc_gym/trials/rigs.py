@@ -133,7 +133,7 @@ def upright(rng: np.random.Generator) -> Rig:
     plant, _ = _double_pendulum(rng)
     return Rig(
         "upright", DOUBLE_PENDULUM_JOINTS, True, plant, PULLEY, True, 0.3 * plant[0], False,
-        0.9, (3.5, 0.01, 0.004), (0.05, 0.05, 0.05), (0.02, 0.006, 0.004), balance(plant), (0.0, 0.01, -0.02),
+        0.9, (3.5, 0.03, 0.015), (0.05, 0.05, 0.05), (0.02, 0.006, 0.004), balance(plant), (0.0, 0.01, -0.02),
     )  # fmt: skip
 
 

@@ -6,7 +6,8 @@ What counts as right:
   rig with that data (the generator found so by simulation) and the tool says so in `same_here`; or it is a part of
   the truth (the Coulomb level within a Stribeck curve) and the truth itself follows in the list; or nothing is
   called missing where a refit of the model's own numbers already is the truth. Each route is counted by itself.
-- *set*: every effect of the truth is named once by these rules, and nothing else, parts aside.
+- *set*: every effect of the truth is named once by these rules, and nothing else, parts aside; one of several that
+  by itself moves the held-out prediction by less than twice the noise may be left out.
 - *place*: the first effect stands where the truth does (or its equivalent, for an equivalent name).
 - *false alarm*: anything called missing, or a verdict of unexplained structure, where nothing is missing.
 - *held-out error reached*: between the refitted nominal model (0 %) and the true structure (100 %) on a recording
@@ -148,6 +149,8 @@ def _judge_names(result: Judgement, answer: Mapping[str, Any], said: Sequence[Ma
         result.name = result.set = refit
         result.route = "refit" if refit else ""
         return
+    if _judge_equal_set(result, answer, said):
+        return
     parts = [m for m in said if m["effect"] in answer["includes"] and m["effect"] not in result.truth]
     whole = [m for m in said if m not in parts]
     left = list(range(len(truths)))
@@ -160,7 +163,9 @@ def _judge_names(result: Judgement, answer: Mapping[str, Any], said: Sequence[Ma
             left.remove(match[0])
         else:
             extra += 1
-    result.set = not left and not extra
+    alone = answer["share_of_each"]
+    due = [i for i in left if alone.get(f"{truths[i]['effect']}@{truths[i]['at']}", math.inf) >= CLEAR]
+    result.set = not due and not extra
     first = said[0]
     routes = [_route(first, truth, places) for truth, places in zip(truths, accepted, strict=True)]
     result.route = next((route for route in routes if route), "")
@@ -171,6 +176,21 @@ def _judge_names(result: Judgement, answer: Mapping[str, Any], said: Sequence[Ma
     if first["effect"] in {name for places in accepted for name in places}:
         good = set().union(*(places.get(first["effect"], set()) for places in accepted))
     result.place = first["at"] in good
+
+
+def _judge_equal_set(result: Judgement, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> bool:
+    """Several effects that together are the truth, if the tool says so for one of them; whether that is the case."""
+    for truth, sets in answer["equivalent_sets"].items():
+        effect = truth.split("@")[0]
+        for one in sets:
+            wanted = {(e["effect"], e["at"]) for e in one}
+            same = [m for m in said if (m["effect"], m["at"]) in wanted]
+            open_about_it = any(other["effect"] == effect for m in same for other in m.get("same_here") or [])
+            if len(answer["missing"]) == 1 and len(same) == len(wanted) and said[0] in same and open_about_it:
+                result.name, result.place, result.route = True, True, "same"
+                result.set = len(said) == len(same)
+                return True
+    return False
 
 
 def _judge_unknown(result: Judgement, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> None:

@@ -177,8 +177,7 @@ def standard_numbers(rig: Rig, plant: Array) -> list[Number]:
         numbers.append(Number(f"damping.{at}", "", index("damping", j), 0, 0, "change", scale))
     kt, ke = plant[index("kt")], plant[index("ke")]
     numbers.append(Number("motor_constant", "", index("kt"), 0, 0, "change", kt, ((index("ke"), ke),)))
-    if rig.name in ("hanging", "upright", "pendulum"):
-        numbers.append(Number("mass", "", index("m0"), 0, 0, "change", plant[index("m0")]))
+    numbers.append(Number("mass", "", index("m0"), 0, 0, "change", plant[index("m0")]))
     for j, at in enumerate(rig.joints):
         level = plant[index("coulomb", j)]
         if level > 0:
@@ -203,12 +202,12 @@ class Fit:
 
 def fit(
     windows: Sequence[Windows], references: Sequence[Array], plant: Array, effects: Sequence[Effect],
-    start: Sequence[float], *, effort: int = 10, refit: bool = True,
+    start: Sequence[float], *, effort: int = 10, own: Sequence[Number] | None = None,
 ) -> Fit:  # fmt: skip
     """Fit the standard numbers, and those of added effects, to readings.
 
-    Positive numbers are fitted as logarithms, the rest on the scale of their start. Gauss-Newton with a trust
-    region (`scipy.optimize.least_squares`) on a forward-difference Jacobian.
+    Positive numbers are fitted as logarithms, the rest on the scale of their start. Levenberg-Marquardt
+    (`scipy.optimize.least_squares`) on a forward-difference Jacobian.
 
     Args:
         windows: one for each recording.
@@ -217,32 +216,32 @@ def fit(
         effects: added to it.
         start: values of the effects' numbers to start from.
         effort: largest number of Jacobians.
-        refit: free the standard numbers too.
+        own: numbers of the model to refit; all `standard_numbers` if None.
     """
     from scipy.optimize import least_squares
 
     rig = windows[0].rig
-    own = standard_numbers(rig, plant) if refit else []
+    if own is None:
+        own = standard_numbers(rig, plant)
     added = [number for effect in effects for number in effect.numbers]
     logarithmic = np.array([number.kind == "log" for number in added], dtype=bool)
     begin = np.asarray(start, dtype=float)
     scale = np.where(logarithmic, 1.0, np.where([n.kind == "uniform" for n in added], 0.3, np.abs(begin) + 1e-12))
-    low = np.array([np.log(n.low / 5) if n.kind == "log" else -np.inf for n in added])
-    high = np.array([np.log(n.high * 4) if n.kind == "log" else np.inf for n in added])
+    low = np.array([np.log(n.low / 5) if n.kind == "log" else 0.0 for n in added])
+    high = np.array([np.log(n.high * 4) if n.kind == "log" else 0.0 for n in added])
     x0 = np.concatenate(
         [np.zeros(len(own)), np.where(logarithmic, np.log(np.where(logarithmic, begin, 1.0)), begin) / scale]
     )
-    lower = np.concatenate([np.full(len(own), -0.95), low / scale])
-    upper = np.concatenate([np.full(len(own), 50.0), high / scale])
 
     def split(x: Array) -> tuple[Array, Array]:
         result = plant.copy()
         for number, change in zip(own, x[: len(own)], strict=True):
-            result[number.place] += number.factor * change
+            result[number.place] = max(result[number.place] + number.factor * change, 0.0)
             for place, factor in number.also:
-                result[place] += factor * change
+                result[place] = max(result[place] + factor * change, 0.0)
+        result[index("m0")] = max(result[index("m0")], 0.05 * plant[index("m0")])
         raw = x[len(own) :] * scale
-        values = np.where(logarithmic, np.exp(np.where(logarithmic, raw, 0.0)), raw)
+        values = np.where(logarithmic, np.exp(np.clip(np.where(logarithmic, raw, 0.0), low, high)), raw)
         done = 0
         for effect in effects:
             count = len(effect.numbers)
@@ -269,22 +268,12 @@ def fit(
         matrix = np.empty((base.size, x.size))
         for k in range(x.size):
             moved = x.copy()
-            step = 1e-3 if x[k] + 1e-3 < upper[k] else -1e-3
-            moved[k] += step
-            matrix[:, k] = (residuals(moved) - base) / step
+            moved[k] += 1e-3
+            matrix[:, k] = (residuals(moved) - base) / 1e-3
         return matrix
 
-    inside = np.clip(x0, lower + 1e-6, upper - 1e-6)
     found = least_squares(
-        residuals,
-        inside,
-        jac=jacobian,
-        bounds=(lower, upper),
-        x_scale="jac",
-        max_nfev=effort,
-        ftol=1e-5,
-        xtol=1e-6,
-        gtol=1e-9,
+        residuals, x0, jac=jacobian, method="lm", max_nfev=2 * effort, ftol=1e-6, xtol=1e-7, gtol=1e-10
     )
     best, values = split(found.x)
     return Fit(best, tuple(float(v) for v in values), rms(found.fun))
