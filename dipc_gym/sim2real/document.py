@@ -149,6 +149,13 @@ class Document:
         """Say that an unseen joint starts where another one is."""
         self.add("custom", "text", name=FOLLOWS + joint, data=leader)
 
+    def comment(self, *lines: str) -> None:
+        """Put a comment at the top of the file."""
+        words = "\n       ".join(line.replace("--", "- -") for line in lines)
+        note = ET.Comment(f" {words} ")
+        note.tail = "\n  "
+        self.root.insert(0, note)
+
     def passive(self, actuator: str) -> None:
         """Say that an actuator is a passive element, whose control nobody commands."""
         self.add("custom", "text", name=mjcf.PASSIVE + actuator, data="no command")

@@ -77,6 +77,7 @@ class Scene:
             inertia_at(self.model, joint),
             min(r.period for r in self.recordings),
             levels.get(joint),
+            name,
         )
 
     @property

@@ -23,6 +23,7 @@ class Number:
         unit: SI.
         write: puts another value into a document.
         sigma: how far, as a ratio, it may plausibly be off; loosely holds what the data does not determine.
+        expected: where its owner expects it; the nominal value if None.
     """
 
     parameter: str
@@ -31,6 +32,7 @@ class Number:
     unit: str
     write: Callable[[Document, float], None]
     sigma: float = 0.5
+    expected: float | None = None
 
     @property
     def key(self) -> str:

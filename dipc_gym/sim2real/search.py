@@ -23,7 +23,7 @@ from dipc_gym.sim2real.structure import Structure, Term, carry
 Array = NDArray[np.float64]
 
 FINALISTS = 6  # hypotheses fitted fully in a round
-CLEAR = 4.0  # standard errors by which an improvement must stand out; dozens of hypotheses are tried
+CLEAR = 2.5  # standard errors by which an improvement must stand out
 WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
 ALIKE = 2.0  # standard errors within which two hypotheses are not told apart
 
@@ -179,7 +179,8 @@ class Search:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
         scene = self.look(current)
         ranked = self.screen(current, self.hypotheses(current, scene))
-        finalists = [tried for tried in ranked if tried.promise > WORTH / 4][:FINALISTS]
+        least = max(WORTH / 4, 0.05 * ranked[0].promise) if ranked else 0.0
+        finalists = [tried for tried in ranked if tried.promise > least][:FINALISTS]
         done: list[Tried] = []
         for tried in finalists:
             fitted = self.full(current, tried.term)
@@ -189,7 +190,14 @@ class Search:
                 self.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
         done.sort(key=lambda tried: tried.score)
         self.rounds.append(done + [t for t in ranked if t.key not in {d.key for d in done}])
-        return self.choose(current, done)
+        chosen = self.choose(current, done)
+        return None if chosen is None else self.polish(chosen)
+
+    def polish(self, fitted: Fit) -> Fit:
+        """Fit on until nothing changes."""
+        if fitted.converged:
+            return fitted
+        return fit(self.problem, fitted.structure, fitted.z, fitted.starts, most=25)
 
     def choose(self, current: Fit, done: Sequence[Tried]) -> Fit | None:
         """The simplest of the hypotheses that predict best, if it is clearly better than `current`."""
@@ -199,7 +207,7 @@ class Search:
         best = clear[0]
         assert best.fitted is not None
         alike = [t for t in clear if t.fitted is not None and self.alike(best.fitted, t.fitted, current)]
-        chosen = min(alike, key=lambda t: (len(t.fitted.z) if t.fitted else 0, t.score))
+        chosen = min(alike, key=lambda t: _cost(t.fitted) + (t.score,))
         return chosen.fitted
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
@@ -249,6 +257,13 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
         return Comparison(mean, math.inf)
     spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
     return Comparison(mean, float(spread))
+
+
+def _cost(fitted: Fit | None) -> tuple[int, int, int]:
+    """Numbers, effects, and whether stock MuJoCo lacks one of them: what the simpler of two structures has less of."""
+    assert fitted is not None
+    terms = fitted.structure.terms
+    return len(fitted.z), len(terms), sum(term.effect.needs_loader for term in terms)
 
 
 def _clash(structure: Structure, effect: Effect, at: str) -> bool:

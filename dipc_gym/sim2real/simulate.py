@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics, stack
 from dipc_gym.sim2real.document import FOLLOWS
+from dipc_gym.sim2real.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.states import Motion
 from dipc_gym.sim2real.stick import DryFriction
 
 Array = NDArray[np.float64]
@@ -66,6 +68,7 @@ class Windows:
         observed: readings, (n, m, ns); zero where `valid` is False.
         valid: which samples exist, (n, m); windows of irregular recordings differ in count.
         noise: standard deviation of each sensor's noise, (ns,).
+        motions: of the base joints in each recording; only motors that heat need them.
     """
 
     recordings: tuple[Recording, ...]
@@ -75,20 +78,20 @@ class Windows:
     observed: Array
     valid: NDArray[np.bool_]
     noise: Array
+    motions: tuple[Motion, ...] = ()
 
     def __len__(self) -> int:
         return len(self.start)
 
     def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Windows:
         """Some of the windows."""
-        return Windows(
-            self.recordings,
-            self.source[which],
-            self.start[which],
-            self.times[which],
-            self.observed[which],
-            self.valid[which],
-            self.noise,
+        return replace(
+            self,
+            source=self.source[which],
+            start=self.start[which],
+            times=self.times[which],
+            observed=self.observed[which],
+            valid=self.valid[which],
         )
 
     @property
@@ -191,6 +194,7 @@ def simulate(
     begin = np.broadcast_to(starts, (count, n, starts.shape[-1])).reshape(count * n, -1)
     nb = len(base)
     sims.time[:] = np.tile(windows.start - nwarm * step, count)
+    _warm_windings(sims, variants, delays, windows)
     track = None
     if nwarm:
         assert warm_starts is not None
@@ -289,6 +293,20 @@ def _place(
     for mine, leader in follow:
         sims.qpos[:, mine] = pos[:, leader]
         sims.qvel[:, mine] = vel[:, leader]
+
+
+def _warm_windings(sims: mjbatch.Batch, variants: Sequence[Physics], delays: Array, windows: Windows) -> None:
+    """Give every winding that heats the temperature it has at the simulation's start; its motor's first activation."""
+    n = len(windows)
+    for motor in heating_motors(variants[0].model):
+        if len(windows.motions) != len(windows.recordings):
+            name = variants[0].model.actuator(motor).name
+            raise ValueError(f"how hot {name} is depends on its motion; give the windows their recordings' motions")
+        temperature = sims.act[:, int(variants[0].model.actuator_actadr[motor])]
+        for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
+            mine = np.tile(windows.source == i, len(variants))
+            begin = sims.time.reshape(len(variants), n)[0, windows.source == i]
+            temperature[mine] = winding_temperatures(variants, delays, motor, recording, motion, begin).ravel()
 
 
 def _run(

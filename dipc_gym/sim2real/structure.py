@@ -46,7 +46,8 @@ class Slot:
         high: largest value.
         log: whether the mapped number is a logarithm.
         scale: value that the mapped number 1 stands for (0 if `log`).
-        sigma: standard deviation of the mapped number's prior around 0; infinite for effects.
+        sigma: standard deviation of the mapped number's prior; infinite for effects.
+        centre: mean of that prior.
     """
 
     key: str
@@ -89,7 +90,10 @@ class Structure:
     slots: tuple[Slot, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        slots = [Slot(n.key, n.unit, 0.0, math.inf, True, n.value, n.sigma) for n in self.numbers]
+        slots = [
+            Slot(n.key, n.unit, 0.0, math.inf, True, n.value, n.sigma, math.log((n.expected or n.value) / n.value))
+            for n in self.numbers
+        ]
         for term in self.terms:
             for p in _free(term.effect):
                 guess = term.guess[p.name]

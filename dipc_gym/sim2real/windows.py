@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +89,7 @@ def prepare(
     spread = uncertainty(physics, motions, noise)
 
     def windows(length: float) -> Problem:
-        cuts = _cut(recordings, noise, length, span)
+        cuts = replace(_cut(recordings, noise, length, span), motions=motions)
         begin = states.starts(motions, cuts.source, cuts.start)
         early = states.starts(motions, cuts.source, cuts.start - WARM)
         return Problem(cuts, begin, early, spread, WARM, stepping, threads)

@@ -56,6 +56,7 @@ class Evidence:
         inertia: what the joint moves, kg or kg m^2.
         period: of the recording, s.
         level: of dry friction that the structure has there already, N or N m; None without.
+        at: name of the place.
     """
 
     model: mujoco.MjModel
@@ -70,6 +71,7 @@ class Evidence:
     inertia: float
     period: float
     level: float | None = None
+    at: str = ""
 
     @property
     def force_scale(self) -> float:

@@ -1,0 +1,225 @@
+"""Judge a finished search: which own numbers were wrong, how sure each number is, and what could stand in its place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym.sim2real.evidence import Scene
+from dipc_gym.sim2real.fit import Fit, Problem, fit, weights
+from dipc_gym.sim2real.search import ALIKE, WORTH, Search
+from dipc_gym.sim2real.structure import Term, carry
+
+Array = NDArray[np.float64]
+
+AT_FLOOR = 1.2  # times the noise: an error below this is explained
+QUANTILE = 1.645  # of the normal distribution, for 90 % intervals
+STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect in the place of one that was chosen.
+
+    Attributes:
+        term: what was tried instead.
+        error: root mean square error of unseen windows, in units of noise.
+        same: whether it is the same model here: at the noise, and no window tells the two apart.
+        ruled_out: whether it predicts clearly worse.
+    """
+
+    term: Term
+    error: float
+    same: bool
+    ruled_out: bool
+
+
+def unseen_error(search: Search, fitted: Fit) -> float:
+    """Root mean square error on windows between the fitted ones, in units of noise."""
+    return float(np.sqrt(np.mean(np.expm1(search.losses(fitted)))))
+
+
+def fewest_numbers(search: Search, fitted: Fit) -> Fit:
+    """Put back to nominal every own number whose change was not needed, and refit the rest.
+
+    Numbers such as mass, damping and motor gain have a null space: many changes predict alike. The fewest changes are
+    the ones worth reporting.
+    """
+    numbers = fitted.structure.numbers
+    k, p = len(numbers), len(fitted.z)
+    q, counts = fitted.quadratics, search.problem.counts
+    w = weights(fitted.mse) / counts
+    A, b = np.einsum("n,nij->ij", w, q.A), w @ q.b
+
+    def loss(free: Sequence[int]) -> tuple[float, Array]:
+        held = [i for i in range(k) if i not in free]
+        open_ = [i for i in range(p) if i not in held]
+        step = np.zeros(p)
+        step[held] = -fitted.z[held]
+        if open_:
+            rhs = b[open_] - A[np.ix_(open_, held)] @ step[held]
+            step[open_] = np.linalg.lstsq(A[np.ix_(open_, open_)], rhs, rcond=1e-10)[0]
+        return float(np.mean(np.log1p(np.maximum(q.after(step), 0) / counts))), fitted.z + step
+
+    everything = float(np.mean(np.log1p(fitted.mse)))
+    free: list[int] = []
+    while True:
+        now, z = loss(free)
+        if now - everything < WORTH / 2 or len(free) == k:
+            break
+        free.append(min((i for i in range(k) if i not in free), key=lambda i: loss([*free, i])[0]))
+    structure = replace(fitted.structure, numbers=tuple(numbers[i] for i in sorted(free)))
+    begin = np.concatenate([z[sorted(free)], z[k:]])
+    try:
+        sparse = fit(search.problem, structure, begin, fitted.starts, most=20)
+    except (mjcf.MjcfError, np.linalg.LinAlgError):
+        return fitted
+    worse = search.compare(fitted, sparse)
+    return fitted if worse.gain > WORTH and worse.gain > ALIKE * worse.error else sparse
+
+
+def intervals(fitted: Fit, problem: Problem) -> Array:
+    """Standard errors of the mapped numbers, (p,), from blocks of a second, whatever the residual looks like.
+
+    The sandwich estimator (White 1982) over blocks: correlation within a block is allowed for, a wrong model is not.
+    """
+    q, counts = fitted.quadratics, problem.counts
+    if not len(fitted.z):
+        return np.zeros(0)
+    w = weights(fitted.mse) / counts
+    prior = np.diag([1 / slot.sigma**2 for slot in fitted.structure.slots]) / counts.mean() * w.sum()
+    bread = np.linalg.pinv(np.einsum("n,nij->ij", w, q.A) + prior)
+    _, block = np.unique(problem.blocks, return_inverse=True)
+    pieces = np.zeros((block.max() + 1, len(fitted.z)))
+    np.add.at(pieces, block, w[:, None] * q.b)
+    count = len(pieces)
+    meat = pieces.T @ pieces * count / max(count - len(fitted.z), 1)
+    return np.sqrt(np.maximum(np.diag(bread @ meat @ bread), 0))
+
+
+def share(search: Search, full: Fit, key: str, worst: float) -> float:
+    """How much of the improvement over the recalibrated model is lost without one effect, all else refitted."""
+    best = unseen_error(search, full)
+    if len(full.structure.terms) == 1:
+        return 1.0
+    without = unseen_error(search, search.without(full, key))
+    return float(np.clip((without - best) / max(worst - best, 1e-9), 0.0, 1.0))
+
+
+def rivals(search: Search, full: Fit, term: Term, most: int = 5) -> list[Rival]:
+    """Try other effects in the place of one: those that came close in its round, and those it is mistaken for."""
+    error = unseen_error(search, full)
+    tried = next((r for r in search.rounds if any(t.key == term.key and t.fitted for t in r)), [])
+    listed = set(term.effect.rivals)
+    others = [
+        t
+        for t in tried
+        if t.key != term.key
+        and term.effect.id not in t.term.effect.contains
+        and (t.fitted is not None or t.term.effect.id in listed)
+        and t.key not in {x.key for x in full.structure.terms}
+    ]
+    others.sort(key=lambda t: (t.score, -t.promise))
+    found = []
+    for other in others[:most]:
+        base = full.structure.without(term.key).with_term(other.term)
+        try:
+            if other.fitted is not None and len(full.structure.terms) == 1:
+                begin = carry(other.fitted.structure, other.fitted.z, base)
+                swapped = fit(search.problem, base, begin, other.fitted.starts, most=8)
+            else:
+                swapped = fit(search.problem, base, carry(full.structure, full.z, base), full.starts, most=8)
+        except (mjcf.MjcfError, np.linalg.LinAlgError):
+            continue
+        difference = search.compare(full, swapped)
+        reached = unseen_error(search, swapped)
+        close = difference.gain < max(WORTH / 2, ALIKE * difference.error) and difference.gain < 5 * WORTH
+        same = close and difference.gain < WORTH and reached < max(AT_FLOOR, 1.02 * error)
+        found.append(Rival(other.term, reached, same, not close))
+    return found
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where a mismatch sits.
+
+    Attributes:
+        at: joint.
+        share: of the unexplained force, each joint's measured by what it transmits.
+        where: region, in words.
+    """
+
+    at: str
+    share: float
+    where: str
+
+
+def locate(scene: Scene, joints: Sequence[str]) -> list[Located]:
+    """Which joints carry the unexplained force, and in which region of motion; the largest share first."""
+    size = np.sqrt(np.mean(scene.force**2, axis=0))
+    scale = np.sqrt(np.mean(scene.load**2, axis=0)) + 0.05 * np.sqrt(np.mean(scene.load**2, axis=0)).max() + 1e-12
+    power = (size / scale) ** 2
+    total = float(power.sum()) or 1.0
+    found = [Located(joint, float(power[j] / total), _region(scene, j)) for j, joint in enumerate(joints)]
+    return sorted(found, key=lambda x: -x.share)
+
+
+def _region(scene: Scene, j: int) -> str:
+    """What the unexplained force at a joint goes with: the quantity whose bins explain most of its variance."""
+    force = scene.force[:, j]
+    if not np.any(force):
+        return "nowhere"
+    v, q, load, t = scene.velocity[:, j], scene.position[:, j], scene.load[:, j], scene.time
+    explained = {
+        name: _explained(force, quantity)
+        for name, quantity in (("velocity", v), ("position", q), ("load", load), ("time", t))
+    }
+    best = max(explained, key=lambda name: explained[name])
+    percent = f"{100 * explained[best]:.0f} % of its variance"
+    if explained[best] < 0.1:
+        return "spread over position, velocity, load and time alike"
+    if best != "velocity":
+        return f"goes with {best} ({percent})"
+    slow = np.abs(v) < 0.2 * np.std(v)
+    forward, backward = force[~slow & (v > 0)], force[~slow & (v < 0)]
+    step = abs(float(np.mean(forward) - np.mean(backward))) if len(forward) and len(backward) else 0.0
+    slope = abs(float(np.polyfit(v, force, 1)[0])) * 2 * float(np.std(v))
+    if step > 1.5 * slope or np.mean(np.abs(force[slow])) > 1.3 * np.mean(np.abs(force[~slow])):
+        return f"changes sign with velocity, at reversals ({percent})"
+    return f"grows with velocity ({percent})"
+
+
+def _explained(force: Array, quantity: Array, bins: int = 24) -> float:
+    """Share of the variance of the force between bins of a quantity (correlation ratio)."""
+    edges = np.quantile(quantity, np.linspace(0, 1, bins + 1)[1:-1])
+    which = np.searchsorted(edges, quantity)
+    counts = np.bincount(which, minlength=bins)
+    means = np.bincount(which, force, minlength=bins) / np.maximum(counts, 1)
+    variance = float(np.var(force))
+    return float(np.sum(counts * (means - np.mean(force)) ** 2) / len(force) / variance) if variance > 0 else 0.0
+
+
+def verdict(nominal: float, recalibrated: float, improved: float, terms: int, changed: int) -> str:
+    """The verdict from errors on held-out windows, in units of noise.
+
+    Args:
+        nominal: error of the model as given.
+        recalibrated: with its own numbers refitted.
+        improved: with the effects found; equal to `recalibrated` without any.
+        terms: how many effects were found.
+        changed: how many own numbers had to change.
+    """
+    if not math.isfinite(improved):
+        return "cannot tell"
+    if terms:
+        return "explained" if improved <= AT_FLOOR else "partly explained"
+    if nominal <= AT_FLOOR:
+        return "consistent"
+    if recalibrated <= AT_FLOOR:
+        return "recalibrated" if changed else "consistent"
+    return "unexplained"
