@@ -367,7 +367,7 @@ def _cannot_tell(reason: str, source: mjcf.Source, notes: Sequence[str], provena
     return Diagnosis(
         "cannot tell",
         f"These recordings cannot tell: {reason}.",
-        next_experiment="Record the rig in motion, over the range and the speeds that it is used at, every joint sensed.",
+        next_experiment="Record the rig in motion, over the range and speeds that it is used at, every joint sensed.",
         improved=source.text,
         notes=tuple(notes),
         provenance=provenance,
@@ -500,7 +500,7 @@ def _verb(where: str) -> str:
 
 
 def _sentence(verdict: str, missing: Sequence[Missing], changed: Sequence[dict[str, Any]], errors: Errors) -> str:
-    fall = f"On held-out data the prediction error falls from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
+    fall = f"On held-out data the error falls from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
     known = " ".join(m.sentence for m in missing if m.effect != "unknown")
     if verdict == "consistent":
         return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.2f} times the sensors' noise."

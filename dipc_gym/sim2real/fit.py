@@ -189,11 +189,12 @@ class _Shooting:
         p = len(z)
         if not p:
             return np.zeros((len(starts), base[0].size, 0))
-        steps = np.full(p, _PROBE)
+        logs = np.array([slot.log for slot in self.structure.slots], dtype=bool)
+        steps = _PROBE * np.maximum(1.0, np.abs(z) * ~logs)
         Z = []
         for i in range(p):
             up = self.structure.clip(z + steps[i] * np.eye(p)[i])
-            if abs(up[i] - z[i]) < _PROBE / 2:
+            if abs(up[i] - z[i]) < steps[i] / 2:
                 up = self.structure.clip(z - steps[i] * np.eye(p)[i])
             steps[i] = up[i] - z[i]
             Z.append(up)
@@ -246,6 +247,7 @@ def fit(
     prior_z = np.array([1 / slot.sigma**2 for slot in structure.slots])
     centre = np.array([slot.centre for slot in structure.slots])
     counts = problem.counts
+    logs = np.array([slot.log for slot in structure.slots], dtype=bool)
     damping, steps, converged = 1e-3, 0, False
 
     base = residual(problem, predict(problem, structure, [z], s[None])[0])
@@ -272,7 +274,9 @@ def fit(
         accepted = False
         for _ in range(5):
             step = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
-            step = np.clip(step, -1.0, 1.0)
+            # No number may do more than double, or change by a factor of e.
+            reach = np.maximum(1.0, np.abs(z) * ~logs)
+            step = np.clip(step, -reach, reach)
             trial = structure.clip(z + step)
             ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
             moved, rest, trial_mse = shooting.best_starts(trial, np.stack([s + ahead, s + ahead / 3, problem.starts]))

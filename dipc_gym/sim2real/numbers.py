@@ -74,7 +74,7 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
             if gear > 0:
                 found.append(Number("gear", name, gear, "", _first_of("actuator", name, "gear"), 0.3))
     for element in document.root.iterfind(".//worldbody//body"):
-        name = element.get("name")
+        name = element.get("name", "")
         if name and model.body_dofnum[model.body(name).id]:
             mass = float(model.body(name).mass[0])
             found.append(Number("mass", name, mass, "kg", _mass(model, name), 0.1))

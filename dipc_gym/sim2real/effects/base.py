@@ -98,7 +98,7 @@ class Evidence:
         """Level of dry friction: the known one, or the part of the unexplained force that opposes motion."""
         if self.level is not None:
             return self.level
-        (level,) = self.along(-self.direction)
+        level, _ = self.along(-self.direction, -self.velocity)
         return float(np.clip(level, 0.1 * self.force_scale, 2 * self.force_scale))
 
 
@@ -123,6 +123,7 @@ class Effect(ABC):
         warm: s of simulation before a window, so that hidden states settle.
         needs_loader: whether stock MuJoCo leaves it out.
         moves_readings: whether it changes what sensors say of a state, so that estimated starts mean little.
+        linear: whether its response grows in proportion to its first free parameter, so that screening can scale it.
         once: whether it happened once, so that other recordings cannot confirm it.
     """
 
@@ -135,6 +136,7 @@ class Effect(ABC):
     warm: ClassVar[float] = 0.0
     needs_loader: ClassVar[bool] = False
     moves_readings: ClassVar[bool] = False
+    linear: ClassVar[bool] = False
     once: ClassVar[bool] = False
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:

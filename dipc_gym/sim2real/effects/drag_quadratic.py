@@ -15,14 +15,15 @@ class Quadratic(Effect):
 
     id = "drag.quadratic"
     place = "joint"
+    linear = True
     parameters = (Parameter("coefficient", "N s^2/m^2", 0.0),)
     rivals = ("friction.viscous", "friction.coulomb")
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The part of the unexplained force in proportion to the square of speed."""
-        (c,) = evidence.along(-evidence.velocity * np.abs(evidence.velocity))
+        c, _ = evidence.along(-evidence.velocity * np.abs(evidence.velocity), -evidence.velocity)
         typical = evidence.force_scale / evidence.speed_scale**2
-        return [{"coefficient": float(np.clip(c, 0.05 * typical, 2 * typical))}]
+        return [{"coefficient": float(np.clip(c, 0.1 * typical, 5 * typical))}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Second coefficient of the joint's damping."""

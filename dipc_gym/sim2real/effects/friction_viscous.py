@@ -16,6 +16,7 @@ class Viscous(Effect):
 
     id = "friction.viscous"
     place = "joint"
+    linear = True
     parameters = (Parameter("coefficient", "N s/m", 0.0),)
     rivals = ("motor.back_emf", "drag.quadratic", "friction.coulomb")
 

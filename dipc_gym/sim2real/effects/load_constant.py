@@ -15,6 +15,7 @@ class Constant(Effect):
 
     id = "load.constant"
     place = "joint"
+    linear = True
     parameters = (Parameter("force", "N"),)
     rivals = ("load.tilt", "friction.asymmetric", "sensor.bias")
 

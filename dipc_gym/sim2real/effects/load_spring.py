@@ -28,7 +28,7 @@ class Spring(Effect):
         """The part of the unexplained force in proportion to position."""
         centre = float(np.mean(evidence.position))
         reach = max(float(np.std(evidence.position)), 1e-9)
-        (k,) = evidence.along(-(evidence.position - centre))
+        k, _ = evidence.along(-(evidence.position - centre), -evidence.velocity)
         typical = evidence.force_scale / reach
         k = float(np.clip(k, 0.05 * typical, 2 * typical))
         rest = float(np.clip(centre + np.mean(evidence.force) / k, centre - 3 * reach, centre + 3 * reach))

@@ -1,0 +1,259 @@
+"""Write a diagnosis into a folder: diagnosis.json, improved.xml, report.html."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real import report
+from dipc_gym.sim2real.diagnose import Diagnosis, Work
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.fit import Fit, Problem, correct_starts, fit
+from dipc_gym.sim2real.search import compare
+from dipc_gym.sim2real.units import of_sensor
+
+Array = NDArray[np.float64]
+
+LAGS = 60  # of the autocorrelation shown
+WHITE = 0.1  # an autocorrelation below this at every lag shown passes for noise; quantisation leaves a little
+
+
+def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite: bool = False) -> Path:
+    """Write a diagnosis; the folder appears whole or not at all.
+
+    Args:
+        found: what was found.
+        folder: to write into; made if it does not exist.
+        model: name of the model's file, for the report.
+        command: that makes this again.
+        overwrite: whether a folder that is not empty may be replaced. Only the three files are.
+
+    Raises:
+        FileExistsError: the folder is not empty, or is a file.
+
+    Returns:
+        The folder.
+    """
+    check_free(folder, overwrite)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".diagnosis-") as draft:
+        drafts = Path(draft)
+        (drafts / "diagnosis.json").write_text(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
+        (drafts / "improved.xml").write_text(found.improved)
+        report.write(report_data(found, model, command), drafts / "report.html")
+        folder.mkdir(exist_ok=True)
+        for file in sorted(drafts.iterdir()):
+            shutil.move(file, folder / file.name)
+    return folder
+
+
+def check_free(folder: Path, overwrite: bool) -> None:
+    """Refuse a folder that holds something.
+
+    Raises:
+        FileExistsError: with what to do.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise FileExistsError(f"{folder} is a file; name a folder for the results")
+    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+        raise FileExistsError(f"{folder} is not empty; name another folder or add --overwrite")
+
+
+def report_data(found: Diagnosis, model: str, command: str) -> report.ReportData:
+    """What the page shows of a diagnosis."""
+    diagnosis = found.to_dict()
+    work = found.work
+    if work is None:
+        return report.ReportData(model, diagnosis, command=command, notes=found.notes)
+    before = "recalibrated" if work.recalibrated.structure.numbers else "nominal"
+    held = {
+        name: _on(work.held, work.nominal if name == "nominal" else fitted)
+        for name, fitted in (("nominal", work.nominal), ("recalibrated", work.recalibrated), ("improved", work.final))
+    }
+    structural = bool(work.final.structure.terms)
+    return report.ReportData(
+        model,
+        diagnosis,
+        before,  # type: ignore[arg-type]
+        _traces(work, held, structural),
+        _maps(work, structural),
+        _candidates(work),
+        _residuals(work, held, before, structural),
+        _difference(work, found.improved),
+        command,
+        found.notes,
+    )
+
+
+def _on(problem: Problem, fitted: Fit) -> Array:
+    """Readings (n, m, ns) of held-out windows as a fit predicts them, starts corrected."""
+    again = fit(problem, fitted.structure, fitted.z, most=0)
+    _, readings = correct_starts(problem, again)
+    return readings
+
+
+def _traces(work: Work, held: dict[str, Array], structural: bool) -> list[report.Trace]:
+    w = work.held.windows
+    rec = w.recordings
+    traces = []
+    for k, sensor in enumerate(rec[0].sensor_names):
+        for i, recording in enumerate(rec):
+            mine = np.flatnonzero(w.source == i)
+            if not len(mine):
+                continue
+            time = _joined((w.start[:, None] + w.times)[mine], w.valid[mine])
+            values = {name: _joined(readings[mine, :, k], w.valid[mine]) for name, readings in held.items()}
+            observed = _joined(w.observed[mine, :, k], w.valid[mine])
+            traces.append(
+                (
+                    float(np.nanmean((observed - values["nominal"]) ** 2) / max(w.noise[k] ** 2, 1e-300)),
+                    report.Trace(
+                        sensor,
+                        of_sensor(work.prepared.structure.model, sensor),
+                        recording.name,
+                        _rising(time),
+                        observed,
+                        values["nominal"],
+                        values["recalibrated"],
+                        values["improved"] if structural else None,
+                    ),
+                )
+            )
+    return [trace for _, trace in sorted(traces, key=lambda t: -t[0])]
+
+
+def _joined(values: Array, valid: NDArray[np.bool_]) -> Array:
+    """Windows (n, m) one after the other, a NaN between them."""
+    parts = [np.append(row[ok], np.nan) for row, ok in zip(values, valid, strict=True)]
+    return np.concatenate(parts)[:-1]
+
+
+def _rising(time: Array) -> Array:
+    """Times with the gaps filled by a moment just after the last sample."""
+    gaps = np.flatnonzero(np.isnan(time))
+    time = time.copy()
+    time[gaps] = time[gaps - 1] + 1e-9
+    return time
+
+
+def _maps(work: Work, structural: bool) -> list[report.Mismatch]:
+    structure = work.prepared.structure
+    first = work.search.look(work.recalibrated if work.recalibrated.structure.numbers else work.nominal)
+    after = work.search.look(work.final) if structural else None
+    maps = []
+    for j, joint in enumerate(structure.base):
+        hinge = structure.model.jnt_type[structure.model.joint(joint).id] == 3
+        maps.append(
+            report.Mismatch(
+                joint,
+                "N m" if hinge else "N",
+                "rad" if hinge else "m",
+                first.time,
+                first.position[:, j],
+                first.velocity[:, j],
+                first.force[:, j],
+                None if after is None else after.force[:, j],
+            )
+        )
+    order = {x.at: i for i, x in enumerate(_located(work))}
+    return sorted(maps, key=lambda m: order[m.joint])
+
+
+def _located(work: Work) -> Sequence[Any]:
+    from dipc_gym.sim2real.judge import locate
+
+    return locate(work.search.look(work.recalibrated), work.prepared.structure.base)
+
+
+def _candidates(work: Work) -> list[report.Candidate]:
+    """Every hypothesis once, as the last round that fitted it saw it."""
+    search = work.search
+    chosen = {term.key for term in work.final.structure.terms}
+    status = {
+        r.term.key: ("same model here" if r.same else "ruled out" if r.ruled_out else "not told apart")
+        for rs in work.replaced.values()
+        for r in rs
+    }
+    rows: dict[str, report.Candidate] = {}
+    baseline = work.recalibrated
+    for tried in [t for r in reversed(search.rounds) for t in r]:
+        if tried.key in rows and (rows[tried.key].error is not None or tried.fitted is None):
+            continue
+        words = (tried.term.effect.__doc__ or "").split("\n")[0].rstrip(".")
+        fitted = tried.fitted
+        if fitted is None:
+            rows[tried.key] = report.Candidate(tried.term.effect.id, tried.term.at, words, "screened out")
+            continue
+        gain = compare(search.losses(fitted), search.losses(baseline), search.unseen.blocks)
+        rows[tried.key] = report.Candidate(
+            tried.term.effect.id,
+            tried.term.at,
+            words,
+            "chosen" if tried.key in chosen else status.get(tried.key, "ruled out"),  # type: ignore[arg-type]
+            fitted.error,
+            gain.gain,
+            gain.error if np.isfinite(gain.error) else None,
+        )
+    rank = {"chosen": 0, "same model here": 1, "not told apart": 2, "ruled out": 3, "screened out": 4}
+    return sorted(rows.values(), key=lambda c: (rank[c.status], c.error if c.error is not None else np.inf))
+
+
+def _residuals(work: Work, held: dict[str, Array], before: str, structural: bool) -> list[report.SensorResidual]:
+    w = work.held.windows
+    out = []
+    for k, sensor in enumerate(w.recordings[0].sensor_names):
+        if not np.isfinite(w.noise[k]):
+            continue
+        rest = {n: (w.observed[..., k] - held[n][..., k]) / w.noise[k] for n in (before, "improved")}
+        lags = min(LAGS, w.valid.shape[1] // 2)
+        correlation = {n: _autocorrelation(r, w.valid, lags) for n, r in rest.items()}
+        last = correlation["improved" if structural else before]
+        band = 1.96 / np.sqrt(w.valid.sum())
+        white = float(np.abs(last[1:]).max())
+        words = (
+            f"What is left of {sensor} looks like noise: no lag correlates by more than {white:.2f}."
+            if white < WHITE
+            else f"What is left of {sensor} is not noise: neighbouring samples correlate by {last[1]:.2f}."
+        )
+        time = _rising(_joined(w.start[:, None] + w.times, w.valid))
+        out.append(
+            report.SensorResidual(
+                sensor,
+                time,
+                _joined(rest[before], w.valid),
+                _joined(rest["improved"], w.valid) if structural else None,
+                np.arange(lags) * w.period,
+                correlation[before],
+                correlation["improved"] if structural else None,
+                float(band),
+                words,
+            )
+        )
+    return out
+
+
+def _autocorrelation(rest: Array, valid: NDArray[np.bool_], lags: int) -> Array:
+    """Autocorrelation within windows, averaged over them."""
+    rest = np.where(valid, rest, 0.0)
+    power = np.array([np.sum(rest[:, : rest.shape[1] - lag] * rest[:, lag:]) for lag in range(lags)])
+    pairs = np.array([np.sum(valid[:, : rest.shape[1] - lag] & valid[:, lag:]) for lag in range(lags)])
+    mean = power / np.maximum(pairs, 1)
+    return mean / max(mean[0], 1e-300)
+
+
+def _difference(work: Work, improved: str) -> str:
+    before = Document(work.source).text()
+    if improved == work.source.text:
+        return ""
+    lines = difflib.unified_diff(
+        before.splitlines(), improved.splitlines(), "model.xml", "improved.xml", lineterm="", n=2
+    )
+    return "\n".join(lines)
