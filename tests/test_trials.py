@@ -20,7 +20,7 @@ from dipc_gym.trials.integrator import index
 
 PACKAGE = Path(dipc_gym.__file__).parent
 PYTHON = sys.executable
-GENERATOR = ("integrator", "rigs", "effects", "windows", "generate")
+GENERATOR = ("integrator", "rigs", "effects", "windows", "secret", "generate")
 
 
 def cart(**joint):

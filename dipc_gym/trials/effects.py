@@ -276,6 +276,8 @@ def _motor(rig: Rig) -> list[Effect]:
     shaft = (index("rotor"), rotor), (index("m0"), -rotor)
     contact = rotor * 700.0**2
     longest = 0.004 if rig.name == "upright" else 0.012
+    # The balancing rig falls where the limit is felt for long.
+    least, most = (2.5, 7.0) if rig.name == "upright" else (0.8, 2.2)
     found = [
         Effect(
             "motor.deadzone", "motor", (Number("width", volt, index("dead"), 0.0015 * rig.command, 0.4 * rig.command),)
@@ -283,7 +285,7 @@ def _motor(rig: Rig) -> list[Effect]:
         Effect(
             "motor.saturation",
             "motor",
-            (Number("voltage", volt, index("vlimit"), 0.8 * rig.command, 2.2 * rig.command),),
+            (Number("voltage", volt, index("vlimit"), least * rig.command, most * rig.command),),
             kind="voltage",
         ),
         Effect("timing.delay", "motor", (Number("delay", "s", index("delay"), 1e-4, longest),)),
@@ -315,7 +317,7 @@ def _motor(rig: Rig) -> list[Effect]:
         back = Number("back_emf", "N m s/rad", index("ke"), 0.001 * force / speed / gain, 0.3 * force / speed / gain)
         return [*found, Effect("motor.back_emf", "motor", (back,), also_at=(at,))]
     resistance, ke, kt = plant[index("resistance")], plant[index("ke")], plant[index("kt")]
-    stall = 2.2 * rig.command * kt / resistance
+    stall = rig.command * kt / resistance
     cogging = (
         Number("amplitude", n, index("cog_size"), 0.001 * force, 0.25 * force),
         Number("wave", f"rad/{m}", index("cog_wave"), 4 * rig.gear, 12 * rig.gear),
@@ -326,7 +328,7 @@ def _motor(rig: Rig) -> list[Effect]:
         Effect(
             "motor.saturation",
             "motor",
-            (Number("force", n, index("flimit"), 0.25 * stall, 0.8 * stall),),
+            (Number("force", n, index("flimit"), 0.7 * least * stall, 0.8 * most * stall),),
             kind="force",
         ),
         Effect(
