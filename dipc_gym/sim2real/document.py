@@ -8,13 +8,37 @@ from __future__ import annotations
 
 import copy
 import math
+import posixpath
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Sequence
+from xml.parsers import expat
 
 from dipc_gym import mjcf
 from dipc_gym.physics import PREFIX
 
 FOLLOWS = f"{PREFIX}:follows:"
+
+# What MuJoCo takes for options that are not written, and the elements that share one default.
+_OPTIONS = {"timestep": "0.002", "gravity": "0 0 -9.81", "iterations": "100", "noslip_iterations": "0"}
+_ACTUATORS = frozenset(
+    [
+        "general",
+        "motor",
+        "position",
+        "velocity",
+        "intvelocity",
+        "damper",
+        "cylinder",
+        "muscle",
+        "adhesion",
+        "dcmotor",
+        "pid",
+        "plugin",
+    ]
+)
+_TAG = re.compile(rb"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>""")
+_WRITTEN = re.compile(r"<!--.*?-->|(<[^!?/>][^>]*?)( ?/)?>", re.DOTALL)
 
 
 class Document:
@@ -26,29 +50,50 @@ class Document:
 
     def __init__(self, source: mjcf.Source) -> None:
         self.source = source
-        parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
-        self.root = ET.fromstring(source.text, parser)
-        self._inline(self.root, "")
+        self._layout: dict[str, str] = {}  # start tag as ElementTree writes it -> as its author did
+        self.root, self.head, self.tail = self._parse(source.text)
+        self._inline(self.root)
 
     def copy(self) -> Document:
         """A copy to edit."""
-        twin = object.__new__(Document)
-        twin.source, twin.root = self.source, copy.deepcopy(self.root)
+        twin = copy.copy(self)
+        twin.root = copy.deepcopy(self.root)
         return twin
 
-    def _inline(self, parent: ET.Element, folder: str) -> None:
+    def _parse(self, text: str) -> tuple[ET.Element, str, str]:
+        """The tree of an XML text, and what stands before and after it."""
+        root = ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+        data, places = text.encode(), expat.ParserCreate("utf-8")
+        first, last = [], [0]
+
+        def start(tag: str, attributes: dict[str, str]) -> None:
+            first.append(places.CurrentByteIndex)
+            written = _TAG.match(data, first[-1])
+            alone = ET.tostring(ET.Element(tag, attributes), encoding="unicode").removesuffix(" />")
+            if written:
+                self._layout.setdefault(alone, written[0].decode().rstrip("/> \n\t"))
+
+        def end(_: str) -> None:
+            last[0] = places.CurrentByteIndex
+
+        places.StartElementHandler, places.EndElementHandler = start, end
+        places.Parse(data, True)
+        return root, data[: first[0]].decode(), data[data.index(b">", last[0]) + 1 :].decode()
+
+    def _inline(self, parent: ET.Element) -> None:
         for child in list(parent):
             if child.tag != "include":
-                self._inline(child, folder)
+                self._inline(child)
                 continue
-            name = folder + child.get("file", "")
-            parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
-            included = ET.fromstring(self.source.files[name].decode(), parser)
-            self._inline(included, folder)
+            name = posixpath.normpath(child.get("file", "").replace("\\", "/"))
+            included, _, _ = self._parse(self.source.files[name].decode("utf-8-sig"))
+            self._inline(included)
             where = list(parent).index(child)
             parent.remove(child)
             for k, element in enumerate(included):
                 parent.insert(where + k, element)
+            if len(included):
+                included[-1].tail = child.tail
 
     # ------------------------------------------------------------------------------------------------- finding
 
@@ -83,15 +128,49 @@ class Document:
                 return element
         raise mjcf.MjcfError(f"{self.source.name}: no {kind} named {name!r} stands in the text")
 
+    def effective(self, element: ET.Element, attribute: str, default: str = "") -> str:
+        """An attribute of an element: its own, or what the file's default classes give it."""
+        if attribute in element.attrib:
+            return element.attrib[attribute]
+        tags = _ACTUATORS if element.tag in _ACTUATORS else {element.tag}
+        for defaults in self._classes(element):
+            for entry in reversed(defaults):
+                if entry.tag in tags and attribute in entry.attrib:
+                    return entry.attrib[attribute]
+        return default
+
+    def _classes(self, element: ET.Element) -> list[ET.Element]:
+        """The default classes that hold for an element, the nearest first."""
+        name, here = element.get("class"), element
+        while name is None and here is not self.root:
+            here = self.parent(here)
+            name = here.get("childclass")
+        chain = [d for d in self.root.iter("default") if name is not None and d.get("class") == name][:1]
+        while chain and (above := self.parent(chain[-1])) is not self.root:
+            chain.append(above)
+        return chain + [d for d in reversed(self.root.findall("default")) if d not in chain]
+
+    def fresh(self, name: str) -> str:
+        """The name, or one like it if something in the file has it already."""
+        taken, candidate = {element.get("name") for element in self.root.iter()}, name
+        k = 2
+        while candidate in taken:
+            candidate, k = f"{name}_{k}", k + 1
+        return candidate
+
+    def get_option(self, name: str) -> str:
+        """An attribute of `<option>`, or MuJoCo's default for it; of several sections the last one holds."""
+        found = [o.attrib[name] for o in self.root.iterfind("option") if name in o.attrib]
+        return found[-1] if found else _OPTIONS[name]
+
     @property
     def timestep(self) -> float:
-        """The model's time step, s; MuJoCo's default if it has none."""
-        option = self.root.find("option")
-        return float(option.get("timestep", "0.002")) if option is not None else 0.002
+        """The model's time step, s."""
+        return float(self.get_option("timestep"))
 
     def angle(self, joint: ET.Element, radians: float) -> float:
         """A position of a joint as this file writes it: in degrees for hinges, unless the compiler says radian."""
-        hinge = joint.get("type", "hinge") == "hinge"
+        hinge = self.effective(joint, "type", "hinge") == "hinge"
         in_degrees = all(c.get("angle", "degree") == "degree" for c in self.root.iterfind("compiler"))
         return math.degrees(radians) if hinge and in_degrees else radians
 
@@ -125,25 +204,36 @@ class Document:
         for name, value in attributes.items():
             element.set(name.rstrip("_"), text(value))
 
+    def plain(self, element: ET.Element, **attributes: str) -> None:
+        """Write attributes that hold by default, but only where a default class of the file says otherwise."""
+        for name, value in attributes.items():
+            if self.effective(element, name, value) != value:
+                self.set(element, **{name: value})
+
     def option(self, **attributes: str | float) -> None:
         """Set attributes of `<option>`."""
-        found = self.root.find("option")
-        if found is None:
-            found = ET.Element("option")
-            found.tail = "\n  "
-            self.root.insert(0, found)
-        self.set(found, **attributes)
+        found = self.root.findall("option")
+        if not found:
+            found = [ET.Element("option")]
+            found[0].tail = "\n  "
+            self.root.insert(0, found[0])
+        self.set(found[-1], **attributes)
 
     def at_least(self, **attributes: float) -> None:
         """Raise attributes of `<option>` to at least these values."""
-        found = self.root.find("option")
         for name, value in attributes.items():
-            if found is None or float(found.get(name, "0")) < value:
+            if float(self.get_option(name)) < value:
                 self.option(**{name: value})
 
     def custom(self, effect: str, at: str, data: Sequence[float]) -> None:
-        """Write what MJCF cannot say, for the loader in `dipc_gym.physics`."""
-        self.add("custom", "numeric", name=f"{PREFIX}:{effect}:{at}", data=list(data))
+        """Write what MJCF cannot say, for the loader in `dipc_gym.physics`; an entry that is there gets this data."""
+        name = f"{PREFIX}:{effect}:{at}"
+        for entry in self.root.iterfind("custom/numeric"):
+            if entry.get("name") == name:
+                entry.attrib.pop("size", None)
+                self.set(entry, data=list(data))
+                return
+        self.add("custom", "numeric", name=name, data=list(data))
 
     def follows(self, joint: str, leader: str) -> None:
         """Say that an unseen joint starts where another one is."""
@@ -161,8 +251,14 @@ class Document:
         self.add("custom", "text", name=mjcf.PASSIVE + actuator, data="no command")
 
     def text(self) -> str:
-        """The whole file."""
-        return ET.tostring(self.root, encoding="unicode") + "\n"
+        """The whole file; tags that nobody changed look as their author wrote them."""
+
+        def written(tag: re.Match[str]) -> str:
+            if not tag[1]:
+                return tag[0]
+            return self._layout.get(tag[1], tag[1]) + ("/>" if tag[2] else ">")
+
+        return self.head + _WRITTEN.sub(written, ET.tostring(self.root, encoding="unicode")) + self.tail
 
     def _depth(self, element: ET.Element) -> int:
         depth, here = 0, element

@@ -64,7 +64,7 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
         if is_dcmotor(model, name):
             element = document.actuator(name)
             for parameter, unit in (("resistance", "ohm"), ("motorconst", "N m/A")):
-                values = element.get(parameter, "0").split()
+                values = document.effective(element, parameter, "0").split()
                 if values and float(values[0]) > 0:
                     found.append(
                         Number(parameter, name, float(values[0]), unit, _all_of("actuator", name, parameter), 0.3)
@@ -86,7 +86,7 @@ def _first_of(kind: str, name: str, attribute: str) -> Callable[[Document, float
 
     def write(document: Document, value: float) -> None:
         element = document.joint(name) if kind == "joint" else document.actuator(name)
-        rest = element.get(attribute, "").split()[1:]
+        rest = document.effective(element, attribute).split()[1:]
         document.set(element, **{attribute: " ".join([text(value), *rest])})
 
     return write
@@ -97,7 +97,7 @@ def _all_of(kind: str, name: str, attribute: str) -> Callable[[Document, float],
 
     def write(document: Document, value: float) -> None:
         element = document.actuator(name)
-        numbers = [float(word) for word in element.get(attribute, "0").split()]
+        numbers = [float(word) for word in document.effective(element, attribute, "0").split()]
         document.set(element, **{attribute: [number * value / numbers[0] for number in numbers]})
 
     return write

@@ -172,6 +172,8 @@ def simulate(
     step = grid_step(windows, stepping)
     models = [stepping.on(_copy(variant.model), step) for variant in variants]
     delays = np.stack([_take_delays(model) for model in models])
+    if stepping.integrator is not None:
+        delays += step / 2 * np.stack([_has_current(model) for model in models])
     level = np.stack([model.dof_frictionloss.copy() for model in models])
     located = stepping.integrator is not None and bool((level > 0).any())
     if located:
@@ -231,6 +233,15 @@ def _take_delays(model: mujoco.MjModel) -> Array:
         delays[first : first + int(model.actuator_ctrlnum[i])] = model.actuator_delay[i]
     model.actuator_delay[:] = 0
     return delays
+
+
+def _has_current(model: mujoco.MjModel) -> Array:
+    """1 for each control of a motor with inductance, (nu,): its current comes half a step early, as MuJoCo steps it."""
+    out = np.zeros(model.nu)
+    for i in range(model.nactuator):
+        if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR and model.actuator_dynprm[i, 0] > 0:
+            out[model.actuator_ctrladr[i] : model.actuator_ctrladr[i] + model.actuator_ctrlnum[i]] = 1.0
+    return out
 
 
 def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArray[np.intp]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -181,16 +182,25 @@ def passive_force(document: Document, name: str, joint: str, force: float) -> No
 
 def passive_wave(document: Document, name: str, joint: str, size: float, per_unit: float, phase: float) -> None:
     """A force size * sin(per_unit * position + phase) on a joint, by the cogging torque of a passive motor."""
-    document.add(
+    element = document.add(
         "actuator",
         "dcmotor",
-        name=name,
+        name=document.fresh(name),
         joint=joint,
         input="none",
         resistance=1,
         motorconst="0 0",
         cogging=(size, per_unit, phase),
     )
+    document.plain(element, inductance="0 0", thermal="0 0 0 0 0 0", lugre="0 0 0 0 0", controller="0 0 0 0 0 0")
+    if document.effective(element, "forcerange") or document.effective(element, "saturation"):
+        document.set(element, saturation="0 0 0")
+    shield(document, element)
+
+
+def shield(document: Document, element: ET.Element) -> None:
+    """Keep from an actuator that stands for a force what default classes give to the motors of the file."""
+    document.plain(element, gear="1", damping="0 0 0", armature="0", delay="0", ctrllimited="auto", ctrlrange="0 0")
 
 
 def dry(document: Document, joint: str, level: float) -> None:

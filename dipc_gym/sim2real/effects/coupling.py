@@ -37,27 +37,24 @@ def split(document: Document, actuator: str, inertia: float) -> tuple[str, str]:
     element = document.actuator(actuator)
     joint = document.joint(element.get("joint", ""))
     body = document.parent(joint)
-    name = f"{actuator}_rotor"
+    name = document.fresh(f"{actuator}_rotor")
     rotor = document.add(document.parent(body), "body", name=name, gravcomp=1)
     for attribute in ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"):
         if body.get(attribute):
             document.set(rotor, **{attribute: body.get(attribute, "")})
-    hinge = joint.get("type", "hinge") == "hinge"
+    kind = document.effective(joint, "type", "hinge")
+    place = document.effective(joint, "pos", "0 0 0")
     document.add(
         rotor,
         "inertial",
-        pos=joint.get("pos", "0 0 0"),
-        mass=1e-3 if hinge else inertia,
-        diaginertia=(inertia,) * 3 if hinge else (1e-6,) * 3,
+        pos=place,
+        mass=1e-3 if kind == "hinge" else inertia,
+        diaginertia=(inertia,) * 3 if kind == "hinge" else (1e-6,) * 3,
     )
-    document.add(
-        rotor,
-        "joint",
-        name=name,
-        type=joint.get("type", "hinge"),
-        axis=joint.get("axis", "0 0 1"),
-        pos=joint.get("pos", "0 0 0"),
-    )
+    axis = document.effective(joint, "axis", "0 0 1")
+    own = document.add(rotor, "joint", name=name, type=kind, axis=axis, pos=place)
+    document.plain(own, damping="0 0 0", stiffness="0 0 0", frictionloss="0", armature="0", springdamper="0 0")
+    document.plain(own, limited="auto", range="0 0")
     document.set(element, joint=name)
     document.follows(name, joint.get("name", ""))
     return name, joint.get("name", "")
@@ -66,7 +63,13 @@ def split(document: Document, actuator: str, inertia: float) -> tuple[str, str]:
 def couple(document: Document, name: str, rotor: str, load: str, stiffness: float, damping: float, gap: float) -> None:
     """A fixed tendon between rotor and load; springlength is the play."""
     tendon = document.add(
-        "tendon", "fixed", name=name, stiffness=stiffness, damping=damping, springlength=(-gap / 2, gap / 2)
+        "tendon",
+        "fixed",
+        name=document.fresh(name),
+        stiffness=stiffness,
+        damping=damping,
+        springlength=(-gap / 2, gap / 2),
     )
+    document.plain(tendon, limited="auto", range="0 0", frictionloss="0", armature="0")
     document.add(tendon, "joint", joint=rotor, coef=1)
     document.add(tendon, "joint", joint=load, coef=-1)

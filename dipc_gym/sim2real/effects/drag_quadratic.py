@@ -28,7 +28,7 @@ class Quadratic(Effect):
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Second coefficient of the joint's damping."""
         joint = document.joint(at)
-        damping = [*joint.get("damping", "0").split(), "0", "0", "0"][:3]
+        damping = [*document.effective(joint, "damping", "0").split(), "0", "0", "0"][:3]
         damping[1] = repr(float(values["coefficient"]))
         document.set(joint, damping=" ".join(damping))
 

@@ -33,7 +33,7 @@ class Viscous(Effect):
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Damping of the joint."""
         joint = document.joint(at)
-        rest = joint.get("damping", "").split()[1:]
+        rest = document.effective(joint, "damping").split()[1:]
         document.set(joint, damping=" ".join([repr(float(values["coefficient"])), *rest]))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:

@@ -29,9 +29,7 @@ class Tilt(Effect):
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Gravity turned about x, then about y."""
-        option = document.root.find("option")
-        given = (option.get("gravity") if option is not None else None) or "0 0 -9.81"
-        x, y, z = (float(word) for word in given.split())
+        x, y, z = (float(word) for word in document.get_option("gravity").split())
         a, b = values["about_x"], values["about_y"]
         y, z = y * np.cos(a) - z * np.sin(a), y * np.sin(a) + z * np.cos(a)
         x, z = x * np.cos(b) + z * np.sin(b), -x * np.sin(b) + z * np.cos(b)

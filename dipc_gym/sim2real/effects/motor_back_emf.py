@@ -38,7 +38,7 @@ class BackEmf(Effect):
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Damping of the actuator, which MuJoCo multiplies by the gear squared."""
         actuator = document.actuator(at)
-        gear = float(actuator.get("gear", "1").split()[0])
+        gear = float(document.effective(actuator, "gear", "1").split()[0])
         document.set(actuator, damping=values["coefficient"] / gear**2)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
