@@ -543,6 +543,10 @@ def test_a_failed_diagnosis_is_a_wrong_one():
     judged = score.judge(sealed(), None, broken)
     assert (judged.verdict, judged.name, judged.set, judged.reached) == ("failed", False, False, None)
     assert score.judge(sealed("wrong", []), None, broken).name is False
+    # Failing on a null is no way to keep the false alarms down.
+    null = score.judge(sealed("null", []), None, broken)
+    assert null.alarm is None
+    assert score.summarise([null])["summary"]["nulls"] == 0
 
 
 @pytest.mark.parametrize(("events", "trials"), [(0, 150), (3, 150), (7, 15)])
@@ -636,3 +640,30 @@ def test_a_tool_that_breaks_is_noted_with_its_last_words(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, "import time; time.sleep(30)"))
     with pytest.raises(RuntimeError, match="took longer"):
         run.run_tool(tmp_path / "trials" / "t001_cart", tmp_path / "result", patience=0.5)
+
+
+def test_a_run_that_was_stopped_goes_on_and_tries_failures_again(tmp_path, monkeypatch):
+    plans = [generate.Plan(k, "null", "cart", "", False) for k in (1, 2, 3)]
+    (tmp_path / "sealed").mkdir()
+    for plan in plans:
+        answer = sealed("null", []) | {"trial": plan.name}
+        (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(answer))
+    asked = []
+
+    def attempt(folder, result, *, seed):
+        asked.append(folder.name)
+        result.mkdir(parents=True, exist_ok=True)
+        fails = folder.name == plans[1].name and len(asked) <= 3
+        (result / "diagnosis.json").write_text(json.dumps(said(verdict="consistent")))
+        (result / "attempt.json").write_text(json.dumps(FINE | {"failure": "broke" if fails else None}))
+
+    monkeypatch.setattr(run, "generate", lambda out, **_: plans)
+    monkeypatch.setattr(run, "attempt", attempt)
+    run.trial(tmp_path, seed=1)
+    assert asked == [plan.name for plan in plans]
+    scores = run.trial(tmp_path, seed=1)
+    assert asked[3:] == [plans[1].name]
+    assert (scores["summary"]["nulls"], scores["summary"]["false_alarms"]) == (3, 0)
+    run.trial(tmp_path, seed=1, resume=False)
+    assert len(asked) == 7
+    assert (tmp_path / "report.md").exists()

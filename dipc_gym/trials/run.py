@@ -110,6 +110,11 @@ def attempt(folder: Path, result: Path, *, seed: int) -> dict[str, Any]:
     return note
 
 
+def _done(result: Path) -> bool:
+    note = result / "attempt.json"
+    return note.exists() and json.loads(note.read_text(encoding="utf-8"))["failure"] is None
+
+
 def trial(
     out: Path, *, seed: int = 1, count: int | None = None, full: bool = False, jobs: int = 1, resume: bool = True
 ) -> dict[str, Any]:  # fmt: skip
@@ -121,7 +126,7 @@ def trial(
         count: number of trials; None: 42, or 430 with `full`.
         full: the long version.
         jobs: trials at a time.
-        resume: keep results that are there; otherwise diagnose everything anew.
+        resume: keep the diagnoses that are there, failures aside; otherwise diagnose everything anew.
 
     Returns:
         The scores, as in `report.json`.
@@ -134,7 +139,7 @@ def trial(
 
     made = generate(out, seed=seed, count=count, full=full, jobs=jobs)
     results = out / "results"
-    open_ones = [plan.name for plan in made if not (resume and (results / plan.name / "attempt.json").exists())]
+    open_ones = [plan.name for plan in made if not (resume and _done(results / plan.name))]
     runs = Parallel(n_jobs=jobs, return_as="generator_unordered")(
         delayed(attempt)(out / "trials" / name, results / name, seed=0) for name in open_ones
     )

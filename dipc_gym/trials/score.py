@@ -20,7 +20,7 @@ import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,6 @@ class Judgement:
     parameters: int = 0
     seconds: float = math.nan
     failure: str | None = None
-    rivals: dict[str, Any] = field(default_factory=dict)
 
 
 def judge(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attempt: Mapping[str, Any]) -> Judgement:
@@ -109,7 +108,8 @@ def judge(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attemp
         failure=attempt.get("failure"),
     )
     if answer["kind"] in ("null", "wrong"):
-        result.alarm = bool(said) or result.verdict in STRUCTURE_LEFT
+        # A tool that failed raised no alarm, but it gave no all-clear either.
+        result.alarm = None if diagnosis is None else bool(said) or result.verdict in STRUCTURE_LEFT
         numbers = bool((diagnosis or {}).get("recalibrated"))
         if answer["kind"] == "null":
             result.renumbered = numbers and result.verdict == "recalibrated"
@@ -310,7 +310,7 @@ def summarise(judged: Sequence[Judgement]) -> dict[str, Any]:
     """Rates, quantiles, the confusion matrix and the single judgements."""
     hidden = [j for j in judged if j.kind in ("single", "pair")]
     clear = [j for j in hidden if j.size >= CLEAR or j.route == "refit"]
-    nulls = [j for j in judged if j.kind == "null"]
+    nulls = [j for j in judged if j.kind == "null" and j.alarm is not None]
     unknown = [j for j in judged if j.kind == "unknown"]
     alarms = sum(bool(j.alarm) for j in nulls)
     reached = [j.reached for j in clear if j.reached is not None]

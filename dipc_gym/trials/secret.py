@@ -179,7 +179,7 @@ class Secret:
             },
             "recalibrated_suffices": bool(self.hidden) and share <= limit,
             "share_of_signal": share,
-            "share_of_each": self._shares(windows, references),
+            "share_of_each": self._shares(windows, references, judged),
             "moved_from_nominal": from_nominal,
             "held_out_predictable": not self.once and plan.kind != "unknown",
             "test_error": {
@@ -191,8 +191,8 @@ class Secret:
             "window": WINDOW * SAMPLE_TIME,
         }
 
-    def _shares(self, windows: Sequence[Windows], references: Sequence[Array]) -> dict[str, float]:
-        """For several effects: what the test prediction loses when one is taken out and all else refitted."""
+    def _shares(self, windows: Sequence[Windows], references: Sequence[Array], judged: int) -> dict[str, float]:
+        """For several effects: what the judged prediction loses when one is taken out and all else refitted."""
         shares: dict[str, float] = {}
         if len(self.hidden) < 2:
             return shares
@@ -200,8 +200,8 @@ class Secret:
             rest = [h for h in self.hidden if h is not out]
             start = [value for h in rest for value in h.values]
             found = fit(windows[:2], references, self.rig.plant, [h.effect for h in rest], start, effort=6)
-            test = self.recordings[2]
-            difference = windows[2].residual(predict(self.rig, found.plant, test), test.reading)
+            recording = self.recordings[judged]
+            difference = windows[judged].residual(predict(self.rig, found.plant, recording), recording.reading)
             shares[f"{out.effect.name}@{out.effect.at}"] = rms(difference)
         return shares
 

@@ -255,10 +255,11 @@ def fit(
         if x.tobytes() in latest:
             return latest[x.tobytes()]
         candidate, _ = split(x)
-        parts = [
-            w.residual(predict(rig, candidate, w.recording), reference)
-            for w, reference in zip(windows, references, strict=True)
-        ]
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial step may diverge; it is then refused
+            parts = [
+                w.residual(predict(rig, candidate, w.recording), reference)
+                for w, reference in zip(windows, references, strict=True)
+            ]
         latest.clear()
         latest[x.tobytes()] = np.clip(np.nan_to_num(np.concatenate(parts), nan=1e6), -1e6, 1e6)
         return latest[x.tobytes()]
