@@ -284,12 +284,15 @@ def diagnose(
         list(effects if effects is not None else catalogue().values()),
         prepared.structure.base,
         lambda f: evidence.scene(f.structure.physics(f.z), recordings, prepared.motions, span[1]),
+        fit(problem, recalibrated.structure, np.zeros(len(numbers)), nominal.starts, most=0),
         tell,
     )
     best = search.run(recalibrated)
-    final = judge.fewest_numbers(search, best)
-
     worst = judge.unseen_error(search, recalibrated)
+    if best.structure.terms and not judge.credible(worst, judge.unseen_error(search, best)):
+        tell("no effect explains enough to be named")
+        best = recalibrated
+    final = judge.fewest_numbers(search, best)
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
     errors = Errors(*(_error(held, f) for f in (nominal, recalibrated, final)))
     located = judge.locate(search.look(recalibrated), prepared.structure.base)
@@ -297,7 +300,7 @@ def diagnose(
     shift = _step_shift(final, problem)
     changed = _changed(final, spread)
     verdict = judge.verdict(
-        errors.nominal, errors.recalibrated, errors.improved, len(final.structure.terms), len(changed)
+        (errors.nominal, errors.recalibrated, errors.improved), _motion(held), len(final.structure.terms), len(changed)
     )
     replaced = {}
     for term in final.structure.terms:
@@ -347,6 +350,13 @@ def _split(problem: Problem) -> tuple[Problem, Problem]:
 def _error(problem: Problem, fitted: Fit) -> float:
     mse, _ = evaluate(problem, fitted.structure, fitted.z)
     return float(np.sqrt(np.mean(mse)))
+
+
+def _motion(problem: Problem) -> float:
+    """Root mean square of how far readings move within a window, in units of noise."""
+    w = problem.windows
+    moved = (w.observed - w.observed[:, :1]) / w.noise
+    return float(np.sqrt(np.sum(np.where(w.valid[..., None], moved, 0.0) ** 2) / problem.counts.sum()))
 
 
 def _quiet(prepared: Prepared) -> str:
@@ -502,11 +512,14 @@ def _verb(where: str) -> str:
 def _sentence(verdict: str, missing: Sequence[Missing], changed: Sequence[dict[str, Any]], errors: Errors) -> str:
     fall = f"On held-out data the error falls from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
     known = " ".join(m.sentence for m in missing if m.effect != "unknown")
+    rest = ""
+    if errors.improved > judge.AT_FLOOR:
+        rest = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
     if verdict == "consistent":
-        return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.2f} times the sensors' noise."
+        return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.3g} times the noise.{rest}"
     if verdict == "recalibrated":
         names = ", ".join(f"{c['parameter']} of {c['at']}" for c in changed)
-        return f"No physics is missing; wrong numbers were: {names}. {fall}."
+        return f"No physics is missing; wrong numbers were: {names}. {fall}.{rest}"
     if verdict == "explained":
         return f"The model lacks this: {known} {fall}, which is all there is."
     if verdict == "partly explained":
@@ -528,8 +541,8 @@ def _next(verdict: str, missing: Sequence[Missing]) -> str:
     if doubt:
         m, r = doubt[0]
         return (
-            f"{r['effect']} at {r['at']} predicts nearly as well as {m.effect} at {m.at}. Record slow reversals and fast "
-            "steps over the whole range for a minute."
+            f"{r['effect']} at {r['at']} predicts nearly as well as {m.effect} at {m.at}. Record slow reversals and "
+            "fast steps over the whole range for a minute."
         )
     if verdict in ("partly explained", "unexplained"):
         return (
@@ -567,9 +580,9 @@ def _improved(
     note = ""
     if error > 1.2 * max(errors.improved, 1.0):
         note = (
-            f"At the model's own step of {1e3 * own.timestep:g} ms and with its integrator the improved model predicts to "
-            f"{error:.3g} times the noise, with a converged step to {errors.improved:.3g}: a shorter step is worth more "
-            "than any further physics."
+            f"At the model's own step of {1e3 * own.timestep:g} ms and with its integrator the improved model predicts "
+            f"to {error:.3g} times the noise, with a converged step to {errors.improved:.3g}: a shorter step is worth "
+            "more than any further physics."
         )
     document = structure.write(z)
     lines = [t.effect.sentence(t.at, structure.term_values(z, t), place_units(structure, t)) for t in structure.terms]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -19,6 +18,8 @@ Array = NDArray[np.float64]
 
 AT_FLOOR = 1.2  # times the noise: an error below this is explained
 QUANTILE = 1.645  # of the normal distribution, for 90 % intervals
+CREDIBLE = 0.5  # share of the excess error that effects must remove together where they do not reach the noise
+SMALL = 3e-3  # of the motion within a window: a smaller mismatch without a name is not called missing physics
 STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
 
 
@@ -204,22 +205,30 @@ def _explained(force: Array, quantity: Array, bins: int = 24) -> float:
     return float(np.sum(counts * (means - np.mean(force)) ** 2) / len(force) / variance) if variance > 0 else 0.0
 
 
-def verdict(nominal: float, recalibrated: float, improved: float, terms: int, changed: int) -> str:
+def credible(recalibrated: float, improved: float) -> bool:
+    """Whether effects explain enough to be named, from errors on unseen windows in units of noise.
+
+    Real recordings always hold structure beyond noise, and the best of dozens of effects takes up some of it. One that
+    neither comes down to the noise nor removes half of the mismatch is a shape that happened to fit.
+    """
+    return improved <= AT_FLOOR or recalibrated - improved >= CREDIBLE * (recalibrated - 1)
+
+
+def verdict(errors: Sequence[float], motion: float, terms: int, changed: int) -> str:
     """The verdict from errors on held-out windows, in units of noise.
 
     Args:
-        nominal: error of the model as given.
-        recalibrated: with its own numbers refitted.
-        improved: with the effects found; equal to `recalibrated` without any.
+        errors: of the model as given, of the recalibrated and of the improved one.
+        motion: within a window, in units of noise.
         terms: how many effects were found.
         changed: how many own numbers had to change.
     """
-    if not math.isfinite(improved):
-        return "cannot tell"
+    nominal, recalibrated, improved = errors
     if terms:
         return "explained" if improved <= AT_FLOOR else "partly explained"
     if nominal <= AT_FLOOR:
         return "consistent"
-    if recalibrated <= AT_FLOOR:
-        return "recalibrated" if changed else "consistent"
+    if recalibrated <= AT_FLOOR or recalibrated < SMALL * motion:
+        better = nominal - recalibrated > 0.2 * (nominal - 1)
+        return "recalibrated" if changed and better else "consistent"
     return "unexplained"

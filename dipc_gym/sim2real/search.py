@@ -79,6 +79,8 @@ class Search:
         joints: base joints.
         look: gives the evidence for a structure.
         rounds: hypotheses of each round, the best first.
+        anchor: the model with its own numbers free but at their nominal values. Refitted without an effect that
+            matters they can be far off, and an effect tried on top of such numbers looks worse than it is.
         tell: called with a line about progress.
     """
 
@@ -87,6 +89,7 @@ class Search:
     effects: Sequence[Effect]
     joints: tuple[str, ...]
     look: Callable[[Fit], Scene]
+    anchor: Fit | None = None
     tell: Callable[[str], None] = lambda line: None
     rounds: list[list[Tried]] = field(default_factory=list)
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
@@ -165,33 +168,46 @@ class Search:
         left = current.left - columns @ step
         return float(np.mean(np.log1p(np.einsum("nm,nm->n", left, left) / counts))), size
 
-    def full(self, current: Fit, term: Term, most: int = 8) -> Fit | None:
+    def full(self, base: Fit, term: Term, most: int = 8) -> Fit | None:
         """Fit the structure with one more effect; None where it cannot be simulated."""
-        structure = current.structure.with_term(term)
+        structure = base.structure.with_term(term)
         try:
-            return fit(
-                self.problem, structure, carry(current.structure, current.z, structure), current.starts, most=most
-            )
+            return fit(self.problem, structure, carry(base.structure, base.z, structure), base.starts, most=most)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
-        scene = self.look(current)
-        ranked = self.screen(current, self.hypotheses(current, scene))
-        least = max(WORTH / 4, 0.05 * ranked[0].promise) if ranked else 0.0
-        finalists = [tried for tried in ranked if tried.promise > least][:FINALISTS]
+        promising: dict[str, tuple[Tried, Fit]] = {}
+        for base in self._bases(current):
+            for tried in self._ranked(base, current):
+                if tried.key not in promising or tried.promise > promising[tried.key][0].promise:
+                    promising[tried.key] = (tried, base)
+        ranked = sorted(promising.values(), key=lambda pair: -pair[0].promise)
+        least = max(WORTH / 4, 0.05 * ranked[0][0].promise) if ranked else 0.0
         done: list[Tried] = []
-        for tried in finalists:
-            fitted = self.full(current, tried.term)
+        for tried, base in [pair for pair in ranked if pair[0].promise > least][:FINALISTS]:
+            fitted = self.full(base, tried.term)
             if fitted is not None:
                 score = float(np.mean(self.losses(fitted)))
                 done.append(replace(tried, fitted=fitted, score=score))
                 self.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
         done.sort(key=lambda tried: tried.score)
-        self.rounds.append(done + [t for t in ranked if t.key not in {d.key for d in done}])
+        self.rounds.append(done + [t for t, _ in ranked if t.key not in {d.key for d in done}])
         chosen = self.choose(current, done)
         return None if chosen is None else self.polish(chosen)
+
+    def _bases(self, current: Fit) -> list[Fit]:
+        """What effects are tried on top of: the present fit, and at first the nominal numbers where it left them."""
+        if self.anchor is None or current.structure.terms or np.abs(current.z - self.anchor.z).max(initial=0.0) < 0.1:
+            return [current]
+        return [current, self.anchor]
+
+    def _ranked(self, base: Fit, current: Fit) -> list[Tried]:
+        """Hypotheses on top of a base; what they promise is counted from `current`."""
+        handicap = float(np.mean(np.log1p(base.mse)) - np.mean(np.log1p(current.mse)))
+        ranked = self.screen(base, self.hypotheses(base, self.look(base)))
+        return [replace(tried, promise=tried.promise - handicap) for tried in ranked]
 
     def polish(self, fitted: Fit) -> Fit:
         """Fit on until nothing changes."""
@@ -207,7 +223,7 @@ class Search:
         best = clear[0]
         assert best.fitted is not None
         alike = [t for t in clear if t.fitted is not None and self.alike(best.fitted, t.fitted, current)]
-        chosen = min(alike, key=lambda t: _cost(t.fitted) + (t.score,))
+        chosen = min(alike, key=lambda t: (*_cost(t.fitted), t.score))
         return chosen.fitted
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
@@ -229,16 +245,33 @@ class Search:
         return current
 
     def prune(self, current: Fit) -> Fit:
-        """Take out effects whose absence costs nothing."""
-        if len(current.structure.terms) < 2:
-            return current
-        for term in current.structure.terms[:-1]:
-            less = self.without(current, term.key)
-            lost = self.compare(current, less)
-            if not (lost.gain > WORTH / 2 and lost.gain > ALIKE * lost.error):
-                self.tell(f"dropped {term.key}")
-                return self.prune(less)
+        """Take out effects whose absence costs nothing; put plainer ones in the place of those with idle numbers."""
+        for term in current.structure.terms:
+            less = [self.without(current, term.key)] if len(current.structure.terms) > 1 else []
+            plainer = [self.swap(current, term, inner) for inner in term.effect.contains]
+            for other in [*less, *(fitted for fitted in plainer if fitted is not None)]:
+                lost = self.compare(current, other)
+                if not (lost.gain > WORTH / 2 and lost.gain > ALIKE * lost.error):
+                    self.tell(f"{term.key} is more than is needed")
+                    return self.prune(other)
         return current
+
+    def swap(self, current: Fit, term: Term, effect: str) -> Fit | None:
+        """Refit with another effect in the place of one; None where it cannot act."""
+        other = next((e for e in self.effects if e.id == effect), None)
+        rest = current.structure.without(term.key)
+        if other is None or any(t.key == f"{effect}@{term.at}" for t in rest.terms):
+            return None
+        scene = self.look(current)
+        if term.at not in places(other, scene.model, self.joints, scene.recordings[0]):
+            return None
+        levels = [v for name, v in current.structure.term_values(current.z, term).items() if name.startswith("level")]
+        evidence = scene.at(other.place, term.at, {term.at: float(np.mean(levels))} if levels else {})
+        structure = rest.with_term(Term(other, term.at, dict(other.guesses(evidence)[0])))
+        try:
+            return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts, most=12)
+        except (mjcf.MjcfError, np.linalg.LinAlgError):
+            return None
 
     def without(self, current: Fit, key: str) -> Fit:
         """Refit with one effect less."""

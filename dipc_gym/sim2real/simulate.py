@@ -205,11 +205,11 @@ def simulate(
         track = _run(sims, physics, dry, commands[:, :nwarm], record=bool(physics.stage("lag")))
         # The joints go where the recording says; whatever hides behind a gap keeps its place relative to them.
         offset = sims.qpos[:, [f for f, _ in follow]] - sims.qpos[:, [q[b] for _, b in follow]]
-        speed = sims.qvel[:, [f for f, _ in follow]].copy()
+        speed = sims.qvel[:, [f for f, _ in follow]] - sims.qvel[:, [dof[b] for _, b in follow]]
         _place(sims, q, dof, follow, begin[:, :nb], begin[:, nb:])
         if follow:
             sims.qpos[:, [f for f, _ in follow]] += offset
-            sims.qvel[:, [f for f, _ in follow]] = speed
+            sims.qvel[:, [f for f, _ in follow]] += speed
     else:
         _place(sims, q, dof, follow, begin[:, :nb], begin[:, nb:])
     readings = _run(sims, physics, dry, commands[:, nwarm:], record=True)

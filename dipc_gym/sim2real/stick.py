@@ -82,8 +82,14 @@ class DryFriction:
             with np.errstate(divide="ignore", invalid="ignore"):
                 share = np.where(crossed, start / (start - after), np.inf)
             first = np.argmin(share, axis=1)
-            share = np.clip(share[np.arange(len(ids)), first], 1e-6, 1.0)
-            until = share * left[ids]
+            each = np.arange(len(ids))
+            until = np.clip(share[each, first], 1e-6, 1.0) * left[ids]
+            sims.state[ids] = before[ids]
+            self._advance(ids, until, forces)
+            # Velocity is no straight line; once more through its start and where this came to.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                better = until * start[each, first] / (start[each, first] - sims.qvel[ids, first])
+            until = np.where(np.isfinite(better), np.clip(better, 1e-6 * left[ids], left[ids]), until)
             sims.state[ids] = before[ids]
             self._advance(ids, until, forces)
             sims.qvel[ids, first] = 0.0
@@ -143,7 +149,7 @@ class DryFriction:
 
 
 def _dense_map(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Where each entry of the full inertia matrix (nv, nv) stands in MuJoCo's sparse one; one past its end for zeros."""
+    """Where entries of the full inertia matrix (nv, nv) stand in MuJoCo's sparse one; one past its end for zeros."""
     where = np.full((model.nv, model.nv), model.nM)
     for row in range(model.nv):
         first = int(model.M_rowadr[row])

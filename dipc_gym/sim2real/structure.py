@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 WARM = 0.06  # s that bristles, currents and delays need to reach their state
 
 
+FARTHEST = 4.0  # standard deviations of its prior by which an own number may move
+
+
 @dataclass(frozen=True)
 class Term:
     """An effect at a place, with the guess it starts from; the guess also sets the scale of its parameters."""
@@ -90,10 +93,11 @@ class Structure:
     slots: tuple[Slot, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        slots = [
-            Slot(n.key, n.unit, 0.0, math.inf, True, n.value, n.sigma, math.log((n.expected or n.value) / n.value))
-            for n in self.numbers
-        ]
+        slots = []
+        for n in self.numbers:
+            centre, reach = math.log((n.expected or n.value) / n.value), FARTHEST * n.sigma
+            low, high = n.value * math.exp(centre - reach), n.value * math.exp(centre + reach)
+            slots.append(Slot(n.key, n.unit, low, high, True, n.value, n.sigma, centre))
         for term in self.terms:
             for p in _free(term.effect):
                 guess = term.guess[p.name]
