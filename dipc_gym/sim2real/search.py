@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 FINALISTS = 6  # hypotheses fitted fully in a round
 CLEAR = 2.5  # standard errors by which an improvement must stand out
+LARGE = 0.5  # improvement of the mean log square error (an error one fifth smaller) that no chance brings about
+ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
 ALIKE = 2.0  # standard errors within which two hypotheses are not told apart
 
@@ -42,8 +44,8 @@ class Comparison:
 
     @property
     def clear(self) -> bool:
-        """Better beyond chance, and by enough to matter."""
-        return self.gain > WORTH and self.gain > CLEAR * self.error
+        """Better beyond chance, and by enough to matter; a large gain need not be as even over the windows."""
+        return self.gain > WORTH and self.gain > (CLEAR if self.gain < LARGE else 1.0) * self.error
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,7 @@ class Search:
 
     def choose(self, current: Fit, done: Sequence[Tried]) -> Fit | None:
         """The simplest of the hypotheses that predict best, if it is clearly better than `current`."""
-        clear = [t for t in done if t.fitted is not None and self.compare(t.fitted, current).clear]
+        clear = [t for t in done if t.fitted is not None and self.stands_out(t.term, t.fitted, current)]
         if not clear:
             return None
         best = clear[0]
@@ -225,6 +227,17 @@ class Search:
         alike = [t for t in clear if t.fitted is not None and self.alike(best.fitted, t.fitted, current)]
         chosen = min(alike, key=lambda t: (*_cost(t.fitted), t.score))
         return chosen.fitted
+
+    def stands_out(self, term: Term, fitted: Fit, current: Fit) -> bool:
+        """Whether a fit with one more effect is clearly better.
+
+        What happened once shows in a window or two, seen or unseen; it is believed where all others are at the noise.
+        """
+        if not term.effect.once:
+            return self.compare(fitted, current).clear
+        usual = float(np.median(current.mse))
+        fall = np.append(np.log1p(current.mse) - np.log1p(fitted.mse), self.losses(current) - self.losses(fitted))
+        return usual < 1.5 and float(np.sum(fall)) > ONCE
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""

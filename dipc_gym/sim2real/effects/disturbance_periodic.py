@@ -31,8 +31,11 @@ class Periodic(Effect):
         n = int(back[0]) + 1 if len(back) else len(evidence.time)
         t = np.arange(evidence.time[0], evidence.time[n - 1], step)
         f = np.interp(t, evidence.time[:n], evidence.force[:n])
-        v = np.interp(t, evidence.time[:n], evidence.velocity[:n])
-        known = np.stack([v, np.tanh(v / (0.05 * evidence.speed_scale)), np.ones_like(v)], axis=1)
+        # What goes with the motion is no disturbance: friction, and own numbers that are off.
+        v, load, q = (
+            np.interp(t, evidence.time[:n], x[:n]) for x in (evidence.velocity, evidence.load, evidence.position)
+        )
+        known = np.stack([v, np.tanh(v / (0.05 * evidence.speed_scale)), load, q, np.ones_like(v)], axis=1)
         f = f - known @ np.linalg.lstsq(known, f, rcond=None)[0]
         size = 8 * len(f)
         spectrum = np.fft.rfft(f * np.hanning(len(f)), size)
