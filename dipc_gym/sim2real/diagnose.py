@@ -315,9 +315,10 @@ def diagnose(
     missing.sort(key=lambda m: -m.share)
     if verdict in ("partly explained", "unexplained"):
         missing = _with_unknown(missing, errors, search, final, prepared)
-    improved, step_note = _improved(source, given, recordings, prepared, final, span, errors)
-    if step_note:
-        notes.append(step_note)
+    improved = source.text
+    if verdict != "consistent":
+        improved, step_note = _improved(source, given, prepared, final, errors)
+        notes += [step_note] if step_note else []
     provenance["seconds"] = round(time.monotonic() - began, 1)
     return Diagnosis(
         verdict,
@@ -555,10 +556,8 @@ def _next(verdict: str, missing: Sequence[Missing]) -> str:
 def _improved(
     source: mjcf.Source,
     given: physics.Physics,
-    recordings: Sequence[Recording],
     prepared: Prepared,
     final: Fit,
-    span: tuple[float, float],
     errors: Errors,
 ) -> tuple[str, str]:
     """Text of the improved model with its numbers refitted at the file's own step, and what that step costs."""

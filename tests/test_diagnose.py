@@ -1,0 +1,207 @@
+"""The diagnosis end to end, on a cart simulated here without MuJoCo, and on what goes wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from dipc_gym import cli, mjcf
+from dipc_gym.sim2real import judge, recording
+from dipc_gym.sim2real.diagnose import Wishes, diagnose
+from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.search import Comparison, compare
+
+MASS, DRAG, FORCE = 1.26, 40.0, 4.0  # kg, N s/m of bearing and back-EMF together, N/V
+NOMINAL = """<mujoco model="cart">
+  <!-- what the owner wrote -->
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body name="cart">
+      <inertial pos="0 0 0" mass="1.26" diaginertia="1e-3 1e-3 1e-3"/>
+      <joint name="cart" type="slide" axis="1 0 0" damping="40"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="cart" gear="4"/></actuator>
+  <sensor><jointpos name="cart" joint="cart"/></sensor>
+</mujoco>
+"""
+PRACTICE = Path(__file__).parents[2] / "shared" / "practice"
+
+
+def run(seed: int, seconds: float, coulomb: float, drag: float = DRAG) -> Recording:
+    """A cart under a swept voltage; Coulomb friction by exact reversals at 50 microseconds; an encoder with noise."""
+    rng = np.random.default_rng(seed)
+    h, hold = 5e-5, 40
+    n = round(seconds / (h * hold))
+    t = np.arange(n) * h * hold
+    phase = rng.uniform(0, 6)
+    volts = 7 * np.sin(2 * np.pi * (0.4 + 0.15 * t) * t + phase) + 3 * np.sin(2 * np.pi * 0.7 * t)
+    x = v = 0.0
+    out = np.empty(n)
+    for k in range(n):
+        out[k] = x
+        for _ in range(hold):
+            push = FORCE * volts[k] - drag * v
+            if v == 0.0 and abs(push) <= coulomb:
+                continue
+            friction = math.copysign(coulomb, v if v else push)
+            new = v + h * (push - friction) / MASS
+            if v and new * v < 0:
+                new = 0.0
+            x += h * (v + new) / 2
+            v = new
+    sensed = np.round((out + rng.normal(0, 3e-6, n)) / 2e-5) * 2e-5
+    return Recording(f"run{seed}", t, volts[:, None], sensed[:, None], ("motor",), ("cart",))
+
+
+@pytest.fixture(scope="module")
+def few() -> list[object]:
+    """A part of the catalogue, enough to be wrong in."""
+    names = (
+        "friction.coulomb",
+        "friction.viscous",
+        "motor.deadzone",
+        "timing.delay",
+        "load.constant",
+        "drag.quadratic",
+    )
+    return [catalogue()[name] for name in names]
+
+
+def test_names_dry_friction_and_its_level(few: list[object]) -> None:
+    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 20, 3.0)], effects=few)  # type: ignore[arg-type]
+    assert found.verdict == "explained", found.sentence
+    assert [(m.effect, m.at) for m in found.missing] == [("friction.coulomb", "cart")]
+    level = found.missing[0].parameters["level"]
+    assert level["value"] == pytest.approx(3.0, rel=0.02)
+    assert level["low"] <= level["value"] <= level["high"]
+    assert found.held_out is not None
+    assert found.held_out.improved < 1.2 < found.held_out.recalibrated < found.held_out.nominal
+    assert "3" in found.sentence
+    assert "cart" in found.sentence
+    written = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert written["fit"]["held_out"]["nominal"] == 1.0
+    model = mujoco.MjModel.from_xml_string(found.improved)
+    assert model.dof_frictionloss[0] == pytest.approx(3.0, rel=0.05)
+    assert "what the owner wrote" in found.improved
+
+
+def test_finds_nothing_where_nothing_is_missing(few: list[object]) -> None:
+    found = diagnose(mjcf.from_text(NOMINAL), [run(2, 20, 0.0)], effects=few)  # type: ignore[arg-type]
+    assert found.verdict == "consistent", found.sentence
+    assert found.missing == ()
+    assert found.recalibrated == ()
+    assert found.improved == NOMINAL
+
+
+def test_a_wrong_number_is_no_missing_physics(few: list[object]) -> None:
+    found = diagnose(mjcf.from_text(NOMINAL), [run(3, 20, 0.0, drag=46.0)], effects=few)  # type: ignore[arg-type]
+    assert found.verdict == "recalibrated", found.sentence
+    assert found.missing == ()
+    assert [(c["parameter"], c["at"]) for c in found.recalibrated] == [("damping", "cart")]
+    assert found.recalibrated[0]["value"] == pytest.approx(46.0, rel=0.01)
+
+
+def test_a_rig_at_rest_tells_nothing() -> None:
+    still = run(4, 10, 0.0)
+    rng = np.random.default_rng(0)
+    noise = np.round(rng.normal(0, 3e-6, still.sensors.shape) / 2e-6) * 2e-6
+    quiet = Recording("still", still.time, 0 * still.commands, noise, ("motor",), ("cart",))
+    found = diagnose(mjcf.from_text(NOMINAL), [quiet])
+    assert found.verdict == "cannot tell"
+    assert "moves" in found.sentence
+    assert found.to_dict()["fit"] == {}
+
+
+def test_an_unseen_joint_is_named() -> None:
+    blind = NOMINAL.replace(
+        "</body>\n  </worldbody>",
+        '<body name="pole"><inertial pos="0 0 1" mass="1" diaginertia="1 1 1"/><joint name="pole"/></body></body>'
+        "\n  </worldbody>",
+    )
+    found = diagnose(mjcf.from_text(blind), [run(5, 10, 0.0)])
+    assert found.verdict == "cannot tell"
+    assert "pole" in found.sentence
+
+
+@pytest.mark.parametrize("wishes", [Wishes(("cart.weight",)), Wishes(prior={"motor.gear": (4.0, -1.0)})])
+def test_wishes_that_make_no_sense(wishes: Wishes) -> None:
+    with pytest.raises(ValueError, match=r"cart\.weight|positive"):
+        diagnose(mjcf.from_text(NOMINAL), [run(6, 5, 0.0)], wishes=wishes)
+
+
+def test_too_short_a_recording() -> None:
+    with pytest.raises(ValueError, match="record longer"):
+        diagnose(mjcf.from_text(NOMINAL), [run(7, 1.5, 0.0)])
+
+
+def test_command_line_writes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model, csv, out = tmp_path / "cart.xml", tmp_path / "run.csv", tmp_path / "out"
+    model.write_text(NOMINAL)
+    recording.write(run(8, 12, 0.0), csv)
+    assert cli.main(["diagnose", str(model), str(csv), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "CONSISTENT" in said
+    assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "improved.xml", "report.html"]
+    mujoco.MjModel.from_xml_path(str(out / "improved.xml"))
+    assert json.loads((out / "diagnosis.json").read_text())["schema"] == "dipc-gym/diagnosis/1"
+    assert cli.main(["diagnose", str(model), str(csv), "--out", str(out)]) == 2
+    assert "not empty" in capsys.readouterr().err
+
+
+def test_command_line_refuses_what_it_cannot_treat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model, csv = tmp_path / "free.xml", tmp_path / "run.csv"
+    recording.write(run(9, 3, 0.0), csv)
+    model.write_text(NOMINAL.replace('type="slide" axis="1 0 0" damping="40"', 'type="ball"'))
+    assert cli.main(["diagnose", str(model), str(csv), "--out", str(tmp_path / "out")]) == 2
+    assert not (tmp_path / "out").exists()
+    model.write_text(NOMINAL.replace('name="motor" joint', 'name="drive" joint'))
+    assert cli.main(["diagnose", str(model), str(csv), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "drive" in said
+    assert "motor" in said
+
+
+def test_comparison_needs_more_than_chance() -> None:
+    rng = np.random.default_rng(0)
+    old = rng.normal(1, 0.3, 60)
+    blocks = np.arange(60) // 2
+    assert not compare(old + rng.normal(0, 0.05, 60), old, blocks).clear
+    assert compare(old - 0.1 + rng.normal(0, 0.05, 60), old, blocks).clear
+    assert not Comparison(0.01, 1e-6).clear
+
+
+@pytest.mark.parametrize(
+    ("errors", "motion", "terms", "changed", "expected"),
+    [
+        ((1.0, 1.0, 1.0), 1e3, 0, 0, "consistent"),
+        ((9.0, 1.1, 1.1), 1e3, 0, 1, "recalibrated"),
+        ((9.0, 8.0, 1.1), 1e3, 1, 0, "explained"),
+        ((90.0, 80.0, 20.0), 1e3, 1, 0, "partly explained"),
+        ((90.0, 80.0, 80.0), 1e3, 0, 1, "unexplained"),
+        ((9.0, 8.5, 8.5), 1e5, 0, 2, "consistent"),
+    ],
+)
+def test_verdicts(errors: tuple[float, ...], motion: float, terms: int, changed: int, expected: str) -> None:
+    assert judge.verdict(errors, motion, terms, changed) == expected
+
+
+@pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice trials are not beside this checkout")
+@pytest.mark.parametrize("trial", ["p01_cart", "p02_cart"])
+def test_practice(trial: str, tmp_path: Path) -> None:
+    folder = tmp_path / trial
+    shutil.copytree(PRACTICE / trial, folder)
+    answer = json.loads((folder / "answer.json").read_text())
+    model = mjcf.compile(folder / "nominal.xml")
+    runs = recording.read_all([folder / "train_1.csv", folder / "train_2.csv"], model)
+    found = diagnose(folder / "nominal.xml", runs)
+    wanted = [(m["effect"], m["at"]) for m in answer["missing"]]
+    assert [(m.effect, m.at) for m in found.missing] == wanted, found.sentence
+    assert found.verdict == ("explained" if wanted else "consistent")
