@@ -8,6 +8,7 @@ simulating again.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real.simulate import Stepping, Windows, grid_step, simulate
+from dipc_gym.sim2real.states import starts as early
 from dipc_gym.sim2real.structure import Structure
 
 Array = NDArray[np.float64]
@@ -31,24 +33,20 @@ class Problem:
     Attributes:
         windows: what to predict.
         starts: estimated positions and velocities at each window's start, (n, 2 nb).
-        early: the same `warm` seconds before.
         spread: standard deviation of the estimated starts, (2 nb,).
-        warm: s.
         stepping: of the simulation.
         threads: 0 for all cores.
     """
 
     windows: Windows
     starts: Array
-    early: Array
     spread: Array
-    warm: float
     stepping: Stepping
     threads: int = 0
 
     def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Problem:
         """Some of the windows."""
-        return replace(self, windows=self.windows.pick(which), starts=self.starts[which], early=self.early[which])
+        return replace(self, windows=self.windows.pick(which), starts=self.starts[which])
 
     @property
     def counts(self) -> Array:
@@ -125,9 +123,6 @@ def weights(mse: Array) -> Array:
 
 def predict(problem: Problem, structure: Structure, Z: Sequence[Array], starts: Array) -> Array:
     """Readings (variants, n, m, ns) of a structure under several sets of numbers."""
-    stepping = problem.stepping
-    if structure.finest < stepping.timestep:
-        stepping = replace(stepping, timestep=structure.finest)
     made: dict[bytes, object] = {}
     variants = []
     for z in Z:
@@ -135,15 +130,15 @@ def predict(problem: Problem, structure: Structure, Z: Sequence[Array], starts: 
         if key not in made:
             made[key] = structure.physics(z)
         variants.append(made[key])
-    warm = structure.warm and problem.warm
+    windows, warm = problem.windows, structure.warm
     return simulate(
         variants,  # type: ignore[arg-type]
-        problem.windows,
+        windows,
         starts,
-        stepping,
+        _stepping(problem, structure),
         base=structure.base,
         warm=warm,
-        warm_starts=problem.early,
+        warm_starts=early(windows.motions, windows.source, windows.start - warm) if warm else None,
         threads=problem.threads,
     )
 
@@ -370,5 +365,11 @@ def evaluate(problem: Problem, structure: Structure, z: Array, starts: Array | N
 
 def step_of(problem: Problem, structure: Structure) -> float:
     """The step at which a structure is simulated, s."""
-    stepping = problem.stepping
-    return grid_step(problem.windows, replace(stepping, timestep=min(stepping.timestep, structure.finest)))
+    return grid_step(problem.windows, _stepping(problem, structure))
+
+
+def _stepping(problem: Problem, structure: Structure) -> Stepping:
+    """As fine as the structure needs; a model that is to be simulated as it is keeps its own step."""
+    given = problem.stepping
+    own = math.inf if given.integrator is None else structure.own_finest
+    return replace(given, timestep=min(given.timestep, structure.finest, own))

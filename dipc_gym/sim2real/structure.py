@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Parameter
+from dipc_gym.sim2real.effects.coupling import SETTLE
 from dipc_gym.sim2real.numbers import Number
 
 Array = NDArray[np.float64]
 
 WARM = 0.06  # s that bristles, currents and delays need to reach their state
+FAST = 5e-4  # s, longest step for what moves within milliseconds
 
 
 FARTHEST = 4.0  # standard deviations of its prior by which an own number may move
@@ -170,8 +172,9 @@ class Structure:
     def _own_warm(self) -> float:
         """S that the nominal model needs: windings, bristles, lagging sensors and joints behind a gap remember."""
         own = physics.from_model(self.model)
-        remembers = self.model.na > 0 or len(self.base) < self.model.njnt or bool(own.stage("lag"))
-        return WARM if remembers else 0.0
+        if len(self.base) < self.model.njnt:
+            return SETTLE
+        return WARM if self.model.na > 0 or own.stage("lag") else 0.0
 
     @property
     def moves_readings(self) -> bool:
@@ -182,6 +185,18 @@ class Structure:
     def finest(self) -> float:
         """Longest step at which every effect can be simulated, s."""
         return min((term.effect.finest for term in self.terms), default=math.inf)
+
+    @functools.cached_property
+    def own_finest(self) -> float:
+        """Longest step that the nominal model's currents, filters and rotors bear under explicit integration, s."""
+        model, kind = self.model, mujoco.mjtDyn
+        finest = FAST if len(self.base) < model.njnt else math.inf
+        for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
+            if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:
+                finest = min(finest, FAST, numbers[0])
+            elif dynamics == kind.mjDYN_FILTER:
+                finest = min(finest, numbers[0])
+        return float(finest)
 
 
 def _free(effect: Effect) -> list[Parameter]:

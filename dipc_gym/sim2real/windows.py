@@ -21,7 +21,7 @@ from dipc_gym.sim2real.fit import Problem, predict
 from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.simulate import Stepping, Windows, cut
 from dipc_gym.sim2real.states import Motion
-from dipc_gym.sim2real.structure import WARM, Structure
+from dipc_gym.sim2real.structure import Structure
 
 Array = NDArray[np.float64]
 
@@ -91,8 +91,7 @@ def prepare(
     def windows(length: float) -> Problem:
         cuts = replace(_cut(recordings, noise, length, span), motions=motions)
         begin = states.starts(motions, cuts.source, cuts.start)
-        early = states.starts(motions, cuts.source, cuts.start - WARM)
-        return Problem(cuts, begin, early, spread, WARM, stepping, threads)
+        return Problem(cuts, begin, spread, stepping, threads)
 
     if length is not None:
         return Prepared(windows(length), structure, motions, length)

@@ -8,6 +8,8 @@ import numpy as np
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import joint_of
 
+SETTLE = 0.15  # s of simulation until a rotor is where it would be, whatever it was given to start with
+
 
 def can_split(model: mujoco.MjModel, actuator: str) -> bool:
     """Whether the actuator drives a joint."""

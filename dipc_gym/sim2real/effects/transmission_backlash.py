@@ -9,7 +9,7 @@ import numpy as np
 
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import can_split, couple, split
+from dipc_gym.sim2real.effects.coupling import SETTLE, can_split, couple, split
 
 STEP = 2.5e-4
 
@@ -25,7 +25,7 @@ class Backlash(Effect):
     )
     rivals = ("motor.deadzone", "transmission.compliance", "friction.coulomb", "timing.delay")
     finest = STEP
-    warm = 0.06
+    warm = SETTLE
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Where a motor drives a joint."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import can_split, couple, split
+from dipc_gym.sim2real.effects.coupling import SETTLE, can_split, couple, split
 
 
 class Compliance(Effect):
@@ -24,7 +24,7 @@ class Compliance(Effect):
     )
     rivals = ("transmission.backlash", "motor.inductance", "timing.delay", "timing.sensor_lag")
     finest = 5e-4
-    warm = 0.1
+    warm = SETTLE
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Where a motor drives a joint."""
