@@ -1,0 +1,412 @@
+"""Every effect of the catalogue: its edit is what it says it is, wherever it can act."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from sim2real_rigs import NOISE, RIGS, RK4, STRENGTH, prepared, record, sweep
+
+from dipc_gym import mjcf, physics
+from dipc_gym.sim2real import evidence
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects import Effect, catalogue
+from dipc_gym.sim2real.fit import predict
+from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.simulate import Stepping
+from dipc_gym.sim2real.structure import Structure, Term
+from dipc_gym.sim2real.windows import Prepared
+
+# The ids of the project's contract, less those that are no effect of the catalogue: a wrong mass is a number of the
+# model that a refit changes, and the unknown is what no effect explains.
+CONTRACT = [
+    "friction.coulomb",
+    "friction.stribeck",
+    "friction.viscous",
+    "friction.asymmetric",
+    "friction.position",
+    "friction.load",
+    "drag.quadratic",
+    "load.constant",
+    "load.tilt",
+    "load.spring",
+    "load.position",
+    "motor.deadzone",
+    "motor.saturation",
+    "motor.inductance",
+    "motor.back_emf",
+    "motor.cogging",
+    "motor.thermal",
+    "timing.delay",
+    "timing.sensor_lag",
+    "transmission.backlash",
+    "transmission.compliance",
+    "sensor.bias",
+    "sensor.gain",
+    "disturbance.periodic",
+    "disturbance.pulse",
+]
+NOT_EFFECTS = {"inertia.mass", "unknown"}
+
+# Numbers with which an effect does nothing. A rotor of its own always adds inertia: see the transmissions below.
+NEUTRAL: dict[str, Mapping[str, float]] = {
+    "disturbance.periodic": {"sine": 0, "cosine": 0, "frequency": 3},
+    "disturbance.pulse": {"force": 0, "start": 1, "duration": 1},
+    "drag.quadratic": {"coefficient": 0},
+    "friction.asymmetric": {"forward": 0, "backward": 0},
+    "friction.coulomb": {"level": 0},
+    "friction.load": {"level": 0, "coefficient": 0},
+    "friction.position": {"first": -1, "last": 1, **{f"level_{k}": 0.0 for k in range(1, 6)}},
+    "friction.stribeck": {"level": 0, "static": 0, "velocity": 0.1},
+    "friction.viscous": {"coefficient": 0},
+    "load.constant": {"force": 0},
+    "load.position": {"sine": 0, "cosine": 0, "wavelength": 0.1},
+    "load.spring": {"stiffness": 0, "rest": 0.3},
+    "load.tilt": {"about_x": 0, "about_y": 0},
+    "motor.back_emf": {"coefficient": 0},
+    "motor.cogging": {"sine": 0, "cosine": 0, "poles": 7},
+    "motor.deadzone": {"width": 0},
+    "motor.inductance": {"time_constant": 2e-4},
+    "motor.saturation": {"limit": 1e3},
+    "motor.thermal": {"thermal_resistance": 1e-9, "time_constant": 10},
+    "sensor.bias": {"bias": 0},
+    "sensor.gain": {"gain": 1},
+    "timing.delay": {"delay": 0},
+    "timing.sensor_lag": {"time_constant": 1e-4},
+}
+# Time constants cannot be zero: the shortest one still delays by this much, s.
+SHORTEST = {"motor.inductance": 3e-4, "timing.sensor_lag": 1.1e-4}
+ROTORS = {"transmission.backlash", "transmission.compliance"}
+
+
+@functools.cache
+def recorded(rig: str) -> Recording:
+    """A run of the rig with half as much damping again and some dry friction, so that something is unexplained."""
+    text = RIGS[rig].replace('damping="21.4"', 'damping="32"').replace("<joint ", '<joint frictionloss="0.02" ', 1)
+    start = (0.0, 0.4, -0.3) if rig == "hanging" else ()
+    return record(physics.load(text), sweep(STRENGTH[rig]), noise=NOISE[rig], start=start)
+
+
+@functools.cache
+def whole(rig: str) -> Prepared:
+    return prepared(RIGS[rig], [recorded(rig)], stepping=Stepping(0.001, RK4))
+
+
+@functools.cache
+def ready(rig: str) -> Prepared:
+    return replace(whole(rig), problem=whole(rig).problem.pick(np.arange(0, 12, 3)))
+
+
+@functools.cache
+def places(effect: str, rig: str) -> list[str]:
+    joints = ready(rig).structure.base
+    return evidence.places(catalogue()[effect], ready(rig).structure.model, joints, recorded(rig))
+
+
+def guesses(effect: Effect, rig: str, at: str) -> list[Mapping[str, float]]:
+    scene = evidence.scene(physics.load(RIGS[rig]), [recorded(rig)], ready(rig).motions, 1.0)
+    return [dict(guess) for guess in effect.guesses(scene.at(effect.place, at, {}))]
+
+
+def added(rig: str, effect: Effect, at: str, values: Mapping[str, float]) -> Structure:
+    return ready(rig).structure.with_term(Term(effect, at, values))
+
+
+def predicted(rig: str, structure: Structure, everywhere: bool = False) -> np.ndarray:
+    problem = whole(rig).problem if everywhere else ready(rig).problem
+    return predict(problem, structure, [structure.first], problem.starts[None])[0]
+
+
+def units(effect: Effect) -> dict[str, str]:
+    return {p.name: p.unit for p in effect.parameters}
+
+
+CASES = [(rig, effect, at) for rig in RIGS for effect in sorted(catalogue()) for at in places(effect, rig)]
+each = pytest.mark.parametrize(("rig", "effect", "at"), CASES, ids=["-".join(case) for case in CASES])
+
+
+# The catalogue
+
+
+def test_ids_are_those_of_the_contract() -> None:
+    assert sorted(catalogue()) == sorted(CONTRACT)
+
+
+def test_every_effect_can_act_on_some_rig() -> None:
+    assert {effect for _, effect, _ in CASES} == set(catalogue())
+
+
+@pytest.mark.parametrize("effect", catalogue().values(), ids=lambda e: e.id)
+def test_an_effect_is_well_formed(effect: Effect) -> None:
+    assert re.fullmatch(r"[a-z]+\.[a-z_]+", effect.id)
+    known = set(catalogue()) | NOT_EFFECTS
+    assert set(effect.rivals) <= known - {effect.id}
+    assert set(effect.contains) <= known - {effect.id}
+    names = [p.name for p in effect.parameters]
+    assert len(set(names)) == len(names)
+    assert any(not p.fixed for p in effect.parameters)
+    for p in effect.parameters:
+        assert p.low < p.high
+        assert not p.log or p.low >= 0
+    assert (effect.__doc__ or "").strip()
+
+
+def test_nothing_is_offered_twice() -> None:
+    """An effect that the model has already is not proposed again."""
+    for rig, name, at in CASES:
+        effect = catalogue()[name]
+        if not name.startswith("friction.") and name not in ("load.spring", "motor.thermal", "motor.inductance"):
+            continue
+        if name == "friction.load":  # adds to dry friction, and is compared with it
+            continue
+        structure = added(rig, effect, at, guesses(effect, rig, at)[0])
+        assert not effect.fits(structure.physics(structure.first).model, at), name
+
+
+# Every effect at every place of every rig
+
+
+@each
+def test_guesses_are_within_bounds(rig: str, effect: str, at: str) -> None:
+    found = guesses(catalogue()[effect], rig, at)
+    assert found
+    for guess in found:
+        assert set(guess) == {p.name for p in catalogue()[effect].parameters}
+        for p in catalogue()[effect].parameters:
+            assert math.isfinite(guess[p.name])
+            assert p.low <= guess[p.name] <= p.high
+            assert guess[p.name] > 0 or not p.log
+
+
+@pytest.mark.parametrize(("rig", "effect", "at"), [case for case in CASES if case[1] not in ROTORS])
+def test_the_neutral_value_changes_nothing(rig: str, effect: str, at: str) -> None:
+    structure = added(rig, catalogue()[effect], at, guesses(catalogue()[effect], rig, at)[0])
+    neutral = structure.without(f"{effect}@{at}").with_term(replace(structure.terms[-1], guess=NEUTRAL[effect]))
+    before, after = predicted(rig, ready(rig).structure), predicted(rig, neutral)
+    fastest = np.abs(ready(rig).motions[0].velocity).max()
+    assert after == pytest.approx(before, abs=1e-6 + SHORTEST.get(effect, 0.0) * fastest)
+
+
+@each
+def test_the_guess_changes_predictions(rig: str, effect: str, at: str) -> None:
+    once = catalogue()[effect].once
+    before = predicted(rig, ready(rig).structure, everywhere=once)
+    noise = ready(rig).problem.windows.noise
+    moved = [
+        np.abs((predicted(rig, added(rig, catalogue()[effect], at, guess), everywhere=once) - before) / noise).max()
+        for guess in guesses(catalogue()[effect], rig, at)
+    ]
+    assert max(moved) > 0.5
+
+
+@each
+def test_what_is_written_is_what_was_fitted(rig: str, effect: str, at: str) -> None:
+    """The text, read as a user's file would be, predicts what the structure did to the last bit; MuJoCo loads it."""
+    guess = guesses(catalogue()[effect], rig, at)[-1]
+    structure = added(rig, catalogue()[effect], at, guess)
+    z = structure.first + 0.01
+    text = structure.write(z).text()
+    mujoco.MjModel.from_xml_string(text)
+    source = mjcf.from_text(text)
+    loaded = physics.from_model(mjcf.compile(source))
+    assert bool(loaded.extras) == catalogue()[effect].needs_loader
+    assert mjcf.controls(loaded.model) == mjcf.controls(structure.model)
+    problem = ready(rig).problem
+    fitted = predict(problem, structure, [z], problem.starts[None])
+    # With steps and warm-up of the same length, the file alone says everything.
+    again = Structure(Document(source), loaded.model, structure.base)
+    stepping = replace(problem.stepping, timestep=min(problem.stepping.timestep, structure.finest))
+    other = replace(problem, stepping=stepping)
+    if catalogue()[effect].warm:
+        assert again.warm == structure.warm
+    elif again.warm:  # a winding's temperature is known at any time, and so need not settle
+        structure = replace(structure, terms=(replace(structure.terms[0], effect=_settling(catalogue()[effect])),))
+        fitted = predict(problem, structure, [z], problem.starts[None])
+    assert np.array_equal(predict(other, again, [again.first], problem.starts[None]), fitted)
+
+
+def _settling(effect: Effect) -> Effect:
+    """The same effect, simulated for a while before each window."""
+    return type("Settling", (type(effect),), {"warm": 0.06})()  # type: ignore[no-any-return]
+
+
+@each
+def test_the_sentence_says_what_where_and_how_much(rig: str, effect: str, at: str) -> None:
+    known = catalogue()[effect]
+    guess = guesses(known, rig, at)[0]
+    said = known.sentence(at, guess, units(known))
+    assert said.endswith(".")
+    assert "\n" not in said
+    assert said[0].isupper() or said.startswith(at)
+    if known.place != "world":
+        assert at in said
+    assert re.search(r"\d", said.replace(at, ""))
+    own = {p.unit for p in known.parameters if p.unit and not p.fixed}
+    assert not own or any(unit in said for unit in own | {"ms", "degrees"})
+
+
+# Rotors of their own
+
+
+def _fine(base: Structure, armature: float = 0.0) -> Structure:
+    """A structure whose file has a step of 0.25 ms, for which play is bounded as hard as can be; inertia on request."""
+    document = base.document.copy()
+    document.option(timestep=2.5e-4)
+    document.set(document.joint(base.base[0]), armature=armature)
+    return Structure(Document(mjcf.from_text(document.text())), base.model, base.base)
+
+
+@pytest.mark.parametrize(("rig", "at"), [("cart", "motor"), ("hanging", "motor"), ("torque", "drive")])
+@pytest.mark.parametrize("effect", sorted(ROTORS))
+def test_a_stiff_coupling_is_the_rotors_inertia(rig: str, at: str, effect: str) -> None:
+    known = catalogue()[effect]
+    base, inertia = ready(rig).structure, guesses(known, rig, at)[0]["rotor_inertia"]
+    values = {"rotor_inertia": inertia}
+    play = (
+        {"gap": 1e-9} if effect == "transmission.backlash" else {"stiffness": inertia * 4e6, "damping": inertia * 400}
+    )
+    stiff = predicted(rig, _fine(base).with_term(Term(known, at, values | play)))
+    rigid, without = predicted(rig, _fine(base, inertia)), predicted(rig, _fine(base))
+    assert np.abs(stiff - rigid).max() < 0.05 * np.abs(without - rigid).max()
+
+
+def test_play_lets_the_load_be_for_as_long_as_it_lasts() -> None:
+    """A resting load does not feel the motor until the rotor has crossed half the play."""
+    gap, inertia, volts = 0.01, 0.1, 4.0
+    structure = added("cart", catalogue()["transmission.backlash"], "motor", {"gap": gap, "rotor_inertia": inertia})
+    rig = structure.physics(structure.first)
+    model = rig.model
+    model.opt.timestep = 1e-4
+    data = mujoco.MjData(model)
+    while data.qpos[model.joint("motor_rotor").qposadr[0]] < gap / 2:
+        assert data.qpos[model.joint("cart").qposadr[0]] == 0
+        rig.step(data, np.array([volts]))
+    # The rotor alone: inertia dv/dt = k (V - c v) with k = gear K / R and c = gear K.
+    k, c = 78.7 * 0.06 / 1.2, 78.7 * 0.06
+    rate, end = k * c / inertia, volts / c
+    t = np.linspace(0, 0.2, 200_001)
+    way = end * (t - (1 - np.exp(-rate * t)) / rate)
+    assert data.time == pytest.approx(float(np.interp(gap / 2, way, t)), abs=2e-4)
+
+
+# Single effects against their law
+
+
+def force_at(effect: str, values: Mapping[str, float], q: float = 0.0, v: float = 0.0, rig: str = "cart") -> float:
+    """Generalised force of an effect on the first joint, the command zero and the rest of the model taken off."""
+
+    def force(model: mujoco.MjModel) -> float:
+        data = mujoco.MjData(model)
+        data.qpos[0], data.qvel[0] = q, v
+        mujoco.mj_forward(model, data)
+        return float(data.qfrc_actuator[0] + data.qfrc_passive[0] + data.qfrc_constraint[0] - data.qfrc_bias[0])
+
+    base = ready(rig).structure
+    structure = added(
+        rig, catalogue()[effect], base.base[0] if catalogue()[effect].place == "joint" else "motor", values
+    )
+    return force(structure.physics(structure.first).model) - force(base.model)
+
+
+@pytest.mark.parametrize("v", [-0.7, -0.1, 0.02, 0.3])
+def test_forces_follow_their_laws(v: float) -> None:
+    assert force_at("drag.quadratic", {"coefficient": 3.0}, v=v) == pytest.approx(-3 * v * abs(v))
+    assert force_at("load.constant", {"force": -2.5}, v=v) == pytest.approx(-2.5)
+    assert force_at("load.spring", {"stiffness": 30.0, "rest": 0.1}, q=v) == pytest.approx(-30 * (v - 0.1))
+    wave = {"sine": 1.5, "cosine": -0.5, "wavelength": 0.05}
+    k = 2 * np.pi / 0.05
+    assert force_at("load.position", wave, q=v) == pytest.approx(1.5 * np.sin(k * v) - 0.5 * np.cos(k * v))
+    cogging = {"sine": 0.01, "cosine": 0.02, "poles": 6.0}
+    turn = 6 * 78.7 * v
+    expected = 78.7 * (0.01 * np.sin(turn) + 0.02 * np.cos(turn))
+    assert force_at("motor.cogging", cogging, q=v) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("v", np.linspace(0.005, 0.4, 9))
+def test_stribeck_friction_follows_its_curve(v: float) -> None:
+    """Straight pieces stay within a thirtieth of the excess of level + (static - level) exp(-(v / vs)^2)."""
+    level, static, speed = 3.0, 5.0, 0.1
+    values = {"level": level, "static": static, "velocity": speed}
+    curve = level + (static - level) * np.exp(-((v / speed) ** 2))
+    for sign in (-1, 1):
+        structure = added("cart", catalogue()["friction.stribeck"], "cart", values)
+        model = structure.physics(structure.first).model
+        data = mujoco.MjData(model)
+        data.qvel[0] = sign * v
+        mujoco.mj_forward(model, data)
+        motor = model.actuator("motor").id
+        passive = data.qfrc_actuator[0] - data.actuator_force[motor] * 78.7
+        friction = model.dof_frictionloss[0] - sign * passive
+        assert friction == pytest.approx(curve, abs=(static - level) / 30)
+
+
+def test_back_emf_of_a_plain_motor_brakes_by_its_coefficient() -> None:
+    structure = added("torque", catalogue()["motor.back_emf"], "drive", {"coefficient": 0.3})
+    model = structure.physics(structure.first).model
+    data = mujoco.MjData(model)
+    data.qvel[0] = 2.0
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_passive[0] + data.qfrc_actuator[0] == pytest.approx(-0.6)
+
+
+# Hostile and unlucky names
+
+HOSTILE = [
+    'a"><script>alert(1)</script>',
+    "&lt;&amp;&",
+    "joint with spaces",
+    "a:b:c",
+    "{0} %s",
+    "../../etc",
+    "häß–👾",
+    "'",
+]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_names_survive_every_effect(name: str) -> None:
+    root = ET.fromstring(RIGS["cart"])
+    for tag, attribute in (("joint", "name"), ("dcmotor", "name"), ("dcmotor", "joint"), ("jointpos", "name")):
+        for element in root.iter(tag):
+            element.set(attribute, name)
+    for element in root.iter("jointpos"):
+        element.set("joint", name)
+    text = ET.tostring(root, encoding="unicode")
+    source = mjcf.from_text(text)
+    model = mjcf.compile(source)
+    base = Structure(Document(source), model, (name,))
+    for effect in catalogue().values():
+        at = "world" if effect.place == "world" else name
+        if not effect.fits(model, at):
+            continue
+        values = {p.name: max(p.low, 0.01) if p.name != "first" else -1.0 for p in effect.parameters}
+        structure = base.with_term(Term(effect, at, values))
+        written = structure.write(structure.first).text()
+        loaded = physics.load(written)
+        assert mjcf.controls(loaded.model) == [name], effect.id
+        assert [extra.at for extra in loaded.extras] == [name] * len(loaded.extras)
+        assert bool(loaded.extras) == effect.needs_loader
+        if effect.place != "world":
+            assert name in effect.sentence(at, values, units(effect))
+
+
+def test_an_improved_model_can_be_improved_again() -> None:
+    """Names and entries that an earlier diagnosis wrote do not stand in the way of the next one."""
+    for effect in catalogue().values():
+        at = {"joint": "cart", "actuator": "motor", "sensor": "cart", "world": "world"}[effect.place]
+        if at not in places(effect.id, "cart"):
+            continue
+        document = ready("cart").structure.document.copy()
+        values = guesses(effect, "cart", at)[0]
+        effect.edit(document, at, values)
+        once = mjcf.compile(document.text())
+        effect.edit(document, at, values)
+        twice = mjcf.compile(document.text())
+        assert mjcf.controls(once) == mjcf.controls(twice) == ["motor"], effect.id
