@@ -44,14 +44,15 @@ class Moment:
     Attributes:
         time: simulation time, s, (...).
         position: position of the joint it acts on, m or rad, (...); zeros for commands and sensors.
-        load: what presses on the joint's transmission from both sides, the actuator's force less that of gravity and
-            inertia (-qfrc_bias), N or N m, (...).
+        drive: force of the actuators on the joint, N or N m, (...).
+        weight: force that gravity and the motion of other joints ask of it, MuJoCo's bias, N or N m, (...).
         value: the command or the reading to change, (...); zeros for forces and friction.
     """
 
     time: Array
     position: Array
-    load: Array
+    drive: Array
+    weight: Array
     value: Array
 
 
@@ -91,8 +92,8 @@ def friction_along(data: Array, now: Moment) -> Array:
 
 
 def friction_under_load(data: Array, now: Moment) -> Array:
-    """Dry friction level + coefficient |load|; data: level, coefficient."""
-    return data[..., 0] + data[..., 1] * np.abs(now.load)
+    """Dry friction level + by_drive |drive| + by_weight |weight|; data: level, by_drive, by_weight."""
+    return data[..., 0] + data[..., 1] * np.abs(now.drive) + data[..., 2] * np.abs(now.weight)
 
 
 def periodic_force(data: Array, now: Moment) -> Array:
@@ -233,9 +234,9 @@ class Physics:
         for extra in self.extras:
             if extra.stage == "friction":
                 j = extra.index
-                load = state.qfrc_actuator[..., j] + state.qfrc_bias[..., j]
+                drive, weight = state.qfrc_actuator[..., j], state.qfrc_bias[..., j]
                 q = state.qpos[..., self.model.jnt_qposadr[self.model.dof_jntid[j]]]
-                frictionloss[..., j] = extra(_moment(state.time, position=q, load=load))
+                frictionloss[..., j] = extra(_moment(state.time, q, drive, weight))
             elif extra.stage == "force":
                 applied[..., extra.index] = extra(_moment(state.time))
 
@@ -258,9 +259,13 @@ def _follow(before: Array, followed: Array, after: Array, dt: float, tau: Array)
 
 
 def _moment(
-    time: Array | float, position: Array | float = 0.0, load: Array | float = 0.0, value: Array | float = 0.0
+    time: Array | float,
+    position: Array | float = 0.0,
+    drive: Array | float = 0.0,
+    weight: Array | float = 0.0,
+    value: Array | float = 0.0,
 ) -> Moment:
-    return Moment(np.asarray(time), np.asarray(position), np.asarray(load), np.asarray(value))
+    return Moment(*(np.asarray(x) for x in (time, position, drive, weight, value)))
 
 
 def load(source: mjcf.Source | str | Path) -> Physics:

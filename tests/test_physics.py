@@ -99,7 +99,7 @@ def test_lag_behind_a_sine_has_the_gain_and_phase_of_first_order() -> None:
 @settings(max_examples=50, deadline=None)
 def test_friction_between_stations_is_linear_and_beyond_them_constant(x: float, levels: list[float]) -> None:
     data = np.array([-1.0, 2.0, *levels])
-    now = physics.Moment(np.asarray(0.0), np.asarray(x), np.asarray(0.0), np.asarray(0.0))
+    now = physics.Moment(*(np.asarray(v) for v in (0.0, x, 0.0, 0.0, 0.0)))
     expected = np.interp(x, np.linspace(-1, 2, len(levels)), levels)
     assert physics.friction_along(data, now) == pytest.approx(expected, abs=1e-4)
 
@@ -111,7 +111,7 @@ def test_friction_along_the_rail_holds_where_it_is_high_and_lets_go_where_it_is_
 
 
 def test_friction_under_load_grows_with_what_the_joint_carries() -> None:
-    lift = cart(entry("friction.load", "cart", 1.0, 0.1), axis="0 0 1")
+    lift = cart(entry("friction.load", "cart", 1.0, 0.1, 0.1), axis="0 0 1")
     weight, force = MASS * 9.81, 40.0
     friction = 1.0 + 0.1 * (force + weight)  # the motor pushes up, the weight down, the gear carries both
     assert run(lift, force, 300).qvel[0] == pytest.approx((force - weight - friction) / MASS * 0.3, rel=0.01)
@@ -168,7 +168,7 @@ def test_a_batch_of_variants_equals_single_simulations_bit_for_bit() -> None:
             % "".join(
                 [
                     entry("motor.deadzone", "motor", rng.uniform(0, 1)),
-                    entry("friction.load", "cart", *rng.uniform(0.1, 0.5, 2)),
+                    entry("friction.load", "cart", *rng.uniform(0.1, 0.5, 3)),
                     entry("friction.position", "pole", -0.5, 0.5, *rng.uniform(0, 0.1, 3)),
                     entry("disturbance.periodic", "pole", *rng.uniform(0.1, 2, 3)),
                     entry("disturbance.pulse", "cart", 3.0, *rng.uniform(0.02, 0.1, 2)),
@@ -221,8 +221,8 @@ def test_a_batch_of_variants_equals_single_simulations_bit_for_bit() -> None:
         ('<numeric name="dipc_gym:motor.deadzone" data="1"/>', "known effects"),
         (entry("motor.deadzone", "cart", 1.0), "no 'cart' in the model; there are motor"),
         (entry("sensor.bias", "cart", 1.0), "no 'cart' in the model; there are clock, x"),
-        (entry("friction.load", "motor", 1.0, 0.1), "no 'motor' in the model; there are cart"),
-        (entry("friction.load", "cart", 1.0), "numbers \\[1.0\\], too few .*level, coefficient"),
+        (entry("friction.load", "motor", 1.0, 0.1, 0.1), "no 'motor' in the model; there are cart"),
+        (entry("friction.load", "cart", 1.0), "numbers \\[1.0\\], too few .*level, by_drive"),
         (entry("friction.position", "cart", 0.0, 1.0, 2.0), "too few"),
         (entry("friction.position", "cart", 1.0, 1.0, 2.0, 2.0), "out of range"),
         (entry("disturbance.pulse", "cart", 1.0, 0.0), "numbers \\[1.0, 0.0\\], too few"),

@@ -56,7 +56,7 @@ class Tried:
         key: `effect@place`.
         promise: fall of the log error that screening foretold.
         fitted: the full fit, or None if it was not among the finalists.
-        score: mean log square error of unseen windows; infinite if not fitted.
+        score: mean log square error of all windows; infinite if not fitted.
     """
 
     term: Term
@@ -104,8 +104,21 @@ class Search:
         return self._known[id(fitted)][1]
 
     def compare(self, new: Fit, old: Fit) -> Comparison:
-        """How much better `new` predicts than `old`."""
-        return compare(self.losses(new), self.losses(old), self.unseen.blocks)
+        """How much better `new` predicts than `old`, over fitted and unseen windows together.
+
+        There are far fewer numbers than windows, so what fitting flatters is little; three times as many windows tell
+        more. `confirmed` asks the unseen ones alone.
+        """
+        blocks = np.append(self.problem.blocks, self.problem.blocks.max() + 1 + self.unseen.blocks)
+        return compare(self.all_losses(new), self.all_losses(old), blocks)
+
+    def all_losses(self, fitted: Fit) -> Array:
+        """Log square error of the fitted windows, then of the unseen ones."""
+        return np.append(np.log1p(fitted.mse), self.losses(fitted))
+
+    def confirmed(self, new: Fit, old: Fit) -> bool:
+        """Whether the unseen windows alone are better predicted too."""
+        return float(np.mean(self.losses(old) - self.losses(new))) > WORTH / 2
 
     # -------------------------------------------------------------------------------------------- one round
 
@@ -191,7 +204,7 @@ class Search:
         for tried, base in [pair for pair in ranked if pair[0].promise > least][:FINALISTS]:
             fitted = self.full(base, tried.term)
             if fitted is not None:
-                score = float(np.mean(self.losses(fitted)))
+                score = float(np.mean(self.all_losses(fitted)))
                 done.append(replace(tried, fitted=fitted, score=score))
                 self.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
         done.sort(key=lambda tried: tried.score)
@@ -234,7 +247,7 @@ class Search:
         What happened once shows in a window or two, seen or unseen; it is believed where all others are at the noise.
         """
         if not term.effect.once:
-            return self.compare(fitted, current).clear
+            return self.compare(fitted, current).clear and self.confirmed(fitted, current)
         usual = float(np.median(current.mse))
         fall = np.append(np.log1p(current.mse) - np.log1p(fitted.mse), self.losses(current) - self.losses(fitted))
         return usual < 1.5 and float(np.sum(fall)) > ONCE

@@ -11,15 +11,19 @@ from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, 
 
 
 class UnderLoad(Effect):
-    """Friction of a gearbox or bearing that grows with what it transmits: level + coefficient |load|.
+    """Friction of a gearbox or bearing that grows with what it carries: level + by_drive |drive| + by_weight |weight|.
 
-    The load is the actuator's force together with the force that gravity and motion ask for, as in the gearbox models
-    of Duclusaud et al. (BAM, 2024).
+    The drive is the actuator's force, the weight what gravity and the motion of other joints ask of the joint: a gear
+    is loaded from both sides, as in the servo models of Duclusaud et al. (BAM, 2024).
     """
 
     id = "friction.load"
     place = "joint"
-    parameters = (Parameter("level", "N", 0.0), Parameter("coefficient", "", 0.0, 2.0))
+    parameters = (
+        Parameter("level", "N", 0.0),
+        Parameter("by_drive", "", 0.0, 2.0),
+        Parameter("by_weight", "", 0.0, 2.0),
+    )
     rivals = ("friction.coulomb", "friction.position", "friction.viscous")
     contains = ("friction.coulomb",)
     needs_loader = True
@@ -29,16 +33,18 @@ class UnderLoad(Effect):
         share = 0.3
         typical = max(float(np.mean(np.abs(evidence.load))), 1e-12)
         level = evidence.dry_level
-        return [{"level": (1 - share) * level, "coefficient": min(share * level / typical, 0.5)}]
+        part = min(share * level / typical, 0.5)
+        return [{"level": (1 - share) * level, "by_drive": part, "by_weight": part}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader; stock MuJoCo gets the level without load."""
         dry(document, at, max(values["level"], 1e-9))
-        document.custom(self.id, at, [values["level"], values["coefficient"]])
+        document.custom(self.id, at, [values["level"], values["by_drive"], values["by_weight"]])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         return (
-            f"Friction at {at} that grows with load: {values['level']:.3g} {unit['level']} and "
-            f"{100 * values['coefficient']:.3g} % of the force it transmits."
+            f"Friction at {at} that grows with load: {values['level']:.3g} {unit['level']}, "
+            f"{100 * values['by_drive']:.3g} % of the drive's force and {100 * values['by_weight']:.3g} % of the weight "
+            "carried."
         )
