@@ -45,6 +45,5 @@ class UnderLoad(Effect):
         """In words."""
         return (
             f"Friction at {at} that grows with load: {values['level']:.3g} {unit['level']}, "
-            f"{100 * values['by_drive']:.3g} % of the drive's force and {100 * values['by_weight']:.3g} % of the weight "
-            "carried."
+            f"{100 * values['by_drive']:.3g} % of the drive and {100 * values['by_weight']:.3g} % of the weight."
         )
