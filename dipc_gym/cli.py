@@ -346,7 +346,7 @@ class Diagnose:
 
         from dipc_gym import mjcf
         from dipc_gym.sim2real import present, recording
-        from dipc_gym.sim2real.diagnose import Wishes, diagnose
+        from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 
         if self.jobs < 0:
             raise ValueError(f"--jobs {self.jobs}: give the number of threads, or 0 for all cores")

@@ -13,7 +13,7 @@ import pytest
 
 from dipc_gym import cli, mjcf
 from dipc_gym.sim2real import judge, recording
-from dipc_gym.sim2real.diagnose import Wishes, diagnose
+from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.search import Comparison, compare

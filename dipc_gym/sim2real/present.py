@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real import report
-from dipc_gym.sim2real.diagnose import Diagnosis, Work
+from dipc_gym.sim2real.diagnosis import Diagnosis, Work
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.fit import Fit, Problem, correct_starts, fit
 from dipc_gym.sim2real.search import compare
