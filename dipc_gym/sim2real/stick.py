@@ -41,6 +41,7 @@ class DryFriction:
         self.dense = _dense_map(model)
         self.sign: Array = np.zeros((sims.nsim, model.nv))
         self._force = np.zeros_like(level)
+        self._inverse = np.zeros((sims.nsim, model.nv, model.nv))  # of the inertia, where joints rest
 
     def begin(self) -> None:
         """Take the present velocities for the directions of sliding; joints at rest are asked whether they stick."""
@@ -119,12 +120,26 @@ class DryFriction:
         self._keep(mask, place)
 
     def _keep(self, stuck: NDArray[np.bool_], place: Array) -> None:
-        """Put stuck joints back where they stand."""
+        """Put stuck joints back where they stand.
+
+        The force that held them was constant over the step, where it should have followed the other joints; what it
+        lacked is an impulse, and the others feel it.
+        """
         if not stuck.any():
             return
+        sims, ids = self.sims, np.flatnonzero(stuck.any(axis=1))
         rows, dofs = np.nonzero(stuck)
-        self.sims.qvel[rows, dofs] = 0.0
-        self.sims.qpos[rows, self.address[dofs]] = place[rows, self.address[dofs]]
+        if stuck.shape[1] > 1:
+            held = stuck[ids]
+            inverse = self._inverse[ids]
+            system = np.where(held[:, :, None] & held[:, None, :], inverse, np.eye(held.shape[1]))
+            moved = (sims.qpos[ids] - place[ids])[:, self.address]
+            excess = np.where(held[..., None], np.stack([sims.qvel[ids], moved], axis=2), 0.0)
+            felt = inverse @ np.linalg.solve(system, excess)
+            sims.qvel[ids] -= felt[..., 0]
+            sims.qpos[ids[:, None], self.address] -= felt[..., 1]
+        sims.qvel[rows, dofs] = 0.0
+        sims.qpos[rows, self.address[dofs]] = place[rows, self.address[dofs]]
 
     def _hold(self, ids: NDArray[np.intp], forces: Array) -> None:
         """Find the forces that keep resting joints still; those that need more than friction gives begin to slide."""
@@ -136,7 +151,7 @@ class DryFriction:
             sims.qfrc_applied[ids] = forces[ids] - self.sign[ids] * self.level[ids]
             sims.forward(ids)
             padded = np.concatenate([self.inertia[ids], np.zeros((len(ids), 1))], axis=1)
-            inverse = np.linalg.inv(padded[:, self.dense])
+            self._inverse[ids] = inverse = np.linalg.inv(padded[:, self.dense])
             both = resting[:, :, None] & resting[:, None, :]
             system = np.where(both, inverse, np.eye(resting.shape[1]))
             wanted = np.where(resting, -self.acceleration[ids], 0.0)
