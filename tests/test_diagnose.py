@@ -171,10 +171,10 @@ def test_command_line_refuses_what_it_cannot_treat(tmp_path: Path, capsys: pytes
 
 def test_comparison_needs_more_than_chance() -> None:
     rng = np.random.default_rng(0)
-    old = rng.normal(1, 0.3, 60)
+    old = np.exp(rng.normal(1, 0.3, 60))
     blocks = np.arange(60) // 2
-    assert not compare(old + rng.normal(0, 0.05, 60), old, blocks).clear
-    assert compare(old - 0.1 + rng.normal(0, 0.05, 60), old, blocks).clear
+    assert not compare(old * np.exp(rng.normal(0, 0.05, 60)), old, blocks).clear
+    assert compare(0.7 * old * np.exp(rng.normal(0, 0.05, 60)), old, blocks).clear
     assert not Comparison(0.01, 1e-6).clear
 
 

@@ -42,7 +42,7 @@ class Rival:
 
 def unseen_error(search: Search, fitted: Fit) -> float:
     """Root mean square error on windows between the fitted ones, in units of noise."""
-    return float(np.sqrt(np.mean(np.expm1(search.losses(fitted)))))
+    return float(np.sqrt(np.mean(search.unseen_mse(fitted))))
 
 
 def fewest_numbers(search: Search, fitted: Fit) -> Fit:

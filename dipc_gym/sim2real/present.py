@@ -192,7 +192,7 @@ def _candidates(work: Work) -> list[report.Candidate]:
         if fitted is None:
             rows[tried.key] = report.Candidate(tried.term.effect.id, tried.term.at, words, "screened out")
             continue
-        gain = compare(search.losses(fitted), search.losses(baseline), search.unseen.blocks)
+        gain = compare(search.unseen_mse(fitted), search.unseen_mse(baseline), search.unseen.blocks)
         rows[tried.key] = report.Candidate(
             tried.term.effect.id,
             tried.term.at,

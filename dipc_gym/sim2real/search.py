@@ -96,12 +96,16 @@ class Search:
     rounds: list[list[Tried]] = field(default_factory=list)
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
 
-    def losses(self, fitted: Fit) -> Array:
-        """Log square error of each unseen window, (n,)."""
+    def unseen_mse(self, fitted: Fit) -> Array:
+        """Mean square error of each unseen window, in units of noise, (n,)."""
         if id(fitted) not in self._known:
             mse, _ = evaluate(self.unseen, fitted.structure, fitted.z)
-            self._known[id(fitted)] = (fitted, np.log1p(mse))
+            self._known[id(fitted)] = (fitted, mse)
         return self._known[id(fitted)][1]
+
+    def mse(self, fitted: Fit) -> Array:
+        """Mean square errors of the fitted windows, then of the unseen ones."""
+        return np.append(fitted.mse, self.unseen_mse(fitted))
 
     def compare(self, new: Fit, old: Fit) -> Comparison:
         """How much better `new` predicts than `old`, over fitted and unseen windows together.
@@ -110,15 +114,11 @@ class Search:
         more. `confirmed` asks the unseen ones alone.
         """
         blocks = np.append(self.problem.blocks, self.problem.blocks.max() + 1 + self.unseen.blocks)
-        return compare(self.all_losses(new), self.all_losses(old), blocks)
-
-    def all_losses(self, fitted: Fit) -> Array:
-        """Log square error of the fitted windows, then of the unseen ones."""
-        return np.append(np.log1p(fitted.mse), self.losses(fitted))
+        return compare(self.mse(new), self.mse(old), blocks)
 
     def confirmed(self, new: Fit, old: Fit) -> bool:
         """Whether the unseen windows alone are better predicted too."""
-        return float(np.mean(self.losses(old) - self.losses(new))) > WORTH / 2
+        return compare(self.unseen_mse(new), self.unseen_mse(old), self.unseen.blocks).gain > WORTH / 2
 
     # -------------------------------------------------------------------------------------------- one round
 
@@ -204,13 +204,19 @@ class Search:
         for tried, base in [pair for pair in ranked if pair[0].promise > least][:FINALISTS]:
             fitted = self.full(base, tried.term)
             if fitted is not None:
-                score = float(np.mean(self.all_losses(fitted)))
-                done.append(replace(tried, fitted=fitted, score=score))
+                done.append(replace(tried, fitted=fitted))
                 self.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
-        done.sort(key=lambda tried: tried.score)
+        done = self._scored(done)
         self.rounds.append(done + [t for t, _ in ranked if t.key not in {d.key for d in done}])
         chosen = self.choose(current, done)
         return None if chosen is None else self.polish(chosen)
+
+    def _scored(self, done: Sequence[Tried]) -> list[Tried]:
+        """Fitted hypotheses with their scores, the best first."""
+        errors = [self.mse(tried.fitted) for tried in done if tried.fitted is not None]
+        usual = min((float(np.median(mse)) for mse in errors), default=1.0)
+        scored = [replace(t, score=float(np.mean(loss(mse, usual)))) for t, mse in zip(done, errors, strict=True)]
+        return sorted(scored, key=lambda tried: tried.score)
 
     def _bases(self, current: Fit) -> list[Fit]:
         """What effects are tried on top of: the present fit, and at first the nominal numbers where it left them."""
@@ -249,7 +255,7 @@ class Search:
         if not term.effect.once:
             return self.compare(fitted, current).clear and self.confirmed(fitted, current)
         usual = float(np.median(current.mse))
-        fall = np.append(np.log1p(current.mse) - np.log1p(fitted.mse), self.losses(current) - self.losses(fitted))
+        fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
         return usual < 1.5 and float(np.sum(fall)) > ONCE
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
@@ -305,9 +311,15 @@ class Search:
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
 
 
+def loss(mse: Array, usual: float) -> Array:
+    """Log of the mean square error of windows, (n,); errors far below the usual one count alike."""
+    return np.log1p(mse / max(1.0, usual))
+
+
 def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
-    """Paired comparison of the losses (n,) of windows, by blocks."""
-    difference = old - new
+    """Paired comparison of mean square errors (n,) of windows, by blocks."""
+    usual = min(float(np.median(new)), float(np.median(old)))
+    difference = loss(old, usual) - loss(new, usual)
     sums = np.bincount(blocks, difference)
     sizes = np.bincount(blocks)
     sums, sizes = sums[sizes > 0], sizes[sizes > 0]
