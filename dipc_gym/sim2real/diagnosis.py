@@ -522,7 +522,7 @@ def _sentence(verdict: str, missing: Sequence[Missing], changed: Sequence[dict[s
         names = ", ".join(f"{c['parameter']} of {c['at']}" for c in changed)
         return f"No physics is missing; wrong numbers were: {names}. {fall}.{rest}"
     if verdict == "explained":
-        return f"The model lacks this: {known} {fall}, which is all there is."
+        return f"The model lacks this: {known} {fall}; what is left looks like noise."
     if verdict == "partly explained":
         return f"{known} That helps, but structure is left that no known effect accounts for. {fall}."
     return f"{missing[0].sentence if missing else ''} {fall}.".strip()
