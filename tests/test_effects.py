@@ -62,7 +62,7 @@ NEUTRAL: dict[str, Mapping[str, float]] = {
     "drag.quadratic": {"coefficient": 0},
     "friction.asymmetric": {"forward": 0, "backward": 0},
     "friction.coulomb": {"level": 0},
-    "friction.load": {"level": 0, "coefficient": 0},
+    "friction.load": {"level": 0, "by_drive": 0, "by_weight": 0},
     "friction.position": {"first": -1, "last": 1, **{f"level_{k}": 0.0 for k in range(1, 6)}},
     "friction.stribeck": {"level": 0, "static": 0, "velocity": 0.1},
     "friction.viscous": {"coefficient": 0},

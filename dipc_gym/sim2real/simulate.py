@@ -140,7 +140,8 @@ def cut(recordings: Sequence[Recording], noise: Array, length: float, span: tupl
 
 def grid_step(windows: Windows, stepping: Stepping) -> float:
     """The simulation step, s: the longest within the stepping of which a whole number fits the sample period."""
-    return windows.period / math.ceil(windows.period / stepping.timestep - 1e-6)
+    step = windows.period / math.ceil(windows.period / stepping.timestep - 1e-6)
+    return stepping.timestep if abs(step / stepping.timestep - 1) < 1e-6 else step  # stamps are rounded
 
 
 def simulate(
@@ -274,8 +275,18 @@ def _commands(windows: Windows, delays: Array, step: float, nwarm: int, nstep: i
                 continue
             at = windows.start[mine, None] + edges
             for c in range(recording.commands.shape[1]):
-                out[k, mine, :, c] = np.diff(_held_integral(recording, at - delays[k, c], c), axis=1) / step
+                out[k, mine, :, c] = _held_mean(recording, at - delays[k, c], c)
     return out
+
+
+def _held_mean(recording: Recording, edges: Array, control: int) -> Array:
+    """Mean of a held command between edges (n, m + 1); exactly the command where no stamp falls between them."""
+    mean = np.diff(_held_integral(recording, edges, control), axis=1) / np.diff(edges, axis=1)
+    rounding = 1e-8 * (edges[0, 1] - edges[0, 0])
+    first = np.searchsorted(recording.time, edges[:, :-1] + rounding, side="right")
+    last = np.searchsorted(recording.time, edges[:, 1:] - rounding, side="right")
+    held = recording.commands[np.maximum(first - 1, 0), control]
+    return np.where(first == last, held, mean)
 
 
 def _held_integral(recording: Recording, time: Array, control: int) -> Array:

@@ -1,0 +1,332 @@
+"""Windows of recordings, and their simulation with many variants at once."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from sim2real_rigs import CART, HANGING, NOISE, RK4, TORQUE, prepared, record, sweep
+
+from dipc_gym import mjcf, physics
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.fit import predict
+from dipc_gym.sim2real.heat import heating_motors, winding_temperatures
+from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.simulate import Stepping, cut, grid_step, simulate
+from dipc_gym.sim2real.structure import Structure, Term
+
+AS_GIVEN = Stepping(0.001)
+FINE = Stepping(0.001, RK4)
+
+
+def rig(text: str, effect: str = "", at: str = "", **values: float) -> physics.Physics:
+    document = Document(mjcf.from_text(text))
+    if effect:
+        catalogue()[effect].edit(document, at, values)
+    return physics.from_model(mjcf.compile(document.text()))
+
+
+def blank(time: np.ndarray, sensors: int = 1) -> Recording:
+    n = len(time)
+    return Recording("made up", time, np.zeros((n, 1)), np.zeros((n, sensors)), ["motor"], list("abc")[:sensors])
+
+
+# Cutting
+
+
+def test_windows_lie_end_to_end_and_hold_every_sample_once() -> None:
+    time = np.arange(1000) * 0.002 + 5.0
+    windows = cut([blank(time), blank(time[:600])], np.ones(1), 0.25, (0.0, 1.0))
+    assert len(windows) == 8 + 4
+    assert windows.source.tolist() == [0] * 8 + [1] * 4
+    first = windows.pick(windows.source == 0)
+    seen = (first.start[:, None] + first.times)[first.valid]
+    assert seen == pytest.approx(time, abs=1e-12)
+    assert windows.valid.all()
+
+
+def test_a_span_is_a_part_of_each_recording() -> None:
+    time = np.arange(2001) * 0.002
+    train = cut([blank(time)], np.ones(1), 0.25, (0.0, 0.75))
+    held = cut([blank(time)], np.ones(1), 0.25, (0.75, 1.0))
+    assert len(train) == 12
+    assert len(held) == 4
+    assert (train.start + train.times[:, -1]).max() < held.start.min() == 3.0
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.05, 0.4))
+def test_irregular_windows_neither_overlap_nor_repeat(seed: int, length: float) -> None:
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.exponential(0.004, 400) + 1e-4)
+    windows = cut([blank(time)], np.ones(1), length, (0.0, 1.0))
+    stamps = (windows.start[:, None] + windows.times)[windows.valid]
+    assert np.all(np.diff(stamps) > 0)
+    assert np.isin(np.round(stamps, 9), np.round(time, 9)).all()
+    assert (windows.times[:, -1] <= length + 1e-9).all()
+    assert (windows.valid.sum(axis=1) >= 4).all()
+
+
+def test_too_short_a_recording_gives_no_window() -> None:
+    assert not len(cut([blank(np.arange(50) * 0.002)], np.ones(1), 0.25, (0.0, 1.0)))
+
+
+def test_a_whole_number_of_steps_fits_a_sample() -> None:
+    windows = cut([blank(np.arange(500) * 0.0033)], np.ones(1), 0.25, (0.0, 1.0))
+    assert grid_step(windows, Stepping(0.001)) == pytest.approx(0.0033 / 4)
+    assert grid_step(windows, Stepping(0.01)) == pytest.approx(0.0033)
+
+
+# As MuJoCo does it
+
+
+@pytest.mark.parametrize("text", [CART, HANGING, TORQUE])
+def test_as_given_is_mujocos_own_step_to_the_last_bit(text: str) -> None:
+    """On the grid, with the model's step and integrator, windows are what `mj_step` does."""
+    plain = rig(text)
+    count = plain.model.nv
+    run = record(plain, sweep(2.0), 1.0, period=0.001, step=0.001, start=[0.05, 0.4, -0.2][:count])
+    windows = cut([run], np.ones(count), 0.25, (0.0, 1.0))
+    starts = np.random.default_rng(1).normal(size=(len(windows), 2 * count)) * 0.3
+    base = [plain.model.joint(j).name for j in range(plain.model.njnt)]
+    readings = simulate([plain], windows, starts[None], AS_GIVEN, base=base)[0]
+    data = mujoco.MjData(plain.model)
+    for k in range(len(windows)):
+        mujoco.mj_resetData(plain.model, data)
+        data.qpos[:], data.qvel[:] = starts[k, :count], starts[k, count:]
+        first = int(np.searchsorted(run.time, windows.start[k] - 1e-9))
+        for i in range(readings.shape[1]):
+            data.ctrl[:] = run.commands[first + i]
+            mujoco.mj_step(plain.model, data)
+            assert np.array_equal(data.sensordata, readings[k, i])
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    P = prepared(HANGING, [record(rig(HANGING), sweep(3.0), 2.0, noise=NOISE["hanging"])])
+    one, two = (
+        predict(replace(P.problem, threads=n), P.structure, [P.structure.first], P.problem.starts[None]) for n in (1, 2)
+    )
+    assert np.array_equal(one, two)
+
+
+def test_a_simulation_that_diverges_stays_where_it_was() -> None:
+    P = prepared(CART, [record(rig(CART), sweep(4.0), 1.0, noise=1e-5)])
+    base = P.structure
+    document = base.document.copy()
+    document.set(document.joint("cart"), damping=-1e9)
+    broken = Structure(document, base.model, base.base)
+    readings = predict(P.problem, broken, [broken.first], P.problem.starts[None])[0]
+    assert readings.shape == P.problem.windows.observed.shape
+    assert np.array_equal(readings[:, -1], readings[:, -2], equal_nan=True)
+
+
+# Samples and commands between steps
+
+
+def test_irregular_samples_are_read_between_steps() -> None:
+    """Readings between grid points are as good as the simulation: a free pendulum against its equation."""
+    text = TORQUE.replace('name="arm"', 'name="arm" quat="1 0 0 0"')
+    rng = np.random.default_rng(4)
+    time = np.cumsum(rng.uniform(0.5, 1.5, 300) * 0.004)
+    run = Recording("irregular", time, np.zeros((300, 1)), np.zeros((300, 1)), ["drive"], ["angle"])
+    windows = cut([run], np.ones(1), 0.25, (0.0, 1.0))
+    starts = np.tile([0.7, 2.0], (len(windows), 1))
+    readings = simulate([rig(text)], windows, starts[None], FINE, base=["shoulder"])[0]
+    inertia = 0.01 + 0.8 * 0.2**2
+    exact = solve_ivp(
+        lambda t, y: [y[1], -0.8 * 9.81 * 0.2 * np.sin(y[0]) / inertia],
+        (0, 0.3),
+        [0.7, 2.0],
+        rtol=1e-11,
+        atol=1e-12,
+        dense_output=True,
+    )
+    for k in range(len(windows)):
+        n = int(windows.valid[k].sum())
+        assert readings[k, :n, 0] == pytest.approx(exact.sol(windows.times[k, :n])[0], abs=1e-8)
+
+
+def test_commands_are_averaged_over_each_step() -> None:
+    """A mass under force steps at odd moments gets the impulse of the held force, whatever the grid."""
+    text = TORQUE.replace('type="hinge" axis="0 1 0"', 'type="slide" axis="1 0 0"').replace('gear="2"', 'gear="1"')
+    rng = np.random.default_rng(5)
+    time = np.cumsum(rng.uniform(0.3, 1.7, 400) * 0.0021)
+    force = rng.normal(size=400)
+    run = Recording("steps", time, force[:, None], np.zeros((400, 1)), ["drive"], ["angle"])
+    windows = cut([run], np.ones(1), 0.25, (0.0, 1.0))
+    starts = np.zeros((len(windows), 2))
+    readings = simulate([rig(text)], windows, starts[None], FINE, base=["shoulder"])[0]
+    for k in range(len(windows)):
+        first = int(np.searchsorted(time, windows.start[k] - 1e-12))
+        n = int(windows.valid[k].sum())
+        x = v = 0.0
+        for i in range(1, n):
+            h, a = time[first + i] - time[first + i - 1], force[first + i - 1] / 0.8
+            x, v = x + v * h + a * h * h / 2, v + a * h
+            # Averaging keeps the impulse; the place is off by what the force does within one step.
+            assert readings[k, i, 0] == pytest.approx(x, abs=4 * 0.001**2)
+
+
+# Delays
+
+
+def test_a_delay_is_an_earlier_command() -> None:
+    """Whole steps of delay are the commands of that many steps ago; MuJoCo's own delay does the same."""
+    run = record(rig(CART), sweep(4.0), 2.0, period=0.001, step=0.001)
+    late = rig(CART, "timing.delay", "motor", delay=0.007)
+    windows = cut([run], np.ones(1), 0.25, (0.0, 1.0)).pick(np.arange(1, 7))
+    starts = np.tile([0.0, 0.1], (len(windows), 1))
+    readings = simulate([late], windows, starts[None], AS_GIVEN, base=["cart"])[0]
+
+    shifted = replace(run, commands=np.concatenate([np.repeat(run.commands[:1], 7, axis=0), run.commands[:-7]]))
+    moved = replace(windows, recordings=(shifted,))
+    assert readings == pytest.approx(simulate([rig(CART)], moved, starts[None], AS_GIVEN, base=["cart"])[0], abs=1e-12)
+
+    data = mujoco.MjData(late.model)
+    for k in range(len(windows)):
+        first = int(np.searchsorted(run.time, windows.start[k] - 1e-9))
+        mujoco.mj_resetData(late.model, data)
+        for i in range(first - 20, first + readings.shape[1]):
+            if i == first:  # until here its history fills
+                data.qpos[:], data.qvel[:] = starts[k]
+            data.ctrl[:] = run.commands[i]
+            mujoco.mj_step(late.model, data)
+            if i >= first:
+                assert data.sensordata[0] == pytest.approx(readings[k, i - first, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.0004, 0.0013, 0.0171])
+def test_part_of_a_step_of_delay_counts(delay: float) -> None:
+    """A mass under a ramp: a delay tau takes tau off the ramp's time."""
+    text = TORQUE.replace('type="hinge" axis="0 1 0"', 'type="slide" axis="1 0 0"').replace('gear="2"', 'gear="0.8"')
+    time = np.arange(400) * 0.002
+    run = Recording("ramp", time, time[:, None], np.zeros((400, 1)), ["drive"], ["angle"])
+    windows = cut([run], np.ones(1), 0.25, (0.0, 1.0)).pick(np.array([1, 2]))
+    late = rig(text, "timing.delay", "drive", delay=delay)
+    readings = simulate([late], windows, np.zeros((1, 2, 2)), FINE, base=["shoulder"])[0]
+    for k in range(2):
+        # Held steps of 2 ms lie one millisecond behind the ramp.
+        begin = windows.start[k] - delay - 0.001
+        t = windows.times[k]
+        assert readings[k, :, 0] == pytest.approx(begin * t**2 / 2 + t**3 / 6, abs=2e-7)
+
+
+# Several variants at once
+
+
+def test_every_variant_has_its_own_fields() -> None:
+    """A batch of structures with different numbers predicts what each would alone, the loader's effects included."""
+    P = prepared(HANGING, [record(rig(HANGING), sweep(3.0), 1.5, noise=NOISE["hanging"], start=(0, 0.4, -0.3))])
+    S = P.structure
+    for effect, at, guess in (
+        ("friction.stribeck", "cart", {"level": 2.0, "static": 3.0, "velocity": 0.05}),
+        ("friction.position", "cart", {"first": -0.1, "last": 0.1, **{f"level_{k}": 1.0 + k / 3 for k in range(1, 6)}}),
+        ("transmission.compliance", "motor", {"stiffness": 3e3, "damping": 10.0, "rotor_inertia": 0.2}),
+        ("timing.delay", "motor", {"delay": 0.004}),
+        ("timing.sensor_lag", "pole1", {"time_constant": 0.004}),
+        ("motor.thermal", "motor", {"thermal_resistance": 3.0, "time_constant": 5.0}),
+        ("motor.deadzone", "motor", {"width": 0.3}),
+        ("load.tilt", "world", {"about_x": 0.01, "about_y": 0.02}),
+    ):
+        structure = S.with_term(Term(catalogue()[effect], at, guess))
+        Z = [structure.first, structure.first + 0.2, structure.first - 0.2]
+        together = predict(P.problem, structure, Z, P.problem.starts[None])
+        alone = [predict(P.problem, structure, [z], P.problem.starts[None])[0] for z in Z]
+        assert together == pytest.approx(np.stack(alone), abs=1e-10), effect
+        assert not np.allclose(together[0], together[1], atol=1e-9), effect
+
+
+# What windows remember
+
+
+def test_currents_follow_voltages_with_their_time_constant() -> None:
+    """A locked motor's torque, integrated by a flywheel that hardly moves, against the closed form."""
+    text = CART.replace('mass="1.26"', 'mass="1e4"').replace('damping="21.4"', 'damping="0"')
+    for tau in (0.001, 0.003, 0.01):
+        winding = rig(text, "motor.inductance", "motor", time_constant=tau)
+        time = np.arange(300) * 0.002
+        volts = np.where(time >= 0.3, 5.0, 0.0)
+        run = Recording("step", time, volts[:, None], np.zeros((300, 1)), ["motor"], ["cart"])
+        windows = cut([run], np.ones(1), 0.25, (0.0, 1.0)).pick(np.array([1]))
+        zero = np.zeros((1, 1, 2))
+        stepping = Stepping(5e-4, RK4)
+        readings = simulate([winding], windows, zero, stepping, base=["cart"], warm=0.06, warm_starts=zero[0])[0]
+        t = np.maximum(windows.start[0] + windows.times[0] - 0.3, 0.0)
+        force = 5.0 * 78.7 * 0.06 / 1.2
+        exact = force / 1e4 * (t**2 / 2 - tau * t + tau**2 * (1 - np.exp(-t / tau)))
+        # A twentieth of the step, where the step itself is half a millisecond: what a fit would take for inductance.
+        assert readings[0, -1, 0] == pytest.approx(exact[-1], abs=force / 1e4 * t[-1] * 5e-5)
+
+
+HOT = {"thermal_resistance": 3.0, "time_constant": 8.0}
+
+
+@pytest.fixture(scope="module")
+def hot() -> tuple[Recording, np.ndarray, np.ndarray]:
+    """Twenty seconds with a motor that gets fifty kelvin warmer: recording, times and temperatures of the winding."""
+    model = copy.copy(rig(CART, "motor.thermal", "motor", **HOT).model)
+    model.opt.timestep, model.opt.integrator = 5e-4, RK4
+    data, command = mujoco.MjData(model), sweep(9.0)
+    rows, temperature = [], []
+    for k in range(40_000):
+        if k % 4 == 0:
+            mujoco.mj_forward(model, data)
+            data.ctrl[:] = command(data.time)
+            rows.append([data.time, data.ctrl[0], data.sensordata[0]])
+            temperature.append(data.act[0])
+        mujoco.mj_step(model, data)
+    table = np.array(rows)
+    noisy = table[:, 2:] + np.random.default_rng(0).normal(size=(len(table), 1)) * 1e-5
+    return Recording("hot", table[:, 0], table[:, 1:2], noisy, ["motor"], ["cart"]), table[:, 0], np.array(temperature)
+
+
+def test_windings_are_as_hot_as_in_a_simulation_of_the_whole(hot: tuple[Recording, np.ndarray, np.ndarray]) -> None:
+    run, time, temperature = hot
+    P = prepared(CART, [run])
+    assert temperature.max() > 30
+    model = rig(CART, "motor.thermal", "motor", **HOT)
+    at = P.problem.windows.start
+    assert heating_motors(model.model) == [0]
+    assert not heating_motors(rig(CART).model)
+    (known,) = winding_temperatures([model], np.zeros((1, 1)), 0, run, P.motions[0], at)
+    assert known == pytest.approx(np.interp(at, time, temperature), rel=5e-3, abs=0.02)
+
+
+def test_a_hot_motor_is_predicted_only_from_its_temperature(hot: tuple[Recording, np.ndarray, np.ndarray]) -> None:
+    """With the effect's numbers the windows are predicted to the noise; from a cold start they are not."""
+    P = prepared(CART, [hot[0]], stepping=Stepping(0.001, RK4))
+    S = P.structure.with_term(Term(catalogue()["motor.thermal"], "motor", HOT))
+    late = P.problem.pick(P.problem.windows.start > 10)
+    error = late.windows.observed - predict(late, S, [S.first], late.starts[None])[0]
+    cold = late.windows.observed - predict(late, P.structure, [P.structure.first], late.starts[None])[0]
+    assert np.sqrt(np.mean(error**2)) < 0.1 * np.sqrt(np.mean(cold**2))
+
+
+def test_a_heating_motor_needs_the_motion(hot: tuple[Recording, np.ndarray, np.ndarray]) -> None:
+    windows = cut([hot[0]], np.ones(1), 0.25, (0.0, 1.0))
+    model = rig(CART, "motor.thermal", "motor", **HOT)
+    with pytest.raises(ValueError, match="how hot motor is"):
+        simulate([model], windows, np.zeros((1, len(windows), 2)), FINE, base=["cart"])
+
+
+def test_a_rotor_behind_play_is_where_the_warm_up_left_it() -> None:
+    """With play of 3 mm, windows are predicted far better than with a rotor that starts in the middle of it."""
+    values = {"gap": 3e-3, "rotor_inertia": 0.3}
+    run = record(rig(CART, "transmission.backlash", "motor", **values), sweep(4.0), 4.0, noise=1e-5, step=5e-5)
+    P = prepared(CART, [run])
+    S = P.structure.with_term(Term(catalogue()["transmission.backlash"], "motor", values))
+
+    def error(structure: Structure) -> float:
+        readings = predict(P.problem, structure, [structure.first], P.problem.starts[None])[0]
+        return float(np.median(np.abs(P.problem.windows.observed - readings).max(axis=1)))
+
+    effect = type("Centred", (type(S.terms[0].effect),), {"warm": 0.0})()
+    centred = replace(S, terms=(replace(S.terms[0], effect=effect),))
+    assert error(S) < 0.2 * error(centred)
