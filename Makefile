@@ -10,8 +10,8 @@ compare: .venv/installed
 	$(BIN)/dipc-gym compare --out runs/compare --jobs 2 --overwrite
 
 test: .venv/installed
+	$(BIN)/python -m pytest -q -m timing
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not timing"
-	$(BIN)/python -m pytest -m timing
 
 lint: .venv/installed
 	$(BIN)/ruff check .
