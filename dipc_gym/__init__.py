@@ -9,4 +9,9 @@ __version__ = "0.1.0"
 
 ENV_ID = "DIPC-Friction-v0"
 
-gymnasium.register(id=ENV_ID, entry_point="dipc_gym.env:DoublePendulumEnv", max_episode_steps=2_000)
+gymnasium.register(
+    id=ENV_ID,
+    entry_point="dipc_gym.env:DoublePendulumEnv",
+    vector_entry_point="dipc_gym.vector:DIPCFrictionVectorEnv",
+    max_episode_steps=2_000,
+)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dipc_gym import drawing, kernels, mjcf
 from dipc_gym.physics import from_model
 from dipc_gym.plant import Plant, PlantError
+from dipc_gym.randomise import PlantFamily
 
 Array = NDArray[np.float64]
 State = tuple[float, float, float, float, float, float]
@@ -83,6 +84,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     Args:
         plant: a `Plant`, a dictionary of changed fields, or the path of a JSON file; by default the model's own.
+            Numbers may be distributions, drawn anew at every reset; see `PlantFamily`.
         model: path of an MJCF file of one's own, with an actuator `motor` and jointpos sensors `cart`, `pole1` and
             `pole2` (pole2 relative to pole1). By default the package's `rig.xml`.
         exact_state: observe the simulation's state instead of encoder readings.
@@ -116,7 +118,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     def __init__(
         self,
         *,
-        plant: Plant | Mapping[str, Any] | str | Path | None = None,
+        plant: PlantFamily | Plant | Mapping[str, Any] | str | Path | None = None,
         model: str | Path | None = None,
         exact_state: bool = False,
         render_mode: str | None = None,
@@ -131,7 +133,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._picture = (width, height, camera)
         self._viewer: Any = None
         self._source = _own_rig() if model is None else _checked_model(model)
-        self._home = Plant.of(plant, base=Plant.from_mjcf(self._source.text))
+        self._family = PlantFamily.of(plant, base=Plant.from_mjcf(self._source.text))
+        self._home = self._family.base
         self._set_plant(self._home)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._home.control_period)}
         self.observation_space = spaces.Box(-np.inf, np.inf, (6,), np.float64)
@@ -155,8 +158,9 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             raise ValueError(f"unknown reset options {sorted(options)}; there are 'plant', 'start' and 'state'")
         if start is not None and state is not None:
             raise ValueError("give either options['start'] or options['state'], not both")
-        self._set_plant(self._home if plant is None else Plant.of(plant, base=self._home))
-        self._begin(self._draw_state(start or "upright") if state is None else _state(state))
+        family = self._family if plant is None else PlantFamily.of(plant, base=self._home)
+        self._set_plant(family.draw(self.np_random))
+        self._begin(start_state(self.np_random, start, state))
         if self.render_mode == "human":
             self.render()
         return np.array(self._observed), self._info(0.0, False, False, (0.0, 0.0, 0.0, 0.0))
@@ -381,13 +385,6 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         theta1 = kernels.quantise(joint1, encoders.pole)
         return kernels.quantise(x, encoders.cart), theta1, theta1 + kernels.quantise(joint2, encoders.pole)
 
-    def _draw_state(self, start: str) -> State:
-        if start not in ("upright", "hanging"):
-            raise ValueError(f"options['start'] is {start!r}; it can be 'upright' or 'hanging'")
-        x, theta1, theta2 = self.np_random.uniform(-START_SPREAD, START_SPREAD, 3).tolist()
-        down = math.pi if start == "hanging" else 0.0
-        return x, theta1 + down, theta2 + down, 0.0, 0.0, 0.0
-
     def _begin(self, state: State) -> None:
         """Put the rig, its motor and the velocity filter into a state."""
         x, theta1, theta2, v, w1, w2 = state
@@ -439,6 +436,21 @@ def _checked_model(path: str | Path) -> mjcf.Source:
     source = mjcf.read(path)
     mjcf.compile(source)
     return source
+
+
+def start_state(rng: np.random.Generator, start: Any = None, state: Any = None) -> State:
+    """The state in which an episode starts, as the reset options `start` and `state` want it.
+
+    Raises:
+        ValueError: an option that is not understood.
+    """
+    if state is not None:
+        return _state(state)
+    if start not in (None, "upright", "hanging"):
+        raise ValueError(f"options['start'] is {start!r}; it can be 'upright' or 'hanging'")
+    x, theta1, theta2 = rng.uniform(-START_SPREAD, START_SPREAD, 3).tolist()
+    down = math.pi if start == "hanging" else 0.0
+    return x, theta1 + down, theta2 + down, 0.0, 0.0, 0.0
 
 
 def _state(values: Any) -> State:

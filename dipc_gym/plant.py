@@ -1,4 +1,4 @@
-"""What can differ from one rig to the next: motor, friction, encoders, supply and control period.
+"""What can differ from one rig to the next: motor, friction, encoders, masses, delay, supply and control period.
 
 A plant is written into the model's MJCF and read back from it, so the XML stays the only physics there is.
 """
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 SCHEMA = "dipc-gym/plant/1"
+MAX_DELAY = 1.0  # s; the simulation keeps that much of the past at every step
 
 
 class PlantError(ValueError):
@@ -110,6 +111,29 @@ class Encoders:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Masses:
+    """Masses of the moving bodies; None leaves the model's. Moments of inertia change in proportion.
+
+    Attributes:
+        cart: kg, belt and rotor included.
+        pole1: kg.
+        pole2: kg.
+    """
+
+    cart: float | None = None
+    pole1: float | None = None
+    pole2: float | None = None
+
+    def __post_init__(self) -> None:
+        _positive(self, *self.given())
+
+    def given(self) -> dict[str, float]:
+        """The masses that are not left to the model, by body."""
+        every = {"cart": self.cart, "pole1": self.pole1, "pole2": self.pole2}
+        return {name: mass for name, mass in every.items() if mass is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
 class Plant:
     """One rig. A number that is not given has the default rig's value.
 
@@ -117,6 +141,8 @@ class Plant:
         motor: the motor; None leaves the model's as it is.
         friction: friction of the cart; None leaves the model's as it is.
         encoders: resolution, noise and velocity filter.
+        masses: of cart and poles.
+        delay: from a command to the motor's terminals, s, at most 1; 0 leaves the model's as it is.
         supply: largest voltage either way, V.
         control_period: time between two commands, s; a whole number of physics steps.
 
@@ -132,11 +158,16 @@ class Plant:
     motor: Motor | None = field(default_factory=Motor)
     friction: Friction | None = field(default_factory=Friction)
     encoders: Encoders = field(default_factory=Encoders)
+    masses: Masses = field(default_factory=Masses)
+    delay: float = 0.0
     supply: float = 24.0
     control_period: float = 0.005
 
     def __post_init__(self) -> None:
         _positive(self, "supply", "control_period")
+        _positive(self, "delay", zero=True)
+        if self.delay > MAX_DELAY:
+            raise PlantError(f"delay is {self.delay:g} s; it can be {MAX_DELAY:g} s at most")
 
     # -------------------------------------------------------------------------------------------- files
 
@@ -147,12 +178,7 @@ class Plant:
         Raises:
             PlantError: the file is missing, not JSON, of a later format, or has a wrong or unknown field.
         """
-        try:
-            data = json.loads(Path(path).read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise PlantError(f"{path}: no such plant file") from None
-        except (OSError, ValueError, RecursionError) as error:
-            raise PlantError(f"{path}: not a JSON file ({error}); see Plant.write for the format") from None
+        data = read_json(path)
         try:
             return cls.from_dict(data, base)
         except PlantError as error:
@@ -182,7 +208,12 @@ class Plant:
         base = cls() if base is None else base
         values = {key: value for key, value in data.items() if key != "schema"}
         _known(cls, values)
-        for name, kind in (("motor", Motor), ("friction", Friction), ("encoders", Encoders)):
+        for name, kind in (
+            ("motor", Motor),
+            ("friction", Friction),
+            ("encoders", Encoders),
+            ("masses", Masses),
+        ):
             if name in values:
                 values[name] = _changed(getattr(base, name), kind, values[name], name)
         return dataclasses.replace(base, **values)
@@ -248,6 +279,19 @@ class Plant:
             motor.set("gear", repr(1 / self.motor.pulley_radius))
         if self.friction is not None:
             self._write_friction(root, self.friction)
+        if self.delay > 0:
+            timestep = next((float(e.get("timestep", 0.002)) for e in root.iter("option")), 0.002)
+            motor.set("delay", repr(self.delay))
+            motor.set("nsample", str(math.ceil(self.delay / timestep) + 2))
+            motor.set("interp", "linear")
+        for name, mass in self.masses.given().items():
+            body = root.find(f".//body[@name='{name}']")
+            inertial = None if body is None else body.find("inertial")
+            if inertial is None or "diaginertia" not in inertial.attrib:
+                raise PlantError(f"masses.{name}: the model has no body '{name}' with <inertial mass= diaginertia=>")
+            scale = mass / _numbers(inertial, "mass")[0]
+            inertial.set("diaginertia", " ".join(repr(i * scale) for i in _numbers(inertial, "diaginertia")))
+            inertial.set("mass", repr(mass))
         return ET.tostring(root, encoding="unicode")
 
     def _write_friction(self, root: ET.Element, friction: Friction) -> None:
@@ -275,6 +319,20 @@ class Plant:
 # ------------------------------------------------------------------------------------------------ checks
 
 
+def read_json(path: str | Path) -> Any:
+    """What a JSON file holds.
+
+    Raises:
+        PlantError: the file is missing or not JSON.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise PlantError(f"{path}: no such plant file") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise PlantError(f"{path}: not a JSON file ({error}); see Plant.write for the format") from None
+
+
 def _positive(instance: Any, *names: str, zero: bool = False) -> None:
     part = "" if isinstance(instance, Plant) else type(instance).__name__.lower() + "."
     for name in names:
@@ -289,7 +347,7 @@ def _positive(instance: Any, *names: str, zero: bool = False) -> None:
 
 def _changed(current: Any, kind: type, changes: Any, where: str) -> Any:
     """`current`, a `kind` or None, with the named numbers changed."""
-    if changes is None and kind is not Encoders:
+    if changes is None and kind not in (Encoders, Masses):
         return None
     if isinstance(changes, kind):
         return changes

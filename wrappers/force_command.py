@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import compensators
 from dipc_gym.compensators import Compensator
+from dipc_gym.plant import Plant
 
 Array = NDArray[np.float64]
 
@@ -60,20 +61,12 @@ class ForceCommand(
         inner: Any = env.unwrapped
         if not hasattr(inner, "measured_velocity"):
             raise TypeError(f"{inner} has no measured_velocity; ForceCommand goes around DIPC-Friction-v0")
-        loaded = compensator if isinstance(compensator, Compensator) else compensators.load(_plain(compensator))
+        frozen = frozen_compensator(compensator)
         recorded = compensator.to_dict() if isinstance(compensator, Compensator) else _plain(compensator)
         gymnasium.utils.RecordConstructorArgs.__init__(self, compensator=recorded, force_limit=force_limit)
         gymnasium.Wrapper.__init__(self, env)
-        if force_limit is None:
-            if inner.plant.motor is None:
-                raise ValueError("the model's motor is not known, so give ForceCommand a force_limit in newtons")
-            force_limit = inner.plant.motor.force_per_volt * inner.plant.supply
-        if not (math.isfinite(force_limit) and force_limit > 0):
-            raise ValueError(f"force_limit is {force_limit}; it must be a positive number of newtons")
-        self.compensator = copy.deepcopy(loaded)  # it has a memory, which two environments must not share
-        self.force_limit = float(force_limit)
-        limit = np.array([force_limit], np.float32)
-        self.action_space = spaces.Box(-limit, limit, (1,), np.float32)
+        self.compensator = frozen
+        self.force_limit, self.action_space = force_range(inner.plant, force_limit)
         self._inner = inner
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -110,6 +103,29 @@ class ForceCommand(
         observation, reward, terminated, truncated, info = self.env.step(np.array((volts,)))
         info["force"] = force
         return observation, reward, terminated, truncated, info
+
+
+def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path) -> Compensator:
+    """A compensator of one's own: it has a memory, which two environments must not share."""
+    return copy.deepcopy(
+        compensator if isinstance(compensator, Compensator) else compensators.load(_plain(compensator))
+    )
+
+
+def force_range(plant: Plant, force_limit: float | None) -> tuple[float, spaces.Box]:
+    """Largest force either way, N, and the action space of one environment.
+
+    Raises:
+        ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known.
+    """
+    if force_limit is None:
+        if plant.motor is None:
+            raise ValueError("the model's motor is not known, so give ForceCommand a force_limit in newtons")
+        force_limit = plant.motor.force_per_volt * plant.supply
+    if not (math.isfinite(force_limit) and force_limit > 0):
+        raise ValueError(f"force_limit is {force_limit}; it must be a positive number of newtons")
+    limit = np.array([force_limit], np.float32)
+    return float(force_limit), spaces.Box(-limit, limit, (1,), np.float32)
 
 
 def _plain(compensator: Mapping[str, Any] | str | Path) -> dict[str, Any] | str:

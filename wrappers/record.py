@@ -64,13 +64,7 @@ class RecordRun(
         self._inner: Any = env.unwrapped
         if not hasattr(self._inner, "encoders"):
             raise TypeError(f"{self._inner} has no encoders; RecordRun goes around DIPC-Friction-v0")
-        if suffix not in ("csv", "npz", "parquet"):
-            raise ValueError(f"suffix is {suffix!r}; it can be 'csv', 'npz' or 'parquet'")
-        self.folder = Path(folder)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        earlier = sorted(self.folder.glob(f"{name}-*.{suffix}"))
-        if earlier and not overwrite:
-            raise FileExistsError(f"{earlier[0]} exists already; choose another folder or name, or set overwrite=True")
+        self.folder = recordings_folder(folder, name, suffix, overwrite)
         self._name, self._suffix, self._overwrite = name, suffix, overwrite
         self._episode = 0
         self._recorder = recording.Recorder(["motor"], SENSORS)
@@ -101,3 +95,20 @@ class RecordRun(
         recorder, self._recorder = self._recorder, recording.Recorder(["motor"], SENSORS)
         self._episode += 1
         recording.write(recorder.recording(path.stem), path, overwrite=self._overwrite)
+
+
+def recordings_folder(folder: str | Path, name: str, suffix: str, overwrite: bool) -> Path:
+    """The folder for recordings, made if missing.
+
+    Raises:
+        FileExistsError: it has recordings of that name, and `overwrite` is not set.
+        ValueError: the suffix is not known.
+    """
+    if suffix not in ("csv", "npz", "parquet"):
+        raise ValueError(f"suffix is {suffix!r}; it can be 'csv', 'npz' or 'parquet'")
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    earlier = sorted(folder.glob(f"{name}-*.{suffix}"))
+    if earlier and not overwrite:
+        raise FileExistsError(f"{earlier[0]} exists already; choose another folder or name, or set overwrite=True")
+    return folder

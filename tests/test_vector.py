@@ -1,0 +1,325 @@
+"""Many environments in one batch: the same as single ones to the last bit, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import data_equivalence
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mujoco import batch as mjbatch
+
+import dipc_gym
+from dipc_gym import mjcf
+from dipc_gym.compensators import Ideal, StaticGain
+from dipc_gym.env import DoublePendulumEnv
+from dipc_gym.plant import Friction, Masses, Motor, Plant, PlantError
+from dipc_gym.randomise import PlantFamily
+from dipc_gym.vector import DIPCFrictionVectorEnv
+from dipc_gym.wrappers import ForceCommand, RecordRun, VectorForceCommand, VectorRecordRun
+
+N = 5
+RANDOM = {
+    "friction": {
+        "coulomb": {"uniform": [4.0, 9.0]},
+        "static": {"uniform": [7.0, 14.0]},
+        "viscous": {"normal": [20, 2]},
+    },
+    "motor": {"resistance": {"normal": [1.2, 0.05]}, "pulley_radius": {"uniform": [0.012, 0.013]}},
+    "masses": {"cart": {"uniform": [0.4, 0.8]}, "pole2": {"uniform": [0.1, 0.15]}},
+    "delay": {"uniform": [0.0, 0.004]},
+    "encoders": {"noise": {"uniform": [0.0, 0.5]}, "velocity_filter": {"uniform": [0.0, 0.02]}},
+}
+WILD = [0.0, 0.0, 0.0, 0.0, 1e4, -1e4]  # two turns a step: no integrator follows that
+
+
+def batched(num_envs: int = N, **kwargs: Any) -> DIPCFrictionVectorEnv:
+    env = gymnasium.make_vec(
+        dipc_gym.ENV_ID, num_envs=num_envs, vectorization_mode="vector_entry_point", **kwargs
+    ).unwrapped
+    assert isinstance(env, DIPCFrictionVectorEnv)
+    return env
+
+
+def one_by_one(
+    autoreset_mode: str = "NextStep", wrap: Any = lambda env: env, n: int = N, **kwargs: Any
+) -> SyncVectorEnv:
+    return SyncVectorEnv(
+        [lambda: wrap(gymnasium.make(dipc_gym.ENV_ID, **kwargs)) for _ in range(n)], autoreset_mode=autoreset_mode
+    )
+
+
+def same(a: Any, b: Any) -> bool:
+    """Equal to the last bit, whatever the order of keys."""
+    if isinstance(a, dict):
+        return isinstance(b, dict) and a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, np.ndarray) and a.dtype == object:
+        return b.dtype == object and all(
+            x is y is None or (x is not None and data_equivalence(x, y, exact=True)) for x, y in zip(a, b, strict=True)
+        )
+    return bool(data_equivalence(a, b, exact=True))
+
+
+def drive(ours: Any, theirs: Any, mode: str, steps: int, size: float = 24.0, **reset: Any) -> dict[str, int]:
+    """Step both with the same seeds and actions; how often what happened."""
+    rng = np.random.default_rng(0)
+    assert same(ours.reset(seed=3, **reset), theirs.reset(seed=3, **reset))
+    seen = dict.fromkeys(("terminated", "truncated", "diverged"), 0)
+    for _ in range(steps):
+        actions = rng.uniform(-size, size, (ours.num_envs, 1)).astype(np.float32)
+        mine, other = ours.step(actions), theirs.step(actions)
+        assert same(mine, other)
+        _, _, terminated, truncated, infos = mine
+        ended = terminated | truncated
+        seen["terminated"] += int(terminated.sum())
+        seen["truncated"] += int(truncated.sum())
+        seen["diverged"] += int(infos.get("final_info", infos)["diverged"].sum())
+        if mode == "Disabled" and ended.any():
+            again = [{"reset_mask": ended.copy()} for _ in range(2)]
+            assert same(ours.reset(options=again[0]), theirs.reset(options=again[1]))
+    return seen
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+@pytest.mark.parametrize("plant", [None, {"encoders": {"noise": 0.5}}, RANDOM], ids=["home", "noise", "random"])
+def test_equals_single_environments_to_the_last_bit(mode: str, plant: Any) -> None:
+    kwargs = {"plant": plant, "max_episode_steps": 40}
+    seen = drive(batched(autoreset_mode=mode, **kwargs), one_by_one(mode, **kwargs), mode, 200)
+    assert seen["truncated"] > 5
+    if plant is None:
+        assert drive(batched(autoreset_mode=mode), one_by_one(mode), mode, 150, 200.0)["terminated"] > 2
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+@pytest.mark.parametrize("exact_state", [False, True])
+def test_equals_where_simulations_diverge(
+    mode: str, exact_state: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    kwargs = {"exact_state": exact_state, "plant": {"encoders": {"noise": 0.2}}}
+    ours, theirs = batched(autoreset_mode=mode, **kwargs), one_by_one(mode, **kwargs)
+    seen = drive(ours, theirs, mode, 20, options={"state": WILD})
+    assert seen["diverged"] == N
+    assert not list(tmp_path.iterdir())  # no MUJOCO_LOG.TXT
+
+
+@pytest.mark.parametrize(
+    "options", [{"start": "hanging"}, {"state": [0.1, 0.5, 0, 0, 1, 0]}, {"plant": {"delay": 0.0}}]
+)
+def test_equals_with_options_and_exact_state(options: dict[str, Any]) -> None:
+    kwargs = {"plant": RANDOM, "exact_state": True}
+    drive(batched(**kwargs), one_by_one(**kwargs), "NextStep", 40, options=options)
+
+
+def test_threads_do_not_matter() -> None:
+    drive(batched(threads=1, plant=RANDOM), batched(threads=3, plant=RANDOM), "NextStep", 60)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("compensator", [StaticGain(newtons_per_volt=4.0), Ideal(newtons_per_volt=4.0), "llnf"])
+def test_force_command_equals_single_ones(mode: str, compensator: Any, request: pytest.FixtureRequest) -> None:
+    if compensator == "llnf":
+        compensator = request.getfixturevalue("llnf")
+    kwargs = {"max_episode_steps": 25, "plant": {"encoders": {"noise": 0.3}}}
+    ours = VectorForceCommand(batched(autoreset_mode=mode, **kwargs), compensator)
+    theirs = one_by_one(mode, lambda env: ForceCommand(env, compensator), **kwargs)
+    assert ours.single_action_space == theirs.single_action_space
+    drive(ours, theirs, mode, 70, size=40.0)
+
+
+@pytest.fixture(scope="module")
+def llnf() -> Any:
+    from dipc_gym.compensators import RigConstants, Samples, fit
+
+    rng = np.random.default_rng(1)
+    force, velocity = rng.uniform(-100, 100, 400), rng.uniform(-2, 2, 400)
+    volts = force / 4 + 2 * np.sign(velocity)
+    samples = Samples(force, velocity, velocity, volts, np.arange(400) % 2 == 0)
+    return fit("llnf", samples, RigConstants(newtons_per_volt=4.0, viscous=40.0, supply_voltage=24.0))
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_recordings_equal_single_ones(mode: str, tmp_path: Path) -> None:
+    ours = VectorRecordRun(batched(2, autoreset_mode=mode, max_episode_steps=20), tmp_path / "ours")
+    folders = iter((tmp_path / "0", tmp_path / "1"))
+    theirs = one_by_one(mode, lambda env: RecordRun(env, next(folders)), 2, max_episode_steps=20)
+    drive(ours, theirs, mode, 50)
+    ours.close()
+    theirs.close()
+    files = sorted(path.name for path in (tmp_path / "ours").iterdir())
+    assert files == [f"run-{row}-{episode}.csv" for row in range(2) for episode in range(3)]
+    for row in range(2):
+        for episode in range(3):
+            mine = (tmp_path / "ours" / f"run-{row}-{episode}.csv").read_text()
+            assert mine == (tmp_path / str(row) / f"run-{episode}.csv").read_text()
+    with pytest.raises(FileExistsError, match="choose another folder"):
+        VectorRecordRun(batched(2), tmp_path / "ours")
+
+
+def test_spec_and_metadata() -> None:
+    envs = batched(3)
+    assert envs.max_episode_steps == 2_000
+    assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    assert envs.observation_space.shape == (3, 6)
+    assert len({id(rng) for rng in envs.np_random}) == 3
+    envs.reset(seed=[5, 9, 5])
+    assert envs.np_random_seed == (5, 9, 5)
+    assert np.array_equal(envs.state[0], envs.state[2])
+
+
+# --------------------------------------------------------------------------------------------------- families
+
+SPREADS = st.sampled_from(["uniform", "normal"])
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_numbers_written_are_those_that_compiling_gives(seed: int) -> None:
+    envs = DIPCFrictionVectorEnv(2, plant=RANDOM)
+    envs.reset(seed=seed)
+    text = envs._rig.source.text
+    longest = envs._family.longest_delay
+    for row, plant in enumerate(envs.plants):
+        written = envs._sims.get_model(row)
+        layout = dataclasses.replace(plant, delay=longest)
+        compiled = mjcf.compile(envs._rig.source.edited(layout.to_mjcf(text)), trusted=True)
+        assert written.actuator_delay[0] == plant.delay
+        for name in mjbatch.MODEL_FIELDS - {"actuator_delay"}:
+            if not name.startswith("opt."):
+                np.testing.assert_array_equal(getattr(written, name), getattr(compiled, name), err_msg=name)
+
+
+def test_single_environment_draws_too() -> None:
+    env = DoublePendulumEnv(plant=RANDOM)
+    env.reset(seed=1)
+    first = env.plant
+    env.reset()
+    assert env.plant != first
+    env.reset(seed=1)
+    assert env.plant == first
+    assert first.friction is not None
+    assert 4.0 <= first.friction.coulomb <= first.friction.static <= 14.0
+
+
+def test_draws_follow_their_distributions() -> None:
+    rng = np.random.default_rng(0)
+    family = PlantFamily.of({"motor": {"resistance": {"uniform": [1, 2]}}, "masses": {"cart": {"normal": [0.6, 0.1]}}})
+    plants = [family.draw(rng) for _ in range(4_000)]
+    resistance = np.array([plant.motor.resistance for plant in plants if plant.motor])
+    cart = np.array([plant.masses.cart for plant in plants])
+    assert 1 <= resistance.min() < 1.01 < 1.99 < resistance.max() <= 2
+    assert resistance.std() == pytest.approx(1 / 12**0.5, rel=0.05)
+    assert cart.mean() == pytest.approx(0.6, abs=0.01)
+    assert 0.3 <= cart.min() < cart.max() <= 0.9
+    assert abs(np.corrcoef(resistance, cart)[0, 1]) < 0.06
+
+
+def test_masses_and_delay_reach_the_model() -> None:
+    plain, heavy = DoublePendulumEnv(), DoublePendulumEnv(plant={"masses": {"pole1": 1.14318}, "delay": 0.01})
+    ratio = heavy.model.body("pole1").inertia / plain.model.body("pole1").inertia
+    np.testing.assert_allclose(ratio, 2.0, rtol=1e-12)
+    for env in (plain, heavy):
+        env.reset(options={"state": [0.0] * 6})
+    plain.step([24.0])
+    assert not np.any(heavy.step([24.0])[4]["clipped"])
+    assert abs(plain.state[3]) > 0.01  # the voltage has acted
+    assert heavy.state[3] == 0.0  # and here has not arrived
+    heavy.step([24.0])
+    heavy.step([24.0])
+    assert heavy.state[3] > 0.01
+
+
+def test_plants_with_masses_and_delay_go_through_files(tmp_path: Path) -> None:
+    plant = Plant(masses=Masses(cart=0.7), delay=0.002, motor=Motor(resistance=2.0), friction=Friction(viscous=3.0))
+    plant.write(tmp_path / "plant.json")
+    assert Plant.read(tmp_path / "plant.json") == plant
+
+
+@pytest.mark.parametrize(
+    ("plant", "says"),
+    [
+        ({"friction": {"coulomb": {"uniform": [9, 5]}}}, r"friction\.coulomb: uniform \[9, 5\] has its low end above"),
+        ({"masses": {"cart": {"uniform": [-1, 1]}}}, r"masses\.cart: uniform \[-1, 1\] reaches -1.*must be positive"),
+        ({"masses": {"cart": {"normal": [0.5, 0.2]}}}, r"masses\.cart: normal .* reaches -0\.1"),
+        ({"masses": {"cart": -0.5}}, r"masses\.cart is -0\.5"),
+        ({"masses": {"wheel": {"uniform": [1, 2]}}}, r"unknown field 'masses\.wheel'"),
+        ({"delay": {"uniform": [0.0, 1.5]}}, r"delay: uniform \[0, 1\.5\] reaches 1\.5 s; it can be 1 s at most"),
+        ({"delay": {"normal": [0.001, 0.001]}}, "delay: normal .* must not be negative"),
+        ({"delay": -0.001}, "delay is -0.001"),
+        ({"supply": {"uniform": [12, 24]}}, "supply is the same for all episodes"),
+        ({"motor": {"resistance": {"normal": [1, -1]}}}, "negative standard deviation"),
+        ({"motor": {"resistance": {"normal": [1]}}}, r"takes two finite numbers \[mean, sd\]"),
+        ({"motor": {"resistance": {"uniform": [1, float("inf")]}}}, "takes two finite numbers"),
+        ({"motor": {"resistance": {"uniform": [True, 2]}}}, "takes two finite numbers"),
+        ({"motor": {"resistance": {"gamma": [1, 2]}}}, r"motor\.resistance is .*write a number"),
+        ({"friction": {"static": {"uniform": [1, 2]}}}, "friction.static is 1.5 N, below"),
+        ([1], "a plant is a JSON object"),
+    ],
+)
+def test_impossible_distributions_are_refused(plant: Any, says: str, tmp_path: Path) -> None:
+    with pytest.raises(PlantError, match=says):
+        PlantFamily.of(plant)
+    file = tmp_path / "plant.json"
+    file.write_text(json.dumps(plant))
+    with pytest.raises(PlantError, match=r"plant\.json: .*" + says):
+        batched(2, plant=file)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "says"),
+    [
+        ({"num_envs": 0}, "num_envs is 0"),
+        ({"num_envs": -3}, "num_envs is -3"),
+        ({"num_envs": 2.0}, "num_envs is 2.0"),
+        ({"max_episode_steps": 0}, "max_episode_steps is 0"),
+        ({"threads": -1}, "threads is -1"),
+        ({"autoreset_mode": "sometimes"}, "sometimes"),
+    ],
+)
+def test_impossible_batches_are_refused(kwargs: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        DIPCFrictionVectorEnv(**kwargs)
+
+
+def test_misuse_is_named() -> None:
+    envs = batched(2, autoreset_mode="Disabled", max_episode_steps=1)
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match=r"\(2, 1\) of voltages"):
+        envs.step(np.zeros(2))
+    with pytest.raises(ValueError, match="voltage of row 1 is nan"):
+        envs.step(np.array([[0.0], [np.nan]]))
+    envs.step(np.zeros((2, 1)))
+    with pytest.raises(RuntimeError, match="episode of row 0 is over"):
+        envs.step(np.zeros((2, 1)))
+    with pytest.raises(ValueError, match="unknown reset options"):
+        envs.reset(options={"speed": 1})
+    with pytest.raises(ValueError, match="3 seeds for 2"):
+        envs.reset(seed=[1, 2, 3])
+    with pytest.raises(ValueError, match="selects no environment"):
+        envs.reset(options={"reset_mask": np.zeros(2, dtype=bool)})
+    for plant, says in (
+        ({"supply": 12.0}, "supply"),
+        ({"delay": 0.01}, "delay of up to"),
+        ({"friction": {"coulomb": 0.0, "static": 0.0}}, "actuator"),
+    ):
+        with pytest.raises(PlantError, match=says):
+            envs.reset(options={"plant": plant})
+
+
+def test_models_that_the_batch_cannot_do_are_refused(tmp_path: Path) -> None:
+    text = DoublePendulumEnv().source.text
+    rough = tmp_path / "rough.xml"
+    rough.write_text(text.replace('name="cart" type="slide"', 'name="cart" type="slide" frictionloss="3"'))
+    with pytest.raises(mjcf.MjcfError, match="vectorization_mode='sync'"):
+        batched(2, model=rough)
+    assert mujoco.MjModel.from_xml_path(str(rough)).dof_frictionloss[0] == 3
