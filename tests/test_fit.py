@@ -1,0 +1,268 @@
+"""Fits find the numbers that a simulation was made with, and leave noise alone."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
+
+from dipc_gym import mjcf, physics
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.fit import Fit, correct_starts, evaluate, fit, predict, residual, weights
+from dipc_gym.sim2real.numbers import own_numbers
+from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.simulate import Stepping
+from dipc_gym.sim2real.structure import Structure, Term, carry
+from dipc_gym.sim2real.windows import Prepared
+
+NOISY = 1e-5
+
+
+@functools.cache
+def run(
+    damping: float = 21.4, friction: float = 0.0, volts: float = 4.0, seconds: float = 8.0, seed: int = 0
+) -> Recording:
+    """A cart simulated so finely that its error is no match for the noise."""
+    text = CART.replace('damping="21.4"', f'damping="{damping}"')
+    rig = physics.load(text)
+    if not friction:
+        return record(rig, sweep(volts), seconds, noise=NOISY, step=5e-4, integrator=RK4, seed=seed)
+    return dry_run(damping, friction, volts, seconds, seed)
+
+
+def dry_run(damping: float, friction: float, volts: float, seconds: float, seed: int) -> Recording:
+    """Coulomb friction by the equation itself, at steps so short that MuJoCo's own friction has no part in it."""
+    k, r, m, h = 78.7 * 0.06, 1.2, 1.26, 2e-5
+    drag, command, rng = damping + k * k / r, sweep(volts), np.random.default_rng(seed)
+    x = v = 0.0
+    rows = []
+    per = round(0.002 / h)
+    for i in range(round(seconds / 0.002)):
+        u = command(i * 0.002)
+        rows.append((i * 0.002, u, x + rng.normal() * NOISY))
+        for _ in range(per):
+            pull = k / r * u - drag * v
+            if v == 0 and abs(pull) <= friction:
+                continue
+            way = np.sign(v) if v else np.sign(pull)
+            then = v + h * (pull - friction * way) / m
+            v = 0.0 if v * then < 0 else then
+            x += h * v
+    table = np.array(rows)
+    return Recording("dry", table[:, 0], table[:, 1:2], table[:, 2:], ["motor"], ["cart"])
+
+
+def ready(recording: Recording, text: str = CART, **more: object) -> Prepared:
+    return prepared(text, [recording], stepping=Stepping(0.002, RK4), **more)  # type: ignore[arg-type]
+
+
+def free(P: Prepared, *keys: str) -> Structure:
+    numbers = own_numbers(P.structure.document, P.structure.model)
+    return replace(P.structure, numbers=tuple(n for n in numbers if n.key in keys))
+
+
+def intervals(fitted: Fit) -> np.ndarray:
+    """Standard deviation of each mapped number, were the model exact: from the sum of the windows' quadratics."""
+    return np.sqrt(np.diag(np.linalg.inv(fitted.quadratics.A.sum(axis=0))))
+
+
+# Numbers come back
+
+
+def test_a_known_damping_and_mass_come_back() -> None:
+    P = ready(run(), CART.replace('damping="21.4"', 'damping="30"').replace('mass="1.26"', 'mass="1.1"'))
+    structure = free(P, "cart.damping", "cart.mass")
+    fitted = fit(P.problem, structure)
+    values = structure.values(fitted.z)
+    truth = {"cart.damping": 21.4, "cart.mass": 1.26}
+    assert fitted.converged
+    assert fitted.error == pytest.approx(1.0, abs=0.05)
+    for slot, z, spread in zip(structure.slots, fitted.z, intervals(fitted), strict=True):
+        assert abs(z - slot.mapped(truth[slot.key])) < 4 * spread
+        assert values[slot.key] == pytest.approx(truth[slot.key], rel=2e-3)
+
+
+@pytest.mark.parametrize("friction", [1.0, 4.0])
+def test_a_known_friction_comes_back(friction: float) -> None:
+    P = ready(run(friction=friction, seconds=5.0))
+    term = Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0})
+    structure = free(P, "cart.damping").with_term(term)
+    fitted = fit(P.problem, structure)
+    values = structure.values(fitted.z)
+    assert values["friction.coulomb@cart.level"] == pytest.approx(friction, rel=5e-3)
+    assert values["cart.damping"] == pytest.approx(21.4, rel=5e-3)
+    assert fitted.error < 1.1
+
+
+def test_intervals_cover_as_often_as_they_say() -> None:
+    """Standard deviations from the quadratics, over ten recordings of nothing but noise on the right model."""
+    off = []
+    for seed in range(10):
+        P = ready(run(seconds=2.0, seed=seed))
+        structure = free(P, "cart.damping")
+        fitted = fit(P.problem, structure)
+        off.append(fitted.z[0] / intervals(fitted)[0])
+    assert 0.4 < np.sqrt(np.mean(np.square(off))) < 1.8
+
+
+def test_a_prior_holds_what_the_data_does_not_say() -> None:
+    """Mass, damping and motor constant scale together; what the owner knows of one of them sets the others."""
+    P = ready(run())
+    keys = ("cart.damping", "cart.mass", "motor.resistance", "motor.motorconst")
+    numbers = {n.key: n for n in own_numbers(P.structure.document, P.structure.model)}
+    known = replace(numbers["cart.mass"], expected=1.26 * 1.1, sigma=1e-3)
+    structure = replace(P.structure, numbers=(known, *(numbers[key] for key in keys if key != "cart.mass")))
+    fitted = fit(P.problem, structure)
+    values = structure.values(fitted.z)
+    assert values["cart.mass"] == pytest.approx(1.26 * 1.1, rel=5e-3)
+    constant, resistance = values["motor.motorconst"], values["motor.resistance"]
+    assert constant / resistance == pytest.approx(1.1 * 0.06 / 1.2, rel=2e-2)
+    assert fitted.error == pytest.approx(1.0, abs=0.05)
+
+
+# Noise stays noise
+
+
+def test_the_right_model_leaves_the_noise() -> None:
+    """Prediction error of the nominal model, starts corrected: one, within three per cent."""
+    errors = []
+    for seed in range(4):
+        P = ready(run(seconds=8.0, seed=seed))
+        fitted = fit(P.problem, P.structure)
+        # What the start of each window takes away of its samples is no prediction.
+        samples = P.problem.counts
+        errors.append(np.sqrt(np.mean(fitted.mse * samples / (samples - P.problem.starts.shape[1]))))
+    assert np.median(errors) == pytest.approx(1.0, abs=0.03)
+
+
+def test_what_is_not_there_is_fitted_to_nothing() -> None:
+    P = ready(run(seconds=4.0))
+    for effect, at, guess in (
+        ("friction.coulomb", "cart", {"level": 1.0}),
+        ("load.constant", "cart", {"force": 1.0}),
+        ("timing.delay", "motor", {"delay": 0.002}),
+    ):
+        structure = free(P, "cart.damping").with_term(Term(catalogue()[effect], at, guess))
+        fitted = fit(P.problem, structure)
+        (value,) = (v for k, v in structure.values(fitted.z).items() if "@" in k)
+        assert abs(value) < 0.02 * next(iter(guess.values())), effect
+
+
+# Starts
+
+
+def test_starts_are_eliminated() -> None:
+    """However wrong the starts, within their spread, the error that no start explains is the same."""
+    P = ready(run(seconds=4.0))
+    rng = np.random.default_rng(0)
+    off = P.problem.starts + rng.normal(size=P.problem.starts.shape) * P.problem.spread * 0.5
+    exact, moved = (fit(replace(P.problem, starts=s), P.structure) for s in (P.problem.starts, off))
+    assert exact.error == pytest.approx(moved.error, rel=0.02)
+    assert np.all(np.abs(exact.starts - moved.starts)[:, 0] < 5 * NOISY)
+    before = residual(P.problem, predict(P.problem, P.structure, [P.structure.first], off[None])[0])
+    assert np.sqrt(np.mean(before**2)) > 3 * moved.error
+
+
+def test_what_is_left_cannot_be_explained_by_a_start() -> None:
+    P = ready(run(seconds=4.0))
+    fitted = fit(P.problem, free(P, "cart.damping"))
+    assert np.einsum("nmk,nm->nk", fitted.sensitivity, fitted.left) == pytest.approx(0.0, abs=1e-6 * fitted.left.size)
+
+
+def test_corrected_starts_are_a_simulation() -> None:
+    """Predictions that are drawn come from real start states, and are as good as the fit says."""
+    P = ready(run(friction=2.0, seconds=4.0))
+    structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0}))
+    fitted = fit(P.problem, structure)
+    starts, readings = correct_starts(P.problem, fitted)
+    again = predict(P.problem, structure, [fitted.z], starts[None])[0]
+    assert np.array_equal(again, readings)
+    rest = residual(P.problem, readings)
+    assert np.sqrt(np.mean(rest**2)) == pytest.approx(fitted.error, rel=0.03)
+
+
+def test_unseen_windows_are_judged_without_being_fitted() -> None:
+    P = ready(run(friction=2.0), span=(0.0, 1.0))
+    train, unseen = P.problem.pick(np.arange(0, 32, 2)), P.problem.pick(np.arange(1, 32, 2))
+    structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.0}))
+    fitted = fit(train, structure)
+    mse, _ = evaluate(unseen, structure, fitted.z)
+    nominal, _ = evaluate(unseen, P.structure, P.structure.first)
+    assert np.sqrt(mse.mean()) == pytest.approx(1.0, abs=0.1)
+    assert np.sqrt(nominal.mean()) > 20
+
+
+def test_three_joints_fit_together() -> None:
+    rig = physics.load(HANGING.replace('damping="0.001"', 'damping="0.003"'))
+    recording = record(rig, sweep(3.0), 4.0, noise=NOISE["hanging"], step=5e-4, integrator=RK4, start=(0.0, 0.4, -0.3))
+    P = ready(recording, HANGING)
+    structure = free(P, "pole1.damping", "pole2.damping", "cart.damping")
+    values = structure.values(fit(P.problem, structure).z)
+    assert values["pole1.damping"] == pytest.approx(0.003, rel=0.1)
+    assert values["pole2.damping"] == pytest.approx(0.0005, rel=0.3)
+    assert values["cart.damping"] == pytest.approx(21.4, rel=0.01)
+
+
+# Robustness
+
+
+def test_a_few_broken_windows_do_not_decide() -> None:
+    """A push in three of thirty-two windows: their errors are large, the fit hardly moves."""
+    recording = run(friction=2.0)
+    sensors = recording.sensors.copy()
+    for second in (1.1, 3.3, 6.2):
+        inside = (recording.time > second) & (recording.time < second + 0.1)
+        sensors[inside] += 1e-3 * np.sin(np.pi * (recording.time[inside, None] - second) / 0.1) ** 2
+    P = ready(replace(recording, sensors=sensors, sha256=""))
+    structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.0}))
+    fitted = fit(P.problem, structure)
+    assert structure.values(fitted.z)["friction.coulomb@cart.level"] == pytest.approx(2.0, rel=0.03)
+    assert np.sqrt(np.median(fitted.mse)) < 1.3
+    assert np.sqrt(fitted.mse.max()) > 5
+
+
+def test_weights_fall_with_the_error() -> None:
+    w = weights(np.array([0.5, 1.0, 2.0, 1e6]))
+    assert np.all(np.diff(w) < 0)
+    assert w[3] < 1e-5 * w[0]
+
+
+def test_a_fit_carries_over_to_a_larger_structure() -> None:
+    P = ready(run(friction=2.0, seconds=4.0))
+    small = free(P, "cart.damping")
+    z = fit(P.problem, small).z
+    term = Term(catalogue()["friction.coulomb"], "cart", {"level": 1.5})
+    large = small.with_term(term)
+    started = large.values(carry(small, z, large))
+    assert started["cart.damping"] == pytest.approx(small.values(z)["cart.damping"])
+    assert started["friction.coulomb@cart.level"] == 1.5
+    # What contains another effect takes its place.
+    wider = large.with_term(
+        Term(catalogue()["friction.stribeck"], "cart", {"level": 1.0, "static": 2.0, "velocity": 0.05})
+    )
+    assert [t.effect.id for t in wider.terms] == ["friction.stribeck"]
+
+
+def test_bounds_hold() -> None:
+    P = ready(run(seconds=3.0))
+    structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.0}))
+    assert structure.values(structure.clip(np.array([-5.0])))["friction.coulomb@cart.level"] == 0.0
+    fitted = fit(P.problem, structure, np.array([0.5]))
+    assert structure.values(fitted.z)["friction.coulomb@cart.level"] >= 0.0
+
+
+def test_a_structure_is_what_is_written() -> None:
+    """The text of a fitted structure holds its numbers to the last digit."""
+    P = ready(run(seconds=3.0))
+    structure = free(P, "cart.damping", "motor.resistance")
+    z = np.array([0.1234567, -0.0765432])
+    model = mjcf.compile(structure.write(z).text())
+    values = structure.values(z)
+    assert model.dof_damping[0] == values["cart.damping"]
+    assert model.actuator_gainprm[0, 0] == values["motor.resistance"]
+    assert isinstance(mujoco.MjModel.from_xml_string(Document(mjcf.from_text(CART)).text()), mujoco.MjModel)
