@@ -306,10 +306,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     def _index_model(self, model: mujoco.MjModel) -> None:
         """Find what the environment reads and writes, by name."""
-        controls = mjcf.controls(model)
-        if "motor" not in controls:
-            raise mjcf.MjcfError(f"{self._source.name}: no actuator 'motor' with a control; there are {controls}")
-        self._motor, self._command = controls.index("motor"), np.zeros(model.nu)
+        self._motor, self._command = mjcf.controls(model).index("motor"), np.zeros(model.nu)
         joints = []
         for name in NAMES:
             i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
@@ -434,7 +431,9 @@ def _own_rig() -> mjcf.Source:
 
 def _checked_model(path: str | Path) -> mjcf.Source:
     source = mjcf.read(path)
-    mjcf.compile(source)
+    controls = mjcf.controls(mjcf.compile(source))
+    if "motor" not in controls:
+        raise mjcf.MjcfError(f"{source.name}: no actuator 'motor' with a control; there are {controls}")
     return source
 
 

@@ -381,7 +381,7 @@ def test_own_model_with_physics_that_mjcf_cannot_say(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (('name="motor" joint', 'name="engine" joint'), "motor"),
+        (('name="motor" joint', 'name="engine" joint'), r"\.xml: no actuator 'motor' .*'engine'"),
         (('<jointpos name="pole2"', '<jointvel name="pole2"'), "jointpos name='pole2'"),
         (('<jointpos name="cart" joint="cart"/>', ""), "jointpos name='cart'"),
         (('joint="cart" gear', 'joint="carriage" gear'), "carriage"),
