@@ -92,7 +92,7 @@ class PlantFamily:
         PlantError: a distribution is not understood or can give an impossible plant; the message names file and field.
 
     Example:
-        >>> family = PlantFamily.of({"friction": {"coulomb": {"uniform": [5.0, 9.0]}}, "delay": {"normal": [0.004, 0.001]}})
+        >>> family = PlantFamily.of({"friction": {"coulomb": {"uniform": [5.0, 9.0]}}})
         >>> family.base.friction.coulomb
         7.0
         >>> 5.0 <= family.draw(np.random.default_rng(0)).friction.coulomb <= 9.0

@@ -68,7 +68,7 @@ class DIPCFrictionVecEnv(VecEnv):
             )
         seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
         observations, self.infos = self.env.reset(seed=seeds, options=options)  # type: ignore[arg-type]
-        self.reset_infos = [{} for _ in range(self.num_envs)]
+        self.reset_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
         return observations

@@ -26,7 +26,7 @@ Mask = NDArray[np.bool_]
 COSTS = ("cost_cart", "cost_pole1", "cost_pole2", "cost_voltage")
 
 
-class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], Array]):
+class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]]):
     """`DIPC-Friction-v0` many times over, stepped inside MuJoCo's batch on all cores.
 
     Observations, rewards, endings and `info` are those of `SyncVectorEnv` around single environments, to the last bit;
@@ -162,7 +162,8 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], Array]):
         waiting = self._ended.copy()
         if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():
             raise RuntimeError(
-                f"the episode of row {int(np.flatnonzero(waiting)[0])} is over; reset it with options={{'reset_mask': ...}}"
+                f"the episode of row {int(np.flatnonzero(waiting)[0])} is over; "
+                "reset it with options={'reset_mask': ...}"
             )
         with np.errstate(over="ignore", invalid="ignore"):  # of simulations that diverge
             rewards, terminated, truncated, infos = self._advance(asked, ~waiting)
@@ -186,7 +187,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], Array]):
 
     # ------------------------------------------------------------------------------- what wrappers may ask for
 
-    @property
+    @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """The random generator of each row."""
         return tuple(self._generator(i) for i in range(self.num_envs))
@@ -280,7 +281,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], Array]):
         family = self._family if plant is None else self._fitting(PlantFamily.of(plant, base=self._family.base))
         plants, states = [], np.empty((len(rows), 6))
         for k, i in enumerate(rows):
-            generator = self._generator(i)
+            generator = self._generator(int(i))
             plants.append(family.draw(generator))
             states[k] = start_state(generator, start, state)
         self._become(rows, plants)
@@ -320,7 +321,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], Array]):
         a, b, c = self._rig._qpos_address
         joints = np.where(rows[:, None], self._qpos[:, [a, b, c]], 0.0)
         for i in np.flatnonzero(rows & (self._noise > 0)):
-            x, one, two = self._generator(i).standard_normal(3).tolist()
+            x, one, two = self._generator(int(i)).standard_normal(3).tolist()
             cart, pole = self._noise[i] * self._cart[i], self._noise[i] * self._pole[i]
             joints[i] += cart * x, pole * one, pole * two
         theta1 = kernels.quantise(joints[:, 1], self._pole)

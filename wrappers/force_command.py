@@ -112,7 +112,7 @@ def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path
     )
 
 
-def force_range(plant: Plant, force_limit: float | None) -> tuple[float, spaces.Box]:
+def force_range(plant: Plant, force_limit: float | None) -> tuple[float, spaces.Space[NDArray[np.float32]]]:
     """Largest force either way, N, and the action space of one environment.
 
     Raises:
