@@ -129,8 +129,8 @@ class Train:
 class Record:
     """Simulate a run of the rig and write it as a recording.
 
-    A balancing run has the columns time, motor, cart, pole1 and pole2: replay, diagnose or render it. An
-    identification run has no poles, for they are locked: train from it. Replay needs a model without pole joints for it.
+    A balancing run has the columns time, motor, cart, pole1 and pole2: replay, diagnose or render it. In an
+    identification run the poles are locked and have no columns: train from it. To replay it takes a model without them.
 
     Try:
         dipc-gym record --out balance.csv --compensator llnf --seconds 20

@@ -171,9 +171,11 @@ def test_interrupt_leaves_what_is_finished(tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "dipc_gym", "compare", "--out", str(out), "--jobs", "2", "--seeds", "12"]
     command += ["--compensator", "none,ideal", "--seconds", "80"]
+    heard = signal.signal(signal.SIGINT, signal.default_int_handler)  # started in the background, Python ignores it
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
+    signal.signal(signal.SIGINT, heard)
     deadline = time.monotonic() + 60
     while len(list((out / "cells").glob("*.json"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.02)
