@@ -377,7 +377,10 @@ class Diagnose:
         if self.design is not None and found.work is not None:
             from dipc_gym.sim2real import design
 
-            proposed = design.for_diagnosis(found)
+            work = found.work
+            proposed = design.propose(
+                work.contenders(), work.prepared.problem, work.recordings, work.prepared.motions, seed=self.seed
+            )
             recording.write(proposed.commands, self.design, overwrite=self.overwrite)
             print(f"{self.design}: {proposed.sentence}")
         print(f"results in {self.out}")

@@ -21,7 +21,7 @@ from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit
 from dipc_gym.sim2real.numbers import Number, own_numbers
 from dipc_gym.sim2real.recording import Recording, RecordingError
-from dipc_gym.sim2real.search import Search, Tried
+from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Structure, Term
 from dipc_gym.sim2real.windows import Prepared, prepare
@@ -214,6 +214,12 @@ class Work:
     final: Fit
     search: Search
     replaced: dict[str, list[judge.Rival]]
+
+    def contenders(self) -> list[tuple[Structure, Array]]:
+        """The chosen structure, or the recalibrated one where nothing was chosen, and the rivals still open."""
+        first = self.final if len(self.final.z) else self.recalibrated
+        open_ = [r.fitted for rivals in self.replaced.values() for r in rivals if not r.ruled_out]
+        return [(fitted.structure, fitted.z) for fitted in (first, *open_)]
 
 
 def diagnose(
@@ -592,8 +598,3 @@ def _improved(
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")
     document.comment("Changed by dipc-gym diagnose.", *lines)
     return document.text(), note
-
-
-def hypotheses(work: Work) -> list[Tried]:
-    """Every hypothesis of the first round, the best first."""
-    return work.search.rounds[0] if work.search.rounds else []

@@ -29,12 +29,14 @@ class Rival:
 
     Attributes:
         term: what was tried instead.
+        fitted: the structure with it.
         error: root mean square error of unseen windows, in units of noise.
         same: whether it is the same model here: at the noise, and no window tells the two apart.
         ruled_out: whether it predicts clearly worse.
     """
 
     term: Term
+    fitted: Fit
     error: float
     same: bool
     ruled_out: bool
@@ -141,7 +143,7 @@ def rivals(search: Search, full: Fit, term: Term, most: int = 5) -> list[Rival]:
         reached = unseen_error(search, swapped)
         close = difference.gain < max(WORTH / 2, ALIKE * difference.error) and difference.gain < 5 * WORTH
         same = close and difference.gain < WORTH and reached < max(AT_FLOOR, 1.02 * error)
-        found.append(Rival(other.term, reached, same, not close))
+        found.append(Rival(other.term, swapped, reached, same, not close))
     return found
 
 
