@@ -1,0 +1,391 @@
+"""The next experiment: the command whose recording would settle what is still open.
+
+A handful of commands is tried in simulation. Each is made as large as the range that the rig has visited allows. What
+the likeliest structure would then record is given to its rivals, their numbers and starts are refitted to it, and the
+command that leaves the closest rival furthest off, in units of noise, is proposed (Box and Hill 1967, with the
+refitted residual in the place of their criterion). With no rival, the command that determines the structure's own
+numbers best is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real import states
+from dipc_gym.sim2real.effects.base import is_dcmotor
+from dipc_gym.sim2real.fit import Problem, fit
+from dipc_gym.sim2real.numbers import own_numbers
+from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.simulate import Windows, cut, simulate
+from dipc_gym.sim2real.states import Motion
+from dipc_gym.sim2real.structure import Structure, carry, names
+
+if TYPE_CHECKING:
+    from dipc_gym.sim2real.diagnosis import Diagnosis
+
+Array = NDArray[np.float64]
+
+DURATION = 20.0  # s
+WARMING = 60.0  # s, where a temperature is in question
+SIZES = 0.5 ** np.arange(0.0, 5.0, 0.5)  # shares of the largest command that are tried
+BEYOND = 1.05  # times the range visited that a command may use
+ENOUGH = 24  # windows that a command is judged on
+TELLING = 0.3  # times the noise that a rival must be off by to be told from the likeliest in a minute or so
+OPEN_LOOP = 0.2  # of the usual command, that may be added where a controller has to keep the rig up
+
+
+@dataclass(frozen=True)
+class Design:
+    """What to do next.
+
+    Attributes:
+        sentence: what to command, where, how much and how long, and why.
+        commands: time and actuators, without sensors; `recording.write` makes a file of it.
+        difference: error in units of noise that the closest rival would be left with; NaN with no rival.
+    """
+
+    sentence: str
+    commands: Recording
+    difference: float = math.nan
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A command of one actuator."""
+
+    words: str
+    actuator: int
+    size: float
+    values: Array
+
+
+def _ramps(t: Array, rng: np.random.Generator) -> Array:
+    return np.asarray(2 / np.pi * np.arcsin(np.sin(2 * np.pi * t / 8)))
+
+
+def _triangles(t: Array, rng: np.random.Generator) -> Array:
+    return np.asarray(2 / np.pi * np.arcsin(np.sin(2 * np.pi * t / 1.3)))
+
+
+def _steps(t: Array, rng: np.random.Generator) -> Array:
+    return np.sign(np.sin(2 * np.pi * t / 1.6)) * (np.abs(np.sin(2 * np.pi * t / 1.6)) > 0.5)
+
+
+def _sweep(t: Array, rng: np.random.Generator) -> Array:
+    low, high, span = 0.3, 8.0, t[-1] + 1e-9
+    return np.sin(2 * np.pi * low * span / np.log(high / low) * ((high / low) ** (t / span) - 1))
+
+
+def _tones(t: Array, rng: np.random.Generator) -> Array:
+    frequency = np.geomspace(0.4, 9.0, 9)
+    wave = np.sin(2 * np.pi * np.outer(t, frequency) + rng.uniform(0, 2 * np.pi, 9)) @ frequency**-0.5
+    return np.asarray(wave / np.abs(wave).max())
+
+
+# In words: the shape, and its share of the largest command.
+SHAPES: dict[str, tuple[Callable[[Array, np.random.Generator], Array], float]] = {
+    "slow ramps up and down, one every 4 s": (_ramps, 1.0),
+    "triangles of 1.3 s, for many reversals": (_triangles, 1.0),
+    "steps with rests between them": (_steps, 1.0),
+    "a sweep from 0.3 to 8 Hz": (_sweep, 1.0),
+    "nine tones from 0.4 to 9 Hz": (_tones, 1.0),
+    "nine small tones from 0.4 to 9 Hz": (_tones, 0.3),
+}
+
+
+def propose(
+    structures: Sequence[tuple[Structure, Array]],
+    problem: Problem,
+    recordings: Sequence[Recording],
+    motions: Sequence[Motion],
+    *,
+    seed: int = 0,
+) -> Design:
+    """The command that tells structures apart, or determines the numbers of a single one.
+
+    Args:
+        structures: with their fitted numbers, the likeliest first, then its rivals.
+        problem: windows they were fitted to; gives noise, window length and step.
+        recordings: that were made so far; give range and sample period.
+        motions: of the base joints in them.
+        seed: of the tones' phases.
+
+    Raises:
+        ValueError: no structure, or a rig without an actuator to command.
+
+    Example:
+        >>> design = propose([(friction, z), (dead_zone, y)], problem, recordings, motions)    # doctest: +SKIP
+        >>> recording.write(design.commands, "next.csv")                                       # doctest: +SKIP
+    """
+    if not structures:
+        raise ValueError("a design needs at least one structure")
+    if not recordings[0].actuator_names:
+        raise ValueError("the rig has no actuator that could be commanded")
+    likeliest, rivals = structures[0], structures[1:]
+    period = min(recording.period for recording in recordings)
+    warms = any(term.effect.id == "motor.thermal" for structure, _ in structures for term in structure.terms)
+    time = np.arange(0.0, WARMING if warms else DURATION, period)
+    rest, low, high = _visited(motions)
+    rig = _Rig(likeliest, problem, recordings[0], time, rest, low, high)
+    if not rig.stays(np.zeros((1, len(time), len(recordings[0].actuator_names))))[0]:
+        return _beside_a_controller(structures, recordings, time, seed)
+    found = [
+        (_worth(likeliest, rivals, problem, rig, candidate), candidate)
+        for candidate in _sized(rig, recordings, time, seed)
+    ]
+    if not found:
+        return _beside_a_controller(structures, recordings, time, seed)
+    worth, best = max(found, key=lambda pair: pair[0])
+    moved = np.ptp(rig.positions(rig.commands(best)[None])[0], axis=0)
+    units = [_length(likeliest[0], name) for name in likeliest[0].base]
+    reach = [f"{name} over {way:.3g} {u}" for name, way, u in zip(likeliest[0].base, moved, units, strict=True)]
+    begin = [f"{name} at {at:.3g} {u}" for name, at, u in zip(likeliest[0].base, rest, units, strict=True)]
+    return Design(
+        f"{_question(structures)} send {recordings[0].actuator_names[best.actuator]} {best.words}, of up to "
+        f"{best.size:.3g}{_unit(likeliest[0], recordings[0], best.actuator)}, for {time[-1] + period:.0f} s, from rest "
+        f"with {', '.join(begin)}. That moves {', '.join(reach)}, no further than the recordings did. "
+        + _promise(worth, bool(rivals)),
+        _recording(recordings[0], time, rig.commands(best)),
+        worth if rivals else math.nan,
+    )
+
+
+def _promise(worth: float, rivals: bool) -> str:
+    if not rivals:
+        return "Of the commands tried it determines the numbers best."
+    if worth < TELLING:
+        return (
+            f"Do not expect much: within this range no command leaves the closest rival off by more than {worth:.2g} "
+            "times the noise. Go beyond the range, change the load, or add a sensor."
+        )
+    return f"The closest rival, refitted to what this would record, is then off by {worth:.3g} times the noise."
+
+
+def for_diagnosis(found: Diagnosis) -> Design:
+    """The next experiment after a diagnosis: between the strongest effect and what could stand in for it.
+
+    Args:
+        found: a diagnosis that got as far as fitting something.
+    """
+    work = found.work
+    if work is None:
+        raise ValueError("this diagnosis fitted nothing, so there is no model to design an experiment with")
+    final, problem = work.final, work.search.problem
+    structures = [(final.structure, final.z)]
+    for term in sorted(final.structure.terms, key=lambda t: -_share(found, t.effect.id, t.at)):
+        for rival in [r for r in work.replaced.get(term.key, []) if r.same or not r.ruled_out][:2]:
+            other = final.structure.without(term.key).with_term(rival.term)
+            start = carry(final.structure, final.z, other)
+            structures.append((other, fit(problem, other, start, final.starts, most=8).z))
+    return propose(structures[:4], problem, work.recordings, work.prepared.motions)
+
+
+def _share(found: Diagnosis, effect: str, at: str) -> float:
+    return max((m.share for m in found.missing if (m.effect, m.at) == (effect, at)), default=0.0)
+
+
+def _visited(motions: Sequence[Motion]) -> tuple[Array, Array, Array]:
+    """Usual, lowest and highest position of each base joint, (nb,) each."""
+    position = np.concatenate([motion.position for motion in motions])
+    low, high = position.min(axis=0), position.max(axis=0)
+    spare = (BEYOND - 1) / 2 * (high - low)
+    return np.median(position, axis=0), low - spare, high + spare
+
+
+class _Rig:
+    """The likeliest structure as a stand-in for the rig."""
+
+    def __init__(
+        self,
+        likeliest: tuple[Structure, Array],
+        problem: Problem,
+        like: Recording,
+        time: Array,
+        rest: Array,
+        low: Array,
+        high: Array,
+    ) -> None:
+        self.structure, self.problem, self.like, self.time, self.rest = likeliest[0], problem, like, time, rest
+        self.physics = self.structure.physics(likeliest[1])
+        self.low, self.high = low, high
+
+    def instead(self, other: tuple[Structure, Array]) -> _Rig:
+        """Another structure in its place."""
+        return _Rig(other, self.problem, self.like, self.time, self.rest, self.low, self.high)
+
+    def commands(self, candidate: _Candidate) -> Array:
+        """All actuators' commands (m, nu) of a candidate."""
+        out = np.zeros((len(self.time), len(self.like.actuator_names)))
+        out[:, candidate.actuator] = candidate.values
+        return out
+
+    def readings(self, commands: Array) -> Array:
+        """What the sensors would read (k, m, ns) under commands (k, m, nu), from rest."""
+        nb, m = len(self.rest), len(self.time)
+        still = Motion(self.time, np.tile(self.rest, (m, 1)), np.zeros((m, nb)), np.zeros((m, nb)))
+        runs = tuple(_recording(self.like, self.time, c) for c in commands)
+        k = len(runs)
+        windows = Windows(
+            runs,
+            np.arange(k),
+            np.zeros(k),
+            np.tile(self.time, (k, 1)),
+            np.zeros((k, m, len(self.like.sensor_names))),
+            np.ones((k, m), dtype=bool),
+            self.problem.windows.noise,
+            (still,) * k,
+        )
+        start = np.tile(np.concatenate([self.rest, np.zeros(nb)]), (1, k, 1))
+        finest = min(self.structure.finest, self.structure.own_finest, self.problem.stepping.timestep)
+        stepping = replace(self.problem.stepping, timestep=finest)
+        return simulate(
+            [self.physics], windows, start, stepping, base=self.structure.base, threads=self.problem.threads
+        )[0]
+
+    def positions(self, commands: Array) -> Array:
+        """Joint positions (k, m, nb) under commands (k, m, nu), as the sensors tell them."""
+        P, V, c = states.sensor_map(self.physics)
+        seen = ~V.any(axis=1)
+        inverse = states.inverse_map(P[seen], self.problem.windows.noise[seen])
+        return (self.readings(commands)[..., seen] - c[seen]) @ inverse.T
+
+    def stays(self, commands: Array) -> NDArray[np.bool_]:
+        """Whether the joints keep to the range that was visited, (k,)."""
+        position = self.positions(commands)
+        inside = (position >= self.low) & (position <= self.high)
+        return np.asarray(inside.all(axis=(1, 2)))
+
+    def would_record(self, candidate: _Candidate) -> Problem:
+        """Windows of the recording that a candidate would give, without noise."""
+        commands = self.commands(candidate)
+        run = replace(
+            self.like,
+            name="design",
+            time=self.time,
+            commands=commands,
+            sensors=self.readings(commands[None])[0],
+            path=None,
+            sha256="",
+        )
+        noise = self.problem.windows.noise
+        motion = states.estimate(run, self.physics, 1e-2 * noise)
+        length = float(self.problem.windows.times.max()) + run.period
+        windows = replace(cut([run], noise, length, (0.0, 1.0)), motions=(motion,))
+        starts = states.starts([motion], windows.source, windows.start)
+        whole = replace(self.problem, windows=windows, starts=starts)
+        return whole.pick(np.unique(np.linspace(1, len(windows) - 1, ENOUGH).round().astype(np.intp)))
+
+
+def _sized(rig: _Rig, recordings: Sequence[Recording], time: Array, seed: int) -> list[_Candidate]:
+    """Every shape at every actuator, as large as the range allows; those that fit at no size are left out."""
+    fade = np.minimum(np.minimum(time, time[-1] - time) / 0.5, 1.0)  # begins and ends gently
+    tried = []
+    for k in range(len(recordings[0].actuator_names)):
+        most = _largest(rig, recordings, k)
+        for words, (shape, share) in SHAPES.items():
+            wave = shape(time, np.random.default_rng(seed)) * fade
+            tried += [_Candidate(words, k, share * most * size, share * most * size * wave) for size in SIZES]
+    stays = rig.stays(np.stack([rig.commands(candidate) for candidate in tried])).reshape(-1, len(SIZES))
+    return [tried[i * len(SIZES) + int(np.argmax(row))] for i, row in enumerate(stays) if row.any()]
+
+
+def _largest(rig: _Rig, recordings: Sequence[Recording], actuator: int) -> float:
+    """The largest command: the control range's, or twice what was sent where there is none."""
+    model = rig.physics.model
+    if model.actuator_ctrllimited[actuator]:
+        low, high = (float(x) for x in model.actuator_ctrlrange[actuator])
+        return min(-low, high) if low < 0 < high else max(abs(low), abs(high))
+    return 2 * max(float(np.abs(r.commands[:, actuator]).max()) for r in recordings) or 1.0
+
+
+def _worth(
+    likeliest: tuple[Structure, Array],
+    rivals: Sequence[tuple[Structure, Array]],
+    problem: Problem,
+    rig: _Rig,
+    candidate: _Candidate,
+) -> float:
+    """Error that the closest rival is left with, in units of noise; with no rival, how well numbers are determined."""
+    would = rig.would_record(candidate)
+    if rivals:
+        return min(_apart(likeliest, rival, rig, candidate, would) for rival in rivals)
+    structure, z = likeliest
+    if not structure.slots:
+        free = replace(structure, numbers=tuple(own_numbers(structure.document, structure.model)))
+        structure, z = free, free.first
+    A = fit(would, structure, z, most=0).quadratics.A.sum(axis=0)
+    loose = np.diag([1 / min(slot.sigma, 10.0) ** 2 for slot in structure.slots])
+    return -float(np.sqrt(np.diag(np.linalg.inv(A + loose)).max()))
+
+
+def _apart(
+    likeliest: tuple[Structure, Array],
+    rival: tuple[Structure, Array],
+    rig: _Rig,
+    candidate: _Candidate,
+    would: Problem,
+) -> float:
+    """Error that a rival is left with; one that contains the likeliest is itself the rig, else it is never off."""
+    if not _contains(rival[0], likeliest[0]):
+        return fit(would, *rival, most=3).error
+    turned = rig.instead(rival).would_record(candidate)
+    return fit(turned, *likeliest, most=3).error
+
+
+def _contains(wide: Structure, narrow: Structure) -> bool:
+    """Whether a structure is the other one with more to it."""
+    more = {(inner, term.at) for term in wide.terms for inner in (term.effect.id, *term.effect.contains)}
+    return all((term.effect.id, term.at) in more for term in narrow.terms)
+
+
+def _beside_a_controller(
+    structures: Sequence[tuple[Structure, Array]], recordings: Sequence[Recording], time: Array, seed: int
+) -> Design:
+    """For a rig that leaves its range when left alone: tones to be added to what its controller sends."""
+    like = recordings[0]
+    usual = np.sqrt(np.mean(np.concatenate([r.commands for r in recordings]) ** 2, axis=0))
+    rng = np.random.default_rng(seed)
+    commands = np.stack([OPEN_LOOP * size * _tones(time, rng) for size in usual], axis=1)
+    sizes = " and ".join(
+        f"{OPEN_LOOP * size:.3g}{_unit(structures[0][0], like, k)} to {name}"
+        for k, (size, name) in enumerate(zip(usual, like.actuator_names, strict=True))
+    )
+    return Design(
+        f"{_question(structures)} let the controller hold the rig, which leaves its range when left alone, and add "
+        f"nine tones from 0.4 to 9 Hz, of up to {sizes}, for {time[-1]:.0f} s; record the sum as the command.",
+        _recording(like, time, commands),
+    )
+
+
+def _question(structures: Sequence[tuple[Structure, Array]]) -> str:
+    if len(structures) == 1:
+        return "To determine the model's numbers better,"
+    mine = set(names(structures[0][0].terms))
+    others = sorted({key for structure, _ in structures[1:] for key in names(structure.terms) if key not in mine})
+    theirs = [set(names(structure.terms)) for structure, _ in structures[1:]]
+    own = sorted(key for key in mine if any(key not in keys for keys in theirs))
+    return f"To tell {_listed(own)} from {_listed(others)},"
+
+
+def _listed(keys: Sequence[str]) -> str:
+    return " and ".join(key.replace("@", " at ") for key in keys) or "the model as it is"
+
+
+def _length(structure: Structure, joint: str) -> str:
+    model = structure.model
+    return "rad" if model.jnt_type[model.joint(joint).id] == mujoco.mjtJoint.mjJNT_HINGE else "m"
+
+
+def _unit(structure: Structure, like: Recording, actuator: int) -> str:
+    return " V" if is_dcmotor(structure.model, like.actuator_names[actuator].split(".")[0]) else ""
+
+
+def _recording(like: Recording, time: Array, commands: Array) -> Recording:
+    return Recording("design", time, commands, np.zeros((len(time), 0)), like.actuator_names, ())
