@@ -11,12 +11,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from dipc_gym import cli, mjcf
-from dipc_gym.sim2real import judge, recording
+from dipc_gym import cli, mjcf, physics
+from dipc_gym.sim2real import evidence, judge, recording
 from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.search import Comparison, compare
+from dipc_gym.sim2real.simulate import Stepping
+from dipc_gym.sim2real.structure import Term
+from dipc_gym.sim2real.windows import prepare
 
 MASS, DRAG, FORCE = 1.26, 40.0, 4.0  # kg, N s/m of bearing and back-EMF together, N/V
 NOMINAL = """<mujoco model="cart">
@@ -205,3 +208,18 @@ def test_practice(trial: str, tmp_path: Path) -> None:
     wanted = [(m["effect"], m["at"]) for m in answer["missing"]]
     assert [(m.effect, m.at) for m in found.missing] == wanted, found.sentence
     assert found.verdict == ("explained" if wanted else "consistent")
+
+
+def test_evidence_on_a_model_with_a_rotor_of_its_own() -> None:
+    """A second round looks at a model that has one more joint than the sensors see."""
+    source = mjcf.from_text(NOMINAL)
+    given = physics.from_model(mjcf.compile(source))
+    runs = [run(10, 6, 0.0)]
+    prepared = prepare(source, given, runs, Stepping(0.002, mujoco.mjtIntegrator.mjINT_RK4))
+    term = Term(catalogue()["transmission.backlash"], "motor", {"gap": 1e-3, "rotor_inertia": 0.1})
+    structure = prepared.structure.with_term(term)
+    scene = evidence.scene(structure.physics(structure.first), runs, prepared.motions, 1.0)
+    for effect in catalogue().values():
+        for at in evidence.places(effect, scene.model, structure.base, runs[0]):
+            for guess in effect.guesses(scene.at(effect.place, at, {})):
+                assert all(math.isfinite(value) for value in guess.values())

@@ -9,11 +9,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import mjcf
 from dipc_gym.physics import Physics
+from dipc_gym.sim2real.document import FOLLOWS
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Place, joint_of
 from dipc_gym.sim2real.effects.coupling import inertia_at
 from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.states import Motion, unexplained_force
+from dipc_gym.sim2real.states import Motion, base_joints, unexplained_force
 
 Array = NDArray[np.float64]
 
@@ -53,6 +55,7 @@ class Scene:
         joint, command, reading, gear = name, np.zeros(0), np.zeros(0), 0.0
         if place == "actuator":
             joint = joint_of(self.model, name) or ""
+            joint = mjcf.texts(self.model).get(FOLLOWS + joint, joint)  # a rotor stands for the joint that it drives
             k = self.recordings[0].actuator_names.index(name)
             command = np.concatenate([r.commands[:, k] for r in self.recordings])
             gear = float(self.model.actuator(name).gear[0])
@@ -82,7 +85,7 @@ class Scene:
 
     @property
     def _joints(self) -> list[str]:
-        return [self.model.joint(j).name for j in range(self.model.njnt)]
+        return list(base_joints(self.model))
 
 
 def scene(physics: Physics, recordings: Sequence[Recording], motions: Sequence[Motion], until: float) -> Scene:
