@@ -307,7 +307,7 @@ def test_any_name_survives(name: str) -> None:
     edited = document(source)
     edited.set(edited.joint(name), damping=2)
     catalogue()["load.constant"].edit(edited, name, {"force": 1.0})
-    edited.custom("friction.load", name, [1.0, 0.1])
+    edited.custom("friction.load", name, [1.0, 0.1, 0.1])
     loaded = physics.from_model(compiled(edited))
     assert loaded.model.joint(2).name == name
     assert loaded.extras[0].at == name
