@@ -134,6 +134,7 @@ def test_it_makes_a_file(tmp_path: Path) -> None:
     lines = path.read_text().splitlines()
     assert lines[0] == "time,motor"
     assert len(lines) == len(found.commands) + 1
+    assert lines[2].startswith("0.002,")
 
 
 def test_a_rig_that_falls_needs_its_controller() -> None:

@@ -131,7 +131,8 @@ def propose(
     likeliest, rivals = structures[0], structures[1:]
     period = min(recording.period for recording in recordings)
     warms = any(term.effect.id == "motor.thermal" for structure, _ in structures for term in structure.terms)
-    time = np.arange(0.0, WARMING if warms else DURATION, period)
+    count = round((WARMING if warms else DURATION) / period)
+    time = np.round(np.arange(count) * period, 9)
     rest, low, high = _visited(motions)
     rig = _Rig(likeliest, problem, recordings[0], time, rest, low, high)
     if not rig.stays(np.zeros((1, len(time), len(recordings[0].actuator_names))))[0]:
