@@ -268,7 +268,8 @@ def test_energy_never_rises_without_drive(level: tuple[float, float], start: tup
 def test_friction_never_exceeds_its_level(level: float, speed: float, pull: float) -> None:
     states = simulate(block(1.0), [level], [[0.0, speed]], 200, force=lambda t: pull)[:, 0]
     friction = np.diff(states[:, 1]) / STEP - pull
-    assert np.abs(friction).max() <= level * (1 + 1e-5) + 1e-9
+    # Reversals are located to a millionth of a step, in which friction still acts the old way.
+    assert np.abs(friction).max() <= level + 2e-6 * (level + abs(pull)) + 1e-9
 
 
 def test_simulations_of_a_batch_do_not_touch_each_other() -> None:
