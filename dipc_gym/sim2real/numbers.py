@@ -49,16 +49,16 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
         turning = model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_HINGE
         force, length = ("N m", "rad") if turning else ("N", "m")
         inertia = "kg m^2" if turning else "kg"
-        for parameter, value, unit in (
-            ("damping", model.dof_damping[dof], f"{force} s/{length}"),
-            ("frictionloss", model.dof_frictionloss[dof], force),
-            ("stiffness", model.jnt_stiffness[joint.id], f"{force}/{length}"),
-            ("armature", model.dof_armature[dof], inertia),
+        # Friction is the least known of all: a bearing's damping may be a guess that is off by a factor of fifty.
+        for parameter, value, unit, sigma in (
+            ("damping", model.dof_damping[dof], f"{force} s/{length}", 1.5),
+            ("frictionloss", model.dof_frictionloss[dof], force, 1.5),
+            ("stiffness", model.jnt_stiffness[joint.id], f"{force}/{length}", 0.5),
+            ("armature", model.dof_armature[dof], inertia, 0.5),
         ):
             if np.ravel(value)[0] > 0:
-                found.append(
-                    Number(parameter, name, float(np.ravel(value)[0]), unit, _first_of("joint", name, parameter))
-                )
+                write = _first_of("joint", name, parameter)
+                found.append(Number(parameter, name, float(np.ravel(value)[0]), unit, write, sigma))
     for name in document.actuator_names():
         i = model.actuator(name).id
         if is_dcmotor(model, name):
