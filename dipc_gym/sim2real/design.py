@@ -25,10 +25,10 @@ from dipc_gym.sim2real.numbers import own_numbers
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.simulate import Windows, cut, simulate
 from dipc_gym.sim2real.states import Motion
-from dipc_gym.sim2real.structure import Structure, carry, names
+from dipc_gym.sim2real.structure import Structure, names
 
 if TYPE_CHECKING:
-    from dipc_gym.sim2real.diagnosis import Diagnosis
+    pass
 
 Array = NDArray[np.float64]
 
@@ -167,29 +167,6 @@ def _promise(worth: float, rivals: bool) -> str:
             "times the noise. Go beyond the range, change the load, or add a sensor."
         )
     return f"The closest rival, refitted to what this would record, is then off by {worth:.3g} times the noise."
-
-
-def for_diagnosis(found: Diagnosis) -> Design:
-    """The next experiment after a diagnosis: between the strongest effect and what could stand in for it.
-
-    Args:
-        found: a diagnosis that got as far as fitting something.
-    """
-    work = found.work
-    if work is None:
-        raise ValueError("this diagnosis fitted nothing, so there is no model to design an experiment with")
-    final, problem = work.final, work.search.problem
-    structures = [(final.structure, final.z)]
-    for term in sorted(final.structure.terms, key=lambda t: -_share(found, t.effect.id, t.at)):
-        for rival in [r for r in work.replaced.get(term.key, []) if r.same or not r.ruled_out][:2]:
-            other = final.structure.without(term.key).with_term(rival.term)
-            start = carry(final.structure, final.z, other)
-            structures.append((other, fit(problem, other, start, final.starts, most=8).z))
-    return propose(structures[:4], problem, work.recordings, work.prepared.motions)
-
-
-def _share(found: Diagnosis, effect: str, at: str) -> float:
-    return max((m.share for m in found.missing if (m.effect, m.at) == (effect, at)), default=0.0)
 
 
 def _visited(motions: Sequence[Motion]) -> tuple[Array, Array, Array]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.simulate import Stepping, Windows, grid_step, simulate
+from dipc_gym.sim2real.simulate import Stepping, Windows, simulate
 from dipc_gym.sim2real.states import starts as early
 from dipc_gym.sim2real.structure import Structure
 
@@ -361,11 +361,6 @@ def evaluate(problem: Problem, structure: Structure, z: Array, starts: Array | N
     rows = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / shooting.spread, shooting.nb2)
     left, _ = _project(S, rows)
     return np.einsum("nmk,nmk->n", left, left) / problem.counts, s
-
-
-def step_of(problem: Problem, structure: Structure) -> float:
-    """The step at which a structure is simulated, s."""
-    return grid_step(problem.windows, _stepping(problem, structure))
 
 
 def _stepping(problem: Problem, structure: Structure) -> Stepping:

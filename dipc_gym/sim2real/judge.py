@@ -131,12 +131,10 @@ def rivals(search: Search, full: Fit, term: Term, most: int = 5) -> list[Rival]:
     found = []
     for other in others[:most]:
         base = full.structure.without(term.key).with_term(other.term)
+        # A rival of the only effect was fitted in its round; it goes on from there.
+        near = other.fitted if other.fitted is not None and len(full.structure.terms) == 1 else full
         try:
-            if other.fitted is not None and len(full.structure.terms) == 1:
-                begin = carry(other.fitted.structure, other.fitted.z, base)
-                swapped = fit(search.problem, base, begin, other.fitted.starts, most=8)
-            else:
-                swapped = fit(search.problem, base, carry(full.structure, full.z, base), full.starts, most=8)
+            swapped = fit(search.problem, base, carry(near.structure, near.z, base), near.starts, most=8)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             continue
         difference = search.compare(full, swapped)

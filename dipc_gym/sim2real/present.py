@@ -8,8 +8,8 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -75,7 +75,7 @@ def report_data(found: Diagnosis, model: str, command: str) -> report.ReportData
         return report.ReportData(model, diagnosis, command=command, notes=found.notes)
     before = "recalibrated" if work.recalibrated.structure.numbers else "nominal"
     held = {
-        name: _on(work.held, work.nominal if name == "nominal" else fitted)
+        name: _on(work.held, fitted)
         for name, fitted in (("nominal", work.nominal), ("recalibrated", work.recalibrated), ("improved", work.final))
     }
     structural = bool(work.final.structure.terms)
@@ -84,7 +84,7 @@ def report_data(found: Diagnosis, model: str, command: str) -> report.ReportData
         diagnosis,
         before,  # type: ignore[arg-type]
         _traces(work, held, structural),
-        _maps(work, structural),
+        _maps(work, structural, [x.at for x in found.located]),
         _candidates(work),
         _residuals(work, held, before, structural),
         _difference(work, found.improved),
@@ -144,13 +144,13 @@ def _rising(time: Array) -> Array:
     return time
 
 
-def _maps(work: Work, structural: bool) -> list[report.Mismatch]:
+def _maps(work: Work, structural: bool, order: Sequence[str]) -> list[report.Mismatch]:
     structure = work.prepared.structure
     first = work.search.look(work.recalibrated if work.recalibrated.structure.numbers else work.nominal)
     after = work.search.look(work.final) if structural else None
     maps = []
     for j, joint in enumerate(structure.base):
-        hinge = structure.model.jnt_type[structure.model.joint(joint).id] == 3
+        hinge = structure.model.jnt_type[structure.model.joint(joint).id] == mujoco.mjtJoint.mjJNT_HINGE
         maps.append(
             report.Mismatch(
                 joint,
@@ -163,14 +163,7 @@ def _maps(work: Work, structural: bool) -> list[report.Mismatch]:
                 None if after is None else after.force[:, j],
             )
         )
-    order = {x.at: i for i, x in enumerate(_located(work))}
-    return sorted(maps, key=lambda m: order[m.joint])
-
-
-def _located(work: Work) -> Sequence[Any]:
-    from dipc_gym.sim2real.judge import locate
-
-    return locate(work.search.look(work.recalibrated), work.prepared.structure.base)
+    return sorted(maps, key=lambda m: order.index(m.joint))
 
 
 def _candidates(work: Work) -> list[report.Candidate]:
