@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dipc_gym.sim2real.diagnosis import Diagnosis, diagnose
+    from dipc_gym.sim2real.diagnosis import diagnose
+    from dipc_gym.sim2real.result import Diagnosis
 
 __all__ = ["Diagnosis", "diagnose"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -15,21 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import evidence, judge, states
+from dipc_gym.sim2real import evidence, improve, judge, sentences, states
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
-from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit
+from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, typical
 from dipc_gym.sim2real.numbers import Number, own_numbers
 from dipc_gym.sim2real.recording import Recording, RecordingError
+from dipc_gym.sim2real.result import Diagnosis, Errors, Missing, Work
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.structure import Structure, Term
+from dipc_gym.sim2real.structure import Term
 from dipc_gym.sim2real.windows import Prepared, prepare
 
 Array = NDArray[np.float64]
 
 TRAIN = 0.75  # of each recording is fitted where none is held out
 WINDOWS = 72  # fitted and compared on, two thirds and one third; more say little more
+ODD = 6  # windows left aside that are fitted after all
+FAR_OUT = 4.0  # times the usual square error, from which they are
 COARSEST = 2e-3  # s; longest step of the analysis
 NEGLIGIBLE = 2e-3  # a number that moves by less was right
 STILL = 10.0  # times its noise: a joint that moves less tells nothing
@@ -68,158 +70,6 @@ class Wishes:
                 number = replace(number, sigma=spread / mean, expected=mean)
             out.append(number)
         return out
-
-
-@dataclass(frozen=True)
-class Missing:
-    """An effect that the model lacks.
-
-    Attributes:
-        effect: id, or `unknown`.
-        at: place.
-        sentence: in plain words.
-        share: of the reachable improvement that is lost without it.
-        parameters: name -> value, interval and unit.
-        same_here: other names for the same model on this rig with this data.
-        rivals: other effects that were tried in its place.
-        needs_loader: whether stock MuJoCo leaves it out.
-    """
-
-    effect: str
-    at: str
-    sentence: str
-    share: float
-    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
-    same_here: tuple[dict[str, str], ...] = ()
-    rivals: tuple[dict[str, Any], ...] = ()
-    needs_loader: bool = False
-
-    def to_dict(self) -> dict[str, Any]:
-        """As in diagnosis.json."""
-        return {
-            "effect": self.effect,
-            "at": self.at,
-            "sentence": self.sentence,
-            "share": round(self.share, 4),
-            "same_here": list(self.same_here),
-            "parameters": self.parameters,
-            "rivals": list(self.rivals),
-        }
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Prediction errors on one set of windows, in units of noise."""
-
-    nominal: float
-    recalibrated: float
-    improved: float
-
-    def relative(self) -> dict[str, float]:
-        """Relative to the nominal model's."""
-        scale = max(self.nominal, 1e-12)
-        return {
-            "nominal": 1.0,
-            "recalibrated": round(self.recalibrated / scale, 6),
-            "improved": round(self.improved / scale, 6),
-        }
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """What was found; `to_dict` is diagnosis.json, `improved` the text of improved.xml.
-
-    Attributes:
-        verdict: one of `report.VERDICTS`.
-        sentence: what happened, for the rig's owner.
-        located: where the unexplained force sits.
-        missing: effects, the strongest first.
-        recalibrated: own numbers that had to change.
-        train: errors on the windows that were fitted.
-        held_out: errors on windows that no choice has touched.
-        next_experiment: what would settle what is left.
-        improved: MJCF text of the improved model.
-        notes: about recordings and step size.
-        provenance: versions, inputs, seed.
-        work: what the report draws; None where nothing could be fitted.
-    """
-
-    verdict: str
-    sentence: str
-    located: tuple[judge.Located, ...] = ()
-    missing: tuple[Missing, ...] = ()
-    recalibrated: tuple[dict[str, Any], ...] = ()
-    train: Errors | None = None
-    held_out: Errors | None = None
-    next_experiment: str = ""
-    improved: str = ""
-    notes: tuple[str, ...] = ()
-    provenance: dict[str, Any] = field(default_factory=dict)
-    work: Work | None = field(default=None, repr=False)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The contents of diagnosis.json."""
-        fit: dict[str, Any] = {}
-        if self.train is not None and self.held_out is not None:
-            fit = {
-                "train": self.train.relative(),
-                "held_out": self.held_out.relative(),
-                "noise_floor": round(1 / max(self.held_out.nominal, 1e-12), 6),
-                "held_out_in_noise": {
-                    "nominal": round(self.held_out.nominal, 4),
-                    "recalibrated": round(self.held_out.recalibrated, 4),
-                    "improved": round(self.held_out.improved, 4),
-                },
-            }
-        return {
-            "schema": "dipc-gym/diagnosis/1",
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "located": [
-                {"at": x.at, "kind": "joint", "share": round(x.share, 4), "where": x.where} for x in self.located
-            ],
-            "missing": [x.to_dict() for x in self.missing],
-            "recalibrated": list(self.recalibrated),
-            "fit": fit,
-            "next_experiment": self.next_experiment,
-            "improved_model": "improved.xml",
-            "needs_dipc_gym": [f"{x.effect}@{x.at}" for x in self.missing if x.needs_loader],
-            "notes": list(self.notes),
-            "provenance": self.provenance,
-        }
-
-
-@dataclass(frozen=True)
-class Work:
-    """Everything behind a diagnosis, for the report and for whoever wants to go on.
-
-    Attributes:
-        source: the nominal model.
-        recordings: that were fitted.
-        held: windows for judging.
-        prepared: windows for fitting.
-        nominal: fit of the starts alone.
-        recalibrated: fit of the own numbers.
-        final: fit of the chosen structure.
-        search: with every hypothesis tried.
-        replaced: rivals of each effect found, by its key.
-    """
-
-    source: mjcf.Source
-    recordings: tuple[Recording, ...]
-    held: Problem
-    prepared: Prepared
-    nominal: Fit
-    recalibrated: Fit
-    final: Fit
-    search: Search
-    replaced: dict[str, list[judge.Rival]]
-
-    def contenders(self) -> list[tuple[Structure, Array]]:
-        """The chosen structure, or the recalibrated one where nothing was chosen, and the rivals still open."""
-        first = self.final if len(self.final.z) else self.recalibrated
-        open_ = [r.fitted for rivals in self.replaced.values() for r in rivals if not r.ruled_out]
-        return [(fitted.structure, fitted.z) for fitted in (first, *open_)]
 
 
 def diagnose(
@@ -269,27 +119,32 @@ def diagnose(
     try:
         prepared = prepare(source, given, recordings, stepping, span=span, threads=threads)
         judged, judged_span = (held_out, (0.0, 1.0)) if held_out else (recordings, (TRAIN, 1.0))
-        held = prepare(
-            source, given, judged, stepping, length=prepared.length, span=judged_span, threads=threads
-        ).problem
+        kept = prepare(source, given, judged, stepping, length=prepared.length, span=judged_span, threads=threads)
     except states.Undetermined as error:
         return _cannot_tell(str(error), source, notes, provenance)
     quiet = _quiet(prepared)
     if quiet:
         return _cannot_tell(quiet, source, notes, provenance)
-    held = replace(held, windows=replace(held.windows, noise=prepared.problem.windows.noise))
-    problem, unseen = _split(prepared.problem)
+    held = replace(kept.problem, windows=replace(kept.problem.windows, noise=prepared.problem.windows.noise))
+    problem, unseen, rest = _split(prepared.problem)
     tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
 
     nominal = fit(problem, prepared.structure)
     recalibrated = fit(problem, replace(prepared.structure, numbers=tuple(numbers)), starts=nominal.starts, most=20)
+    odd = _odd(rest, recalibrated)
+    if len(odd.windows):
+        problem = problem.join(odd)
+        nominal = fit(problem, prepared.structure)
+        recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.starts)
     tell(f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}")
     search = Search(
         problem,
         unseen,
         list(effects if effects is not None else catalogue().values()),
         prepared.structure.base,
-        lambda f: evidence.scene(f.structure.physics(f.z), recordings, prepared.motions, span[1]),
+        lambda f: evidence.scene(
+            f.structure.physics(f.z), recordings, prepared.motions, span[1], _odd_times(problem, f)
+        ),
         fit(problem, recalibrated.structure, np.zeros(len(numbers)), nominal.starts, most=0),
         tell,
     )
@@ -301,6 +156,14 @@ def diagnose(
     final = judge.fewest_numbers(search, best)
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
     errors = Errors(*(_error(held, f) for f in (nominal, recalibrated, final)))
+    forces = np.stack(
+        [
+            evidence.force_errors(f.structure.physics(f.z), judged, kept.motions, judged_span)
+            for f in (nominal, recalibrated, final)
+        ]
+    )
+    force = {joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, forces.T, strict=True)}
+    notes += sentences.disagreement(errors, force)
     located = judge.locate(search.look(recalibrated), prepared.structure.base)
     spread = judge.intervals(final, problem)
     shift = _step_shift(final, problem)
@@ -313,7 +176,7 @@ def diagnose(
         tell(f"what could stand in for {term.key}?")
         replaced[term.key] = judge.rivals(search, final, term)
     missing = [
-        _missing(search, final, term, worst, replaced[term.key], spread, shift, verdict)
+        _missing(search, final, term, worst, _rivals_told(replaced[term.key], held, errors), spread, shift, verdict)
         for term in final.structure.terms
     ]
     if verdict == "consistent":
@@ -323,18 +186,19 @@ def diagnose(
         missing = _with_unknown(missing, errors, search, final, prepared)
     improved = source.text
     if verdict != "consistent":
-        improved, step_note = _improved(source, given, prepared, final, errors)
+        improved, step_note = improve.improved_model(source, given, prepared, final, errors)
         notes += [step_note] if step_note else []
     provenance["seconds"] = round(time.monotonic() - began, 1)
     return Diagnosis(
         verdict,
-        _sentence(verdict, missing, changed, errors),
+        sentences.in_one_sentence(verdict, missing, changed, errors),
         tuple(located),
         tuple(missing),
         tuple(changed),
         train,
         errors,
-        _next(verdict, missing),
+        force,
+        sentences.next_experiment(verdict, missing),
         improved,
         tuple(notes),
         provenance,
@@ -342,8 +206,8 @@ def diagnose(
     )
 
 
-def _split(problem: Problem) -> tuple[Problem, Problem]:
-    """Windows to fit and windows to compare on, every third one, spread evenly over the recordings."""
+def _split(problem: Problem) -> tuple[Problem, Problem, Problem]:
+    """Windows to fit, windows to compare on (every third one), spread evenly over the recordings, and the others."""
     count = len(problem.windows)
     if count < 9:
         raise RecordingError(
@@ -351,7 +215,22 @@ def _split(problem: Problem) -> tuple[Problem, Problem]:
             "needed: record longer"
         )
     chosen = np.unique(np.linspace(0, count - 1, min(WINDOWS, count)).round().astype(np.intp))
-    return problem.pick(np.delete(chosen, np.s_[1::3])), problem.pick(chosen[1::3])
+    others = np.setdiff1d(np.arange(count), chosen)
+    return problem.pick(np.delete(chosen, np.s_[1::3])), problem.pick(chosen[1::3]), problem.pick(others)
+
+
+def _odd_times(problem: Problem, fitted: Fit) -> Array:
+    """Times at which fitted windows begin that are far worse than most, the worst first."""
+    worst = np.argsort(-fitted.mse)[:ODD]
+    return problem.windows.start[worst[fitted.mse[worst] > FAR_OUT * typical(fitted.mse)]]
+
+
+def _odd(rest: Problem, recalibrated: Fit) -> Problem:
+    """Windows, of those left aside, in which something happened that the others do not show: a push, a knock."""
+    if not len(rest.windows):
+        return rest
+    mse, _ = evaluate(rest, recalibrated.structure, recalibrated.z)
+    return rest.pick(np.argsort(-mse)[:ODD][np.sort(mse)[::-1][:ODD] > FAR_OUT * typical(recalibrated.mse)])
 
 
 def _error(problem: Problem, fitted: Fit) -> float:
@@ -438,17 +317,31 @@ def _step_shift(final: Fit, problem: Problem) -> Array:
     return np.abs(again.z - final.z)
 
 
+def _rivals_told(replaced: Sequence[judge.Rival], held: Problem, errors: Errors) -> list[dict[str, Any]]:
+    """Rivals as diagnosis.json lists them, and whether they are the same model here."""
+    return [
+        {
+            "effect": r.term.effect.name,
+            "at": r.term.at,
+            "held_out": round(_error(held, r.fitted) / max(errors.nominal, 1e-12), 6),
+            "ruled_out": r.ruled_out,
+            "same": r.same,
+        }
+        for r in replaced
+    ]
+
+
 def _missing(
     search: Search,
     final: Fit,
     term: Term,
     worst: float,
-    replaced: Sequence[judge.Rival],
+    replaced: Sequence[dict[str, Any]],
     spread: Array,
     shift: Array,
     verdict: str,
 ) -> Missing:
-    units = place_units(final.structure, term)
+    units = improve.place_units(final.structure, term)
     values = final.structure.term_values(final.z, term)
     parameters: dict[str, dict[str, Any]] = {}
     for i, slot in enumerate(final.structure.slots):
@@ -458,43 +351,21 @@ def _missing(
         name = slot.key.removeprefix(prefix)
         entry: dict[str, Any] = {"value": slot.value(final.z[i]), "unit": units[name]}
         # With structure left, an interval would tell how sure a wrong model is of its number.
-        if verdict == "explained":
+        if verdict == "explained" and not term.effect.once:
             wide = judge.QUANTILE * spread[i] + shift[i]
             low, high = slot.value(final.z[i] - wide), slot.value(final.z[i] + wide)
             entry |= {"low": min(low, high), "high": max(low, high), "level": 0.9}
         parameters[name] = entry
     return Missing(
-        term.effect.id,
+        term.effect.name,
         term.at,
         term.effect.sentence(term.at, values, units),
         judge.share(search, final, term.key, worst),
         parameters,
-        tuple({"effect": r.term.effect.id, "at": r.term.at} for r in replaced if r.same),
-        tuple(
-            {"effect": r.term.effect.id, "at": r.term.at, "error_in_noise": round(r.error, 4), "ruled_out": r.ruled_out}
-            for r in replaced
-        ),
+        tuple({"effect": r["effect"], "at": r["at"]} for r in replaced if r["same"]),
+        tuple({name: value for name, value in r.items() if name != "same"} for r in replaced),
         term.effect.needs_loader,
     )
-
-
-def place_units(structure: Structure, term: Term) -> dict[str, str]:
-    """Unit of each parameter of an effect, in terms of its joint's kind."""
-    from dipc_gym.sim2real.effects.base import joint_of
-
-    model = structure.model
-    joint = term.at if term.effect.place == "joint" else ""
-    if term.effect.place == "actuator":
-        joint = joint_of(model, term.at) or ""
-    hinge = bool(joint) and model.jnt_type[model.joint(joint).id] == mujoco.mjtJoint.mjJNT_HINGE
-    units = {}
-    for p in term.effect.parameters:
-        unit = p.unit
-        if hinge and term.effect.id != "motor.cogging":
-            unit = {"N": "N m", "m": "rad", "N/m": "N m/rad", "kg": "kg m^2", "m/s": "rad/s"}.get(unit, unit)
-            unit = {"N s/m": "N m s/rad", "N s^2/m^2": "N m s^2/rad^2"}.get(unit, unit)
-        units[p.name] = {"command": "V" if term.effect.place == "actuator" else "", "reading": ""}.get(unit, unit)
-    return units
 
 
 def _with_unknown(
@@ -506,95 +377,7 @@ def _with_unknown(
     unknown = Missing(
         "unknown",
         place.at,
-        f"Something acts at {place.at} that no effect in the catalogue accounts for; it {_verb(place.where)}.",
+        f"Something acts at {place.at} that no effect in the catalogue accounts for; it {sentences.verb(place.where)}.",
         float(np.clip(left, 0, 1)),
     )
     return [unknown, *missing] if not missing or left > judge.STANDS_IN else [*missing, unknown]
-
-
-def _verb(where: str) -> str:
-    return where if where.startswith(("goes", "grows", "changes")) else f"is {where}"
-
-
-def _sentence(verdict: str, missing: Sequence[Missing], changed: Sequence[dict[str, Any]], errors: Errors) -> str:
-    fall = f"On held-out data the error falls from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
-    known = " ".join(m.sentence for m in missing if m.effect != "unknown")
-    rest = ""
-    if errors.improved > judge.AT_FLOOR:
-        rest = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
-    if verdict == "consistent":
-        return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.3g} times the noise.{rest}"
-    if verdict == "recalibrated":
-        names = ", ".join(f"{c['parameter']} of {c['at']}" for c in changed)
-        return f"No physics is missing; wrong numbers were: {names}. {fall}.{rest}"
-    if verdict == "explained":
-        return f"The model lacks this: {known} {fall}; what is left looks like noise."
-    if verdict == "partly explained":
-        return f"{known} That helps, but structure is left that no known effect accounts for. {fall}."
-    return f"{missing[0].sentence if missing else ''} {fall}.".strip()
-
-
-def _next(verdict: str, missing: Sequence[Missing]) -> str:
-    """What to record to settle what is left."""
-    open_ = [(m, s) for m in missing for s in m.same_here]
-    if open_:
-        m, s = open_[0]
-        return (
-            f"On this rig with this data {m.effect} at {m.at} and {s['effect']} at {s['at']} are one model. To tell "
-            "them apart, record what moves one and not the other: other speeds, other positions, another load, or a "
-            "second sensor."
-        )
-    doubt = [(m, r) for m in missing for r in m.rivals if not r["ruled_out"]]
-    if doubt:
-        m, r = doubt[0]
-        return (
-            f"{r['effect']} at {r['at']} predicts nearly as well as {m.effect} at {m.at}. Record slow reversals and "
-            "fast steps over the whole range for a minute."
-        )
-    if verdict in ("partly explained", "unexplained"):
-        return (
-            "Repeat one short command many times over several minutes, at rest in between: what changes from one time "
-            "to the next depends on time or temperature, what does not depends on the state."
-        )
-    return "Nothing is open. Record again when the rig is changed."
-
-
-def _improved(
-    source: mjcf.Source,
-    given: physics.Physics,
-    prepared: Prepared,
-    final: Fit,
-    errors: Errors,
-) -> tuple[str, str]:
-    """Text of the improved model with its numbers refitted at the file's own step, and what that step costs."""
-    structure = final.structure
-    if not structure.numbers and not structure.terms:
-        return source.text, ""
-    own = Stepping(given.model.opt.timestep, None)
-    coarse = replace(prepared.problem, stepping=own)
-    count = len(coarse.windows)
-    some = coarse.pick(np.unique(np.linspace(0, count - 1, min(36, count)).round().astype(np.intp)))
-    z = final.z
-    before, _ = evaluate(some, structure, z)
-    with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
-        again = fit(some, structure, z, most=4)
-        after, _ = evaluate(some, structure, again.z)
-        if np.mean(after) < np.mean(before):
-            z, before = again.z, after
-    error = float(np.sqrt(np.mean(before)))
-    note = ""
-    if error > 1.2 * max(errors.improved, 1.0):
-        note = (
-            f"At the model's own step of {1e3 * own.timestep:g} ms and with its integrator the improved model predicts "
-            f"to {error:.3g} times the noise, with a converged step to {errors.improved:.3g}: a shorter step is worth "
-            "more than any further physics."
-        )
-    document = structure.write(z)
-    lines = [t.effect.sentence(t.at, structure.term_values(z, t), place_units(structure, t)) for t in structure.terms]
-    loaders = [t.key for t in structure.terms if t.effect.needs_loader]
-    if structure.numbers:
-        lines.append("Refitted: " + ", ".join(n.key for n in structure.numbers) + ".")
-    if loaders:
-        lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")
-    document.comment("Changed by dipc-gym diagnose.", *lines)
-    return document.text(), note

@@ -19,6 +19,8 @@ from dipc_gym.sim2real.states import Motion, base_joints, unexplained_force
 
 Array = NDArray[np.float64]
 
+AVERAGED = 0.025  # s
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -33,6 +35,7 @@ class Scene:
         force: unexplained generalised force, (n, nv).
         load: that each joint transmits, (n, nv).
         source: index of the recording, (n,).
+        odd: times at which windows begin that are predicted far worse than most, the worst first, s.
     """
 
     model: mujoco.MjModel
@@ -43,6 +46,7 @@ class Scene:
     force: Array
     load: Array
     source: NDArray[np.intp]
+    odd: tuple[float, ...] = ()
 
     def at(self, place: Place, name: str, levels: dict[str, float]) -> Evidence:
         """The evidence at one place; a sensor's or actuator's joint stands for it.
@@ -81,6 +85,7 @@ class Scene:
             min(r.period for r in self.recordings),
             levels.get(joint),
             name,
+            self.odd,
         )
 
     @property
@@ -88,7 +93,13 @@ class Scene:
         return list(base_joints(self.model))
 
 
-def scene(physics: Physics, recordings: Sequence[Recording], motions: Sequence[Motion], until: float) -> Scene:
+def scene(
+    physics: Physics,
+    recordings: Sequence[Recording],
+    motions: Sequence[Motion],
+    until: float,
+    odd: Sequence[float] = (),
+) -> Scene:
     """What a model leaves unexplained.
 
     Args:
@@ -96,6 +107,7 @@ def scene(physics: Physics, recordings: Sequence[Recording], motions: Sequence[M
         recordings: what was measured.
         motions: of the joints.
         until: the part of each recording to look at, from its start.
+        odd: times at which windows begin that are predicted far worse than most, s.
     """
     model = physics.model
     parts = []
@@ -106,7 +118,33 @@ def scene(physics: Physics, recordings: Sequence[Recording], motions: Sequence[M
     time, position, velocity, force, load = (np.concatenate(part) for part in zip(*parts, strict=True))
     source = np.concatenate([np.full(len(part[0]), i) for i, part in enumerate(parts)])
     cut = tuple(recording.slice(0, int(until * len(recording))) for recording in recordings)
-    return Scene(model, cut, time, position, velocity, force, load, source)
+    return Scene(model, cut, time, position, velocity, force, load, source, tuple(odd))
+
+
+def force_errors(
+    physics: Physics, recordings: Sequence[Recording], motions: Sequence[Motion], span: tuple[float, float]
+) -> Array:
+    """Error of the inverse model at each base joint, relative to the force that the joint transmits, (nb,).
+
+    Identification by inverse dynamics (Janot, Gautier and Brunot 2019 for one) judges itself by this number. Force and
+    error are averaged over stretches of 25 ms first, as its filters do: no acceleration is known faster than that.
+
+    Args:
+        physics: the model.
+        recordings: what was measured.
+        motions: of the joints.
+        span: the part of each recording to judge, as fractions of its length.
+    """
+    lacking, transmitted = [], []
+    for recording, motion in zip(recordings, motions, strict=True):
+        force, load = unexplained_force(physics, recording, motion)
+        low, high = (int(x * len(recording)) for x in span)
+        mean = max(1, round(AVERAGED / recording.period))
+        count = (high - low) // mean
+        for kept, values in ((lacking, force), (transmitted, load)):
+            kept.append(values[low : low + count * mean].reshape(count, mean, -1).mean(axis=1))
+    size = np.linalg.norm(np.concatenate(transmitted), axis=0)
+    return np.asarray(np.linalg.norm(np.concatenate(lacking), axis=0) / np.maximum(size, 1e-300))
 
 
 def places(effect: Effect, model: mujoco.MjModel, joints: Sequence[str], recording: Recording) -> list[str]:

@@ -48,6 +48,10 @@ class Problem:
         """Some of the windows."""
         return replace(self, windows=self.windows.pick(which), starts=self.starts[which])
 
+    def join(self, other: Problem) -> Problem:
+        """These windows and others of the same recordings."""
+        return replace(self, windows=self.windows.join(other.windows), starts=np.append(self.starts, other.starts, 0))
+
     @property
     def counts(self) -> Array:
         """Readings in each window, (n,); sensors that never change say nothing and do not count."""
@@ -118,7 +122,17 @@ class Fit:
 
 def weights(mse: Array) -> Array:
     """Weight of each window: those that are far off count less, so that a few cannot decide a fit."""
-    return 1.0 / (max(1.0, float(np.median(mse))) + mse)
+    return 1.0 / (typical(mse) + mse)
+
+
+def typical(mse: Array) -> float:
+    """Mean square error that all but a fifth of the windows stay below, at least the noise.
+
+    Errors are compared on this scale: below it they add up as squares do, above it as logarithms, so that a few
+    windows in which something else happened decide nothing. Where no structure comes down to the noise, a median in
+    its place would let a structure win on the quiet half of the windows that fails wherever the motion is fast.
+    """
+    return max(1.0, float(np.quantile(mse, 0.8)))
 
 
 def predict(problem: Problem, structure: Structure, Z: Sequence[Array], starts: Array) -> Array:
@@ -260,7 +274,7 @@ def fit(
         mse = quadratics.c / counts
         if steps >= most or not len(z) or converged:
             break
-        scale = max(1.0, float(np.median(mse)))
+        scale = typical(mse)
         w = 1.0 / (scale + mse) / counts
         uncorrected = np.einsum("nmk,nmk->n", r, r) / counts
         now = _objective(uncorrected, scale) + prior_z @ (z - centre) ** 2 / counts.mean()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.sim2real.evidence import Scene
 from dipc_gym.sim2real.fit import Fit, Problem, fit, weights
-from dipc_gym.sim2real.search import ALIKE, WORTH, Search
+from dipc_gym.sim2real.search import ALIKE, LARGE, WORTH, Search
 from dipc_gym.sim2real.structure import Term, carry
 
 Array = NDArray[np.float64]
@@ -131,12 +131,15 @@ def rivals(search: Search, full: Fit, term: Term, most: int = 5) -> list[Rival]:
     found = []
     for other in others[:most]:
         base = full.structure.without(term.key).with_term(other.term)
-        # A rival of the only effect was fitted in its round; it goes on from there.
-        near = other.fitted if other.fitted is not None and len(full.structure.terms) == 1 else full
-        try:
-            swapped = fit(search.problem, base, carry(near.structure, near.z, base), near.starts, most=8)
-        except (mjcf.MjcfError, np.linalg.LinAlgError):
-            continue
+        alone = len(full.structure.terms) == 1
+        if other.fitted is not None and alone and search.compare(full, other.fitted).gain > LARGE:
+            swapped = other.fitted  # fitted in its round, and so far behind that fitting on would not bring it close
+        else:
+            near = other.fitted if other.fitted is not None and alone else full
+            try:
+                swapped = fit(search.problem, base, carry(near.structure, near.z, base), near.starts, most=8)
+            except (mjcf.MjcfError, np.linalg.LinAlgError):
+                continue
         difference = search.compare(full, swapped)
         reached = unseen_error(search, swapped)
         close = difference.gain < max(WORTH / 2, ALIKE * difference.error) and difference.gain < 5 * WORTH

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real import report
-from dipc_gym.sim2real.diagnosis import Diagnosis, Work
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.fit import Fit, Problem, correct_starts, fit
+from dipc_gym.sim2real.result import Diagnosis, Work
 from dipc_gym.sim2real.search import compare
 from dipc_gym.sim2real.units import of_sensor
 
@@ -183,11 +183,11 @@ def _candidates(work: Work) -> list[report.Candidate]:
         words = (tried.term.effect.__doc__ or "").split("\n")[0].rstrip(".")
         fitted = tried.fitted
         if fitted is None:
-            rows[tried.key] = report.Candidate(tried.term.effect.id, tried.term.at, words, "screened out")
+            rows[tried.key] = report.Candidate(tried.term.effect.name, tried.term.at, words, "screened out")
             continue
         gain = compare(search.unseen_mse(fitted), search.unseen_mse(baseline), search.unseen.blocks)
         rows[tried.key] = report.Candidate(
-            tried.term.effect.id,
+            tried.term.effect.name,
             tried.term.at,
             words,
             "chosen" if tried.key in chosen else status.get(tried.key, "ruled out"),  # type: ignore[arg-type]

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect
 from dipc_gym.sim2real.evidence import Scene, places
-from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, predict, residual, weights
-from dipc_gym.sim2real.structure import Structure, Term, carry
+from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, predict, residual, typical, weights
+from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
 
@@ -27,6 +27,9 @@ CLEAR = 2.5  # standard errors by which an improvement must stand out
 LARGE = 0.5  # improvement of the mean log square error (an error one fifth smaller) that no chance brings about
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
+MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
+EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
+FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
 ALIKE = 2.0  # standard errors within which two hypotheses are not told apart
 
 
@@ -133,14 +136,25 @@ class Search:
         covered = {(inner, term.at) for term in current.structure.terms for inner in term.effect.contains}
         found = []
         for effect in self.effects:
-            for at in places(effect, scene.model, self.joints, scene.recordings[0]):
+            for at in places(effect, current.structure.model, self.joints, scene.recordings[0]):
                 if f"{effect.id}@{at}" in taken or (effect.id, at) in covered:
                     continue
                 if _clash(current.structure, effect, at):
                     continue
                 evidence = scene.at(effect.place, at, levels)
-                found += [Term(effect, at, dict(guess)) for guess in effect.guesses(evidence)]
+                plain = self._plain(current, effect, at)
+                found += [Term(effect, at, {**guess, **plain}) for guess in effect.guesses(evidence)]
         return found
+
+    @staticmethod
+    def _plain(current: Fit, effect: Effect, at: str) -> dict[str, float]:
+        """Numbers that an effect shares with plainer ones that are there and that it would replace."""
+        shared: dict[str, float] = {}
+        for term in current.structure.terms:
+            if term.at == at and term.effect.id in effect.contains:
+                values = current.structure.term_values(current.z, term)
+                shared |= {p.name: values[p.name] for p in effect.parameters if p.name in values}
+        return shared
 
     def screen(self, current: Fit, terms: Sequence[Term]) -> list[Tried]:
         """Rank hypotheses by what they promise; the best guess of each, the most promising first."""
@@ -201,7 +215,7 @@ class Search:
         ranked = sorted(promising.values(), key=lambda pair: -pair[0].promise)
         least = max(WORTH / 4, 0.05 * ranked[0][0].promise) if ranked else 0.0
         done: list[Tried] = []
-        for tried, base in [pair for pair in ranked if pair[0].promise > least][:FINALISTS]:
+        for tried, base in _finalists([pair for pair in ranked if pair[0].promise > least]):
             fitted = self.full(base, tried.term)
             if fitted is not None:
                 done.append(replace(tried, fitted=fitted))
@@ -214,7 +228,7 @@ class Search:
     def _scored(self, done: Sequence[Tried]) -> list[Tried]:
         """Fitted hypotheses with their scores, the best first."""
         errors = [self.mse(tried.fitted) for tried in done if tried.fitted is not None]
-        usual = min((float(np.median(mse)) for mse in errors), default=1.0)
+        usual = min((typical(mse) for mse in errors), default=1.0)
         scored = [replace(t, score=float(np.mean(loss(mse, usual)))) for t, mse in zip(done, errors, strict=True)]
         return sorted(scored, key=lambda tried: tried.score)
 
@@ -245,7 +259,27 @@ class Search:
         assert best.fitted is not None
         alike = [t for t in clear if t.fitted is not None and self.alike(best.fitted, t.fitted, current)]
         chosen = min(alike, key=lambda t: (*_cost(t.fitted), t.score))
-        return chosen.fitted
+        return self.core(chosen, clear, current).fitted
+
+    def core(self, chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
+        """The plainer effect that a chosen one elaborates, where it alone brings most of the improvement.
+
+        Friction that varies with position takes up some of what a lacking second effect leaves. What it adds to plain
+        friction is asked again when the rest is in place.
+        """
+        assert chosen.fitted is not None
+        if chosen.fitted.error < FLOOR:
+            return chosen
+        most = current.error - MOST * (current.error - chosen.fitted.error)
+        plain = [
+            t
+            for t in clear
+            if t.term.effect.id in chosen.term.effect.contains
+            and t.term.at == chosen.term.at
+            and t.fitted is not None
+            and t.fitted.error < most
+        ]
+        return self.core(min(plain, key=lambda t: t.score), clear, current) if plain else chosen
 
     def stands_out(self, term: Term, fitted: Fit, current: Fit) -> bool:
         """Whether a fit with one more effect is clearly better.
@@ -253,10 +287,21 @@ class Search:
         What happened once shows in a window or two, seen or unseen; it is believed where all others are at the noise.
         """
         if not term.effect.once:
-            return self.compare(fitted, current).clear and self.confirmed(fitted, current)
+            return (
+                self.earns(fitted, current) and self.compare(fitted, current).clear and self.confirmed(fitted, current)
+            )
         usual = float(np.median(current.mse))
         fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
         return usual < 1.5 and float(np.sum(fall)) > ONCE
+
+    def earns(self, fitted: Fit, current: Fit) -> bool:
+        """Whether a fit comes down to the noise, or takes a good part of what is left.
+
+        Real recordings hold structure that no catalogue has, and the best of dozens of effects always takes up a
+        little of it.
+        """
+        now, then = (float(np.sqrt(np.mean(self.mse(f)))) for f in (current, fitted))
+        return then < FLOOR or now - then > EARNS * (now - 1)
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""
@@ -264,16 +309,18 @@ class Search:
         gained = self.compare(best, current).gain
         return difference.gain < max(ALIKE * difference.error, WORTH / 2) and difference.gain < 0.02 * gained + WORTH
 
-    def run(self, start: Fit, most: int = 4) -> Fit:
+    def run(self, start: Fit, most: int = 6) -> Fit:
         """Add effects until none earns its place, then take out those that the later ones made idle."""
         current = start
         for _ in range(most):
             better = self.round(current)
             if better is None:
                 break
-            current = better
-            self.tell(f"added {current.structure.terms[-1].key}")
-            current = self.prune(current)
+            added = better.structure.terms[-1].key
+            self.tell(f"added {added}")
+            before, current = current, self.prune(better)
+            if added not in names(current.structure.terms) and not self.compare(current, before).clear:
+                break
         return current
 
     def prune(self, current: Fit) -> Fit:
@@ -295,7 +342,7 @@ class Search:
         if other is None or any(t.key == f"{effect}@{term.at}" for t in rest.terms):
             return None
         scene = self.look(current)
-        if term.at not in places(other, scene.model, self.joints, scene.recordings[0]):
+        if term.at not in places(other, current.structure.model, self.joints, scene.recordings[0]):
             return None
         levels = [v for name, v in current.structure.term_values(current.z, term).items() if name.startswith("level")]
         evidence = scene.at(other.place, term.at, {term.at: float(np.mean(levels))} if levels else {})
@@ -313,12 +360,12 @@ class Search:
 
 def loss(mse: Array, usual: float) -> Array:
     """Log of the mean square error of windows, (n,); errors far below the usual one count alike."""
-    return np.log1p(mse / max(1.0, usual))
+    return np.log1p(mse / usual)
 
 
 def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
     """Paired comparison of mean square errors (n,) of windows, by blocks."""
-    usual = min(float(np.median(new)), float(np.median(old)))
+    usual = min(typical(new), typical(old))
     difference = loss(old, usual) - loss(new, usual)
     sums = np.bincount(blocks, difference)
     sizes = np.bincount(blocks)
@@ -330,30 +377,30 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
     return Comparison(mean, float(spread))
 
 
-def _cost(fitted: Fit | None) -> tuple[int, int, int]:
-    """Numbers, effects, and whether stock MuJoCo lacks one of them: what the simpler of two structures has less of."""
+def _finalists(ranked: Sequence[tuple[Tried, Fit]]) -> list[tuple[Tried, Fit]]:
+    """The most promising hypotheses, and the plainer ones that these elaborate."""
+    first = ranked[:FINALISTS]
+    plain = {f"{inner}@{tried.term.at}" for tried, _ in first for inner in tried.term.effect.contains}
+    return [*first, *(pair for pair in ranked[FINALISTS:] if pair[0].key in plain)]
+
+
+def _cost(fitted: Fit | None) -> tuple[int, int, int, int]:
+    """What the simpler of two structures has less of: numbers, effects, and effects that stock MuJoCo lacks.
+
+    Of names for one and the same model, what acts at a joint goes before what a motor or a sensor would have to do.
+    """
     assert fitted is not None
-    terms = fitted.structure.terms
-    return len(fitted.z), len(terms), sum(term.effect.needs_loader for term in terms)
+    effects = [term.effect for term in fitted.structure.terms]
+    loaders, elsewhere = sum(e.needs_loader for e in effects), sum(e.place != "joint" for e in effects)
+    return len(fitted.z), len(effects), loaders, elsewhere
 
 
 def _clash(structure: Structure, effect: Effect, at: str) -> bool:
-    """Whether an effect would write over one that is there: two friction laws at a joint, two rotors at a motor."""
-    for term in structure.terms:
-        if term.effect.id in effect.contains:
-            continue
-        same = term.at == at and term.effect.id.split(".")[0] == effect.id.split(".")[0]
-        if (
-            same
-            and effect.id.startswith(("friction.", "transmission."))
-            and "friction.viscous"
-            not in (
-                effect.id,
-                term.effect.id,
-            )
-        ):
-            return True
-    return False
+    """Whether another effect settles already what this one would: two laws of dry friction at a joint, two rotors."""
+    return any(
+        effect.law == term.effect.law != "" and term.at == at and term.effect.id not in effect.contains
+        for term in structure.terms
+    )
 
 
 def _scaled(term: Term, size: float) -> Term:

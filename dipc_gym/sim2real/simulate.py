@@ -94,6 +94,16 @@ class Windows:
             valid=self.valid[which],
         )
 
+    def join(self, other: Windows) -> Windows:
+        """These windows and others of the same recordings."""
+        return replace(
+            self,
+            **{
+                name: np.concatenate([getattr(self, name), getattr(other, name)])
+                for name in ("source", "start", "times", "observed", "valid")
+            },
+        )
+
     @property
     def period(self) -> float:
         """Shortest median sample period among the recordings, s."""

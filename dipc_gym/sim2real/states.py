@@ -227,9 +227,11 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     """
     model, out = physics.model, spread_out(physics.model)
     data = mujoco.MjData(model)
-    level = model.dof_frictionloss.copy()
+    level, delay = model.dof_frictionloss.copy(), model.actuator_delay.copy()
     n = len(motion.time)
-    commands = physics.command(recording.commands, recording.time)
+    commands = physics.command(_delayed(model, recording), recording.time)
+    model.actuator_delay[:] = 0
+    gaps = np.diff(motion.time, prepend=motion.time[0])
     rest, load = np.empty((n, model.nv)), np.empty((n, model.nv))
     nu = recording.commands.shape[1]
     position, velocity, acceleration = (x @ out.T for x in (motion.position, motion.velocity, motion.acceleration))
@@ -239,13 +241,38 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
+        if model.na:
+            data.act[:] += data.act_dot * _relaxed(model, gaps[k])
+            mujoco.mj_fwdActuation(model, data)
         physics.act(data, model.dof_frictionloss, data.qfrc_applied)
         data.qacc[:] = acceleration[k]
         mujoco.mj_inverse(model, data)
         rest[k] = data.qfrc_inverse - data.qfrc_actuator - data.qfrc_applied
         load[k] = data.qfrc_actuator + data.qfrc_bias
-    model.dof_frictionloss[:] = level
+    model.dof_frictionloss[:], model.actuator_delay[:] = level, delay
     return rest @ out, load @ out
+
+
+def _delayed(model: mujoco.MjModel, recording: Recording) -> Array:
+    """Commands (n, nu) as they act at their time stamps, each actuator's delay later than they were given."""
+    commands = recording.commands.copy()
+    for i in np.flatnonzero(model.actuator_delay > 0):
+        first = int(model.actuator_ctrladr[i])
+        held = np.searchsorted(recording.time, recording.time - model.actuator_delay[i] + 1e-9, side="right") - 1
+        for c in range(first, min(first + int(model.actuator_ctrlnum[i]), commands.shape[1])):
+            commands[:, c] = recording.commands[np.maximum(held, 0), c]
+    return commands
+
+
+def _relaxed(model: mujoco.MjModel, step: float) -> Array:
+    """How long the present rate of each activation, (na,), lasts within a step: it decays with the time constant."""
+    lasting = np.full(model.na, step)
+    for i in np.flatnonzero(model.actuator_actadr >= 0):
+        tau = float(model.actuator_dynprm[i, 0])
+        if tau > 0:
+            first = int(model.actuator_actadr[i])
+            lasting[first : first + int(model.actuator_actnum[i])] = -tau * np.expm1(-step / tau)
+    return lasting
 
 
 def starts(motions: Sequence[Motion], source: NDArray[np.intp], time: Array) -> Array:

@@ -58,6 +58,7 @@ class Evidence:
         period: of the recording, s.
         level: of dry friction that the structure has there already, N or N m; None without.
         at: name of the place.
+        odd: times at which windows begin that are predicted far worse than most, the worst first, s.
     """
 
     model: mujoco.MjModel
@@ -73,6 +74,7 @@ class Evidence:
     period: float
     level: float | None = None
     at: str = ""
+    odd: tuple[float, ...] = ()
 
     @property
     def force_scale(self) -> float:
@@ -115,11 +117,12 @@ class Effect(ABC):
     """A piece of physics that a model may lack.
 
     Attributes:
-        id: name in reports, `friction.coulomb`.
+        id: name in reports, `friction.coulomb`; a colon sets off a form of it, which `name` leaves out.
         place: what it acts at.
         parameters: its numbers.
         rivals: ids of effects it is easily mistaken for.
         contains: ids of effects that are this one with a number at its limit; adding this one replaces them.
+        law: what it settles at its place: two effects that settle the same exclude each other.
         finest: longest step at which it can be simulated, s.
         warm: s of simulation before a window, so that hidden states settle.
         needs_loader: whether stock MuJoCo leaves it out.
@@ -133,12 +136,18 @@ class Effect(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     rivals: ClassVar[tuple[str, ...]] = ()
     contains: ClassVar[tuple[str, ...]] = ()
+    law: ClassVar[str] = ""
     finest: ClassVar[float] = math.inf
     warm: ClassVar[float] = 0.0
     needs_loader: ClassVar[bool] = False
     moves_readings: ClassVar[bool] = False
     linear: ClassVar[bool] = False
     once: ClassVar[bool] = False
+
+    @property
+    def name(self) -> str:
+        """The id without the form: what diagnosis.json calls the effect."""
+        return self.id.partition(":")[0]
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Whether it can be missing there: False where the model has it already, or it makes no sense."""

@@ -9,6 +9,8 @@ import numpy as np
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 
+_HALF = 0.125  # s, half a window
+
 
 class Pulse(Effect):
     """A push: a constant force on a joint for a short time."""
@@ -25,20 +27,22 @@ class Pulse(Effect):
     once = True
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Where the unexplained force, averaged over a short time, stands out most."""
+        """Where the unexplained force, averaged over a short time, stands out most, in the windows that are odd."""
         f = evidence.force - np.median(evidence.force)
         found = []
+        stretches = [np.abs(evidence.time - (start + _HALF)) < 2 * _HALF for start in evidence.odd[:3]]
         for width in (0.05, 0.2):
             n = max(3, int(width / max(evidence.period, 1e-9)))
             mean = np.convolve(f, np.ones(n) / n, mode="same")
-            k = int(np.argmax(np.abs(mean)))
-            found.append(
-                {
-                    "force": float(mean[k]) or evidence.force_scale,
-                    "start": float(evidence.time[max(0, k - n // 2)]),
-                    "duration": n * evidence.period,
-                }
-            )
+            for stretch in stretches or [np.ones(len(f), dtype=bool)]:
+                k = int(np.argmax(np.where(stretch, np.abs(mean), -1.0)))
+                found.append(
+                    {
+                        "force": float(mean[k]) or evidence.force_scale,
+                        "start": float(evidence.time[max(0, k - n // 2)]),
+                        "duration": n * evidence.period,
+                    }
+                )
         return found
 
     def edit(self, document: Document, at: str, values: Values) -> None:

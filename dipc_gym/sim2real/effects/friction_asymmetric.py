@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry, passive_force
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry, passive_force, shield
 
 
 class Asymmetric(Effect):
@@ -20,6 +20,7 @@ class Asymmetric(Effect):
 
     id = "friction.asymmetric"
     place = "joint"
+    law = "dry friction"
     parameters = (Parameter("forward", "N", 0.0), Parameter("backward", "N", 0.0))
     rivals = ("friction.coulomb", "load.constant", "friction.stribeck")
     contains = ("friction.coulomb", "load.constant")
@@ -45,3 +46,49 @@ class Asymmetric(Effect):
             f"Dry friction at {at} that depends on direction: {values['forward']:.3g} {unit['forward']} forwards, "
             f"{values['backward']:.3g} {unit['backward']} backwards."
         )
+
+
+class AsymmetricDrag(Effect):
+    """Viscous friction that differs between the two directions.
+
+    Drives of machine tools show it beside dry friction; Janot, Gautier and Brunot (2019) identify it on a ball screw.
+    """
+
+    id = "friction.asymmetric:viscous"
+    place = "joint"
+    linear = True
+    parameters = (Parameter("drag", "N s/m"),)
+    rivals = ("load.constant", "drag.quadratic", "friction.asymmetric")
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Some drag forwards, and some backwards."""
+        drag = 0.05 * evidence.force_scale / evidence.speed_scale
+        return [{"drag": drag}, {"drag": -drag}]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A passive drag with a force limit that leaves one direction of it."""
+        drag = values["drag"]
+        name = document.fresh(f"{at}_drag_{'forward' if drag > 0 else 'backward'}")
+        element = document.add(
+            "actuator",
+            "general",
+            name=name,
+            joint=at,
+            gainprm=1,
+            biastype="affine",
+            biasprm=(0, 0, -abs(drag)),
+            forcelimited="true",
+            forcerange=(-_UNLIMITED, 0) if drag > 0 else (0, _UNLIMITED),
+        )
+        document.plain(element, dyntype="none", gaintype="fixed")
+        shield(document, element)
+        document.passive(name)
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        more, less = ("forwards", "backwards") if values["drag"] > 0 else ("backwards", "forwards")
+        drag = f"{abs(values['drag']):.3g} {unit['drag']}"
+        return f"Friction at {at} that depends on direction: {drag} more {more} than {less}."
+
+
+_UNLIMITED = 1e9  # N, far above any force of a rig

@@ -15,6 +15,7 @@ class Coulomb(Effect):
 
     id = "friction.coulomb"
     place = "joint"
+    law = "dry friction"
     linear = True
     parameters = (Parameter("level", "N", 0.0),)
     rivals = ("friction.stribeck", "motor.deadzone", "friction.viscous", "transmission.backlash")

@@ -19,6 +19,7 @@ class UnderLoad(Effect):
 
     id = "friction.load"
     place = "joint"
+    law = "dry friction"
     parameters = (
         Parameter("level", "N", 0.0),
         Parameter("by_drive", "", 0.0, 2.0),

@@ -18,6 +18,7 @@ class AlongTheWay(Effect):
 
     id = "friction.position"
     place = "joint"
+    law = "dry friction"
     parameters = (
         Parameter("first", "m", fixed=True),
         Parameter("last", "m", fixed=True),

@@ -24,6 +24,7 @@ class Stribeck(Effect):
 
     id = "friction.stribeck"
     place = "joint"
+    law = "dry friction"
     parameters = (
         Parameter("level", "N", 0.0),
         Parameter("static", "N", 0.0),

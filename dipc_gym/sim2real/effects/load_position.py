@@ -21,6 +21,7 @@ class Wave(Effect):
         Parameter("wavelength", "m", 0.0, log=True),
     )
     rivals = ("motor.cogging", "load.spring", "friction.position")
+    contains = ("load.constant", "load.spring")
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The two wavelengths that explain most of the force."""

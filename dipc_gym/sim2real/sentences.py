@@ -1,0 +1,76 @@
+"""A diagnosis in plain words: what is missing, what is left, what to record next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from dipc_gym.sim2real import judge
+from dipc_gym.sim2real.result import Errors, Missing
+
+
+def verb(where: str) -> str:
+    """What the unexplained force does, as the end of a sentence."""
+    return where if where.startswith(("goes", "grows", "changes")) else f"is {where}"
+
+
+def in_one_sentence(verdict: str, missing: Sequence[Missing], changed: Sequence[dict[str, Any]], errors: Errors) -> str:
+    """What happened, in words that a rig's owner understands."""
+    fall = f"On held-out data the error falls from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
+    known = " ".join(m.sentence for m in missing if m.effect != "unknown")
+    rest = ""
+    if errors.improved > judge.AT_FLOOR:
+        rest = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
+    if verdict == "consistent":
+        return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.3g} times the noise.{rest}"
+    if verdict == "recalibrated":
+        names = ", ".join(f"{c['parameter']} of {c['at']}" for c in changed)
+        return f"No physics is missing; wrong numbers were: {names}. {fall}.{rest}"
+    if verdict == "explained":
+        return f"The model lacks this: {known} {fall}; what is left looks like noise."
+    if verdict == "partly explained":
+        return f"{known} That helps, but structure is left that no known effect accounts for. {fall}."
+    return f"{missing[0].sentence if missing else ''} {fall}.".strip()
+
+
+def next_experiment(verdict: str, missing: Sequence[Missing]) -> str:
+    """What to record to settle what is left."""
+    open_ = [(m, s) for m in missing for s in m.same_here]
+    if open_:
+        m, s = open_[0]
+        return (
+            f"On this rig with this data {m.effect} at {m.at} and {s['effect']} at {s['at']} are one model. To tell "
+            "them apart, record what moves one and not the other: other speeds, other positions, another load, or a "
+            "second sensor."
+        )
+    doubt = [(m, r) for m in missing for r in m.rivals if not r["ruled_out"]]
+    if doubt:
+        m, r = doubt[0]
+        return (
+            f"{r['effect']} at {r['at']} predicts nearly as well as {m.effect} at {m.at}. Record slow reversals and "
+            "fast steps over the whole range for a minute."
+        )
+    if verdict in ("partly explained", "unexplained"):
+        return (
+            "Repeat one short command many times over several minutes, at rest in between: what changes from one time "
+            "to the next depends on time or temperature, what does not depends on the state."
+        )
+    return "Nothing is open. Record again when the rig is changed."
+
+
+def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
+    """Notes where predictions and forces disagree on whether the improved model is better."""
+    notes = []
+    for at, e in force.items():
+        if errors.improved < 0.9 * errors.recalibrated and e.improved > 1.1 * e.recalibrated:
+            better, worse = "predicts motion better", "forces"
+        elif errors.improved > 1.1 * errors.recalibrated and e.improved < 0.9 * e.recalibrated:
+            better, worse = "explains forces better", "motion"
+        else:
+            continue
+        notes.append(
+            f"The improved model {better} than the recalibrated one, but {worse} at {at} worse on the same held-out "
+            f"data (force error {100 * e.recalibrated:.3g} to {100 * e.improved:.3g} %, prediction error "
+            f"{errors.recalibrated:.3g} to {errors.improved:.3g} times the noise)."
+        )
+    return notes
