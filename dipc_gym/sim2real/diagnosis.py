@@ -150,8 +150,8 @@ def diagnose(
     )
     best = search.run(recalibrated)
     worst = judge.unseen_error(search, recalibrated)
-    if best.structure.terms and not judge.credible(worst, judge.unseen_error(search, best)):
-        tell("no effect explains enough to be named")
+    if best.structure.terms and not judge.credible(worst, judge.unseen_error(search, best), _motion(held)):
+        tell("the mismatch is small beside the motion, and no effect brings it down to the noise")
         best = recalibrated
     final = judge.fewest_numbers(search, best)
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
@@ -350,7 +350,8 @@ def _missing(
             continue
         name = slot.key.removeprefix(prefix)
         entry: dict[str, Any] = {"value": slot.value(final.z[i]), "unit": units[name]}
-        # With structure left, an interval would tell how sure a wrong model is of its number.
+        # With structure left, an interval would tell how sure a wrong model is of its number; what happened once
+        # leaves no blocks to resample.
         if verdict == "explained" and not term.effect.once:
             wide = judge.QUANTILE * spread[i] + shift[i]
             low, high = slot.value(final.z[i] - wide), slot.value(final.z[i] + wide)

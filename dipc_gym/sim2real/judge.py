@@ -18,7 +18,6 @@ Array = NDArray[np.float64]
 
 AT_FLOOR = 1.2  # times the noise: an error below this is explained
 QUANTILE = 1.645  # of the normal distribution, for 90 % intervals
-CREDIBLE = 0.5  # share of the excess error that effects must remove together where they do not reach the noise
 SMALL = 3e-3  # of the motion within a window: a smaller mismatch without a name is not called missing physics
 STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
 
@@ -208,13 +207,13 @@ def _explained(force: Array, quantity: Array, bins: int = 24) -> float:
     return float(np.sum(counts * (means - np.mean(force)) ** 2) / len(force) / variance) if variance > 0 else 0.0
 
 
-def credible(recalibrated: float, improved: float) -> bool:
-    """Whether effects explain enough to be named, from errors on unseen windows in units of noise.
+def credible(recalibrated: float, improved: float, motion: float) -> bool:
+    """Whether effects may be named, from errors on unseen windows and the motion within one, in units of noise.
 
-    Real recordings always hold structure beyond noise, and the best of dozens of effects takes up some of it. One that
-    neither comes down to the noise nor removes half of the mismatch is a shape that happened to fit.
+    Real recordings always hold a little structure beyond noise, and the best of dozens of effects takes up some of it.
+    Where the mismatch is small beside the motion, only what comes down to the noise is named.
     """
-    return improved <= AT_FLOOR or recalibrated - improved >= CREDIBLE * (recalibrated - 1)
+    return improved <= AT_FLOOR or recalibrated >= SMALL * motion
 
 
 def verdict(errors: Sequence[float], motion: float, terms: int, changed: int) -> str:

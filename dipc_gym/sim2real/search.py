@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real.effects.base import Effect
+from dipc_gym.sim2real.effects.base import Effect, dof
 from dipc_gym.sim2real.evidence import Scene, places
 from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, predict, residual, typical, weights
 from dipc_gym.sim2real.structure import Structure, Term, carry, names
@@ -127,11 +127,8 @@ class Search:
 
     def hypotheses(self, current: Fit, scene: Scene) -> list[Term]:
         """Every effect at every place it can act, with first guesses."""
-        levels = {
-            term.at: current.structure.term_values(current.z, term)["level"]
-            for term in current.structure.terms
-            if term.effect.id == "friction.coulomb"
-        }
+        friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in self.joints}
+        levels = {joint: level for joint, level in friction.items() if level > 0}
         taken = {term.key for term in current.structure.terms}
         covered = {(inner, term.at) for term in current.structure.terms for inner in term.effect.contains}
         found = []
@@ -213,7 +210,7 @@ class Search:
                 if tried.key not in promising or tried.promise > promising[tried.key][0].promise:
                     promising[tried.key] = (tried, base)
         ranked = sorted(promising.values(), key=lambda pair: -pair[0].promise)
-        least = max(WORTH / 4, 0.05 * ranked[0][0].promise) if ranked else 0.0
+        least = max(WORTH / 2, 0.1 * ranked[0][0].promise) if ranked else 0.0
         done: list[Tried] = []
         for tried, base in _finalists([pair for pair in ranked if pair[0].promise > least]):
             fitted = self.full(base, tried.term)

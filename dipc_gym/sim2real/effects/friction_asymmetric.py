@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import mujoco
 import numpy as np
 
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry, passive_force, shield
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry, passive_force, shield
 
 
 class Asymmetric(Effect):
@@ -24,10 +23,6 @@ class Asymmetric(Effect):
     parameters = (Parameter("forward", "N", 0.0), Parameter("backward", "N", 0.0))
     rivals = ("friction.coulomb", "load.constant", "friction.stribeck")
     contains = ("friction.coulomb", "load.constant")
-
-    def fits(self, model: mujoco.MjModel, at: str) -> bool:
-        """Where the model has no dry friction yet."""
-        return bool(model.dof_frictionloss[dof(model, at)] == 0)
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Force that opposes motion, and half of it more or less in one direction."""

@@ -30,12 +30,18 @@ class UnderLoad(Effect):
     needs_loader = True
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Dry friction, three tenths of it in proportion to load."""
+        """Dry friction, three tenths of it in proportion to load; and as the unexplained force has it."""
         share = 0.3
         typical = max(float(np.mean(np.abs(evidence.load))), 1e-12)
         level = evidence.dry_level
         part = min(share * level / typical, 0.5)
-        return [{"level": (1 - share) * level, "by_drive": part, "by_weight": part}]
+        loaded = -evidence.direction * np.abs(evidence.load)
+        seen, more, _ = evidence.along(loaded, -evidence.direction, -evidence.velocity)
+        seen, more = float(np.clip(seen, 0.02, 0.5)), max((evidence.level or 0.0) + float(more), 0.1 * level)
+        return [
+            {"level": (1 - share) * level, "by_drive": part, "by_weight": part},
+            {"level": more, "by_drive": seen, "by_weight": seen},
+        ]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader; stock MuJoCo gets the level without load."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import mujoco
 import numpy as np
 
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry
 
 KNOTS = 5
 
@@ -27,10 +26,6 @@ class AlongTheWay(Effect):
     rivals = ("load.position", "friction.coulomb", "friction.load", "load.spring")
     contains = ("friction.coulomb",)
     needs_loader = True
-
-    def fits(self, model: mujoco.MjModel, at: str) -> bool:
-        """Where the model has no dry friction yet."""
-        return bool(model.dof_frictionloss[dof(model, at)] == 0)
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Force that opposes motion in each stretch of the range that was visited."""

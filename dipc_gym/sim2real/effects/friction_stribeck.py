@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import mujoco
 import numpy as np
 
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry, shield
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry, shield
 
 # The curve exp(-(v / velocity)^2) between these multiples of the Stribeck velocity is drawn with straight lines.
 KNOTS = np.array([0.0, 0.4, 0.9, 1.4, 2.1])
@@ -32,10 +31,6 @@ class Stribeck(Effect):
     )
     rivals = ("friction.coulomb", "friction.asymmetric", "transmission.backlash")
     contains = ("friction.coulomb",)
-
-    def fits(self, model: mujoco.MjModel, at: str) -> bool:
-        """Where the model has no dry friction yet."""
-        return bool(model.dof_frictionloss[dof(model, at)] == 0)
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Kinetic level from the force that opposes motion, a static one half as large again."""
