@@ -13,7 +13,7 @@ from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.fit import Fit, correct_starts, evaluate, fit, predict, residual, weights
+from dipc_gym.sim2real.fit import Fit, correct_starts, evaluate, fit, predict, residual, typical, weights
 from dipc_gym.sim2real.numbers import own_numbers
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.simulate import Stepping
@@ -227,9 +227,15 @@ def test_a_few_broken_windows_do_not_decide() -> None:
 
 
 def test_weights_fall_with_the_error() -> None:
-    w = weights(np.array([0.5, 1.0, 2.0, 1e6]))
+    w = weights(np.array([0.5, 1.0, 1.5, 1.7, 1.8, 2.0, 1e6]))
     assert np.all(np.diff(w) < 0)
-    assert w[3] < 1e-5 * w[0]
+    assert w[-1] < 1e-5 * w[0]
+
+
+def test_a_fifth_of_the_windows_does_not_set_the_scale() -> None:
+    quiet = np.full(81, 2.0)
+    assert typical(np.append(quiet, np.full(19, 1e6))) == pytest.approx(2.0, rel=1e-3)
+    assert typical(np.full(10, 0.1)) == 1.0  # nothing is known better than the noise
 
 
 def test_a_fit_carries_over_to_a_larger_structure() -> None:
