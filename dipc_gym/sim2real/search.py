@@ -310,15 +310,26 @@ class Search:
         """Add effects until none earns its place, then take out those that the later ones made idle."""
         current = start
         for _ in range(most):
-            better = self.round(current)
+            better = self.round(current) or self.ahead(current)
             if better is None:
                 break
             added = better.structure.terms[-1].key
-            self.tell(f"added {added}")
+            self.tell(f"added {', '.join(names(better.structure.terms[len(current.structure.terms) :])) or added}")
             before, current = current, self.prune(better)
             if added not in names(current.structure.terms) and not self.compare(current, before).clear:
                 break
         return current
+
+    def ahead(self, current: Fit) -> Fit | None:
+        """Two effects that need each other: add the best one, clear or not, and see whether a second makes it so."""
+        first = next((t.fitted for t in self.rounds[-1] if t.fitted is not None), None)
+        if first is None or current.error < FLOOR or self.compare(first, current).gain < WORTH:
+            return None
+        self.tell(f"{first.structure.terms[-1].key} alone does not stand out; with another one?")
+        second = self.round(self.polish(first))
+        if second is None or not (self.earns(second, current) and self.compare(second, current).clear):
+            return None
+        return second if self.confirmed(second, current) else None
 
     def prune(self, current: Fit) -> Fit:
         """Take out effects whose absence costs nothing; put plainer ones in the place of those with idle numbers."""
