@@ -187,7 +187,7 @@ class Search:
         A = A + np.diag(prior / counts.mean()) * len(counts) / n
         scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
         step = np.linalg.lstsq(A / np.outer(scale, scale), b / scale, rcond=1e-9)[0] / scale
-        size = float(np.clip(step[0], 0.0, 100.0))
+        size = float(np.clip(step[0], -100.0 if _signed(term.effect) else 0.0, 100.0))
         if size == 0.0:
             return float(np.mean(np.log1p(current.mse))), 1.0
         step = np.append(size, np.clip(step[1:], -1, 1))
@@ -412,8 +412,12 @@ def _clash(structure: Structure, effect: Effect, at: str) -> bool:
 
 
 def _scaled(term: Term, size: float) -> Term:
-    """A guess made `size` times as strong, where the response is linear in its first free parameter."""
-    parameter = next(p for p in term.effect.parameters if not p.fixed)
-    if parameter.log or size < 0.05 or not term.effect.linear:
+    """A guess made `size` times as strong, where the response is linear."""
+    if abs(size) < 0.05 or not term.effect.linear:
         return term
-    return replace(term, guess={**term.guess, parameter.name: term.guess[parameter.name] * size})
+    return replace(term, guess={**term.guess, **{name: size * term.guess[name] for name in term.effect.linear}})
+
+
+def _signed(effect: Effect) -> bool:
+    """Whether an effect may as well act the other way."""
+    return bool(effect.linear) and all(p.low < 0 for p in effect.parameters if p.name in effect.linear)
