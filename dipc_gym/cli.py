@@ -27,17 +27,22 @@ class Compare:
 
     On each rig: record the identification run (poles locked, a voltage swept from 0.3 to 10 Hz in 60 s), train the
     compensators on it, and balance the pendulum for 80 s with every controller and compensator. The folder gets
-    summary.json, table.txt, figures, a GIF, the trained compensators and recordings of the first rig's runs.
+    summary.json, table.txt, figures, a GIF, the trained compensators and recordings of the first rig's runs. Killed, it
+    goes on where it stopped when started again; what failed is listed and tried again, and the exit code is then 1.
+
+    With --robustness, every pair then balances rigs that were changed after training, until it falls: robustness.json,
+    robustness.txt, figures/robustness.pdf.
 
     Try:
         dipc-gym compare --out runs/compare
-        dipc-gym compare --out runs/mine --compensator none,llnf,mine.json --controller lqr,policy.zip --seeds 20
+        dipc-gym compare --out runs/compare --robustness all
+        dipc-gym compare --out runs/mine --compensator none,llnf,mine.json --controller lqr,policy.json --seeds 20
     """
 
     out: Path
     """folder for the results, new or empty"""
     controller: str = "lqr"
-    """names with commas between: lqr, or policies saved by stable-baselines3 (.zip, trained behind ForceCommand)"""
+    """names with commas between: lqr, or policies: our own (.json), or stable-baselines3's (.zip)"""
     compensator: str = "none,feedforward,mlp,llnf,ideal"
     """names with commas between; or saved compensators (.json)"""
     seeds: int = 10
@@ -52,14 +57,19 @@ class Compare:
     """MJCF file of another rig, with the actuator motor and the sensors cart, pole1, pole2"""
     exact_state: bool = False
     """balance with the exact state: what encoder noise costs is then left out"""
-    jobs: int = 2
-    """processes at a time"""
+    robustness: str = ""
+    """with commas between: friction, encoder, period, supply, impulse; or all"""
+    jobs: int | None = None
+    """experiments at a time; without it 2, or on Ray as many as the cluster has CPUs"""
+    backend: Literal["local", "ray"] = "local"
+    """ray: on the cluster that RAY_ADDRESS names, or a Ray that is started on this machine"""
     overwrite: bool = False
-    """replace what an earlier comparison left in the folder"""
+    """begin anew instead of going on with what the folder holds"""
 
     def run(self) -> int:
         """Compare, and print the table."""
         from dipc_gym import compare
+        from dipc_gym.robustness import AXES
         from dipc_gym.summary import table
 
         comparison = compare.Comparison(
@@ -71,15 +81,20 @@ class Compare:
             model=self.model,
             recording=self.recording,
             exact_state=self.exact_state,
+            robustness=tuple(AXES) if self.robustness == "all" else _listed(self.robustness),
         )
         try:
-            summary = compare.run(comparison, self.out, jobs=self.jobs, overwrite=self.overwrite)
+            summary = compare.run(comparison, self.out, jobs=self.jobs, backend=self.backend, overwrite=self.overwrite)
         except KeyboardInterrupt:
             print(f"\ninterrupted; what was finished is in {self.out / 'summary.json'}", file=sys.stderr)
             return 130
         print(table(summary))
+        if comparison.robustness:
+            print("\n" + (self.out / "robustness.txt").read_text(encoding="utf-8").rstrip())
         print(f"\nresults in {self.out}")
-        return 0
+        if summary["failures"]:
+            print(f"{len(summary['failures'])} failed, as listed; the same command tries them again", file=sys.stderr)
+        return 1 if summary["failures"] else 0
 
 
 @dataclass(frozen=True)
@@ -433,7 +448,7 @@ COMMANDS: dict[str, type[Command]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; the exit code is 0, 2 for bad input, 130 after Ctrl-C."""
+    """Run the command line; the exit code is 0, 1 if part of it failed, 2 for bad input, 130 after Ctrl-C."""
     command = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,  # type: ignore[arg-type]
         prog="dipc-gym",

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 from pathlib import Path
+from typing import Any
 
 
 def write_whole(path: str | Path, content: bytes) -> None:
@@ -36,3 +38,17 @@ def write_whole(path: str | Path, content: bytes) -> None:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
         raise
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    """Write a JSON file that appears whole or not at all.
+
+    Args:
+        path: the file.
+        value: what it holds.
+
+    Raises:
+        OSError: see `write_whole`.
+        ValueError: a number is not finite.
+    """
+    write_whole(path, (json.dumps(value, indent=2, allow_nan=False) + "\n").encode())

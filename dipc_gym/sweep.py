@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 
-from dipc_gym.files import write_whole
+from dipc_gym import __version__
+from dipc_gym.files import write_json
 
 Backend = Literal["local", "ray"]
 LOCAL_JOBS = 2
@@ -144,8 +145,9 @@ def finished(cells: Sequence[C], folder: str | Path) -> list[Outcome[C]]:
 
 
 def parameters(cell: Cell) -> dict[str, Any]:
-    """All that a cell's result depends on, as JSON gives it back."""
-    plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(cell)))  # type: ignore[call-overload]
+    """All that a cell's result depends on, this version of dipc-gym included, as JSON gives it back."""
+    mine = {"dipc_gym": __version__, **dataclasses.asdict(cell)}  # type: ignore[call-overload]
+    plain: dict[str, Any] = json.loads(json.dumps(mine))
     return plain
 
 
@@ -166,7 +168,7 @@ def _outcomes(
             cell = open_ones[number]
             result = None if text is None else json.loads(text)
             held = {"parameters": parameters(cell), "failure": failure, "result": result}
-            write_whole(folder / f"{cell.name}.json", (json.dumps(held, indent=1) + "\n").encode())
+            write_json(folder / f"{cell.name}.json", held)
             bar.update()
             yield Outcome(cell, result, failure)
 
