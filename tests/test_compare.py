@@ -113,7 +113,15 @@ def test_rigs_differ_within_the_spread() -> None:
 
 def test_fallen_runs_are_counted_and_left_out_of_the_figures() -> None:
     zeros = dict.fromkeys(("cost_printed_q", "cart_m", "pole1_deg", "pole2_deg", "force_rms", "voltage_rms"), 0.0)
-    shared = {**zeros, "controller": "lqr", "compensator": "none", "trained_with": None, "test_mse": None, "parameters": 0, "notes": []}
+    shared = {
+        **zeros,
+        "controller": "lqr",
+        "compensator": "none",
+        "trained_with": None,
+        "test_mse": None,
+        "parameters": 0,
+        "notes": [],
+    }
     cells = [
         {**shared, "seed": 0, "survived": False, "cost": 9.0, "cart_m": None},
         {**shared, "seed": 1, "survived": True, "cost": 1.0},
@@ -182,7 +190,7 @@ def test_interrupt_leaves_what_is_finished(tmp_path: Path) -> None:
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the whole group
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
-    summary = json.loads((out / "summary.json").read_text())["result"]
+    summary = json.loads((out / "summary.json").read_text())
     assert not summary["complete"]
     finished = [json.loads(path.read_text()) for path in (out / "cells").glob("*.json")]
     assert 2 <= len(finished) < 24
