@@ -60,7 +60,8 @@ class Axis:
 def _friction(plant: Plant, factor: float) -> Plant:
     if plant.friction is None:
         raise PlantError(
-            "the axis friction needs a rig whose friction is a LuGre <dcmotor name='friction'>; leave it out"
+            "the axis friction needs a rig whose friction is a LuGre <dcmotor name='friction'>; leave it out, as in "
+            f"--robustness {','.join(name for name in AXES if name != 'friction')}"
         )
     old = plant.friction
     new = dataclasses.replace(old, coulomb=old.coulomb * factor, static=old.static * factor)

@@ -78,11 +78,10 @@ def test_a_blow_changes_momentum_by_its_size_and_nothing_else() -> None:
 
 
 def test_a_blow_hits_once_and_at_its_time() -> None:
-    plant = Plant(friction=None)
-    quiet = balance(LQR(), StaticGain(newtons_per_volt=4.0), seconds=1.0, seed=3, plant=plant, exact_state=True)
-    hit = balance(
-        LQR(), StaticGain(newtons_per_volt=4.0), seconds=1.0, seed=3, plant=plant, exact_state=True, impulse=Impulse(1.0, 0.5)
-    )  # fmt: skip
+    quiet, hit = (
+        balance(LQR(), StaticGain(newtons_per_volt=4.0), seconds=1.0, seed=3, exact_state=True, impulse=impulse)
+        for impulse in (None, Impulse(1.0, 0.5))
+    )
     np.testing.assert_array_equal(hit.state[:100], quiet.state[:100])
     assert hit.state[100, 3] - quiet.state[100, 3] > 1.0  # m/s; the cart alone has 1/1.26 and the poles lean back
     assert np.all(hit.state[100, :3] == quiet.state[100, :3])
