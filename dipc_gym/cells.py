@@ -158,8 +158,16 @@ def fingerprints(*paths: str | None) -> dict[str, str]:
 
 
 def label(name: str) -> str:
-    """What a controller or compensator is called in tables and file names."""
-    return Path(name).stem if name.endswith((".json", ".zip")) else name
+    """What a controller or compensator is called in tables and file names.
+
+    Example:
+        >>> label("llnf"), label("saved/mine.json"), label("runs/ppo/policy.json")
+        ('llnf', 'mine', 'ppo')
+    """
+    path = Path(name)
+    if path.name == "policy.json" and path.parent.name:
+        return path.parent.name  # what training calls every policy; its folder tells them apart
+    return path.stem if name.endswith((".json", ".zip")) else name
 
 
 def _cost(course: Course, Q: Array) -> float:

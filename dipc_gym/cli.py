@@ -219,7 +219,7 @@ class Record:
     experiment: Literal["balance", "identification"] = "balance"
     """balance the poles, or sweep the voltage with the poles locked"""
     controller: str = "lqr"
-    """lqr, or a policy saved by stable-baselines3 (.zip)"""
+    """lqr, or a policy: our own (.json), or one of stable-baselines3 (.zip)"""
     compensator: str = "none"
     """a name, trained for this on a simulated run, or a saved compensator (.json)"""
     seconds: float = 80.0
@@ -272,7 +272,7 @@ class Render:
     recording: str | None = None
     """recording to draw instead of a simulated run"""
     controller: str = "lqr"
-    """lqr, or a policy saved by stable-baselines3 (.zip)"""
+    """lqr, or a policy: our own (.json), or one of stable-baselines3 (.zip)"""
     compensator: str = "none"
     """a name, trained for this on a simulated run, or a saved compensator (.json)"""
     seconds: float = 10.0

@@ -109,7 +109,7 @@ class Comparison:
         for kind, names in (("controllers", self.controllers), ("compensators", self.compensators)):
             labels = [label(name) for name in names]
             if twice := sorted({name for name in labels if labels.count(name) > 1}):
-                raise ValueError(f"two {kind} are called {twice[0]!r}; give one file another name")
+                raise ValueError(f"two {kind} are called {twice[0]!r}; rename one's file or folder")
         for name in self.compensators:
             if name.endswith(".json"):
                 compensators.load(name)

@@ -143,7 +143,7 @@ def robustness(summary: Mapping[str, Any]) -> Figure:
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator
+    from matplotlib.ticker import LogLocator, MaxNLocator
 
     rows = summary["rows"]
     axes = list(dict.fromkeys(row["axis"] for row in rows))
@@ -172,6 +172,8 @@ def robustness(summary: Mapping[str, Any]) -> Figure:
                 stray.set_xscale("log", base=2)
                 stray.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
                 stray.xaxis.set_major_formatter("{x:g}")
+            else:
+                stray.xaxis.set_major_locator(MaxNLocator(5, integer=True))
             for panel in (share, stray):
                 panel.axvline(about["usual"], color=GREY, lw=0.5, zorder=0)
                 panel.spines[["top", "right"]].set_visible(False)
