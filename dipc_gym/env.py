@@ -329,7 +329,10 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         for name in NAMES:
             i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
             if i < 0 or model.sensor_type[i] != mujoco.mjtSensor.mjSENS_JOINTPOS:
-                raise mjcf.MjcfError(f"{self._source.name}: needs a sensor <jointpos name='{name}' joint=.../>")
+                raise mjcf.MjcfError(
+                    f"{self._source.name}: needs a sensor <jointpos name='{name}' joint=.../>; the environment is a "
+                    f"cart with two poles, and reads {', '.join(NAMES)}"
+                )
             joints.append(int(model.sensor_objid[i]))
         self._qpos_address = [int(model.jnt_qposadr[j]) for j in joints]
         self._dof = [int(model.jnt_dofadr[j]) for j in joints]

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dipc_gym import compare, compensators, robustness, sweep
+from dipc_gym import compare, compensators, sweep
 from dipc_gym.cells import Balancing
 from dipc_gym.cli import main
 from dipc_gym.compare import Comparison
@@ -301,6 +301,25 @@ def test_bad_input(
     assert not (tmp_path / "new").exists()
 
 
-def test_friction_axis_needs_known_friction(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"axis friction needs .* leave it out"):
-        robustness.check(["friction"], Plant(friction=None))
+def test_a_model_as_diagnose_writes_it_goes_through_all_of_it(tmp_path: Path) -> None:
+    rig = DoublePendulumEnv().source.text
+    lugre = next(line for line in rig.splitlines() if 'name="friction"' in line)
+    text = rig.replace(lugre, "").replace(
+        'damping="20.8"', 'damping="20.8" frictionloss="7.4" solreffriction="0.002 1"'
+    )
+    numeric = '<custom><numeric name="dipc_gym:motor.deadzone:motor" data="0.6"/></custom>'
+    (tmp_path / "improved.xml").write_text(text.replace("<worldbody>", f"{numeric}<worldbody>", 1))
+    comparison = Comparison(
+        model=str(tmp_path / "improved.xml"),
+        compensators=("none", "feedforward"),
+        seeds=1,
+        seconds=4.0,
+        robustness=("impulse",),
+    )
+    summary = compare.run(comparison, tmp_path / "out", jobs=1)
+    none, feedforward = summary["rows"]
+    assert (none["survived"], feedforward["survived"]) == (1, 1)
+    assert feedforward["cost"]["median"] < none["cost"]["median"]
+    with pytest.raises(ValueError, match=r"axis friction needs .* --robustness encoder,period,supply,impulse"):
+        compare.run(dataclasses.replace(comparison, robustness=("friction",)), tmp_path / "new")
+    assert not (tmp_path / "new").exists()
