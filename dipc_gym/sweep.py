@@ -134,14 +134,15 @@ def finished(cells: Sequence[C], folder: str | Path) -> list[Outcome[C]]:
             raise SweepError(
                 f"{path}: not a result of a sweep ({type(error).__name__}: {error}); delete it to run it again"
             ) from None
+        if failure is not None:
+            continue
         if change := _change(made_with, parameters(cell)):
             where, was, now = change
             raise SweepError(
                 f"{path}: was made with {where} = {_short(was)}, and this sweep has {_short(now)}; "
                 "choose another folder, or say --overwrite to begin anew"
             )
-        if failure is None:
-            outcomes.append(Outcome(cell, result, None))
+        outcomes.append(Outcome(cell, result, None))
     return outcomes
 
 

@@ -87,6 +87,8 @@ def test_a_failed_cell_is_named_and_the_others_go_on(tmp_path: Path) -> None:
     assert numbers(sweep.finished(cells, tmp_path)) == [12, 15]
     again = [o for o in sweep.run(cells, tmp_path, jobs=1) if o.failure]
     assert numbers(again) == [13, 14]  # tried again
+    mended = dataclasses.replace(Halve(13), options={"scale": 2.0})
+    assert sweep.finished([mended], tmp_path) == []  # nothing of it is kept, so nothing is mixed
 
 
 def test_a_process_that_dies_costs_one_cell(tmp_path: Path) -> None:
