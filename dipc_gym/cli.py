@@ -30,8 +30,8 @@ class Compare:
     summary.json, table.txt, figures, a GIF, the trained compensators and recordings of the first rig's runs. Killed, it
     goes on where it stopped when started again; what failed is listed and tried again, and the exit code is then 1.
 
-    With --robustness, every pair then balances rigs that were changed after training, until it falls: robustness.json,
-    robustness.txt, figures/robustness.pdf.
+    With --robustness, every pair then balances the same rigs, changed more and more after training: how far it holds
+    stands in robustness.txt, robustness.json and figures/robustness.pdf.
 
     Try:
         dipc-gym compare --out runs/compare
@@ -40,7 +40,7 @@ class Compare:
     """
 
     out: Path
-    """folder for the results, new or empty"""
+    """folder for the results: new, empty, or begun by the same command"""
     controller: str = "lqr"
     """names with commas between: lqr, or policies: our own (.json), or stable-baselines3's (.zip)"""
     compensator: str = "none,feedforward,mlp,llnf,ideal"

@@ -16,7 +16,8 @@ from typing import Any
 
 import pytest
 
-from dipc_gym import sweep
+from dipc_gym import compare, sweep
+from dipc_gym.compare import Comparison
 from dipc_gym.sweep import Outcome, SweepError
 
 
@@ -192,3 +193,13 @@ def test_a_worker_of_ray_that_dies_costs_one_cell(cluster: Any, tmp_path: Path) 
     assert "Ray gave it up" in str(outcomes[99].failure)
     assert outcomes[1].result["half"] == 0.5
     assert outcomes[2].result["half"] == 1.0
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_comparison_on_ray_is_the_one_made_here(cluster: Any, tmp_path: Path) -> None:
+    comparison = Comparison(compensators=("none", "feedforward"), seeds=1, seconds=2.0, robustness=("impulse",))
+    here = compare.run(comparison, tmp_path / "here", jobs=1)
+    there = compare.run(comparison, tmp_path / "there", backend="ray")
+    assert there["failures"] == {}
+    assert there["rows"] == here["rows"]
+    assert (tmp_path / "there" / "robustness.json").read_text() == (tmp_path / "here" / "robustness.json").read_text()
