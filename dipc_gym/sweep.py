@@ -230,8 +230,9 @@ def _attempt_on_ray(number: int, cell: Cell) -> Attempt:
     would lose them, and one process that dies there takes the sweep with it.
     """
     ray = _ray()
+    wants = {"num_cpus": 1, "max_retries": 1, "runtime_env": {"env_vars": {"OMP_NUM_THREADS": "1"}}}
     try:
-        done: Attempt = ray.get(ray.remote(_attempt).options(num_cpus=1, max_retries=1).remote(number, cell))
+        done: Attempt = ray.get(ray.remote(_attempt).options(**wants).remote(number, cell))
     except ray.exceptions.RayError as error:
         return number, None, f"Ray gave it up; {_last_line(error)}"
     return done
