@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -122,6 +122,68 @@ class Train:
         if trained.figures is not None:
             fit = trained.figures
             print(f"mean square error: training {fit.train_mse:.4g} V^2, test {fit.test_mse:.4g} V^2")
+        return 0
+
+
+@dataclass(frozen=True)
+class TrainPolicy:
+    """Train a policy that balances the rig, and try it.
+
+    The rig is identified and its compensator fitted; the policy then learns to command force through it, or, with
+    --compensator none, the motor's voltage itself. The folder gets policy.json (small, runs on NumPy, the best of
+    eight trials on the way), curve.csv, compensator.json, TensorBoard's files and a checkpoint. Killed, it goes on
+    with --resume, to the same policy.
+
+    Try:
+        dipc-gym train-policy --out runs/llnf
+        dipc-gym train-policy --out runs/direct --compensator none --seed 3
+        dipc-gym train-policy --out runs/llnf --resume
+        tensorboard --logdir runs
+    """
+
+    out: Path
+    """folder for the results, new or empty"""
+    algo: Literal["ppo", "sac"] = "ppo"
+    """proximal policy optimisation, or soft actor-critic, which takes fewer but slower steps"""
+    compensator: str = "llnf"
+    """none, feedforward, mlp (needs torch), llnf or ideal, identified for this; or a saved compensator (.json)"""
+    seed: int = 0
+    """of weights, exploration, starting states and identification"""
+    steps: int | None = None
+    """control periods to train for; without it the algorithm's own number"""
+    rigs: int | None = None
+    """rigs that are simulated side by side; without it the algorithm's own number"""
+    limit: float = 60.0
+    """largest force, N; for voltage, what exerts it on the blocked cart"""
+    plant: str | None = None
+    """JSON file of the plant; numbers may be distributions, drawn anew in every episode"""
+    model: str | None = None
+    """MJCF file of the rig"""
+    resume: bool = False
+    """go on from the folder's checkpoint; all other options as they were"""
+    overwrite: bool = False
+    """replace what an earlier training left in the folder"""
+
+    def run(self) -> int:
+        """Train, try, and say how it did."""
+        from dipc_gym import train
+
+        changes = {key: value for key, value in (("steps", self.steps), ("rigs", self.rigs)) if value is not None}
+        training = train.Training(
+            algorithm=self.algo,
+            compensator=self.compensator,
+            seed=self.seed,
+            limit=self.limit,
+            plant=self.plant,
+            model=self.model,
+            recipe=replace(train.RECIPES[self.algo], **changes),
+        )
+        try:
+            policy = train.run(training, self.out, resume=self.resume, overwrite=self.overwrite)
+        except KeyboardInterrupt:
+            print(f"\ninterrupted; go on from the last checkpoint in {self.out} with --resume", file=sys.stderr)
+            return 130
+        print(f"{self.out / 'policy.json'}: {policy.summary()}")
         return 0
 
 
@@ -424,6 +486,7 @@ class Trial:
 COMMANDS: dict[str, type[Command]] = {
     "compare": Compare,
     "train": Train,
+    "train-policy": TrainPolicy,
     "record": Record,
     "replay": Replay,
     "diagnose": Diagnose,

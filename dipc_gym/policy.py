@@ -37,7 +37,7 @@ class Evaluation:
         seconds: length of a run, s.
         seeds: of starting states and noise, one for each run.
         held: time until each run ended, s.
-        reward: median over the runs of the reward a step.
+        reward: median over the runs of their return, in shares of the largest possible.
     """
 
     seconds: float
@@ -126,18 +126,18 @@ class Policy:
         """Number of learned numbers."""
         return sum(weights.size + biases.size for weights, biases in self.layers)
 
-    def command(self, observation: Array) -> float:
-        """The command for an observation (6,) of `DIPC-Friction-v0`, N or V as `commands` says."""
-        x = observation / self.scales
+    def command(self, observations: Array) -> Array:
+        """The commands (...) for observations (..., 6) of `DIPC-Friction-v0`, N or V as `commands` says."""
+        x = observations / self.scales
         for weights, biases in self.layers[:-1]:
-            x = np.tanh(weights @ x + biases)
+            x = np.tanh(x @ weights.T + biases)
         weights, biases = self.layers[-1]
-        out = float((weights @ x + biases)[0])
-        return self.limit * (math.tanh(out) if self.squash == "tanh" else min(max(out, -1.0), 1.0))
+        out = (x @ weights.T + biases)[..., 0]
+        return self.limit * (np.tanh(out) if self.squash == "tanh" else np.clip(out, -1.0, 1.0))
 
     def force(self, observation: Array) -> float:
-        """The command as a force, N; a voltage counts as what it exerts on the blocked cart."""
-        command = self.command(observation)
+        """The command for an observation (6,) as a force, N; a voltage counts as what it exerts on the blocked cart."""
+        command = float(self.command(observation))
         return command if self.commands == "force" else command * self.newtons_per_volt
 
     def require(self, compensator: str) -> None:
@@ -160,6 +160,17 @@ class Policy:
                 f"say --compensator {self.compensator}, or train one with {compensator!r}"
             )
 
+    def summary(self) -> str:
+        """What it is and how it did, in a line."""
+        what = f"{self.commands} through {self.compensator}" if self.commands == "force" else "voltage"
+        text = f"{self.algorithm}, {what}, {self.parameters:,} numbers, chosen after {self.steps:,} control periods"
+        if (tried := self.evaluation) is None:
+            return text
+        return (
+            f"{text}; stood for {tried.seconds:g} s in {tried.standing} of {len(tried.held)} runs, "
+            f"{tried.reward:.3f} of the largest return"
+        )
+
     # ------------------------------------------------------------------------------------------------- files
 
     def save(self, path: str | Path) -> None:
@@ -176,8 +187,8 @@ class Policy:
         """Read a policy; nothing in the file is executed, and everything is checked.
 
         Raises:
-            ControllerError: the file cannot be read, or a field is missing, unknown, or not what it must be. The message
-                names file, field and mend.
+            ControllerError: the file cannot be read, or a field is missing, unknown, or not what it must be. The
+                message names file, field and mend.
         """
         path = Path(path)
         return _Reader(str(path)).policy(_read(path), path.stem)
@@ -246,12 +257,12 @@ class _Reader:
         if data.get("schema") != SCHEMA:
             self.fail(
                 "schema",
-                f"is {_short(data.get('schema'))}, and this version of dipc-gym reads {SCHEMA!r}; update dipc-gym if the "
-                "file is newer, or train the policy again",
+                f"is {_short(data.get('schema'))}, and this version of dipc-gym reads {SCHEMA!r}; update dipc-gym if "
+                "the file is newer, or train the policy again",
             )
         keys = (
-            "schema algorithm seed steps compensator commands newtons_per_volt observation evaluation activation squash "
-            "layers"
+            "schema algorithm seed steps compensator commands newtons_per_volt observation evaluation activation "
+            "squash layers"
         )
         self.members(data, keys.split(), "")
         commands = self.members(data["commands"], ("name", "unit", "limit"), "commands")
