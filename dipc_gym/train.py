@@ -306,10 +306,11 @@ def run(training: Training, out: str | Path, *, resume: bool = False, overwrite:
 
     def look() -> None:
         policy = learner.policy()
-        found = evaluate(policy, rig, first_seed=WATCHED)
+        found = evaluate(policy, rig, runs=RUNS, first_seed=WATCHED)
         best = max((past.rank for past in looks), default=(-1, 0.0))
         seconds = round(time.monotonic() - began, 1)
         looks.append(Look(learner.steps, seconds, found.standing, float(np.median(found.held)), found.reward))
+        _write_curve(looks, out)
         if looks[-1].rank > best:
             dataclasses.replace(policy, evaluation=found).save(out / "policy.json")
         learner.log({"eval/standing": found.standing, "eval/reward": found.reward})
@@ -324,7 +325,7 @@ def run(training: Training, out: str | Path, *, resume: bool = False, overwrite:
     finally:
         bar.close()
     best = Policy.load(out / "policy.json")
-    best = dataclasses.replace(best, evaluation=evaluate(best, rig, first_seed=REPORTED))
+    best = dataclasses.replace(best, evaluation=evaluate(best, rig, runs=RUNS))
     best.save(out / "policy.json")
     return best
 
@@ -372,9 +373,7 @@ def _checkpoint(learner: Any, looks: list[Look], out: Path) -> None:
     buffer = io.BytesIO()
     rows = [dataclasses.asdict(look) for look in looks]
     torch.save({"schema": SCHEMA, "looks": rows, "learner": learner.state()}, buffer)
-    lines = [",".join(rows[0])] + [",".join(map(str, row.values())) for row in rows] if rows else []
     try:
-        write_whole(out / "curve.csv", "".join(line + "\n" for line in lines).encode())
         write_whole(out / "checkpoint.pt", buffer.getvalue())
     except OSError as error:
         raise OSError(
@@ -382,6 +381,12 @@ def _checkpoint(learner: Any, looks: list[Look], out: Path) -> None:
             f"{error.strerror} at {learner.steps:,} control periods; the last checkpoint is whole: make room, --resume",
             str(out / "checkpoint.pt"),
         ) from error
+
+
+def _write_curve(looks: list[Look], out: Path) -> None:
+    rows = [dataclasses.asdict(look) for look in looks]
+    lines = [",".join(rows[0]), *(",".join(map(str, row.values())) for row in rows)]
+    write_whole(out / "curve.csv", "".join(line + "\n" for line in lines).encode())
 
 
 def restore(learner: Any, path: Path) -> list[Look]:
