@@ -18,7 +18,7 @@ from dipc_gym import policy as policies
 from dipc_gym.compensators import StaticGain
 from dipc_gym.controllers import ControllerError
 from dipc_gym.policy import Evaluation, Policy
-from dipc_gym.runs import balance, compensator
+from dipc_gym.train import Rig, Training, evaluate
 
 RNG = np.random.default_rng(7)
 OBSERVATION = np.array([0.1, -0.02, 0.03, 0.4, -0.2, 0.1])
@@ -201,12 +201,12 @@ def test_what_is_no_policy_is_refused(tmp_path: Path, content: bytes, says: str)
 # ------------------------------------------------------------------------------------------------- what is shipped
 
 
-@pytest.mark.parametrize("name", ["ppo-none", "ppo-llnf", "ppo-ideal"])
+@pytest.mark.parametrize("name", ["ppo-none", "ppo-llnf"])
 def test_shipped_policies_hold_the_pendulum(name: str) -> None:
     ours = policies.shipped(name)
-    course = balance(ours, compensator(ours.compensator, seed=1), seconds=80.0, seed=31)
-    assert not course.fell
-    assert len(course.time) == 16_000
+    rig = Rig.of(Training(compensator=ours.compensator, seed=ours.seed))
+    tried = evaluate(ours, rig, runs=10, seconds=80.0, first_seed=30_000)  # neither chosen nor reported on these
+    assert tried.standing >= 8
 
 
 def test_unknown_shipped_policies_are_listed() -> None:

@@ -102,7 +102,7 @@ def test_a_full_disk_leaves_the_last_checkpoint_whole(
     out = tmp_path / "run"
     with monkeypatch.context() as patch:
         killed_after_first_stage(patch, OSError(errno.EIO, "killed here"))
-        with pytest.raises(OSError, match="killed here"):
+        with pytest.raises(OSError, match="killed here after 2,000"):
             train.run(short(), out)
     before = (out / "checkpoint.pt").read_bytes()
     with monkeypatch.context() as patch:
@@ -117,7 +117,7 @@ def test_a_full_disk_leaves_the_last_checkpoint_whole(
             raise OSError(errno.ENOSPC, "No space left on device")
 
         patch.setattr(train, "write_whole", full)
-        with pytest.raises(OSError, match=r"No space left on device at 4,000.*--resume") as caught:
+        with pytest.raises(OSError, match=r"No space left on device after 4,000.*--resume") as caught:
             train.run(short(), out, resume=True)
         assert caught.value.errno == errno.ENOSPC
     assert (out / "checkpoint.pt").read_bytes() == before
