@@ -4,10 +4,13 @@ EXTRAS := rl,parquet,trial,ray,test,dev
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: compare test lint bench clean
+.PHONY: compare learning test lint bench clean
 
 compare: .venv/installed
 	$(BIN)/dipc-gym compare --out runs/compare --jobs 2 --overwrite
+
+learning: .venv/installed
+	$(BIN)/python -m benchmarks.learning
 
 test: .venv/installed
 	$(BIN)/python -m pytest -q -m timing

@@ -109,6 +109,7 @@ class Learner:
                 learning_starts=recipe.warm_up,
                 train_freq=1,
                 gradient_steps=recipe.updates,
+                ent_coef=f"auto_{recipe.first_entropy}",
                 policy_kwargs=shape,
                 **common,
             )

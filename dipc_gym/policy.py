@@ -221,6 +221,23 @@ class Policy:
         }
 
 
+def shipped(name: str) -> Policy:
+    """A policy that comes with the package, by its file's stem.
+
+    Raises:
+        ControllerError: there is none of that name.
+
+    Example:
+        >>> shipped("ppo-llnf").compensator
+        'llnf'
+    """
+    folder = Path(__file__).parent / "policies"
+    names = sorted(path.stem for path in folder.glob("*.json"))
+    if name not in names:
+        raise ControllerError(f"no policy {name!r} comes with the package; there are {', '.join(names)}")
+    return Policy.load(folder / f"{name}.json")
+
+
 def _read(path: Path) -> Any:
     try:
         with path.open("rb") as file:

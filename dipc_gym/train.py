@@ -63,6 +63,7 @@ class Recipe:
         buffer: SAC: control periods that are remembered.
         warm_up: SAC: control periods with random commands.
         updates: SAC: gradient steps for every period of all rigs.
+        first_entropy: SAC: first weight of entropy beside the scaled reward.
     """
 
     steps: int = 768_000
@@ -80,6 +81,7 @@ class Recipe:
     buffer: int = 300_000
     warm_up: int = 5_000
     updates: int = 1
+    first_entropy: float = 0.01
 
     def __post_init__(self) -> None:
         for name in ("steps", "rigs", "stage", "batch", "width", "rollout", "epochs", "buffer", "updates"):
@@ -189,7 +191,7 @@ class Rig:
             model=self.model,
             max_episode_steps=steps,
             autoreset_mode="SameStep",
-            threads=1,  # a batch this small is stepped no faster by two
+            threads=1,  # the other core is for another training
         )
         return envs if self.compensator is None else VectorForceCommand(envs, self.compensator)
 
@@ -306,10 +308,11 @@ def run(training: Training, out: str | Path, *, resume: bool = False, overwrite:
 
     def look() -> None:
         policy = learner.policy()
-        found = evaluate(policy, rig, first_seed=WATCHED)
+        found = evaluate(policy, rig, runs=RUNS, first_seed=WATCHED)
         best = max((past.rank for past in looks), default=(-1, 0.0))
         seconds = round(time.monotonic() - began, 1)
         looks.append(Look(learner.steps, seconds, found.standing, float(np.median(found.held)), found.reward))
+        _write_curve(looks, out)
         if looks[-1].rank > best:
             dataclasses.replace(policy, evaluation=found).save(out / "policy.json")
         learner.log({"eval/standing": found.standing, "eval/reward": found.reward})
@@ -321,10 +324,13 @@ def run(training: Training, out: str | Path, *, resume: bool = False, overwrite:
             if learner.steps >= recipe.steps:
                 look()
             _checkpoint(learner, looks, out)
+    except OSError as error:
+        said = f"{error.strerror} after {learner.steps:,} control periods; the last checkpoint is whole"
+        raise OSError(error.errno, f"{said}: make room, then --resume", str(out)) from error
     finally:
         bar.close()
     best = Policy.load(out / "policy.json")
-    best = dataclasses.replace(best, evaluation=evaluate(best, rig, first_seed=REPORTED))
+    best = dataclasses.replace(best, evaluation=evaluate(best, rig, runs=RUNS))
     best.save(out / "policy.json")
     return best
 
@@ -372,16 +378,13 @@ def _checkpoint(learner: Any, looks: list[Look], out: Path) -> None:
     buffer = io.BytesIO()
     rows = [dataclasses.asdict(look) for look in looks]
     torch.save({"schema": SCHEMA, "looks": rows, "learner": learner.state()}, buffer)
-    lines = [",".join(rows[0])] + [",".join(map(str, row.values())) for row in rows] if rows else []
-    try:
-        write_whole(out / "curve.csv", "".join(line + "\n" for line in lines).encode())
-        write_whole(out / "checkpoint.pt", buffer.getvalue())
-    except OSError as error:
-        raise OSError(
-            error.errno,
-            f"{error.strerror} at {learner.steps:,} control periods; the last checkpoint is whole: make room, --resume",
-            str(out / "checkpoint.pt"),
-        ) from error
+    write_whole(out / "checkpoint.pt", buffer.getvalue())
+
+
+def _write_curve(looks: list[Look], out: Path) -> None:
+    rows = [dataclasses.asdict(look) for look in looks]
+    lines = [",".join(rows[0]), *(",".join(map(str, row.values())) for row in rows)]
+    write_whole(out / "curve.csv", "".join(line + "\n" for line in lines).encode())
 
 
 def restore(learner: Any, path: Path) -> list[Look]:

@@ -143,9 +143,10 @@ if __name__ == "__main__":
         average.update_parameters(actor)  # single updates make a balancing policy better and worse by turns
         if update % 10 == 9 or update == updates - 1:
             recent = 0.005 * np.mean(lengths[-m:]) if lengths else 0.0
+            newtons = arguments.limit * float(spread.exp().detach())
             print(
-                f"{(update + 1) * n * m:9,} periods, {time.perf_counter() - began:4.0f} s: episodes of {recent:4.1f} s, "
-                f"spread of commands {arguments.limit * float(spread.exp().detach()):4.1f} N"
+                f"{(update + 1) * n * m:9,} periods, {time.perf_counter() - began:4.0f} s: "
+                f"episodes of {recent:4.1f} s, commands spread by {newtons:4.1f} N"
             )
 
     trial = make(10, 10**9)

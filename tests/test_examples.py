@@ -10,6 +10,7 @@ import pytest
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 QUICKLY = {"balance.py": ["--seconds", "1"], "worn_rig.py": ["--seconds", "1"]}
+QUICKLY["train_policy.py"] = ["--steps", "2000", "--rollout", "125", "--rigs", "8", "--seconds", "1"]
 
 
 @pytest.mark.parametrize("file", sorted(path.name for path in EXAMPLES.glob("*.py")))

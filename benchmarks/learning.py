@@ -1,0 +1,90 @@
+"""Is a friction compensator worth it to a learner? Learning curves with and without, over seeds.
+
+    python -m benchmarks.learning [--seeds 5] [--compensators none llnf ideal] [--out runs/learning]
+
+PPO as `dipc-gym train-policy` has it, at its own budget of control periods, once for each seed and compensator; `none`
+commands the voltage itself. Every training is tried eight times on the way, by ten runs of 80 s, and its best policy by
+ten further runs that did not choose it. What is finished is not trained again when the benchmark is started again, and
+a training that was killed goes on. Prints medians and quartiles over the seeds and draws the curves.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from dipc_gym.policy import Policy
+from dipc_gym.train import RECIPES, Training, run
+
+ALPHA = 0.2
+NAMES = {"none": "voltage", "ideal": "ideal (true friction known)"}
+
+
+def trained(compensator, seed, out):
+    """Train, unless that has been done; the policy and its curve, one row for each trial."""
+    folder = out / f"{compensator}-{seed}"
+    training = Training(compensator=compensator, seed=seed, recipe=RECIPES["ppo"])
+    if (folder / "done").exists():
+        policy = Policy.load(folder / "policy.json")
+    else:
+        policy = run(training, folder, resume=(folder / "training.json").exists())
+        (folder / "done").touch()
+    assert json.loads((folder / "training.json").read_text()) == json.loads(json.dumps(training.to_dict())), folder
+    return policy, np.genfromtxt(folder / "curve.csv", delimiter=",", names=True)
+
+
+def quartiles(values, form):
+    low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
+    return f"{middle:{form}} ({low:{form}} to {high:{form}})"
+
+
+def draw(curves, path):
+    """Medians, and the band between the quartiles, of return and of the time that runs lasted."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
+    for name, rows in curves.items():
+        steps = np.mean([row["steps"] for row in rows], axis=0) / 1000
+        for axis, key in zip(axes, ("reward", "held"), strict=True):
+            low, middle, high = np.quantile([row[key] for row in rows], [0.25, 0.5, 0.75], axis=0)
+            (line,) = axis.plot(steps, middle, label=NAMES.get(name, f"force through {name}"))
+            axis.fill_between(steps, low, high, color=line.get_color(), alpha=ALPHA, linewidth=0)
+    axes[0].set(xlabel="control periods / 1000", ylabel="return of 80 s, share of the largest", ylim=(0, 1.02))
+    axes[1].set(xlabel="control periods / 1000", ylabel="time until it falls / s", ylim=(0, 82))
+    axes[0].legend(loc="lower right")
+    figure.savefig(path, dpi=120)
+    print(f"\n{path}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--compensators", nargs="+", default=["none", "llnf", "ideal"])
+    parser.add_argument("--out", type=Path, default=Path("runs/learning"))
+    parser.add_argument("--figure", type=Path, default=Path("docs/fig_learning.png"))
+    options = parser.parse_args()
+    if options.seeds < 1:
+        parser.error("--seeds must be above zero")
+    options.out.mkdir(parents=True, exist_ok=True)
+    done = {(c, s): trained(c, s, options.out) for s in range(options.seeds) for c in options.compensators}
+
+    curves = {c: [done[c, s][1] for s in range(options.seeds)] for c in options.compensators}
+    marks = curves[options.compensators[0]][0]["steps"]
+    print("median (quartiles) over seeds of the time until it falls, s, after so many control periods\n")
+    print(f"{'':14s}" + "".join(f"{mark / 1000:18,.0f}k" for mark in marks))
+    for name, rows in curves.items():
+        cells = [quartiles([row["held"][i] for row in rows], ".1f") for i in range(len(marks))]
+        print(f"{name:14s}" + "".join(f"{cell:>19s}" for cell in cells))
+    print("\nbest policy of each training, tried by ten runs of 80 s that did not choose it\n")
+    print(f"{'':14s}{'all ten stood':>15s}{'return, share of the largest':>36s}{'least runs stood':>18s}")
+    for name in options.compensators:
+        tried = [done[name, s][0].evaluation for s in range(options.seeds)]
+        whole = sum(one.standing == len(one.held) for one in tried)
+        returns = quartiles([one.reward for one in tried], ".4f")
+        print(f"{name:14s}{whole:9d} of {options.seeds:2d}{returns:>36s}{min(one.standing for one in tried):15d}/10")
+    draw(curves, options.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+"""Training: it learns, goes on after a kill to the same policy, and spoils nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dipc_gym import cli, train
+from dipc_gym.policy import Policy
+from dipc_gym.train import RECIPES, Recipe, Rig, Training, TrainingError, evaluate
+
+pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+from dipc_gym.learner import SCALES, Learner
+
+# Two stages each; SAC learns from step 200 on.
+SHORT = {
+    "ppo": Recipe(steps=4_000, rigs=8, stage=250, rollout=125, batch=250, width=8),
+    "sac": Recipe(steps=1_000, rigs=4, stage=125, warm_up=200, batch=32, width=8, buffer=1_000),
+}
+
+
+@pytest.fixture(autouse=True)
+def briefly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four trials of two runs are enough to see what becomes of them."""
+    monkeypatch.setattr(train, "RUNS", 2)
+    monkeypatch.setattr(train, "LOOKS", 4)
+
+
+def short(algorithm: Any = "ppo", **changes: Any) -> Training:
+    values = {"algorithm": algorithm, "compensator": "none", "seed": 5, "recipe": SHORT[algorithm]}
+    return Training(**values | changes)
+
+
+def killed_after_first_stage(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    real, calls = train._checkpoint, []
+
+    def checkpoint(*arguments: Any) -> None:
+        real(*arguments)
+        calls.append(1)
+        if len(calls) == 1:
+            raise error
+
+    monkeypatch.setattr(train, "_checkpoint", checkpoint)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_a_killed_training_goes_on_to_the_same_policy(
+    algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = train.run(short(algorithm), tmp_path / "whole")
+    with monkeypatch.context() as patch:
+        killed_after_first_stage(patch, KeyboardInterrupt())
+        with pytest.raises(KeyboardInterrupt):
+            train.run(short(algorithm), tmp_path / "killed")
+    assert Policy.load(tmp_path / "killed" / "policy.json").steps <= SHORT[algorithm].steps // 2
+    resumed = train.run(short(algorithm), tmp_path / "killed", resume=True)
+    assert resumed.to_dict() == whole.to_dict()
+    assert (tmp_path / "killed" / "policy.json").read_bytes() == (tmp_path / "whole" / "policy.json").read_bytes()
+    curves = [
+        np.genfromtxt(tmp_path / name / "curve.csv", delimiter=",", names=True)[["steps", "standing", "held", "reward"]]
+        for name in ("whole", "killed")
+    ]
+    assert len(curves[0]) == 4
+    np.testing.assert_array_equal(*curves)
+    assert list((tmp_path / "whole" / "tensorboard").iterdir())
+
+
+def test_learning_makes_it_stand_longer() -> None:
+    recipe = dataclasses.replace(RECIPES["ppo"], steps=64_000, rigs=16, stage=4_000, rate=1e-3)
+    training = short(recipe=recipe, seed=101)
+    rig = Rig.of(training)
+    learner = Learner(training, rig)
+    before = evaluate(learner.policy(), rig, runs=20, seconds=20.0)
+    learner.learn(0, lambda: None)
+    after = evaluate(learner.policy(), rig, runs=20, seconds=20.0)
+    longer = np.array(after.held) > np.array(before.held)
+    assert longer.sum() >= 17  # of 20 starting states; by chance that happens once in 770 times
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_the_file_acts_as_the_model_does(algorithm: str) -> None:
+    training = short(algorithm)
+    learner = Learner(training, Rig.of(training))
+    learner.learn(0, lambda: None)
+    learner.model.policy.load_state_dict(learner.average, strict=False)
+    policy = learner.policy()
+    observations = np.random.default_rng(1).normal(0.0, [0.2, 0.1, 0.1, 1.0, 1.0, 1.0], (50, 6))
+    theirs, _ = learner.model.predict((observations / SCALES).astype(np.float32), deterministic=True)
+    np.testing.assert_allclose(policy.command(observations), policy.limit * theirs[:, 0], atol=1e-4 * policy.limit)
+
+
+def test_a_full_disk_leaves_the_last_checkpoint_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        killed_after_first_stage(patch, OSError(errno.EIO, "killed here"))
+        with pytest.raises(OSError, match="killed here after 2,000"):
+            train.run(short(), out)
+    before = (out / "checkpoint.pt").read_bytes()
+    with monkeypatch.context() as patch:
+        real = train.write_whole
+
+        def full(path: Path, content: bytes) -> None:
+            if Path(path).name == "checkpoint.pt":
+                patch.setattr("os.fsync", no_space)
+            real(path, content)
+
+        def no_space(_: int) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        patch.setattr(train, "write_whole", full)
+        with pytest.raises(OSError, match=r"No space left on device after 4,000.*--resume") as caught:
+            train.run(short(), out, resume=True)
+        assert caught.value.errno == errno.ENOSPC
+    assert (out / "checkpoint.pt").read_bytes() == before
+    assert not list(out.glob("*.partial"))
+    assert train.run(short(), out, resume=True).steps <= 4_000
+
+
+def test_results_are_never_overwritten_by_surprise(tmp_path: Path) -> None:
+    (tmp_path / "note.txt").write_text("mine")
+    with pytest.raises(FileExistsError, match="--resume or --overwrite"):
+        train.run(short(), tmp_path)
+    train.run(short(), tmp_path, overwrite=True)
+    assert (tmp_path / "note.txt").read_text() == "mine"
+    with pytest.raises(TrainingError, match=r"training\.json, seed: this training was begun with 5, not 6"):
+        train.run(short(seed=6), tmp_path, resume=True)
+    longer = dataclasses.replace(SHORT["ppo"], steps=9_000)
+    with pytest.raises(TrainingError, match=r"recipe\.steps: this training was begun with 4000, not 9000"):
+        train.run(short(recipe=longer), tmp_path, resume=True)
+    (tmp_path / "training.json").write_text("[]")
+    with pytest.raises(TrainingError, match="cannot be read"):
+        train.run(short(), tmp_path, resume=True)
+
+
+class Bomb:
+    def __reduce__(self) -> Any:
+        return (Path.touch, (Path("exploded"),))
+
+
+def test_nothing_in_a_checkpoint_is_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "run"
+    train.run(short(), out)
+    whole = (out / "checkpoint.pt").read_bytes()
+    for content in (pickle.dumps(Bomb()), b"", whole[: len(whole) // 2]):
+        (out / "checkpoint.pt").write_bytes(content)
+        with pytest.raises(TrainingError, match=r"checkpoint\.pt: no checkpoint of this training.*--overwrite"):
+            train.run(short(), out, resume=True)
+    assert not (tmp_path / "exploded").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--steps", "0"], "steps is 0"),
+        (["--rigs", "-4"], "rigs is -4"),
+        (["--seed", "-1"], "the seed is -1"),
+        (["--limit", "0"], "the limit is 0"),
+        (["--limit", "nan"], "the limit is nan"),
+        (["--compensator", "magic"], "there is no compensator 'magic'; there are none"),
+        (["--compensator", "gone.json"], "gone.json: cannot be read"),
+        (["--plant", "gone.json"], "gone.json"),
+    ],
+)
+def test_bad_options_are_refused_before_anything_is_written(
+    options: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert cli.main(["train-policy", "--out", str(out), *options]) == 2
+    assert says in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_command_line_trains_and_says_how_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "run"
+    command = ["train-policy", "--out", str(out), "--compensator", "ideal", "--steps", "8000", "--rigs", "8"]
+    assert cli.main(command) == 0
+    said = capsys.readouterr().out
+    assert "policy.json: ppo, force through ideal" in said
+    assert "stood for 80 s in 0 of 2 runs" in said
+    assert (out / "compensator.json").is_file()
+    assert cli.main(command) == 2
+    assert cli.main([*command, "--resume"]) == 0
