@@ -50,7 +50,7 @@ EMPS = """\
   <worldbody>
     <body name="carriage">
       <joint name="carriage" type="slide" axis="1 0 0"/>
-      <geom type="box" size="0.1 0.1 0.05" mass="95.1089" contype="0" conaffinity="0"/>
+      <inertial pos="0 0 0" mass="95.1089" diaginertia="1 1 1"/>
     </body>
   </worldbody>
   <actuator><motor name="drive" joint="carriage" gear="{gain:.7g}"/></actuator>
