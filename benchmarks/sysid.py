@@ -229,7 +229,9 @@ def main():
     parser.add_argument("--mass", type=float, help="kg, where it is known")
     parser.add_argument("--effects", nargs="+", help="of the catalogue; all, if not given")
     options = parser.parse_args()
-    if options.model:
+    if not hasattr(sysid, "optimize"):  # it imports without what it needs, and then has nothing in it
+        print('not run: needs pip install "mujoco[sysid]"')
+    elif options.model:
         question(options.model, options.recording, options.effects, options.mass, options.threads)
     else:
         speed(options.threads, options.repeats)
