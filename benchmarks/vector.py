@@ -1,6 +1,10 @@
 """Speed with many environments: ours, Gymnasium's way of having many, and MuJoCo's bare batch as the ceiling.
 
-    python benchmarks/vector.py [--seconds 1.0] [--repeats 3] [--counts 1 16 256 4096]
+    python -m benchmarks.vector [--seconds 1.0] [--repeats 3] [--counts 1 16 256 4096] [--envpool VENV/bin/python]
+
+EnvPool has a virtual environment of its own, with its own versions: `python -m venv VENV` and
+`VENV/bin/pip install envpool gymnasium`. AsyncVectorEnv is one process for each environment, so it is left out above
+`--most-processes`.
 
 Every environment does 5 physics steps a control step, and is reset when an episode ends; that is timed too. Actions are
 zero. The bare batch is MuJoCo stepping the same rig under a held voltage, with nothing observed, rewarded or reset, so
@@ -8,7 +12,9 @@ poles that have fallen go on swinging. Rivals take turns; the highest rate of se
 """
 
 import argparse
+import subprocess
 import time
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -31,8 +37,13 @@ class Bare:
         self._sims.ctrl = actions
         self._sims.step(nstep=5)
 
+    def close(self):
+        pass
+
 
 def steps_per_second(env, seconds):
+    if isinstance(env, EnvPool):
+        return env.rate(seconds)
     env.reset(seed=0)
     actions = np.zeros((env.num_envs, 1), np.float32)
     for _ in range(2):
@@ -48,6 +59,25 @@ def sync(name, count):
     return gymnasium.make_vec(name, num_envs=count, vectorization_mode="sync")
 
 
+def processes(name, count):
+    return gymnasium.make_vec(name, num_envs=count, vectorization_mode="async")
+
+
+class EnvPool:
+    """EnvPool's InvertedDoublePendulum, measured by the Python that has it."""
+
+    def __init__(self, python, count):
+        self.python, self.num_envs = python, count
+
+    def rate(self, seconds):
+        script = Path(__file__).with_name("envpool_rate.py")
+        command = [self.python, str(script), str(self.num_envs), str(seconds)]
+        return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+    def close(self):
+        pass
+
+
 def ours(count, **kwargs):
     return gymnasium.make_vec(dipc_gym.ENV_ID, num_envs=count, vectorization_mode="vector_entry_point", **kwargs)
 
@@ -57,13 +87,18 @@ def main():
     parser.add_argument("--seconds", type=float, default=1.0, help="of each measurement")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--counts", type=int, nargs="+", default=[1, 16, 256, 4096])
+    parser.add_argument("--most-processes", type=int, default=256, help="largest count for AsyncVectorEnv")
+    parser.add_argument("--envpool", metavar="PYTHON", help="the Python of a virtual environment that has EnvPool")
     options = parser.parse_args()
     random = {
         "friction": {"coulomb": {"uniform": [5, 9]}, "static": {"uniform": [9, 14]}},
         "masses": {"cart": {"uniform": [0.5, 0.6]}},
     }
+    pendulum = "InvertedDoublePendulum-v5"
     rivals = {
-        "InvertedDoublePendulum-v5, SyncVectorEnv": lambda n: sync("InvertedDoublePendulum-v5", n),
+        f"{pendulum}, SyncVectorEnv": lambda n: sync(pendulum, n),
+        f"{pendulum}, AsyncVectorEnv": lambda n: processes(pendulum, n) if n <= options.most_processes else None,
+        f"{pendulum}, EnvPool": lambda n: EnvPool(options.envpool, n) if options.envpool else None,
         "DIPC-Friction-v0, SyncVectorEnv": lambda n: sync(dipc_gym.ENV_ID, n),
         "DIPC-Friction-v0, batch": ours,
         "the same, plants drawn at reset": lambda n: ours(n, plant=random),
@@ -73,15 +108,15 @@ def main():
     print(f"{'environments':>12s}  {'':42s} {'steps/s':>10s} {'of Gymnasium':>13s} {'of bare batch':>14s}")
     for count in options.counts:
         rates = dict.fromkeys(names, 0.0)
-        built = {name: make(count) for name, make in rivals.items()}
         for _ in range(options.repeats):
-            for name, env in built.items():
-                rates[name] = max(rates[name], steps_per_second(env, options.seconds))
-        for name in names:
-            rate = rates[name]
-            print(
-                f"{count:12d}  {name:42s} {rate:10,.0f} {rate / rates[names[0]]:13.1f} {rate / rates[names[-1]]:14.0%}"
-            )
+            for name, make in rivals.items():
+                if (env := make(count)) is not None:
+                    rates[name] = max(rates[name], steps_per_second(env, options.seconds))
+                    env.close()
+        for name, rate in rates.items():
+            if rate:
+                of = f"{rate / rates[names[0]]:13.1f} {rate / rates[names[-1]]:14.0%}"
+                print(f"{count:12d}  {name:42s} {rate:10,.0f} {of}", flush=True)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -27,17 +27,22 @@ class Compare:
 
     On each rig: record the identification run (poles locked, a voltage swept from 0.3 to 10 Hz in 60 s), train the
     compensators on it, and balance the pendulum for 80 s with every controller and compensator. The folder gets
-    summary.json, table.txt, figures, a GIF, the trained compensators and recordings of the first rig's runs.
+    summary.json, table.txt, figures, a GIF, the trained compensators and recordings of the first rig's runs. Killed, it
+    goes on where it stopped when started again; what failed is listed and tried again, and the exit code is then 1.
+
+    With --robustness, every pair then balances the same rigs, changed more and more after training: how far it holds
+    stands in robustness.txt, robustness.json and figures/robustness.pdf.
 
     Try:
         dipc-gym compare --out runs/compare
-        dipc-gym compare --out runs/mine --compensator none,llnf,mine.json --controller lqr,policy.zip --seeds 20
+        dipc-gym compare --out runs/compare --robustness all
+        dipc-gym compare --out runs/mine --compensator none,llnf,mine.json --controller lqr,policy.json --seeds 20
     """
 
     out: Path
-    """folder for the results, new or empty"""
+    """folder for the results: new, empty, or begun by the same command"""
     controller: str = "lqr"
-    """names with commas between: lqr, or policies saved by stable-baselines3 (.zip, trained behind ForceCommand)"""
+    """names with commas between: lqr, or policies: our own (.json), or stable-baselines3's (.zip)"""
     compensator: str = "none,feedforward,mlp,llnf,ideal"
     """names with commas between; or saved compensators (.json)"""
     seeds: int = 10
@@ -52,14 +57,19 @@ class Compare:
     """MJCF file of another rig, with the actuator motor and the sensors cart, pole1, pole2"""
     exact_state: bool = False
     """balance with the exact state: what encoder noise costs is then left out"""
-    jobs: int = 2
-    """processes at a time"""
+    robustness: str = ""
+    """with commas between: friction, encoder, period, supply, impulse; or all"""
+    jobs: int | None = None
+    """experiments at a time; without it 2, or on Ray as many as the cluster has CPUs"""
+    backend: Literal["local", "ray"] = "local"
+    """ray: on the cluster that RAY_ADDRESS names, or a Ray that is started on this machine"""
     overwrite: bool = False
-    """replace what an earlier comparison left in the folder"""
+    """begin anew instead of going on with what the folder holds"""
 
     def run(self) -> int:
         """Compare, and print the table."""
         from dipc_gym import compare
+        from dipc_gym.robustness import AXES
         from dipc_gym.summary import table
 
         comparison = compare.Comparison(
@@ -71,15 +81,20 @@ class Compare:
             model=self.model,
             recording=self.recording,
             exact_state=self.exact_state,
+            robustness=tuple(AXES) if self.robustness == "all" else _listed(self.robustness),
         )
         try:
-            summary = compare.run(comparison, self.out, jobs=self.jobs, overwrite=self.overwrite)
+            summary = compare.run(comparison, self.out, jobs=self.jobs, backend=self.backend, overwrite=self.overwrite)
         except KeyboardInterrupt:
             print(f"\ninterrupted; what was finished is in {self.out / 'summary.json'}", file=sys.stderr)
             return 130
         print(table(summary))
+        if comparison.robustness:
+            print("\n" + (self.out / "robustness.txt").read_text(encoding="utf-8").rstrip())
         print(f"\nresults in {self.out}")
-        return 0
+        if summary["failures"]:
+            print(f"{len(summary['failures'])} failed, as listed; the same command tries them again", file=sys.stderr)
+        return 1 if summary["failures"] else 0
 
 
 @dataclass(frozen=True)
@@ -126,6 +141,68 @@ class Train:
 
 
 @dataclass(frozen=True)
+class TrainPolicy:
+    """Train a policy that balances the rig, and try it.
+
+    The rig is identified and its compensator fitted; the policy then learns to command force through it, or, with
+    --compensator none, the motor's voltage itself. The folder gets policy.json (small, runs on NumPy, the best of
+    eight trials on the way), curve.csv, compensator.json, TensorBoard's files and a checkpoint. Killed, it goes on
+    with --resume, to the same policy.
+
+    Try:
+        dipc-gym train-policy --out runs/llnf
+        dipc-gym train-policy --out runs/direct --compensator none --seed 3
+        dipc-gym train-policy --out runs/llnf --resume
+        tensorboard --logdir runs
+    """
+
+    out: Path
+    """folder for the results, new or empty"""
+    algo: Literal["ppo", "sac"] = "ppo"
+    """proximal policy optimisation, or soft actor-critic, which takes fewer but slower steps"""
+    compensator: str = "llnf"
+    """none, feedforward, mlp (needs torch), llnf or ideal, identified for this; or a saved compensator (.json)"""
+    seed: int = 0
+    """of weights, exploration, starting states and identification"""
+    steps: int | None = None
+    """control periods to train for; without it the algorithm's own number"""
+    rigs: int | None = None
+    """rigs that are simulated side by side; without it the algorithm's own number"""
+    limit: float = 60.0
+    """largest force, N; for voltage, what exerts it on the blocked cart"""
+    plant: str | None = None
+    """JSON file of the plant; numbers may be distributions, drawn anew in every episode"""
+    model: str | None = None
+    """MJCF file of the rig"""
+    resume: bool = False
+    """go on from the folder's checkpoint; all other options as they were"""
+    overwrite: bool = False
+    """replace what an earlier training left in the folder"""
+
+    def run(self) -> int:
+        """Train, try, and say how it did."""
+        from dipc_gym import train
+
+        changes = {key: value for key, value in (("steps", self.steps), ("rigs", self.rigs)) if value is not None}
+        training = train.Training(
+            algorithm=self.algo,
+            compensator=self.compensator,
+            seed=self.seed,
+            limit=self.limit,
+            plant=self.plant,
+            model=self.model,
+            recipe=replace(train.RECIPES[self.algo], **changes),
+        )
+        try:
+            policy = train.run(training, self.out, resume=self.resume, overwrite=self.overwrite)
+        except KeyboardInterrupt:
+            print(f"\ninterrupted; go on from the last checkpoint in {self.out} with --resume", file=sys.stderr)
+            return 130
+        print(f"{self.out / 'policy.json'}: {policy.summary()}")
+        return 0
+
+
+@dataclass(frozen=True)
 class Record:
     """Simulate a run of the rig and write it as a recording.
 
@@ -142,7 +219,7 @@ class Record:
     experiment: Literal["balance", "identification"] = "balance"
     """balance the poles, or sweep the voltage with the poles locked"""
     controller: str = "lqr"
-    """lqr, or a policy saved by stable-baselines3 (.zip)"""
+    """lqr, or a policy: our own (.json), or one of stable-baselines3 (.zip)"""
     compensator: str = "none"
     """a name, trained for this on a simulated run, or a saved compensator (.json)"""
     seconds: float = 80.0
@@ -195,7 +272,7 @@ class Render:
     recording: str | None = None
     """recording to draw instead of a simulated run"""
     controller: str = "lqr"
-    """lqr, or a policy saved by stable-baselines3 (.zip)"""
+    """lqr, or a policy: our own (.json), or one of stable-baselines3 (.zip)"""
     compensator: str = "none"
     """a name, trained for this on a simulated run, or a saved compensator (.json)"""
     seconds: float = 10.0
@@ -424,6 +501,7 @@ class Trial:
 COMMANDS: dict[str, type[Command]] = {
     "compare": Compare,
     "train": Train,
+    "train-policy": TrainPolicy,
     "record": Record,
     "replay": Replay,
     "diagnose": Diagnose,
@@ -433,7 +511,7 @@ COMMANDS: dict[str, type[Command]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; the exit code is 0, 2 for bad input, 130 after Ctrl-C."""
+    """Run the command line; the exit code is 0, 1 if part of it failed, 2 for bad input, 130 after Ctrl-C."""
     command = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,  # type: ignore[arg-type]
         prog="dipc-gym",

@@ -8,32 +8,31 @@ every compensator.
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
-import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, compensators, controllers, lqr, runs
-from dipc_gym.compensators import OutOfRangeWarning
+from dipc_gym import ENV_ID, cells, compensators, controllers, robustness, sweep
+from dipc_gym.cells import Balancing, Training, label
+from dipc_gym.files import write_json
 from dipc_gym.identification import Sweep
 from dipc_gym.plant import Friction, Plant
-from dipc_gym.runs import Course, Identification, identify
+from dipc_gym.policy import Policy
+from dipc_gym.runs import Course
 from dipc_gym.sim2real import recording
-from dipc_gym.sim2real.recording import Recording
 from dipc_gym.summary import summarise, table
+from dipc_gym.sweep import Backend, Cell, Outcome
 
-Array = NDArray[np.float64]
-
-SETTLED = 20.0  # s; the paper reads deviations off its Fig. 12 after that
 FOLDERS = ("cells", "compensators", "recordings", "figures")
-FILES = ("summary.json", "table.txt", "rig.gif")
+FILES = ("summary.json", "table.txt", "rig.gif", "robustness.json", "robustness.txt")
+
+Trained = Mapping[tuple[int, str], dict[str, Any]]
+"""Compensators as dictionaries, by the seed of the rig and the name that they were asked for by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +80,7 @@ class Comparison:
         model: file of an MJCF model; None is the package's.
         recording: file of an identification run to train all compensators from; None simulates one on every rig.
         exact_state: balance with the exact state instead of encoder readings; training still sees encoders.
+        robustness: axes along which rigs are changed after training, names of `robustness.AXES`.
         sweep: the simulated identification run.
         spread: how rigs differ.
     """
@@ -93,6 +93,7 @@ class Comparison:
     model: str | None = None
     recording: str | None = None
     exact_state: bool = False
+    robustness: tuple[str, ...] = ()
     sweep: Sweep = field(default_factory=Sweep)
     spread: Spread = field(default_factory=Spread)
 
@@ -105,8 +106,10 @@ class Comparison:
         """
         if self.seeds < 1 or not self.seconds > 0 or not self.controllers or not self.compensators:
             raise ValueError("a comparison needs at least one controller, compensator and seed, and a positive length")
-        for name in self.controllers:
-            controllers.load(name)
+        for kind, names in (("controllers", self.controllers), ("compensators", self.compensators)):
+            labels = [label(name) for name in names]
+            if twice := sorted({name for name in labels if labels.count(name) > 1}):
+                raise ValueError(f"two {kind} are called {twice[0]!r}; rename one's file or folder")
         for name in self.compensators:
             if name.endswith(".json"):
                 compensators.load(name)
@@ -115,13 +118,25 @@ class Comparison:
                     f"there is no compensator {name!r}; there are {', '.join(compensators.names())} and paths of "
                     "saved ones (.json)"
                 )
-        self.base_plant()
+        for name in self.controllers:
+            if not self._partners(name):
+                raise ValueError(
+                    f"{name} commands voltage and goes with the compensator 'none' alone; add it to the compensators"
+                )
+        robustness.check(self.robustness, self.base_plant())
         if self.recording is not None:
-            self.identification(0)
+            self.trainings()[0].identification()
 
     def pairs(self) -> list[tuple[str, str]]:
         """Controllers and compensators as tables call them, in the order of the table."""
-        return [(controllers.load(a).name, _label(b)) for a in self.controllers for b in self.compensators]
+        return [(label(a), label(b)) for a in self.controllers for b in self._partners(a)]
+
+    def _partners(self, controller: str) -> tuple[str, ...]:
+        """The compensators that a controller is tried with: all; for a policy that commands voltage, `none`."""
+        brain = controllers.load(controller)
+        if isinstance(brain, Policy) and brain.commands == "voltage":
+            return tuple(name for name in self.compensators if name == "none")
+        return self.compensators
 
     def base_plant(self) -> Plant:
         """The build that all rigs are of."""
@@ -132,123 +147,109 @@ class Comparison:
         """The rig of a seed."""
         return self.spread.draw(self.base_plant(), seed)
 
-    def identification(self, seed: int) -> Identification:
-        """The identification run of a seed's rig, or the one that was recorded."""
-        plant = self.rig(seed) if self.recording is None else self.base_plant()
-        return identify(plant, model=self.model, from_recording=self.recording, sweep=self.sweep, seed=seed)
+    def trainings(self) -> list[Training]:
+        """Every compensator on every rig, or on the one recording."""
+        rigs = {s: self.rig(s) for s in range(self.seeds)} if self.recording is None else {0: self.base_plant()}
+        return [
+            Training(
+                compensator=name,
+                plant=plant,
+                model=self.model,
+                recording=self.recording,
+                sweep=self.sweep,
+                seed=seed,
+                files=cells.fingerprints(name, self.model, self.recording),
+            )
+            for seed, plant in rigs.items()
+            for name in self.compensators
+        ]
+
+    def balancings(self, trained: Trained) -> list[Balancing]:
+        """Every pair on every rig, as far as compensators are trained."""
+        rigs = {seed: self.rig(seed) for seed in range(self.seeds)}
+        return [
+            Balancing(
+                controller=controller,
+                compensator=name,
+                trained=trained[source, name],
+                plant=plant,
+                model=self.model,
+                seed=seed,
+                seconds=self.seconds,
+                exact_state=self.exact_state,
+                files=cells.fingerprints(controller, self.model),
+            )
+            for seed, plant in rigs.items()
+            for controller in self.controllers
+            for name in self._partners(controller)
+            if (source := seed if self.recording is None else 0, name) in trained
+        ]
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """What one identification run gave: the run, and compensators as dictionaries by the name they were asked for."""
-
-    seed: int
-    run: Recording
-    trained: dict[str, dict[str, Any]]
-
-
-@dataclass(frozen=True)
-class Done:
-    """A balancing run: what `cells/*.json` holds of it, and its course where that is kept."""
-
-    cell: dict[str, Any]
-    course: Course | None
-
-
-def fit(comparison: Comparison, seed: int) -> Fitted:
-    """Identify one rig and train its compensators."""
-    identified = comparison.identification(seed)
-    trained = {name: identified.fit(name, seed=seed).to_dict() for name in comparison.compensators}
-    return Fitted(seed, identified.run, trained)
-
-
-def balance(
-    comparison: Comparison, seed: int, controller: str, name: str, trained: Mapping[str, Any], keep: bool
-) -> Done:
-    """Balance one rig with one controller and one compensator.
-
-    Args:
-        comparison: length and rigs.
-        seed: the rig.
-        controller: name of the controller.
-        name: name of the compensator.
-        trained: the compensator as a dictionary.
-        keep: return the course too.
-    """
-    brain, compensator, plant = controllers.load(controller), compensators.load(dict(trained)), comparison.rig(seed)
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always", OutOfRangeWarning)
-        course = runs.balance(
-            brain,
-            compensator,
-            seconds=comparison.seconds,
-            seed=seed,
-            plant=plant,
-            model=comparison.model,
-            exact_state=comparison.exact_state,
-        )
-    cell: dict[str, Any] = {
-        "controller": brain.name,
-        "compensator": _label(name),
-        "seed": seed,
-        "survived": not course.fell,
-        "seconds": len(course.time) * plant.control_period,
-        "cost": _cost(course, lqr.RECOVERED_Q),
-        "cost_printed_q": _cost(course, lqr.PRINTED_Q),
-        "force_rms": float(np.sqrt(np.mean(course.force**2))),
-        "voltage_rms": float(np.sqrt(np.mean(course.voltage**2))),
-        "clipped_share": course.clipped / len(course.time),
-        "test_mse": None if compensator.figures is None else compensator.figures.test_mse,
-        "parameters": compensator.parameters,
-        "notes": [str(w.message) for w in said if issubclass(w.category, OutOfRangeWarning)],
-    }
-    late = np.abs(course.state[course.time >= min(SETTLED, comparison.seconds / 4)])
-    for key, column, scale in (("cart_m", 0, 1.0), ("pole1_deg", 1, 180 / np.pi), ("pole2_deg", 2, 180 / np.pi)):
-        cell[key] = float(late[:, column].max()) * scale if len(late) else None
-    return Done(cell, course if keep else None)
-
-
-def run(comparison: Comparison, out: str | Path, *, jobs: int = 2, overwrite: bool = False) -> dict[str, Any]:
+def run(
+    comparison: Comparison,
+    out: str | Path,
+    *,
+    jobs: int | None = None,
+    backend: Backend = "local",
+    overwrite: bool = False,
+) -> dict[str, Any]:
     """Run a comparison and leave its results in a folder.
 
-    Every finished part is on disk at once; after Ctrl-C the summary holds what was finished, marked as incomplete.
+    Every finished part is on disk at once, and the same call goes on from there. After Ctrl-C the summary holds what
+    was finished, marked as incomplete. What failed is listed in the summary, and leaves the rest alone.
 
     Args:
         comparison: what to compare.
-        out: the folder, new or empty.
-        jobs: processes.
-        overwrite: replace the results that an earlier comparison left in the folder.
+        out: the folder, new, empty, or of this very comparison.
+        jobs: experiments at a time; see `sweep.run`.
+        backend: where they run; see `sweep.run`.
+        overwrite: begin anew instead of going on with what the folder holds.
 
     Returns:
         What `summary.json` holds.
 
     Raises:
-        ValueError: see `Comparison.check`.
-        FileExistsError: the folder is not empty and `overwrite` is not set.
+        ValueError: see `Comparison.check` and `sweep.run`.
+        FileExistsError: the folder holds something else.
         KeyboardInterrupt: after the summary of what is finished was written.
     """
-    from dipc_gym import figures
-
+    sweep.check(jobs, backend)
     comparison.check()
     out = prepare_folder(out, overwrite=overwrite)
-    cells: list[dict[str, Any]] = []
-    fits: dict[int, Fitted] = {}
-    courses: dict[tuple[str, str], Course] = {}
-    notes: list[str] = []
+    folder = out / "cells"
+    found: dict[str, Outcome[Any]] = {}
+
+    def do(experiments: Sequence[Cell], doing: str) -> dict[str, Any]:
+        """Results by the name of the cell."""
+        for outcome in sweep.run(experiments, folder, jobs=jobs, backend=backend, label=doing):
+            found[outcome.cell.name] = outcome
+        return {e.name: found[e.name].result for e in experiments if found[e.name].failure is None}
+
+    trainings = comparison.trainings()
+    sweep.finished(comparison.balancings(_trained(sweep.finished(trainings, folder))), folder)  # of this comparison?
+    balancings: list[Balancing] = []
+    notes = _notes(comparison)
     complete = False
     try:
-        for fitted in _parallel(_fits(comparison), jobs, "identify and train"):
-            fits[fitted.seed] = fitted
-            _save_fit(fitted, out)
-        for done in _parallel(_balances(comparison, fits), jobs, "balance"):
-            cells.append(done.cell)
-            _save_cell(done, out)
-            if done.course is not None:
-                courses[done.cell["controller"], done.cell["compensator"]] = done.course
-        notes += figures.draw_all(comparison, fits[0], courses, out)
+        do(trainings, "identify and train")
+        balancings = comparison.balancings(_trained(found.values()))
+        _save_trainings(trainings, found, out)
+        do(balancings, "balance")
+        notes += _draw(comparison, trainings, balancings, found, out)
+        if comparison.robustness:
+            plan = robustness.plan(balancings, comparison.robustness)
+            do(plan, "robustness")
+            held = robustness.summarise(plan, [o for o in found.values() if o.failure is None], comparison.pairs())
+            write_json(out / "robustness.json", held)
+            (out / "robustness.txt").write_text(robustness.table(held) + "\n", encoding="utf-8")
+            robustness.draw(held, out / "figures")
         complete = True
     finally:
-        summary = summarise(dataclasses.asdict(comparison), comparison.pairs(), cells, notes, complete)
+        done = [found[b.name].result for b in balancings if b.name in found and found[b.name].failure is None]
+        failures = {name: outcome.failure for name, outcome in found.items() if outcome.failure is not None}
+        settings = dataclasses.asdict(comparison)
+        summary = summarise(settings, comparison.pairs(), done, notes, complete, failures)
         write_json(out / "summary.json", summary)
         (out / "table.txt").write_text(table(summary) + "\n", encoding="utf-8")
     return summary
@@ -258,76 +259,65 @@ def prepare_folder(out: str | Path, *, overwrite: bool) -> Path:
     """Make the output folder, or clear an earlier comparison's results from it.
 
     Raises:
-        FileExistsError: it is not empty and `overwrite` is not set, or it is a file.
+        FileExistsError: it is a file, or holds something else than a comparison and `overwrite` is not set.
     """
     out = Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        if not out.is_dir() or not overwrite:
+        if not out.is_dir() or not (overwrite or (out / "cells").is_dir()):
             raise FileExistsError(f"{out} exists and is not empty; choose another folder or say --overwrite")
-        for name in FOLDERS:
-            shutil.rmtree(out / name, ignore_errors=True)
-        for name in FILES:
-            (out / name).unlink(missing_ok=True)
+        if overwrite:
+            for name in FOLDERS:
+                shutil.rmtree(out / name, ignore_errors=True)
+            for name in FILES:
+                (out / name).unlink(missing_ok=True)
     for name in FOLDERS:
         (out / name).mkdir(parents=True, exist_ok=True)
     return out
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write a JSON file that appears whole or not at all."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    partial.replace(path)
-
-
 # ------------------------------------------------------------------------------------------------ parts
 
 
-def _fits(comparison: Comparison) -> list[Any]:
-    from joblib import delayed
-
-    seeds = range(comparison.seeds) if comparison.recording is None else range(1)
-    return [delayed(fit)(comparison, seed) for seed in seeds]
+def _trained(outcomes: Iterable[Outcome[Any]]) -> Trained:
+    done = [o for o in outcomes if isinstance(o.cell, Training) and o.failure is None]
+    return {(o.cell.seed, o.cell.compensator): o.result for o in done}
 
 
-def _balances(comparison: Comparison, fits: Mapping[int, Fitted]) -> list[Any]:
-    from joblib import delayed
-
+def _notes(comparison: Comparison) -> list[str]:
+    """What the reader of the table should know of the policies in it."""
     return [
-        delayed(balance)(comparison, seed, controller, name, fits.get(seed, fits[0]).trained[name], seed == 0)
-        for seed in range(comparison.seeds)
-        for controller in comparison.controllers
-        for name in comparison.compensators
+        f"{label(name)} commands voltage, so it stands in the table with 'none' only"
+        for name in comparison.controllers
+        if len(comparison._partners(name)) < len(comparison.compensators)
     ]
 
 
-def _parallel(tasks: Sequence[Any], jobs: int, label: str) -> Iterator[Any]:
-    """Results as they are finished, with a progress bar."""
-    from joblib import Parallel
-    from tqdm import tqdm
-
-    results: Iterable[Any] = Parallel(n_jobs=jobs, return_as="generator_unordered")(tasks)
-    yield from tqdm(results, total=len(tasks), desc=label, unit="run")
+def _save_trainings(trainings: Sequence[Training], found: Mapping[str, Outcome[Any]], out: Path) -> None:
+    for training in trainings:
+        if found[training.name].failure is None:
+            trained = compensators.load(found[training.name].result)
+            compensators.save(trained, out / "compensators" / f"{label(training.compensator)}-{training.seed:02d}.json")
 
 
-def _save_fit(fitted: Fitted, out: Path) -> None:
-    for name, trained in fitted.trained.items():
-        compensators.save(compensators.load(trained), out / "compensators" / f"{_label(name)}-{fitted.seed:02d}.json")
-    if fitted.seed == 0:
-        recording.write(fitted.run, out / "recordings" / "identification-00.csv")
+def _draw(
+    comparison: Comparison,
+    trainings: Sequence[Training],
+    balancings: Sequence[Balancing],
+    found: Mapping[str, Outcome[Any]],
+    out: Path,
+) -> list[str]:
+    """Figures and recordings of the first rig, whose runs are made again for this; what could not be drawn, and why."""
+    from dipc_gym import figures
 
-
-def _save_cell(done: Done, out: Path) -> None:
-    name = f"{done.cell['controller']}-{done.cell['compensator']}-{done.cell['seed']:02d}"
-    write_json(out / "cells" / f"{name}.json", done.cell)
-    if done.course is not None:
-        recording.write(done.course.recording(name), out / "recordings" / f"{name}.csv")
-
-
-def _cost(course: Course, Q: Array) -> float:
-    return float(np.einsum("ni,ij,nj->", course.state, Q, course.state) + lqr.R * course.force @ course.force)
-
-
-def _label(name: str) -> str:
-    """What a compensator is called in tables and file names."""
-    return Path(name).stem if name.endswith(".json") else name
+    identified = trainings[0].identification()
+    recording.write(identified.run, out / "recordings" / "identification-00.csv", overwrite=True)
+    courses: dict[tuple[str, str], Course] = {}
+    for balancing in balancings:
+        if balancing.seed == 0 and found[balancing.name].failure is None:
+            course, _ = balancing.course()
+            recording.write(
+                course.recording(balancing.name), out / "recordings" / f"{balancing.name}.csv", overwrite=True
+            )
+            courses[label(balancing.controller), label(balancing.compensator)] = course
+    trained = {label(name): made for (seed, name), made in _trained(found.values()).items() if seed == 0}
+    return figures.draw_all(identified, trained, courses, out, model=comparison.model)

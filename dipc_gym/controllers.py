@@ -92,15 +92,21 @@ def load(name: str) -> Controller:
     """A controller by what the command line calls it.
 
     Args:
-        name: `lqr`, or the path of a policy saved by stable-baselines3 (`.zip`).
+        name: `lqr`, or the path of a policy: dipc-gym's own (`.json`), or saved by stable-baselines3 (`.zip`).
 
     Raises:
         ControllerError: there is none of that name, or the file is refused.
     """
     if name == "lqr":
         return LQR()
+    if name.endswith(".json"):
+        from dipc_gym import policy  # which needs this module's errors
+
+        return policy.Policy.load(name)
     if not name.endswith(".zip"):
-        raise ControllerError(f"there is no controller {name!r}; there are 'lqr' and paths of saved policies (.zip)")
+        raise ControllerError(
+            f"there is no controller {name!r}; there are 'lqr' and paths of saved policies (.json, .zip)"
+        )
     return read_policy(name)
 
 

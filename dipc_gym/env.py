@@ -281,6 +281,24 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             force += float(data.efc_force[rows].sum())
         return force
 
+    def strike(self, impulse: float) -> None:
+        """Let the cart take a blow: the rates of cart and poles change at once, by the mass matrix.
+
+        Args:
+            impulse: N s, positive towards positive x.
+
+        Raises:
+            ValueError: the impulse is not a finite number.
+        """
+        if not math.isfinite(impulse):
+            raise ValueError(f"the impulse is {impulse}; it must be a finite number of N s")
+        model, data = self._physics.model, self._data
+        mujoco.mj_forward(model, data)  # the mass matrix of this very position
+        blow, change = np.zeros((1, model.nv)), np.zeros((1, model.nv))
+        blow[0, self._dof[0]] = impulse
+        mujoco.mj_solveM(model, data, change, blow)
+        self._qvel[:] += change[0]
+
     # -------------------------------------------------------------------------------------------- simulation
 
     def _set_plant(self, plant: Plant) -> None:
@@ -311,7 +329,10 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         for name in NAMES:
             i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
             if i < 0 or model.sensor_type[i] != mujoco.mjtSensor.mjSENS_JOINTPOS:
-                raise mjcf.MjcfError(f"{self._source.name}: needs a sensor <jointpos name='{name}' joint=.../>")
+                raise mjcf.MjcfError(
+                    f"{self._source.name}: needs a sensor <jointpos name='{name}' joint=.../>; the environment is a "
+                    f"cart with two poles, and reads {', '.join(NAMES)}"
+                )
             joints.append(int(model.sensor_objid[i]))
         self._qpos_address = [int(model.jnt_qposadr[j]) for j in joints]
         self._dof = [int(model.jnt_dofadr[j]) for j in joints]

@@ -18,29 +18,42 @@ from dipc_gym.compensators import LOLIMOT, Samples
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dipc_gym.compare import Comparison, Fitted
-    from dipc_gym.runs import Course
+    from dipc_gym.runs import Course, Identification
 
 GREY, BLUE, RED, GREEN = "#8a8f98", "#2b5d9b", "#c8452f", "#2c8c68"
 COLOURS = {"none": RED, "feedforward": "#b07aa1", "mlp": BLUE, "llnf": GREEN, "ideal": GREY}
+DASHES = ("-", "--", ":", "-.")
 GIF_SECONDS, GIF_RATE, GIF_SIZE = 8.0, 12.5, (300, 340)
 MOST_MODELS = 30
 
 
-def draw_all(comparison: Comparison, fitted: Fitted, courses: Mapping[tuple[str, str], Course], out: Path) -> list[str]:
-    """Draw what the comparison has data for, into `out`.
+def draw_all(
+    identified: Identification,
+    trained: Mapping[str, dict[str, Any]],
+    courses: Mapping[tuple[str, str], Course],
+    out: Path,
+    *,
+    model: str | None = None,
+) -> list[str]:
+    """Draw what the first rig of a comparison has data for, into `out`.
+
+    Args:
+        identified: its identification run.
+        trained: its compensators as dictionaries, by name.
+        courses: its balancing runs, by controller and compensator.
+        out: folder of the comparison.
+        model: MJCF file of the rig; None is the package's.
 
     Returns:
         What could not be drawn, and why.
     """
     folder = out / "figures"
-    identified = comparison.identification(fitted.seed)
     data = identified.samples
     time = identified.plant.control_period * np.arange(len(data.force))
     _save(identification(time, data), folder / "fig07_identification.png")
     for number, name in ((8, "mlp"), (10, "llnf")):
-        if name in fitted.trained:
-            picture = model_output(time, data, compensators.load(fitted.trained[name]), name)
+        if name in trained:
+            picture = model_output(time, data, compensators.load(trained[name]), name)
             _save(picture, folder / f"fig{number:02d}_{name}.png")
     _save(lolimot_growth(data), folder / "fig09_lolimot.png")
     controller = next(iter(courses), ("", ""))[0]
@@ -51,7 +64,7 @@ def draw_all(comparison: Comparison, fitted: Fitted, courses: Mapping[tuple[str,
     if len(pair) < 2:
         return []
     try:
-        animate({_CAPTIONS[name]: mine[name] for name in pair}, out / "rig.gif", model=comparison.model)
+        animate({_CAPTIONS[name]: mine[name] for name in pair}, out / "rig.gif", model=model)
     except Exception as error:  # OpenGL fails in as many ways as there are drivers; the figures do not depend on it
         return [f"rig.gif was not drawn ({type(error).__name__}: {error}); see the README on headless drawing"]
     return []
@@ -115,6 +128,62 @@ def balancing(controller: str, courses: Mapping[str, Course]) -> Figure:
         axis.set_ylabel(label)
     figure.axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(courses), frameon=False)
     figure.axes[-1].set_xlabel("time, s")
+    return figure
+
+
+def robustness(summary: Mapping[str, Any]) -> Figure:
+    """How far each pair holds along each axis: above, the share of rigs that stand; below, how far the cart strays.
+
+    Two columns of a paper wide, set in 7 points. Colours are the compensators', dashes the controllers'. The lower
+    lines are medians over the rigs that stand, with 10th and 90th percentile, as far as half of the rigs stand; the
+    upper ones are set apart by a hundredth, so that none hides another.
+
+    Args:
+        summary: as `robustness.summarise` gives it.
+    """
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, MaxNLocator
+
+    rows = summary["rows"]
+    axes = list(dict.fromkeys(row["axis"] for row in rows))
+    controllers = list(dict.fromkeys(row["controller"] for row in rows))
+    names = list(dict.fromkeys(row["compensator"] for row in rows))
+    pairs = list(dict.fromkeys((row["controller"], row["compensator"]) for row in rows))
+    spare = iter(("#d9922e", "#5b4a9b", "#7d6b4f", "#3a3a3a") * len(names))
+    colours = {name: COLOURS.get(name) or next(spare) for name in names}
+    with rc_context({"font.size": 7, "axes.linewidth": 0.6, "lines.linewidth": 1.0, "pdf.fonttype": 42}):
+        figure = Figure((max(7.2 * len(axes) / 5, 3.5), 3.2), layout="constrained")
+        grid = figure.subplots(2, len(axes), sharex="col", sharey="row", squeeze=False)
+        for (share, stray), name in zip(grid.T, axes, strict=True):
+            for row in (row for row in rows if row["axis"] == name):
+                style = {"color": colours[row["compensator"]], "ls": DASHES[controllers.index(row["controller"]) % 4]}
+                steps, apart = row["steps"], 0.012 * pairs.index((row["controller"], row["compensator"]))
+                stood = [s["stood"] / s["rigs"] - apart for s in steps]
+                share.plot([s["value"] for s in steps], stood, marker=".", ms=3, **style)
+                kept = [s for s in steps if row["half"] and row["half"][0] <= s["value"] <= row["half"][1]]
+                values = [s["value"] for s in kept]
+                cart = {key: [1000 * s["cart_m"][key] for s in kept] for key in ("low", "median", "high")}
+                title = f"{row['controller']}, {row['compensator']}" if len(controllers) > 1 else row["compensator"]
+                stray.plot(values, cart["median"], marker=".", ms=3, label=title, **style)
+                stray.fill_between(values, cart["low"], cart["high"], color=style["color"], alpha=0.15, lw=0)
+            about = summary["axes"][name]
+            if about["usual"] > 0:
+                stray.set_xscale("log", base=2)
+                stray.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
+                stray.xaxis.set_major_formatter("{x:g}")
+            else:
+                stray.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+            for panel in (share, stray):
+                panel.axvline(about["usual"], color=GREY, lw=0.5, zorder=0)
+                panel.spines[["top", "right"]].set_visible(False)
+            stray.set_xlabel(about["label"].replace(", ", ",\n"))
+        grid[0, 0].set_ylabel("rigs that stand")
+        grid[0, 0].set_ylim(-0.04 - 0.012 * len(pairs), 1.04)
+        grid[1, 0].set_yscale("log")
+        grid[1, 0].set_ylabel("largest deviation\nof the cart, mm")
+        handles, labels = grid[1, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 6), frameon=False)
     return figure
 
 

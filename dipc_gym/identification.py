@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import kernels, mjcf
 from dipc_gym.compensators import RigConstants, Samples
+from dipc_gym.physics import PREFIX, from_model
 from dipc_gym.plant import Encoders, Plant
 from dipc_gym.sim2real.recording import Recording, resample_commands
 
@@ -67,11 +68,18 @@ def locked(text: str) -> str:
         False
     """
     root = ET.fromstring(text)
+    gone = {"pole1", "pole2"}
     for parent in root.iter():
         for child in list(parent):
             named = parent.tag != "default" and child.tag == "joint" and child.get("name") in ("pole1", "pole2")
             if named or child.get("joint") in ("pole1", "pole2") or child.tag == "keyframe":
                 parent.remove(child)
+                gone.add(child.get("name", ""))
+    for custom in root.iter("custom"):
+        for effect in custom.findall("numeric"):
+            prefix, _, rest = effect.get("name", "").partition(":")
+            if prefix == PREFIX and rest.partition(":")[2] in gone:
+                custom.remove(effect)
     return ET.tostring(root, encoding="unicode")
 
 
@@ -110,6 +118,8 @@ def cart(model: mujoco.MjModel) -> Cart:
 def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) -> Recording:
     """Drive the locked rig with the sweep and read its cart encoder once a control period.
 
+    What the model says under `<custom>` acts too.
+
     Args:
         model: as `cart_model` gives it.
         plant: encoders, supply and control period.
@@ -125,12 +135,17 @@ def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) 
     time: Array = period * np.arange(round(sweep.duration / period), dtype=np.float64)
     volts = np.clip(sweep.voltage(time), -plant.supply, plant.supply)
     motor = mjcf.controls(model).index("motor")
-    data = mujoco.MjData(model)
+    data, physics = mujoco.MjData(model), from_model(model)
+    sensed = bool(physics.stage("sensor") or physics.stage("lag") or np.any(model.sensor_delay > 0))
+    memory, command = physics.sensor_memory(data.sensordata), np.zeros(model.nu)
     position = np.empty(len(time))
     for k, u in enumerate(volts.tolist()):
         position[k] = data.qpos[0]
-        data.ctrl[motor] = u
-        mujoco.mj_step(model, data, nstep)
+        if sensed:
+            mujoco.mj_forward(model, data)
+            position[k] = physics.sense(data.sensordata, memory, period)[model.sensor("cart").adr[0]]
+        command[motor] = u
+        physics.step(data, command, nstep)
     position += encoders.noise * encoders.cart * rng.standard_normal(len(time))
     reading = kernels.quantise(position, encoders.cart)
     return Recording("identification", time, volts[:, None], reading[:, None], ("motor",), ("cart",))

@@ -92,6 +92,19 @@ def compensator(name: str, plant: Plant | str | None = None, *, model: str | Non
 
 
 @dataclass(frozen=True)
+class Impulse:
+    """A blow on the cart.
+
+    Attributes:
+        size: N s, positive towards positive x.
+        time: after the start of the run, s.
+    """
+
+    size: float
+    time: float
+
+
+@dataclass(frozen=True)
 class Course:
     """How a run went, one row for each control period.
 
@@ -127,6 +140,7 @@ def balance(
     plant: Plant | str | None = None,
     model: str | None = None,
     exact_state: bool = False,
+    impulse: Impulse | None = None,
 ) -> Course:
     """Balance a rig until it falls or time is over.
 
@@ -138,6 +152,7 @@ def balance(
         plant: as the environment takes it.
         model: MJCF file of the rig; None is the package's.
         exact_state: let controller and compensator see the exact state instead of encoder readings.
+        impulse: a blow that the cart takes on the way.
     """
     from dipc_gym.wrappers import ForceCommand
 
@@ -152,7 +167,10 @@ def balance(
     state, readings = np.zeros((steps, 6)), np.zeros((steps, 3))
     force, voltage, action = np.zeros(steps), np.zeros(steps), np.zeros(1)
     done, clipped, fell = 0, 0, False
+    blow = -1 if impulse is None else round(impulse.time / period)
     for k in range(steps):
+        if k == blow and impulse is not None:
+            inner.strike(impulse.size)
         state[k], readings[k] = inner.state, inner.encoders
         action[0] = controller.force(observation)
         observation, _, fell, _, info = env.step(action)

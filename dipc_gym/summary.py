@@ -28,6 +28,7 @@ def summarise(
     cells: Sequence[Mapping[str, Any]],
     notes: Sequence[str],
     complete: bool,
+    failures: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Medians and spreads over the seeds; costs and deviations are those of runs that did not fall.
 
@@ -37,6 +38,7 @@ def summarise(
         cells: what finished runs gave, as `cells/*.json` holds it.
         notes: what else the reader should know.
         complete: whether all runs were finished.
+        failures: what went wrong, by the name of the cell.
     """
     rows = []
     pairs = dict.fromkeys((cell["controller"], cell["compensator"]) for cell in cells)
@@ -45,6 +47,7 @@ def summarise(
         stood = [cell for cell in mine if cell["survived"]]
         errors = [cell["test_mse"] for cell in mine if cell["test_mse"] is not None]
         row: dict[str, Any] = {"controller": pair[0], "compensator": pair[1], "seeds": len(mine)}
+        row["trained_with"] = mine[0]["trained_with"]
         row["survived"] = len(stood)
         for key in ("cost", "cost_printed_q", "cart_m", "pole1_deg", "pole2_deg", "force_rms", "voltage_rms"):
             row[key] = _spread([cell[key] for cell in stood])
@@ -57,6 +60,7 @@ def summarise(
     return {
         "schema": SCHEMA,
         "complete": complete,
+        "failures": dict(failures or {}),
         "rows": rows,
         "rig_by_rig": _rig_by_rig(cells, wanted),
         "paper": PAPER,
@@ -94,7 +98,7 @@ def table(summary: Mapping[str, Any]) -> str:
         lines.append(
             (
                 row["controller"],
-                row["compensator"],
+                row["compensator"] + ("*" if row["trained_with"] else ""),
                 f"{row['survived']}/{row['seeds']}",
                 *("-" if c is None else format(c["median"], form) for c, form in columns),
                 mse,
@@ -123,6 +127,9 @@ def table(summary: Mapping[str, Any]) -> str:
         f"{pair['than']} costs, less on {pair['less_on']} of {pair['rigs']} rigs"
         for pair in summary["rig_by_rig"]
     ]
+    others = {row["controller"]: row["trained_with"] for row in summary["rows"] if row["trained_with"]}
+    text += [f"* {name} was trained with {own}, not with this" for name, own in others.items()]
+    text += [f"failed: {name}: {why}" for name, why in summary["failures"].items()]
     if not summary["complete"]:
         text.append("interrupted: this is what was finished")
     return "\n".join([*text, *(f"note: {note}" for note in summary["notes"])])

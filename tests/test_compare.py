@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dipc_gym import compare, compensators, lqr
+from dipc_gym import cells, compare, compensators, lqr
 from dipc_gym.compare import Comparison, Spread
 from dipc_gym.compensators import StaticGain
 from dipc_gym.controllers import LQR
@@ -61,7 +61,7 @@ def test_rigs_are_compared_one_by_one(finished: tuple[dict[str, Any], Path]) -> 
     ]  # fmt: skip
     costs = [
         [
-            json.loads((out / "cells" / f"lqr-{name}-{s:02d}.json").read_text())["cost"]
+            json.loads((out / "cells" / f"lqr-{name}-{s:02d}.json").read_text())["result"]["cost"]
             for name in ("none", "feedforward")
         ]
         for s in (0, 1)
@@ -75,7 +75,7 @@ def test_folder_has_everything(finished: tuple[dict[str, Any], Path]) -> None:
     for seed in (0, 1):
         for name in QUICK.compensators:
             assert compensators.load(out / "compensators" / f"{name}-{seed:02d}.json").name == name
-            cell = json.loads((out / "cells" / f"lqr-{name}-{seed:02d}.json").read_text())
+            cell = json.loads((out / "cells" / f"lqr-{name}-{seed:02d}.json").read_text())["result"]
             assert (cell["compensator"], cell["seed"], cell["survived"]) == (name, seed, True)
     for figure in ("fig07_identification", "fig09_lolimot", "fig10_llnf", "fig12_balance"):
         assert (out / "figures" / f"{figure}.png").read_bytes().startswith(b"\x89PNG")
@@ -89,7 +89,7 @@ def test_folder_has_everything(finished: tuple[dict[str, Any], Path]) -> None:
 def test_cost_is_what_the_summary_says() -> None:
     course = balance(LQR(), StaticGain(newtons_per_volt=4.0), seconds=1.0, seed=0)
     expected = sum(x @ lqr.RECOVERED_Q @ x + f * f for x, f in zip(course.state, course.force, strict=True))
-    assert compare._cost(course, lqr.RECOVERED_Q) == pytest.approx(expected)
+    assert cells._cost(course, lqr.RECOVERED_Q) == pytest.approx(expected)
 
 
 def test_results_are_the_same_with_more_processes(finished: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
@@ -113,7 +113,15 @@ def test_rigs_differ_within_the_spread() -> None:
 
 def test_fallen_runs_are_counted_and_left_out_of_the_figures() -> None:
     zeros = dict.fromkeys(("cost_printed_q", "cart_m", "pole1_deg", "pole2_deg", "force_rms", "voltage_rms"), 0.0)
-    shared = {**zeros, "controller": "lqr", "compensator": "none", "test_mse": None, "parameters": 0, "notes": []}
+    shared = {
+        **zeros,
+        "controller": "lqr",
+        "compensator": "none",
+        "trained_with": None,
+        "test_mse": None,
+        "parameters": 0,
+        "notes": [],
+    }
     cells = [
         {**shared, "seed": 0, "survived": False, "cost": 9.0, "cart_m": None},
         {**shared, "seed": 1, "survived": True, "cost": 1.0},

@@ -38,8 +38,20 @@ NOMINAL = """<mujoco model="cart">
 PRACTICE = Path(__file__).parents[2] / "shared" / "practice"
 
 
-def run(seed: int, seconds: float, coulomb: float, drag: float = DRAG) -> Recording:
-    """A cart under a swept voltage; Coulomb friction by exact reversals at 50 microseconds; an encoder with noise."""
+def run(
+    seed: int,
+    seconds: float,
+    coulomb: float,
+    drag: float = DRAG,
+    *,
+    constant: float = 0.0,
+    forward: float = 0.0,
+    knock: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Recording:
+    """A cart under a swept voltage; Coulomb friction by exact reversals at 50 microseconds; an encoder with noise.
+
+    A steady force, drag in forward motion alone, and a knock (a force, when it begins, for how long) come on top.
+    """
     rng = np.random.default_rng(seed)
     h, hold = 5e-5, 40
     n = round(seconds / (h * hold))
@@ -51,7 +63,8 @@ def run(seed: int, seconds: float, coulomb: float, drag: float = DRAG) -> Record
     for k in range(n):
         out[k] = x
         for _ in range(hold):
-            push = FORCE * volts[k] - drag * v
+            knocked = knock[0] * (knock[1] <= k * h * hold < knock[1] + knock[2])
+            push = FORCE * volts[k] - drag * v - forward * max(v, 0.0) + constant + knocked
             if v == 0.0 and abs(push) <= coulomb:
                 continue
             friction = math.copysign(coulomb, v if v else push)
@@ -94,6 +107,54 @@ def test_names_dry_friction_and_its_level(few: list[object]) -> None:
     model = mujoco.MjModel.from_xml_string(found.improved)
     assert model.dof_frictionloss[0] == pytest.approx(3.0, rel=0.05)
     assert "what the owner wrote" in found.improved
+
+
+def test_friction_that_depends_on_direction_is_also_a_constant_force() -> None:
+    """Dry friction of 4 N forwards and 2 N backwards is 3 N of Coulomb friction and 1 N of steady force."""
+    names = ("friction.coulomb", "friction.asymmetric", "load.constant", "friction.viscous", "friction.stribeck")
+    runs = [run(5, 12, 3.0, constant=-1.0)]
+    found = diagnose(mjcf.from_text(NOMINAL), runs, effects=[catalogue()[n] for n in names])
+    assert found.verdict == "explained", found.sentence
+    assert [m.effect for m in found.missing] == ["friction.asymmetric"]
+    assert found.missing[0].parameters["forward"]["value"] == pytest.approx(4.0, rel=0.03)
+    assert found.missing[0].parameters["backward"]["value"] == pytest.approx(2.0, rel=0.03)
+    assert {s["effect"] for s in found.missing[0].same_here} >= {"friction.coulomb", "load.constant"}
+
+
+def test_drag_that_depends_on_direction_comes_after_dry_friction() -> None:
+    names = ("friction.coulomb", "friction.asymmetric", "friction.asymmetric:viscous", "load.constant", "friction.load")
+    runs = [run(6, 12, 3.0, forward=12.0)]
+    found = diagnose(mjcf.from_text(NOMINAL), runs, effects=[catalogue()[n] for n in names])
+    assert found.verdict == "explained", found.sentence
+    assert sorted(m.effect for m in found.missing) == ["friction.asymmetric", "friction.coulomb"]
+    drag = next(m.parameters["drag"] for m in found.missing if "drag" in m.parameters)
+    assert drag["value"] == pytest.approx(12.0, rel=0.05)
+    assert "more forwards" in found.sentence
+    model = mujoco.MjModel.from_xml_string(found.improved)
+    data = mujoco.MjData(model)
+    forces = []
+    for speed in (0.5, -0.5):
+        data.qvel[:] = speed
+        mujoco.mj_forward(model, data)
+        forces.append(float(data.qfrc_actuator[0]))
+    assert forces == [pytest.approx(-6.0, rel=0.05), 0.0]
+
+
+def test_a_knock_in_a_window_left_aside_is_found() -> None:
+    """Two recordings hold more windows than are fitted; windows in which something happened are, all the same."""
+    runs = [run(seed, 20, 0.0, knock=(6.0, 13.8, 0.08)) for seed in (7, 8)]
+    names = ("disturbance.pulse", "disturbance.periodic", "load.constant", "friction.coulomb")
+    found = diagnose(mjcf.from_text(NOMINAL), runs, effects=[catalogue()[n] for n in names])
+    assert [m.effect for m in found.missing] == ["disturbance.pulse"], found.sentence
+    assert found.missing[0].parameters["start"]["value"] == pytest.approx(13.8, abs=0.03)
+
+
+def test_forces_are_judged_beside_predictions(few: list[object]) -> None:
+    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 20, 3.0)], effects=few)  # type: ignore[arg-type]
+    force = found.to_dict()["fit"]["held_out_force"]["cart"]
+    assert force["improved"] < 0.4 * force["nominal"]
+    rival = found.to_dict()["missing"][0]["rivals"][0]
+    assert 0 < rival["held_out"] < 2
 
 
 def test_finds_nothing_where_nothing_is_missing(few: list[object]) -> None:

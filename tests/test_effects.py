@@ -58,6 +58,7 @@ NOT_EFFECTS = {"inertia.mass", "unknown"}
 # Numbers with which an effect does nothing. A rotor of its own always adds inertia: see the transmissions below.
 NEUTRAL: dict[str, Mapping[str, float]] = {
     "friction.asymmetric:viscous": {"drag": 0},
+    "motor.saturation:torque": {"limit": 1e3},
     "disturbance.periodic": {"sine": 0, "cosine": 0, "frequency": 3},
     "disturbance.pulse": {"force": 0, "start": 1, "duration": 1},
     "drag.quadratic": {"coefficient": 0},

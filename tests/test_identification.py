@@ -62,6 +62,27 @@ def test_without_friction_the_force_is_the_motors() -> None:
     assert np.sqrt(np.mean(data.force**2)) > 15
 
 
+def with_custom(*effects: str) -> mjcf.Source:
+    """The rig's model with entries such as `motor.deadzone:motor=2.0` under `<custom>`."""
+    numerics = "".join(
+        f'<numeric name="dipc_gym:{name}" data="{data}"/>' for name, data in (e.split("=") for e in effects)
+    )
+    return SOURCE.edited(SOURCE.text.replace("<worldbody>", f"<custom>{numerics}</custom>\n  <worldbody>", 1))
+
+
+def test_effects_that_stock_mujoco_leaves_out_act_on_the_run() -> None:
+    plant = Plant(friction=Friction(coulomb=0.0, static=0.0))
+    model = cart_model(with_custom("motor.deadzone:motor=2.0", "sensor.bias:pole1=0.1"), plant)
+    data = samples(record(model, plant, SHORT), cart(model), plant.encoders, plant.control_period)
+    arrives = np.sign(data.voltage) * np.maximum(np.abs(data.voltage) - 2.0, 0.0)
+    assert np.sqrt(np.mean((data.force - 4.0 * arrives) ** 2)) < 0.5  # as without a dead zone
+    assert np.sqrt(np.mean((data.force - 4.0 * data.voltage) ** 2)) > 5
+
+    plain = record(cart_model(SOURCE, plant), plant, SHORT)
+    scaled = record(cart_model(with_custom("sensor.gain:cart=1.1"), plant), plant, SHORT)
+    np.testing.assert_allclose(scaled.sensors, 1.1 * plain.sensors, atol=plant.encoders.cart * 1.1)
+
+
 def test_least_squares_finds_the_coulomb_force() -> None:
     # Slowly and without a lag in the velocity; with the filter's 10 ms, sign and force part company at 10 Hz.
     plant = Plant(friction=Friction(coulomb=5.0, static=6.0), encoders=Encoders(velocity_filter=0.0))

@@ -14,6 +14,7 @@ from dipc_gym.sim2real.fit import Fit, evaluate, fit
 from dipc_gym.sim2real.result import Errors
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Structure, Term
+from dipc_gym.sim2real.units import of_sensor
 from dipc_gym.sim2real.windows import Prepared
 
 
@@ -71,5 +72,7 @@ def place_units(structure: Structure, term: Term) -> dict[str, str]:
         if hinge and term.effect.id != "motor.cogging":
             unit = {"N": "N m", "m": "rad", "N/m": "N m/rad", "kg": "kg m^2", "m/s": "rad/s"}.get(unit, unit)
             unit = {"N s/m": "N m s/rad", "N s^2/m^2": "N m s^2/rad^2"}.get(unit, unit)
-        units[p.name] = {"command": "V" if term.effect.place == "actuator" else "", "reading": ""}.get(unit, unit)
+        if unit == "reading":
+            unit = of_sensor(model, term.at)
+        units[p.name] = {"command": "V" if term.effect.place == "actuator" else ""}.get(unit, unit)
     return units

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from dipc_gym import mjcf
 from dipc_gym.sim2real.evidence import Scene
 from dipc_gym.sim2real.fit import Fit, Problem, fit, weights
 from dipc_gym.sim2real.search import ALIKE, LARGE, WORTH, Search
-from dipc_gym.sim2real.structure import Term, carry
+from dipc_gym.sim2real.structure import Structure, Term, carry
 
 Array = NDArray[np.float64]
 
@@ -113,38 +114,62 @@ def share(search: Search, full: Fit, key: str, worst: float) -> float:
     return float(np.clip((without - best) / max(worst - best, 1e-9), 0.0, 1.0))
 
 
-def rivals(search: Search, full: Fit, term: Term, most: int = 5) -> list[Rival]:
-    """Try other effects in the place of one: those that came close in its round, and those it is mistaken for."""
+def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
+    """Try other effects in the place of one.
+
+    Those that came close in its round, those it is mistaken for, a single effect that stands for it and another one,
+    and two that stand for it alone.
+    """
     error = unseen_error(search, full)
-    tried = next((r for r in search.rounds if any(t.key == term.key and t.fitted for t in r)), [])
-    listed = set(term.effect.rivals)
-    others = [
-        t
-        for t in tried
-        if t.key != term.key
-        and term.effect.id not in t.term.effect.contains
-        and (t.fitted is not None or t.term.effect.id in listed)
-        and t.key not in {x.key for x in full.structure.terms}
-    ]
-    others.sort(key=lambda t: (t.score, -t.promise))
+    # Where structure is left, names are provisional and telling rivals apart exactly is worth less.
+    most = 5 if error < AT_FLOOR else 3
     found = []
-    for other in others[:most]:
-        base = full.structure.without(term.key).with_term(other.term)
-        alone = len(full.structure.terms) == 1
-        if other.fitted is not None and alone and search.compare(full, other.fitted).gain > LARGE:
-            swapped = other.fitted  # fitted in its round, and so far behind that fitting on would not bring it close
+    for others, structure, before in _stand_ins(search, full, term, most):
+        if before is not None and search.compare(full, before).gain > LARGE:
+            swapped = before  # fitted in its round, and so far behind that fitting on would not bring it close
         else:
-            near = other.fitted if other.fitted is not None and alone else full
+            near = before or full
             try:
-                swapped = fit(search.problem, base, carry(near.structure, near.z, base), near.starts, most=8)
+                swapped = fit(search.problem, structure, carry(near.structure, near.z, structure), near.starts, most=8)
             except (mjcf.MjcfError, np.linalg.LinAlgError):
                 continue
         difference = search.compare(full, swapped)
         reached = unseen_error(search, swapped)
         close = difference.gain < max(WORTH / 2, ALIKE * difference.error) and difference.gain < 5 * WORTH
         same = close and difference.gain < WORTH and reached < max(AT_FLOOR, 1.02 * error)
-        found.append(Rival(other.term, swapped, reached, same, not close))
+        if same or len(others) == 1:
+            found += [Rival(other, swapped, reached, same, not close) for other in others]
     return found
+
+
+def _stand_ins(search: Search, full: Fit, term: Term, most: int) -> Iterator[tuple[list[Term], Structure, Fit | None]]:
+    """Effects to try in the place of one, the structure with them, and the fit of it if its round made one."""
+    everything = {t.key: t for round_ in search.rounds for t in round_}
+    own = next((r for r in search.rounds if any(t.key == term.key and t.fitted for t in r)), [])
+    present = {x.key for x in full.structure.terms}
+    listed = set(term.effect.rivals)
+    others = [
+        t
+        for t in own
+        if t.key not in present
+        and term.effect.id not in t.term.effect.contains
+        and (t.fitted is not None or t.term.effect.id in listed)
+    ]
+    others.sort(key=lambda t: (t.score, -t.promise))
+    rest = full.structure.without(term.key)
+    alone = not rest.terms
+    for other in others[:most]:
+        yield [other.term], rest.with_term(other.term), other.fitted if alone else None
+    for tried in everything.values():
+        inside = [
+            t for t in full.structure.terms if t.at == tried.term.at and t.effect.id in tried.term.effect.contains
+        ]
+        if len(inside) > 1 and term.key in {t.key for t in inside}:
+            yield [tried.term], full.structure.with_term(tried.term), None
+    parts = [everything.get(f"{inner}@{term.at}") for inner in term.effect.contains]
+    if len(parts) > 1 and all(part is not None and part.key not in present for part in parts):
+        terms = [part.term for part in parts if part is not None]
+        yield terms, functools.reduce(Structure.with_term, terms, rest), None
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ class Search:
         A = A + np.diag(prior / counts.mean()) * len(counts) / n
         scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
         step = np.linalg.lstsq(A / np.outer(scale, scale), b / scale, rcond=1e-9)[0] / scale
-        size = float(np.clip(step[0], 0.0, 100.0))
+        size = float(np.clip(step[0], -100.0 if _signed(term.effect) else 0.0, 100.0))
         if size == 0.0:
             return float(np.mean(np.log1p(current.mse))), 1.0
         step = np.append(size, np.clip(step[1:], -1, 1))
@@ -310,15 +310,26 @@ class Search:
         """Add effects until none earns its place, then take out those that the later ones made idle."""
         current = start
         for _ in range(most):
-            better = self.round(current)
+            better = self.round(current) or self.ahead(current)
             if better is None:
                 break
             added = better.structure.terms[-1].key
-            self.tell(f"added {added}")
+            self.tell(f"added {', '.join(names(better.structure.terms[len(current.structure.terms) :])) or added}")
             before, current = current, self.prune(better)
             if added not in names(current.structure.terms) and not self.compare(current, before).clear:
                 break
         return current
+
+    def ahead(self, current: Fit) -> Fit | None:
+        """Two effects that need each other: add the best one, clear or not, and see whether a second makes it so."""
+        first = next((t.fitted for t in self.rounds[-1] if t.fitted is not None), None)
+        if first is None or current.error < FLOOR or self.compare(first, current).gain < WORTH:
+            return None
+        self.tell(f"{first.structure.terms[-1].key} alone does not stand out; with another one?")
+        second = self.round(self.polish(first))
+        if second is None or not (self.earns(second, current) and self.compare(second, current).clear):
+            return None
+        return second if self.confirmed(second, current) else None
 
     def prune(self, current: Fit) -> Fit:
         """Take out effects whose absence costs nothing; put plainer ones in the place of those with idle numbers."""
@@ -401,8 +412,12 @@ def _clash(structure: Structure, effect: Effect, at: str) -> bool:
 
 
 def _scaled(term: Term, size: float) -> Term:
-    """A guess made `size` times as strong, where the response is linear in its first free parameter."""
-    parameter = next(p for p in term.effect.parameters if not p.fixed)
-    if parameter.log or size < 0.05 or not term.effect.linear:
+    """A guess made `size` times as strong, where the response is linear."""
+    if abs(size) < 0.05 or not term.effect.linear:
         return term
-    return replace(term, guess={**term.guess, parameter.name: term.guess[parameter.name] * size})
+    return replace(term, guess={**term.guess, **{name: size * term.guess[name] for name in term.effect.linear}})
+
+
+def _signed(effect: Effect) -> bool:
+    """Whether an effect may as well act the other way."""
+    return bool(effect.linear) and all(p.low < 0 for p in effect.parameters if p.name in effect.linear)

@@ -127,7 +127,7 @@ class Effect(ABC):
         warm: s of simulation before a window, so that hidden states settle.
         needs_loader: whether stock MuJoCo leaves it out.
         moves_readings: whether it changes what sensors say of a state, so that estimated starts mean little.
-        linear: whether its response grows in proportion to its first free parameter, so that screening can scale it.
+        linear: parameters in proportion to which, taken together, its response grows from nothing.
         once: whether it happened once, so that other recordings cannot confirm it.
     """
 
@@ -141,7 +141,7 @@ class Effect(ABC):
     warm: ClassVar[float] = 0.0
     needs_loader: ClassVar[bool] = False
     moves_readings: ClassVar[bool] = False
-    linear: ClassVar[bool] = False
+    linear: ClassVar[tuple[str, ...]] = ()
     once: ClassVar[bool] = False
 
     @property

@@ -15,6 +15,7 @@ class Periodic(Effect):
 
     id = "disturbance.periodic"
     place = "joint"
+    linear = ("sine", "cosine")
     parameters = (
         Parameter("sine", "N"),
         Parameter("cosine", "N"),

@@ -15,7 +15,7 @@ class Quadratic(Effect):
 
     id = "drag.quadratic"
     place = "joint"
-    linear = True
+    linear = ("coefficient",)
     parameters = (Parameter("coefficient", "N s^2/m^2", 0.0),)
     rivals = ("friction.viscous", "friction.coulomb")
 

@@ -51,7 +51,7 @@ class AsymmetricDrag(Effect):
 
     id = "friction.asymmetric:viscous"
     place = "joint"
-    linear = True
+    linear = ("drag",)
     parameters = (Parameter("drag", "N s/m"),)
     rivals = ("load.constant", "drag.quadratic", "friction.asymmetric")
 

@@ -16,7 +16,7 @@ class Coulomb(Effect):
     id = "friction.coulomb"
     place = "joint"
     law = "dry friction"
-    linear = True
+    linear = ("level",)
     parameters = (Parameter("level", "N", 0.0),)
     rivals = ("friction.stribeck", "motor.deadzone", "friction.viscous", "transmission.backlash")
 

@@ -16,7 +16,7 @@ class Viscous(Effect):
 
     id = "friction.viscous"
     place = "joint"
-    linear = True
+    linear = ("coefficient",)
     parameters = (Parameter("coefficient", "N s/m", 0.0),)
     rivals = ("motor.back_emf", "drag.quadratic", "friction.coulomb")
 

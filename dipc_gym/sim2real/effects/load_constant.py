@@ -15,7 +15,7 @@ class Constant(Effect):
 
     id = "load.constant"
     place = "joint"
-    linear = True
+    linear = ("force",)
     parameters = (Parameter("force", "N"),)
     rivals = ("load.tilt", "friction.asymmetric", "sensor.bias")
 

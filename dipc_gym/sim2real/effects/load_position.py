@@ -15,6 +15,7 @@ class Wave(Effect):
 
     id = "load.position"
     place = "joint"
+    linear = ("sine", "cosine")
     parameters = (
         Parameter("sine", "N"),
         Parameter("cosine", "N"),

@@ -16,6 +16,7 @@ class Tilt(Effect):
 
     id = "load.tilt"
     place = "world"
+    linear = ("about_x", "about_y")
     parameters = (Parameter("about_x", "rad", -0.5, 0.5), Parameter("about_y", "rad", -0.5, 0.5))
     rivals = ("load.constant", "sensor.bias")
 
@@ -24,8 +25,8 @@ class Tilt(Effect):
         return bool(np.any(model.opt.gravity != 0))
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Half a degree."""
-        return [{"about_x": 0.01, "about_y": 0.01}]
+        """Half a degree about either axis."""
+        return [{"about_x": 0.01, "about_y": 0.0}, {"about_x": 0.0, "about_y": 0.01}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Gravity turned about x, then about y."""

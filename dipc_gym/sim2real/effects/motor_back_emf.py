@@ -16,7 +16,7 @@ class BackEmf(Effect):
 
     id = "motor.back_emf"
     place = "actuator"
-    linear = True
+    linear = ("coefficient",)
     parameters = (Parameter("coefficient", "N s/m", 0.0),)
     rivals = ("friction.viscous", "motor.saturation")
 

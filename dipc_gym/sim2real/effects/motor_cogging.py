@@ -17,6 +17,7 @@ class Cogging(Effect):
 
     id = "motor.cogging"
     place = "actuator"
+    linear = ("sine", "cosine")
     parameters = (
         Parameter("sine", "N m"),
         Parameter("cosine", "N m"),

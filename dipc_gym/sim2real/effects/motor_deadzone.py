@@ -15,7 +15,7 @@ class Deadzone(Effect):
 
     id = "motor.deadzone"
     place = "actuator"
-    linear = True
+    linear = ("width",)
     parameters = (Parameter("width", "command", 0.0),)
     rivals = ("friction.coulomb", "transmission.backlash")
     needs_loader = True

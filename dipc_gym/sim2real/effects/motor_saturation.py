@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import mujoco
 import numpy as np
 
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor
 
 
 class Saturation(Effect):
@@ -30,3 +31,29 @@ class Saturation(Effect):
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         return f"{at} saturates at {values['limit']:.3g} {unit['limit']}, less than was commanded."
+
+
+class TorqueLimit(Effect):
+    """A limit of the drive's torque: a current limit, or a clutch that slips."""
+
+    id = "motor.saturation:torque"
+    place = "actuator"
+    parameters = (Parameter("limit", "N m", 0.0),)
+    rivals = ("motor.saturation", "motor.thermal", "drag.quadratic")
+
+    def fits(self, model: mujoco.MjModel, at: str) -> bool:
+        """On a DC motor; of a plain one, force and command are the same thing."""
+        return is_dcmotor(model, at)
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Three shares of the largest torque."""
+        most = float(np.quantile(np.abs(evidence.load), 0.999)) / (abs(evidence.gear) or 1.0)
+        return [{"limit": share * most} for share in (0.95, 0.8, 0.6)] if most > 0 else []
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """The motor's torque limit."""
+        document.set(document.actuator(at), saturation=(max(values["limit"], 1e-9), 0, 0))
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        return f"{at} gives no more than {values['limit']:.3g} {unit['limit']}, less than its commands ask for."

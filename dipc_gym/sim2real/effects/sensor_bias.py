@@ -15,7 +15,7 @@ class Bias(Effect):
 
     id = "sensor.bias"
     place = "sensor"
-    linear = True
+    linear = ("bias",)
     parameters = (Parameter("bias", "reading"),)
     rivals = ("load.constant", "load.tilt")
     needs_loader = True

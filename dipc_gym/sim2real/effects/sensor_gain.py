@@ -19,8 +19,8 @@ class Gain(Effect):
     moves_readings = True
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Two per cent."""
-        return [{"gain": 1.02}]
+        """Two per cent more, two per cent less."""
+        return [{"gain": 1.02}, {"gain": 1 / 1.02}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader."""

@@ -13,7 +13,7 @@ class Delay(Effect):
 
     id = "timing.delay"
     place = "actuator"
-    linear = True
+    linear = ("delay",)
     parameters = (Parameter("delay", "s", 0.0, 0.2),)
     rivals = ("motor.inductance", "timing.sensor_lag", "transmission.compliance")
 

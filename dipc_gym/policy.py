@@ -1,0 +1,383 @@
+"""Learned policies: small networks, run by NumPy alone, each in one JSON file that executes nothing."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NoReturn, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.controllers import ControllerError
+from dipc_gym.files import write_whole
+
+Array = NDArray[np.float64]
+Commands = Literal["force", "voltage"]
+
+SCHEMA = "dipc-gym/policy/1"
+UNITS = {"force": "N", "voltage": "V"}
+OBSERVATION = (("cart", "m"), ("pole1", "rad"), ("pole2", "rad"))
+"""Positions that are observed, with their units; their rates follow in the same order."""
+INPUTS = (*OBSERVATION, *((f"{name}_rate", f"{unit}/s") for name, unit in OBSERVATION))
+LARGEST_FILE = 5_000_000
+"""Bytes. A policy of two layers of 64 takes a tenth of a million."""
+WIDEST = 1024
+DEEPEST = 8
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How a policy did, on rigs that it was not chosen on.
+
+    Attributes:
+        seconds: length of a run, s.
+        seeds: of starting states and noise, one for each run.
+        held: time until each run ended, s.
+        reward: median over the runs of their return, in shares of the largest possible.
+    """
+
+    seconds: float
+    seeds: tuple[int, ...]
+    held: tuple[float, ...]
+    reward: float
+
+    @property
+    def standing(self) -> int:
+        """Number of runs that stood to their end."""
+        return sum(held >= self.seconds for held in self.held)
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A network of tanh layers that turns an observation into a command.
+
+    It computes `limit * squash(network(observation / scales))`, its most likely action. `force` is what `compare` asks
+    of every controller. A policy that commands voltage has been trained without any compensator, so its force is the
+    voltage times the motor's gain, and the compensator `none`, which divides by that gain, gives the voltage back.
+
+    Attributes:
+        name: what tables call it; of a file, its stem.
+        commands: `"force"`, through a compensator, or `"voltage"`, straight to the motor.
+        limit: largest command either way, N or V.
+        newtons_per_volt: the motor's gain on the rig that it was trained on, N/V.
+        compensator: name of the compensator that it was trained with.
+        scales: (6,) what the observation is divided by.
+        layers: weights (out, in) and biases (out,), from first to last.
+        squash: what follows the last layer: `"clip"` to -1..1, or `"tanh"`.
+        algorithm: `"ppo"` or `"sac"`.
+        seed: of its training.
+        steps: control periods that it was trained for.
+        evaluation: how it did, if it was tried.
+
+    Raises:
+        ValueError: layers do not fit each other, or a number is not what it must be.
+
+    Example:
+        >>> layers = ((np.full((1, 6), -0.5), np.zeros(1)),)
+        >>> policy = Policy(layers=layers, commands="force", limit=40.0, compensator="llnf")
+        >>> policy.force(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])).__round__(6)
+        -2.0
+    """
+
+    layers: tuple[tuple[Array, Array], ...]
+    commands: Commands
+    limit: float
+    compensator: str
+    newtons_per_volt: float = 1.0
+    scales: Array = field(default_factory=lambda: np.ones(6))
+    squash: Literal["clip", "tanh"] = "clip"
+    algorithm: str = "ppo"
+    seed: int = 0
+    steps: int = 0
+    evaluation: Evaluation | None = None
+    name: str = "policy"
+
+    def __post_init__(self) -> None:
+        if self.commands not in UNITS:
+            raise ValueError(f"commands is {self.commands!r}; it can be 'force' or 'voltage'")
+        if self.commands == "voltage" and self.compensator != "none":
+            raise ValueError(f"a policy that commands voltage has the compensator 'none', not {self.compensator!r}")
+        if self.squash not in ("clip", "tanh"):
+            raise ValueError(f"squash is {self.squash!r}; it can be 'clip' or 'tanh'")
+        for name in ("limit", "newtons_per_volt"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} is {value}; it must be a finite number above zero")
+        if self.scales.shape != (6,) or not (np.isfinite(self.scales) & (self.scales > 0)).all():
+            raise ValueError("scales must be six finite numbers above zero")
+        size = 6
+        for i, (weights, biases) in enumerate(self.layers):
+            if weights.ndim != 2 or weights.shape[1] != size or biases.shape != weights.shape[:1]:
+                raise ValueError(
+                    f"layer {i} has weights {weights.shape} and biases {biases.shape}, and gets {size} inputs"
+                )
+            if not (np.isfinite(weights).all() and np.isfinite(biases).all()):
+                raise ValueError(f"layer {i} has numbers that are not finite")
+            size = len(biases)
+        if not self.layers or size != 1:
+            raise ValueError(f"the last layer must give one number, the command; this one gives {size}")
+
+    @property
+    def parameters(self) -> int:
+        """Number of learned numbers."""
+        return sum(weights.size + biases.size for weights, biases in self.layers)
+
+    def command(self, observations: Array) -> Array:
+        """The commands (...) for observations (..., 6) of `DIPC-Friction-v0`, N or V as `commands` says."""
+        x = observations / self.scales
+        for weights, biases in self.layers[:-1]:
+            x = np.tanh(x @ weights.T + biases)
+        weights, biases = self.layers[-1]
+        out = (x @ weights.T + biases)[..., 0]
+        return self.limit * (np.tanh(out) if self.squash == "tanh" else np.clip(out, -1.0, 1.0))
+
+    def force(self, observation: Array) -> float:
+        """The command for an observation (6,) as a force, N; a voltage counts as what it exerts on the blocked cart."""
+        command = float(self.command(observation))
+        return command if self.commands == "force" else command * self.newtons_per_volt
+
+    def require(self, compensator: str) -> None:
+        """Refuse another compensator than the policy's own.
+
+        Args:
+            compensator: name of the one that is to stand behind it.
+
+        Raises:
+            ControllerError: it is another; the message says which one the policy was trained with.
+        """
+        if compensator != self.compensator:
+            own = (
+                "directly on the voltage"
+                if self.commands == "voltage"
+                else f"with the compensator {self.compensator!r}"
+            )
+            raise ControllerError(
+                f"policy {self.name!r} was trained {own} and is to run with {compensator!r}; "
+                f"say --compensator {self.compensator}, or train one with {compensator!r}"
+            )
+
+    def summary(self) -> str:
+        """What it is and how it did, in a line."""
+        what = f"{self.commands} through {self.compensator}" if self.commands == "force" else "voltage"
+        text = f"{self.algorithm}, {what}, {self.parameters:,} numbers, chosen after {self.steps:,} control periods"
+        if (tried := self.evaluation) is None:
+            return text
+        return (
+            f"{text}; stood for {tried.seconds:g} s in {tried.standing} of {len(tried.held)} runs, "
+            f"{tried.reward:.3f} of the largest return"
+        )
+
+    # ------------------------------------------------------------------------------------------------- files
+
+    def save(self, path: str | Path) -> None:
+        """Write the policy to a JSON file, which appears whole or not at all.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        entries = ",\n".join(f"{json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in self.to_dict().items())
+        write_whole(path, f"{{\n{entries}\n}}\n".encode())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Policy:
+        """Read a policy; nothing in the file is executed, and everything is checked.
+
+        Raises:
+            ControllerError: the file cannot be read, or a field is missing, unknown, or not what it must be. The
+                message names file, field and mend.
+        """
+        path = Path(path)
+        return _Reader(str(path)).policy(_read(path), path.stem)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the file holds."""
+        return {
+            "schema": SCHEMA,
+            "algorithm": self.algorithm,
+            "seed": self.seed,
+            "steps": self.steps,
+            "compensator": self.compensator,
+            "commands": {"name": self.commands, "unit": UNITS[self.commands], "limit": self.limit},
+            "newtons_per_volt": self.newtons_per_volt,
+            "observation": [
+                {"name": name, "unit": unit, "scale": scale}
+                for (name, unit), scale in zip(INPUTS, self.scales.tolist(), strict=True)
+            ],
+            "evaluation": None
+            if self.evaluation is None
+            else {
+                "seconds": self.evaluation.seconds,
+                "seeds": list(self.evaluation.seeds),
+                "held": list(self.evaluation.held),
+                "reward": self.evaluation.reward,
+            },
+            "activation": "tanh",
+            "squash": self.squash,
+            "layers": [{"weights": w.tolist(), "biases": b.tolist()} for w, b in self.layers],
+        }
+
+
+def _read(path: Path) -> Any:
+    try:
+        with path.open("rb") as file:
+            raw = file.read(LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ControllerError(
+            f"{path}: cannot be read ({reason}); give the path of a policy that train-policy wrote"
+        ) from None
+    if len(raw) > LARGEST_FILE:
+        raise ControllerError(f"{path}: larger than {LARGEST_FILE:,} bytes; this is no policy file")
+    try:
+        return json.loads(raw.decode("utf-8"))
+    except RecursionError:
+        raise ControllerError(f"{path}: nested too deeply; this is no policy file") from None
+    except ValueError as error:
+        raise ControllerError(
+            f"{path}: not JSON in UTF-8 ({error}); perhaps cut short: copy or train it again"
+        ) from None
+
+
+class _Reader:
+    """Takes a policy from untrusted data, naming file and field where something is wrong."""
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+
+    def fail(self, where: str, problem: str) -> NoReturn:
+        raise ControllerError(f"{self.source}, {where}: {problem}")
+
+    def policy(self, data: Any, name: str) -> Policy:
+        if not isinstance(data, Mapping):
+            self.fail("top level", "must be a JSON object as train-policy writes it")
+        if data.get("schema") != SCHEMA:
+            self.fail(
+                "schema",
+                f"is {_short(data.get('schema'))}, and this version of dipc-gym reads {SCHEMA!r}; update dipc-gym if "
+                "the file is newer, or train the policy again",
+            )
+        keys = (
+            "schema algorithm seed steps compensator commands newtons_per_volt observation evaluation activation "
+            "squash layers"
+        )
+        self.members(data, keys.split(), "")
+        commands = self.members(data["commands"], ("name", "unit", "limit"), "commands")
+        what = self.one_of(commands["name"], tuple(UNITS), "commands.name")
+        self.one_of(commands["unit"], (UNITS[what],), "commands.unit")
+        self.one_of(data["activation"], ("tanh",), "activation")
+        try:
+            return Policy(
+                layers=self.layers(data["layers"]),
+                commands=cast(Commands, what),
+                limit=self.positive(commands["limit"], "commands.limit"),
+                newtons_per_volt=self.positive(data["newtons_per_volt"], "newtons_per_volt"),
+                compensator=self.text(data["compensator"], "compensator"),
+                scales=self.scales(data["observation"]),
+                squash=cast(Literal["clip", "tanh"], self.one_of(data["squash"], ("clip", "tanh"), "squash")),
+                algorithm=self.one_of(data["algorithm"], ("ppo", "sac"), "algorithm"),
+                seed=self.count(data["seed"], "seed"),
+                steps=self.count(data["steps"], "steps"),
+                evaluation=self.evaluation(data["evaluation"]),
+                name=name,
+            )
+        except ControllerError:
+            raise
+        except ValueError as error:
+            raise ControllerError(f"{self.source}: {error}; train the policy again") from None
+
+    def scales(self, entries: Any) -> Array:
+        entries = self.sequence(entries, "observation", len(INPUTS))
+        scales = []
+        for i, (entry, (name, unit)) in enumerate(zip(entries, INPUTS, strict=True)):
+            where = f"observation[{i}]"
+            self.members(entry, ("name", "unit", "scale"), where)
+            self.one_of(entry["name"], (name,), f"{where}.name")
+            self.one_of(entry["unit"], (unit,), f"{where}.unit")
+            scales.append(self.positive(entry["scale"], f"{where}.scale"))
+        return np.array(scales)
+
+    def layers(self, entries: Any) -> tuple[tuple[Array, Array], ...]:
+        entries, size, layers = self.sequence(entries, "layers"), len(INPUTS), []
+        if len(entries) > DEEPEST:
+            self.fail("layers", f"has {len(entries)} layers; at most {DEEPEST} are read")
+        for i, entry in enumerate(entries):
+            where = f"layers[{i}]"
+            self.members(entry, ("weights", "biases"), where)
+            biases = self.numbers(entry["biases"], f"{where}.biases")
+            if len(biases) > WIDEST:
+                self.fail(f"{where}.biases", f"has {len(biases)} entries; at most {WIDEST} are read")
+            rows = self.sequence(entry["weights"], f"{where}.weights", len(biases))
+            weights = np.stack([self.numbers(row, f"{where}.weights[{k}]", size) for k, row in enumerate(rows)])
+            layers.append((weights, biases))
+            size = len(biases)
+        return tuple(layers)
+
+    def evaluation(self, entry: Any) -> Evaluation | None:
+        if entry is None:
+            return None
+        self.members(entry, ("seconds", "seeds", "held", "reward"), "evaluation")
+        seeds = self.sequence(entry["seeds"], "evaluation.seeds")
+        return Evaluation(
+            seconds=self.positive(entry["seconds"], "evaluation.seconds"),
+            seeds=tuple(self.count(seed, f"evaluation.seeds[{i}]") for i, seed in enumerate(seeds)),
+            held=tuple(self.numbers(entry["held"], "evaluation.held", len(seeds)).tolist()),
+            reward=self.number(entry["reward"], "evaluation.reward"),
+        )
+
+    def members(self, data: Any, names: Sequence[str], where: str) -> Mapping[str, Any]:
+        """Exactly these, no more and no less."""
+        if not isinstance(data, Mapping):
+            self.fail(where, f"must be an object with {', '.join(names)}")
+        for name in names:
+            if name not in data:
+                self.fail(f"{where}.{name}" if where else name, "is missing; copy or train the policy again")
+        for name in data:
+            if name not in names:
+                self.fail(f"{where}.{_short(name)}" if where else _short(name), "is unknown; remove or correct it")
+        return data
+
+    def sequence(self, value: Any, where: str, length: int | None = None) -> list[Any]:
+        if not isinstance(value, list) or not value or (length is not None and len(value) != length):
+            self.fail(where, f"must be a list of {length or 'at least one'}; train the policy again")
+        return value
+
+    def numbers(self, value: Any, where: str, length: int | None = None) -> Array:
+        return np.array([self.number(v, f"{where}[{i}]") for i, v in enumerate(self.sequence(value, where, length))])
+
+    def number(self, value: Any, where: str) -> float:
+        number = math.nan
+        if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300:
+            number = float(value)
+        if not math.isfinite(number):
+            self.fail(where, f"is {_short(value)}; it must be a finite number: train the policy again")
+        return number
+
+    def positive(self, value: Any, where: str) -> float:
+        number = self.number(value, where)
+        if number <= 0:
+            self.fail(where, f"is {number:g}; it must be above zero")
+        return number
+
+    def count(self, value: Any, where: str) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            self.fail(where, f"is {_short(value)}; it must be a whole number, zero or more")
+        return value
+
+    def text(self, value: Any, where: str) -> str:
+        if not isinstance(value, str) or not 0 < len(value) <= 100:
+            self.fail(where, f"is {_short(value)}; it must be a name")
+        return value
+
+    def one_of(self, value: Any, allowed: tuple[str, ...], where: str) -> str:
+        if not isinstance(value, str) or value not in allowed:
+            self.fail(where, f"is {_short(value)}; it must be {' or '.join(map(repr, allowed))}")
+        return value
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

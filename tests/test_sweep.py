@@ -1,0 +1,205 @@
+"""Sweeps: what is kept, what is refused, what a failure costs, and Ray."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dipc_gym import compare, sweep
+from dipc_gym.compare import Comparison
+from dipc_gym.sweep import Outcome, SweepError
+
+
+@dataclass(frozen=True)
+class Halve:
+    """Halves a number; some numbers fail or kill the process that halves them."""
+
+    number: int
+    trace: str = ""
+    options: dict[str, float] = field(default_factory=lambda: {"scale": 1.0})
+
+    @property
+    def name(self) -> str:
+        return f"halve-{self.number:03d}"
+
+    def run(self) -> Any:
+        if self.trace:
+            (Path(self.trace) / f"{self.number}-{time.monotonic_ns()}").touch()
+        if self.number == 13:
+            raise ArithmeticError("thirteen\nis unlucky")
+        if self.number == 14:
+            return float("nan")
+        if self.number == 99:
+            os._exit(3)
+        time.sleep(0.02)
+        return {
+            "half": self.number / 2 * self.options["scale"],
+            "pid": os.getpid(),
+            "threads": os.environ.get("OMP_NUM_THREADS"),
+        }
+
+
+def numbers(outcomes: list[Outcome[Halve]]) -> list[int]:
+    return [outcome.cell.number for outcome in outcomes]
+
+
+def test_results_are_those_of_the_cells_and_on_disk(tmp_path: Path) -> None:
+    outcomes = list(sweep.run([Halve(n) for n in range(6)], tmp_path / "cells", jobs=2))
+    assert sorted(numbers(outcomes)) == list(range(6))
+    for outcome in outcomes:
+        assert outcome.result["half"] == outcome.cell.number / 2
+        assert outcome.failure is None
+        held = json.loads((tmp_path / "cells" / f"{outcome.cell.name}.json").read_text())
+        assert held["parameters"] == sweep.parameters(outcome.cell)
+        assert held["result"] == outcome.result
+    assert {outcome.result["threads"] for outcome in outcomes} == {"1"}
+    assert os.getpid() not in {outcome.result["pid"] for outcome in outcomes}
+
+
+def test_what_is_finished_is_not_run_again(tmp_path: Path) -> None:
+    (tmp_path / "trace").mkdir()
+    cells = [Halve(n, str(tmp_path / "trace")) for n in range(4)]
+    first = list(sweep.run(cells[:3], tmp_path / "cells", jobs=1))
+    again = list(sweep.run(cells, tmp_path / "cells", jobs=1))
+    assert again[:3] == first
+    assert len(list((tmp_path / "trace").iterdir())) == 4
+    assert sweep.finished(cells, tmp_path / "cells") == again
+
+
+def test_a_failed_cell_is_named_and_the_others_go_on(tmp_path: Path) -> None:
+    cells = [Halve(n) for n in (12, 13, 14, 15)]
+    failed = {o.cell.number: o.failure for o in sweep.run(cells, tmp_path, jobs=2)}
+    assert failed[12] is None
+    assert failed[15] is None
+    assert failed[13] == "ArithmeticError: thirteen"
+    assert "not JSON compliant" in str(failed[14])
+    assert json.loads((tmp_path / "halve-013.json").read_text())["failure"] == failed[13]
+    assert numbers(sweep.finished(cells, tmp_path)) == [12, 15]
+    again = [o for o in sweep.run(cells, tmp_path, jobs=1) if o.failure]
+    assert numbers(again) == [13, 14]  # tried again
+    mended = dataclasses.replace(Halve(13), options={"scale": 2.0})
+    assert sweep.finished([mended], tmp_path) == []  # nothing of it is kept, so nothing is mixed
+
+
+def test_a_process_that_dies_costs_one_cell(tmp_path: Path) -> None:
+    cells = [Halve(n) for n in (1, 99, 2, 3, 4, 5)]
+    outcomes = {o.cell.number: o for o in sweep.run(cells, tmp_path, jobs=2)}
+    assert sorted(outcomes) == [1, 2, 3, 4, 5, 99]
+    assert "its process died" in str(outcomes[99].failure)
+    assert all(outcomes[n].failure is None for n in range(1, 6))
+
+
+def test_another_sweep_is_not_mixed_in(tmp_path: Path) -> None:
+    list(sweep.run([Halve(1), Halve(2)], tmp_path, jobs=1))
+    changed = dataclasses.replace(Halve(2), options={"scale": 3.0})
+    with pytest.raises(SweepError, match=r"halve-002\.json: was made with options\.scale = 1\.0.* 3\.0.*--overwrite"):
+        sweep.run([Halve(1), changed], tmp_path)
+    with pytest.raises(SweepError, match=r"options\.more = null"):
+        sweep.run([dataclasses.replace(Halve(2), options={"scale": 1.0, "more": 2.0})], tmp_path)
+    (tmp_path / "halve-001.json").write_text('{"half": ')
+    with pytest.raises(SweepError, match=r"halve-001\.json: not a result.*delete it"):
+        sweep.run([Halve(1)], tmp_path)
+
+
+@pytest.mark.parametrize("jobs", [0, -1])
+def test_jobs_must_be_positive(jobs: int, tmp_path: Path) -> None:
+    with pytest.raises(SweepError, match="1 or more"):
+        sweep.run([Halve(1)], tmp_path / "new", jobs=jobs)
+    assert not (tmp_path / "new").exists()
+
+
+def test_unknown_backend_and_shared_names_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(SweepError, match="no backend 'dusk'; there are local and ray"):
+        sweep.run([Halve(1)], tmp_path, backend="dusk")  # type: ignore[arg-type]
+    with pytest.raises(SweepError, match="two cells are called 'halve-001'"):
+        sweep.run([Halve(1), Halve(1)], tmp_path)
+
+
+def test_without_ray_the_mend_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ImportError, match=r"pip install 'dipc-gym\[ray\]'"):
+        sweep.run([Halve(1)], tmp_path, backend="ray")
+
+
+def test_a_killed_sweep_goes_on(tmp_path: Path) -> None:
+    (tmp_path / "trace").mkdir()
+    code = (
+        "import sys; from pathlib import Path; sys.path.insert(0, sys.argv[1])\n"
+        "from test_sweep import Halve; from dipc_gym import sweep\n"
+        "place = Path(sys.argv[2])\n"
+        "cells = [Halve(n, str(place / 'trace')) for n in range(100, 300)]\n"
+        "if __name__ == '__main__':\n"
+        "    list(sweep.run(cells, place / 'cells', jobs=2))\n"
+    )
+    command = [sys.executable, "-c", code, str(Path(__file__).parent), str(tmp_path)]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while len(list((tmp_path / "cells").glob("*.json"))) < 5 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait(timeout=30)
+    cells = [Halve(n, str(tmp_path / "trace")) for n in range(100, 300)]
+    kept = numbers(sweep.finished(cells, tmp_path / "cells"))
+    assert 5 <= len(kept) < 200
+    outcomes = list(sweep.run(cells, tmp_path / "cells", jobs=2))
+    assert numbers(outcomes)[: len(kept)] == kept
+    assert sorted(numbers(outcomes)) == list(range(100, 300))
+    runs = [path.name.split("-")[0] for path in (tmp_path / "trace").iterdir()]
+    assert all(runs.count(str(n)) == 1 for n in kept)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    ray = pytest.importorskip("ray")
+    ray.init(
+        num_cpus=1,
+        include_dashboard=False,
+        object_store_memory=80 * 2**20,
+        log_to_driver=False,
+        runtime_env={"env_vars": {"PYTHONPATH": str(Path(__file__).parent)}},  # where a worker finds Halve
+    )
+    yield ray
+    ray.shutdown()
+
+
+@pytest.mark.filterwarnings("default")
+def test_ray_runs_the_cells_in_its_own_processes(cluster: Any, tmp_path: Path) -> None:
+    cells = [Halve(n) for n in (1, 2, 13, 4)]
+    for jobs in (1, None):
+        folder = tmp_path / str(jobs)
+        outcomes = {o.cell.number: o for o in sweep.run(cells, folder, jobs=jobs, backend="ray")}
+        assert sorted(outcomes) == [1, 2, 4, 13]
+        assert all(outcomes[n].result["half"] == n / 2 for n in (1, 2, 4))
+        assert all(outcomes[n].result["threads"] == "1" for n in (1, 2, 4))
+        assert os.getpid() not in {outcomes[n].result["pid"] for n in (1, 2, 4)}
+        assert outcomes[13].failure == "ArithmeticError: thirteen"
+        assert numbers(sweep.finished(cells, folder)) == [1, 2, 4]
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_worker_of_ray_that_dies_costs_one_cell(cluster: Any, tmp_path: Path) -> None:
+    outcomes = {o.cell.number: o for o in sweep.run([Halve(n) for n in (1, 99, 2)], tmp_path, backend="ray")}
+    assert "Ray gave it up" in str(outcomes[99].failure)
+    assert outcomes[1].result["half"] == 0.5
+    assert outcomes[2].result["half"] == 1.0
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_comparison_on_ray_is_the_one_made_here(cluster: Any, tmp_path: Path) -> None:
+    comparison = Comparison(compensators=("none", "feedforward"), seeds=1, seconds=2.0, robustness=("impulse",))
+    here = compare.run(comparison, tmp_path / "here", jobs=1)
+    there = compare.run(comparison, tmp_path / "there", backend="ray")
+    assert there["failures"] == {}
+    assert there["rows"] == here["rows"]
+    assert (tmp_path / "there" / "robustness.json").read_text() == (tmp_path / "here" / "robustness.json").read_text()
