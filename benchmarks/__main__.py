@@ -3,7 +3,7 @@
 import runpy
 import sys
 
-for name in ("environment", "vector", "lolimot"):
+for name in ("environment", "vector", "lolimot", "sysid"):
     print(f"== {name} ==", flush=True)
     sys.argv = [f"benchmarks/{name}.py"]
     runpy.run_module(f"benchmarks.{name}", run_name="__main__")
