@@ -292,6 +292,20 @@ def _break_away(time, s, u, p, n, mode, rested, k1, hold, mass, rhs):  # type: i
 
 
 @_jit
+def _crossing(begin, middle, end, part):  # type: ignore[no-untyped-def]
+    """Where a parabola through the values at 0, `part` and 1 crosses zero; `part` where it bends too much to say."""
+    if part <= 0.0 or part >= 1.0:
+        return part
+    slope = (middle - begin) / part
+    bend = (end - middle) / (1.0 - part) - slope
+    # Newton's step on the parabola from `part`, where it is nearly zero already.
+    steep = slope + bend * part
+    if steep * begin >= 0.0:
+        return part
+    return min(max(part - middle / steep, 0.0), 1.0)
+
+
+@_jit
 def _advance(time, span, step, s, u, p, n, mode, rested, work, mass):  # type: ignore[no-untyped-def]
     """Integrate over `span` seconds under a constant input, in equal steps of at most `step` seconds."""
     k1, k2, k3, k4, x, hold, rhs = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
@@ -313,6 +327,9 @@ def _advance(time, span, step, s, u, p, n, mode, rested, work, mass):  # type: i
                     if share < part:
                         part, which = share, j
             if which >= 0:
+                end = x[V + which]
+                _runge_kutta(time, part * left, s, u, p, n, mode, k1, k2, k3, k4, x, hold, mass, rhs)
+                part = _crossing(s[V + which], x[V + which], end, part)
                 _runge_kutta(time, part * left, s, u, p, n, mode, k1, k2, k3, k4, x, hold, mass, rhs)
                 x[V + which] = 0.0
                 mode[which] = 0

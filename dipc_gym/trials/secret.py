@@ -227,19 +227,16 @@ class Secret:
         for rival in effects(self.rig):
             entry = {"effect": rival.name, "at": rival.at}
             itself = (rival.name, rival.at) == (hidden.effect.name, hidden.effect.at)
-            if rival.name not in names or itself or entry in found:
+            # Bristles are the same name as the curve without them, and a hundred times slower to fit.
+            if rival.name not in names or itself or entry in found or rival.kind == "bristle":
                 continue
+            together = [*(h.effect for h in others), rival]
             best = np.inf
             for start in _starts(rival, hidden):
-                trying = fit(
-                    windows,
-                    references,
-                    base,
-                    [*(h.effect for h in others), rival],
-                    [*kept, *start],
-                    effort=7,
-                    own=own,
-                )
+                place = [*kept, *start]
+                trying = fit(windows, references, base, together, place, effort=3, own=own)
+                if limit < trying.error < 0.7 * scale and not trying.converged:
+                    trying = fit(windows, references, base, together, place, effort=6, own=own, onward=trying)
                 best = min(best, trying.error)
                 if best <= limit:
                     found.append(entry)
@@ -268,7 +265,10 @@ class Secret:
 
 
 def _starts(rival: Effect, hidden: Hidden) -> list[list[float]]:
-    """A few places to start a rival's fit from; numbers of the same name and unit start from the truth."""
+    """A few places to start a rival's fit from; numbers of the same name and unit start from the truth.
+
+    A single number is found from anywhere, save in the transmission, where contacts hide it.
+    """
     known = {(n.name, n.unit): v for n, v in zip(hidden.effect.numbers, hidden.values, strict=True)}
 
     def middle(position: float) -> list[float]:
@@ -282,7 +282,8 @@ def _starts(rival: Effect, hidden: Hidden) -> list[list[float]]:
                 values.append(float(number.low ** (1 - position) * number.high**position))
         return values
 
-    if known.keys() >= {(n.name, n.unit) for n in rival.numbers}:
+    single = len(rival.numbers) == 1 and not rival.name.startswith("transmission.")
+    if single or known.keys() >= {(n.name, n.unit) for n in rival.numbers}:
         return [middle(0.5)]
     return [middle(0.5), middle(0.85), middle(0.2)]
 
