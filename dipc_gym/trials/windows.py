@@ -14,7 +14,7 @@ import numpy as np
 
 from dipc_gym.trials import integrator
 from dipc_gym.trials.effects import Effect, Number
-from dipc_gym.trials.integrator import index
+from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig
 
 WINDOW = 125
@@ -182,7 +182,9 @@ def standard_numbers(rig: Rig, plant: Array) -> list[Number]:
         numbers.append(Number(f"damping.{at}", "", index("damping", j), 0, 0, "change", scale))
     kt, ke = plant[index("kt")], plant[index("ke")]
     numbers.append(Number("motor_constant", "", index("kt"), 0, 0, "change", kt, ((index("ke"), ke),)))
-    numbers.append(Number("mass", "", index("m0"), 0, 0, "change", plant[index("m0")]))
+    # A pendulum's mass stands in its inertia and in its weight.
+    weight = ((index("mgl"), plant[index("mgl")]),) if rig.name == "pendulum" else ()
+    numbers.append(Number("mass", "", index("m0"), 0, 0, "change", plant[index("m0")], weight))
     for j, at in enumerate(rig.joints):
         level = plant[index("coulomb", j)]
         if level > 0:
