@@ -329,6 +329,7 @@ class Replay:
     Try:
         dipc-gym replay rig.xml balance.csv
         dipc-gym replay rig.xml balance.csv --window 0.1 --json replay.json --plot replay.png
+        dipc-gym replay rig.xml balance.csv --step 0.001
         dipc-gym replay rig.xml log.csv --map pos_cart=cart --map u=motor --unit pole1=deg --unit time=ms
     """
 
@@ -338,6 +339,8 @@ class Replay:
     """recording: .csv, .parquet or .npz"""
     window: float | None = None
     """length of a window, s; without it 0.25, or less where an unstable rig amplifies its start more than tenfold"""
+    step: float | None = None
+    """simulate as exactly as this step (s) allows; without it, with the model's own integrator and step"""
     json: Path | None = None
     """file for all figures, window by window"""
     plot: Path | None = None
@@ -361,7 +364,7 @@ class Replay:
         if self.plot is not None and self.plot.suffix.lower() not in (".png", ".pdf", ".svg"):
             raise ValueError(f"{self.plot}: pictures are written as .png, .pdf or .svg")
         mapping, units = _pairs("map", self.map), _pairs("unit", self.unit)
-        done = replay(self.model, self.recording, window=self.window, mapping=mapping, units=units)
+        done = replay(self.model, self.recording, window=self.window, step=self.step, mapping=mapping, units=units)
         for note in done.recording.notes:
             print(f"note: {note}")
         print(done.table())
@@ -470,10 +473,11 @@ class Trial:
 
     A generator that knows neither the tool nor MuJoCo simulates rigs with concealed physics and writes recordings and
     a nominal model; the tool diagnoses these files in folders of their own; a scorer then opens the sealed answers.
-    Killed, it goes on where it stopped when started again.
+    Interrupted, it scores what is done, and goes on where it stopped when started again.
 
     Try:
         dipc-gym trial --out trial
+        dipc-gym trial --out trial --rivals
         dipc-gym trial --out trial --count 12 --seed 7
         dipc-gym trial --out big --full --jobs 2
     """
@@ -487,13 +491,23 @@ class Trial:
     full: bool = False
     """the long version"""
     jobs: int = 1
-    """trials at a time; a diagnosis uses all cores by itself"""
+    """trials at a time, each on one core"""
+    limit: float = 1800.0
+    """seconds after which a diagnosis is stopped and counts as failed"""
+    rivals: bool = False
+    """give the same trials to mujoco.sysid and to a residual network instead, and add their table"""
 
     def run(self) -> int:
         """Generate, diagnose, score, print the table."""
+        if self.rivals:
+            from dipc_gym.trials.rivals import compare
+
+            compare(self.out, seed=self.seed, count=self.count, full=self.full, jobs=self.jobs)
+            print((self.out / "rivals.md").read_text())
+            return 0
         from dipc_gym.trials.run import trial
 
-        trial(self.out, seed=self.seed, count=self.count, full=self.full, jobs=self.jobs)
+        trial(self.out, seed=self.seed, count=self.count, full=self.full, jobs=self.jobs, patience=self.limit)
         print((self.out / "report.md").read_text())
         return 0
 

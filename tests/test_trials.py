@@ -15,8 +15,8 @@ import pytest
 pytest.importorskip("numba")
 
 import dipc_gym
-from dipc_gym.trials import effects, generate, integrator, publish, rigs, run, score, windows
-from dipc_gym.trials.integrator import index
+from dipc_gym.trials import catalogue, generate, integrator, judge, publish, rigs, run, score, windows
+from dipc_gym.trials.plant import SIZE, index
 
 PACKAGE = Path(dipc_gym.__file__).parent
 PYTHON = sys.executable
@@ -24,7 +24,7 @@ GENERATOR = ("integrator", "rigs", "effects", "windows", "secret", "generate")
 
 
 def cart(**joint):
-    plant = np.zeros(integrator.SIZE)
+    plant = np.zeros(SIZE)
     plant[[index("m0"), index("resistance"), index("gravity"), index("kt")]] = 2.0, 1.0, 9.81, 1.0
     for name, value in joint.items():
         plant[index(name, 0)] = value
@@ -288,7 +288,7 @@ def test_every_effect_shows_at_its_largest_and_keeps_the_balance_of_units(name):
     clean = windows.record(rig, rig.plant, drive, windows.ONES, np.random.default_rng(0), step=2.5e-4)
     seen = windows.Windows(rig, clean, rig.plant)
     assert windows.rms(seen.residual(windows.predict(rig, rig.plant, clean), clean.reading)) < 1e-2
-    for effect in [*effects.effects(rig), *effects.unknowns(rig)]:
+    for effect in [*catalogue.effects(rig), *catalogue.unknowns(rig)]:
         if not effect.numbers:
             continue
         low = effect.name == "motor.saturation"
@@ -302,7 +302,7 @@ def test_every_effect_shows_at_its_largest_and_keeps_the_balance_of_units(name):
 
 
 def test_catalogue_covers_every_id():
-    ids = {e.name for make in rigs.RIGS.values() for e in effects.effects(make(np.random.default_rng(0)))}
+    ids = {e.name for make in rigs.RIGS.values() for e in catalogue.effects(make(np.random.default_rng(0)))}
     families = {
         "friction": "coulomb stribeck viscous asymmetric position load",
         "drag": "quadratic",
@@ -444,6 +444,8 @@ def sealed(kind="single", missing=(("friction.coulomb", "cart"),), **other):
         "share_of_each": {},
         "equivalent_sets": {},
         "moved_from_nominal": 10.0,
+        "signal": 100.0,
+        "drive": {"gear": 2.0, "rotor": 0.1, "kt": 3.0, "resistance": 1.5},
         "held_out_predictable": True,
         "test_error": {"nominal": 12.0, "recalibrated": 10.0, "truth": 1.0},
         "noise": {"cart": 1e-5},
@@ -467,17 +469,17 @@ FINE = {"seconds": 5.0, "failure": None, "sensor_errors": {"cart": 1.9e-5}}
 
 
 def test_the_truth_is_right_and_a_stranger_is_not():
-    judged = score.judge(sealed(), said(one("friction.coulomb", level=(3.1, 2.9, 3.2))), FINE)
+    judged = judge.judge(sealed(), said(one("friction.coulomb", level=(3.1, 2.9, 3.2))), FINE)
     assert (judged.name, judged.set, judged.place, judged.route) == (True, True, True, "truth")
     assert (judged.inside, judged.printed, judged.parameters) == (1, 1, 1)
     assert judged.reached == pytest.approx((10 - 1.9) / (10 - 1))
-    judged = score.judge(sealed(), said(one("motor.deadzone", "motor"), one("friction.coulomb")), FINE)
+    judged = judge.judge(sealed(), said(one("motor.deadzone", "motor"), one("friction.coulomb")), FINE)
     assert (judged.name, judged.set, judged.place) == (False, False, False)
-    judged = score.judge(sealed(), said(one("friction.coulomb", "pole1", level=(3.1, 2.9, 3.2))), FINE)
+    judged = judge.judge(sealed(), said(one("friction.coulomb", "pole1", level=(3.1, 2.9, 3.2))), FINE)
     assert (judged.name, judged.place, judged.printed) == (True, False, 0)
-    judged = score.judge(sealed(), said(one("friction.coulomb", level=(3.1, None, None))), FINE)
+    judged = judge.judge(sealed(), said(one("friction.coulomb", level=(3.1, None, None))), FINE)
     assert (judged.printed, judged.parameters) == (0, 1)
-    judged = score.judge(sealed(), said(one("friction.coulomb", level=(3.4, 3.2, 3.6))), FINE)
+    judged = judge.judge(sealed(), said(one("friction.coulomb", level=(3.4, 3.2, 3.6))), FINE)
     assert (judged.inside, judged.printed) == (0, 1)
 
 
@@ -485,66 +487,66 @@ def test_another_name_counts_only_if_it_is_the_same_and_the_tool_says_so():
     answer = sealed(
         missing=[("load.tilt", "world")], equivalents={"load.tilt@world": [{"effect": "load.constant", "at": "cart"}]}
     )
-    open_ = score.judge(answer, said(one("load.constant", same=["load.tilt"])), FINE)
+    open_ = judge.judge(answer, said(one("load.constant", same=["load.tilt"])), FINE)
     assert (open_.name, open_.set, open_.place, open_.route) == (True, True, True, "same")
-    silent = score.judge(answer, said(one("load.constant")), FINE)
+    silent = judge.judge(answer, said(one("load.constant")), FINE)
     assert (silent.name, silent.set, silent.place) == (False, False, True)
-    boast = score.judge(sealed(), said(one("motor.deadzone", same=["friction.coulomb"])), FINE)
+    boast = judge.judge(sealed(), said(one("motor.deadzone", same=["friction.coulomb"])), FINE)
     assert boast.name is False
 
 
 def test_parts_pairs_and_refits():
     curve = sealed(missing=[("friction.stribeck", "cart")], includes=["friction.coulomb"])
-    assert score.judge(curve, said(one("friction.coulomb"), one("friction.stribeck")), FINE).route == "part"
-    assert score.judge(curve, said(one("friction.coulomb")), FINE).name is False
+    assert judge.judge(curve, said(one("friction.coulomb"), one("friction.stribeck")), FINE).route == "part"
+    assert judge.judge(curve, said(one("friction.coulomb")), FINE).name is False
     pair = sealed("pair", [("friction.coulomb", "cart"), ("load.spring", "cart")])
-    half = score.judge(pair, said(one("load.spring")), FINE)
+    half = judge.judge(pair, said(one("load.spring")), FINE)
     assert (half.name, half.set) == (True, False)
-    both = score.judge(pair, said(one("load.spring"), one("friction.coulomb")), FINE)
+    both = judge.judge(pair, said(one("load.spring"), one("friction.coulomb")), FINE)
     assert (both.name, both.set) == (True, True)
-    more = score.judge(pair, said(one("load.spring"), one("friction.coulomb"), one("timing.delay")), FINE)
+    more = judge.judge(pair, said(one("load.spring"), one("friction.coulomb"), one("timing.delay")), FINE)
     assert (more.name, more.set) == (True, False)
     faint = pair | {"share_of_each": {"friction.coulomb@cart": 0.2, "load.spring@cart": 9.0}}
-    assert score.judge(faint, said(one("load.spring")), FINE).set is True
-    assert score.judge(faint, said(one("load.spring"), one("timing.delay")), FINE).set is False
+    assert judge.judge(faint, said(one("load.spring")), FINE).set is True
+    assert judge.judge(faint, said(one("load.spring"), one("timing.delay")), FINE).set is False
     both = [{"effect": "friction.coulomb", "at": "cart"}, {"effect": "load.constant", "at": "cart"}]
     split = sealed(missing=[("friction.asymmetric", "cart")], equivalent_sets={"friction.asymmetric@cart": [both]})
     told = [one("friction.coulomb", same=["friction.asymmetric"]), one("load.constant")]
-    assert score.judge(split, said(*told), FINE).route == "same"
-    assert score.judge(split, said(told[0]), FINE).name is False
-    assert score.judge(split, said(one("friction.coulomb"), told[1]), FINE).name is False
+    assert judge.judge(split, said(*told), FINE).route == "same"
+    assert judge.judge(split, said(told[0]), FINE).name is False
+    assert judge.judge(split, said(one("friction.coulomb"), told[1]), FINE).name is False
     number = sealed(missing=[("friction.viscous", "cart")], recalibrated_suffices=True)
-    assert score.judge(number, said(verdict="recalibrated"), FINE).route == "refit"
-    assert score.judge(number, said(one("friction.viscous")), FINE).name is True
-    assert score.judge(sealed(), said(verdict="recalibrated"), FINE).name is False
+    assert judge.judge(number, said(verdict="recalibrated"), FINE).route == "refit"
+    assert judge.judge(number, said(one("friction.viscous")), FINE).name is True
+    assert judge.judge(sealed(), said(verdict="recalibrated"), FINE).name is False
 
 
 def test_false_alarms_wrong_numbers_and_the_unknown():
     null = sealed("null", [])
-    assert score.judge(null, said(verdict="consistent"), FINE).alarm is False
-    assert score.judge(null, said(verdict="cannot tell"), FINE).alarm is False
-    assert score.judge(null, said(verdict="unexplained"), FINE).alarm is True
-    assert score.judge(null, said(one("unknown")), FINE).alarm is True
-    renumbered = score.judge(null, said(verdict="recalibrated", recalibrated=[{}]), FINE)
+    assert judge.judge(null, said(verdict="consistent"), FINE).alarm is False
+    assert judge.judge(null, said(verdict="cannot tell"), FINE).alarm is False
+    assert judge.judge(null, said(verdict="unexplained"), FINE).alarm is True
+    assert judge.judge(null, said(one("unknown")), FINE).alarm is True
+    renumbered = judge.judge(null, said(verdict="recalibrated", recalibrated=[{}]), FINE)
     assert (renumbered.alarm, renumbered.renumbered) == (False, True)
     wrong = sealed("wrong", [])
-    assert score.judge(wrong, said(verdict="recalibrated"), FINE).name is True
-    assert score.judge(wrong, said(one("friction.viscous")), FINE).name is False
+    assert judge.judge(wrong, said(verdict="recalibrated"), FINE).name is True
+    assert judge.judge(wrong, said(one("friction.viscous")), FINE).name is False
     unknown = sealed("unknown", [("unknown", "cart")], includes=["friction.coulomb"], held_out_predictable=False)
     for diagnosis in (said(one("unknown")), said(verdict="unexplained"), said(one("friction.coulomb"), one("unknown"))):
-        judged = score.judge(unknown, diagnosis, FINE)
+        judged = judge.judge(unknown, diagnosis, FINE)
         assert (judged.unknown, judged.misnamed) == (True, False)
-    judged = score.judge(unknown, said(one("friction.load")), FINE)
+    judged = judge.judge(unknown, said(one("friction.load")), FINE)
     assert (judged.unknown, judged.misnamed, judged.reached) == (False, True, None)
 
 
 def test_a_failed_diagnosis_is_a_wrong_one():
     broken = {"seconds": 1.0, "failure": "it broke", "sensor_errors": None}
-    judged = score.judge(sealed(), None, broken)
+    judged = judge.judge(sealed(), None, broken)
     assert (judged.verdict, judged.name, judged.set, judged.reached) == ("failed", False, False, None)
-    assert score.judge(sealed("wrong", []), None, broken).name is False
+    assert judge.judge(sealed("wrong", []), None, broken).name is False
     # Failing on a null is no way to keep the false alarms down.
-    null = score.judge(sealed("null", []), None, broken)
+    null = judge.judge(sealed("null", []), None, broken)
     assert null.alarm is None
     assert score.summarise([null])["summary"]["nulls"] == 0
 
@@ -650,7 +652,7 @@ def test_a_run_that_was_stopped_goes_on_and_tries_failures_again(tmp_path, monke
         (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(answer))
     asked = []
 
-    def attempt(folder, result, *, seed):
+    def attempt(folder, result, *, seed, patience):
         asked.append(folder.name)
         result.mkdir(parents=True, exist_ok=True)
         fails = folder.name == plans[1].name and len(asked) <= 3

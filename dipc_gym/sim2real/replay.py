@@ -207,6 +207,7 @@ def replay(
     recording: str | Path,
     *,
     window: float | None = None,
+    step: float | None = None,
     mapping: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     threads: int = 0,
@@ -214,17 +215,20 @@ def replay(
     """Predict windows of a recording with a model as it stands in its file.
 
     The model is simulated with its own integrator and time step (shortened at most so that a whole number of steps
-    fits a sample), with what `<custom>` says for `dipc_gym.physics`.
+    fits a sample), with what `<custom>` says for `dipc_gym.physics`. Given a `step`, it is simulated as exactly as
+    that allows instead: what is left is then owed to the model, not to its integration.
 
     Args:
         model: MJCF file.
         recording: `.csv`, `.parquet` or `.npz` file.
         window: s; None means 0.25 s, or less where an unstable rig amplifies the start more than tenfold.
+        step: s; Runge-Kutta with dry friction's reversals located. None means the model's own integrator and step.
         mapping: column of the file -> name in the model.
         units: column or name -> unit that it is in.
         threads: of the simulation, 0 for all cores.
 
     Raises:
+        ValueError: a step or window that is not positive.
         mjcf.MjcfError: the model does not compile, or cannot be treated.
         RecordingError: the recording cannot be used, or holds no such window.
         states.Undetermined: the sensors do not say where the joints are.
@@ -247,9 +251,12 @@ def replay(
     physics = custom.load(source)
     mjcf.check_supported(physics.model)
     read = recordings.read(recording, physics.model, mapping=mapping, units=units)
-    prepared = prepare(
-        source, physics, [read], Stepping(physics.model.opt.timestep, None), length=window, threads=threads
-    )
+    stepping = Stepping(physics.model.opt.timestep, None)
+    if step is not None:
+        if not (math.isfinite(step) and step > 0):
+            raise ValueError(f"a step of {step} s is no step; give a positive number of seconds")
+        stepping = Stepping(step, mujoco.mjtIntegrator.mjINT_RK4)
+    prepared = prepare(source, physics, [read], stepping, length=window, threads=threads)
     problem = prepared.problem
     _, predicted = correct_starts(problem, fit(problem, prepared.structure))
     inputs = {str(model): hashlib.sha256(Path(model).read_bytes()).hexdigest()}

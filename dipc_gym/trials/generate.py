@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dipc_gym.trials import rigs
-from dipc_gym.trials.effects import effects
+from dipc_gym.trials.catalogue import effects
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Rig, nominal_xml
 from dipc_gym.trials.secret import Plan, Secret
 from dipc_gym.trials.windows import Recording

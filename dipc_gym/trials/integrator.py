@@ -7,7 +7,7 @@ Between events the state is advanced by a fourth-order Runge-Kutta step. Dry fri
 (cf. Karnopp, "Computer simulation of stick-slip friction in mechanical dynamic systems", 1985, but without his
 velocity band): a joint slides in one direction or is held exactly; the instant at which a sliding velocity
 crosses zero is found, the joint is then held, and it breaks away when the force that holds it exceeds the
-static level. A plant is one flat vector of numbers, named by `GLOBAL` and `JOINT`; zero means "not there".
+static level. A plant is one flat vector of numbers, see `dipc_gym.trials.plant`.
 """
 
 from __future__ import annotations
@@ -15,17 +15,9 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-MAX_JOINTS = 3
+from dipc_gym.trials.plant import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_JOINTS
 
-GLOBAL = (
-    "m0", "m1", "m2", "com1", "com2", "inertia1", "inertia2", "length1", "gravity", "tilt", "mgl",  # bodies
-    "kt", "ke", "resistance", "inductance", "dead", "vlimit", "flimit",  # motor, seen at the joint
-    "cog_size", "cog_wave", "cog_phase",
-    "heat_coefficient", "heat_resistance", "heat_time", "delay",
-    "rotor", "gap", "stiffness", "shaft_damping",  # transmission
-    "drift", "drift_time", "dwell", "dwell_time", "slosh_mass", "slosh_rate", "slosh_damping",  # in no catalogue
-    "creep_stiffness", "creep_time", "leak", "encoder_size", "encoder_wave",
-)  # fmt: skip
+# Places in the plant vector, and within a joint's part of it.
 (
     M0, M1, M2, COM1, COM2, INERTIA1, INERTIA2, LENGTH1, GRAVITY, TILT, MGL,
     KT, KE, RESISTANCE, INDUCTANCE, DEAD, VLIMIT, FLIMIT, COG_SIZE, COG_WAVE, COG_PHASE,
@@ -34,24 +26,12 @@ GLOBAL = (
     DRIFT, DRIFT_TIME, DWELL, DWELL_TIME, SLOSH_MASS, SLOSH_RATE, SLOSH_DAMPING,
     CREEP_STIFFNESS, CREEP_TIME, LEAK, ENCODER_SIZE, ENCODER_WAVE,
 ) = range(len(GLOBAL))  # fmt: skip
-
-JOINT = (
-    "damping", "quadratic", "coulomb", "asymmetry", "excess", "stribeck_speed", "bristle", "bristle_damping",
-    "place_size", "place_wave", "place_phase", "per_load", "constant", "spring",
-    "force_size", "force_wave", "force_phase",
-    "periodic_size", "periodic_rate", "periodic_phase", "pulse_size", "pulse_start", "pulse_length", "pulse_square",
-    "bias", "gain", "lag", "filter",
-)  # fmt: skip
 (
     DAMPING, QUADRATIC, COULOMB, ASYMMETRY, EXCESS, STRIBECK_SPEED, BRISTLE, BRISTLE_DAMPING,
     PLACE_SIZE, PLACE_WAVE, PLACE_PHASE, PER_LOAD, CONSTANT, SPRING, FORCE_SIZE, FORCE_WAVE, FORCE_PHASE,
     PERIODIC_SIZE, PERIODIC_RATE, PERIODIC_PHASE, PULSE_SIZE, PULSE_START, PULSE_LENGTH, PULSE_SQUARE,
     BIAS, GAIN, LAG, FILTER,
 ) = range(len(JOINT))  # fmt: skip
-JOINT_BASE = len(GLOBAL)
-JOINT_SIZE = len(JOINT)
-SIZE = JOINT_BASE + MAX_JOINTS * JOINT_SIZE
-
 # The state: joint positions, joint velocities, rotor angle and speed, current, bristle, winding heat,
 # sloshing mass and its speed, creeping spring.
 V, ROTOR_Q, ROTOR_V, CURRENT, BRISTLE_Z, HEAT, SLOSH_Q, SLOSH_V, CREEP = 3, 6, 7, 8, 9, 10, 11, 12, 13
@@ -59,22 +39,6 @@ STATE_SIZE = 14
 FREE = 2  # mode of a joint without dry friction; -1 and 1: sliding; 0: held
 
 NO_FEEDBACK = np.zeros(2 * MAX_JOINTS + 2)
-
-
-def index(name: str, joint: int | None = None) -> int:
-    """Place of a number in the plant vector.
-
-    Args:
-        name: one of `GLOBAL`, or one of `JOINT` together with `joint`.
-        joint: joint number, 0 is the driven one.
-
-    Example:
-        >>> index("m0")
-        0
-    """
-    if joint is None:
-        return GLOBAL.index(name)
-    return JOINT_BASE + joint * JOINT_SIZE + JOINT.index(name)
 
 
 _jit = numba.njit(cache=True, fastmath=False, error_model="numpy")
@@ -292,6 +256,20 @@ def _break_away(time, s, u, p, n, mode, rested, k1, hold, mass, rhs):  # type: i
 
 
 @_jit
+def _crossing(begin, middle, end, part):  # type: ignore[no-untyped-def]
+    """Where a parabola through the values at 0, `part` and 1 crosses zero; `part` where it bends too much to say."""
+    if part <= 0.0 or part >= 1.0:
+        return part
+    slope = (middle - begin) / part
+    bend = (end - middle) / (1.0 - part) - slope
+    # Newton's step on the parabola from `part`, where it is nearly zero already.
+    steep = slope + bend * part
+    if steep * begin >= 0.0:
+        return part
+    return min(max(part - middle / steep, 0.0), 1.0)
+
+
+@_jit
 def _advance(time, span, step, s, u, p, n, mode, rested, work, mass):  # type: ignore[no-untyped-def]
     """Integrate over `span` seconds under a constant input, in equal steps of at most `step` seconds."""
     k1, k2, k3, k4, x, hold, rhs = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
@@ -313,6 +291,9 @@ def _advance(time, span, step, s, u, p, n, mode, rested, work, mass):  # type: i
                     if share < part:
                         part, which = share, j
             if which >= 0:
+                end = x[V + which]
+                _runge_kutta(time, part * left, s, u, p, n, mode, k1, k2, k3, k4, x, hold, mass, rhs)
+                part = _crossing(s[V + which], x[V + which], end, part)
                 _runge_kutta(time, part * left, s, u, p, n, mode, k1, k2, k3, k4, x, hold, mass, rhs)
                 x[V + which] = 0.0
                 mode[which] = 0
@@ -347,7 +328,7 @@ def simulate(p, n, dt, step, drive, amplifier_gain, feedback, quantum, noise, st
     """Run a rig, or its windows, over a whole recording.
 
     Args:
-        p: plant vector, see `GLOBAL` and `JOINT`.
+        p: plant vector, see `dipc_gym.trials.plant`.
         n: number of joints, 1 or 3.
         dt: sample time, s. Commands are held for one sample.
         step: largest integration step, s.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ def write_report(out: Path, scores: Mapping[str, Any], *, seed: int) -> None:
 
 
 def _finite(value: Any) -> Any:
-    """JSON has no NaN."""
+    """JSON has neither NaN nor infinity."""
     if isinstance(value, Mapping):
         return {key: _finite(one) for key, one in value.items()}
     if isinstance(value, list):
@@ -40,8 +40,11 @@ def _share(rate: Mapping[str, Any]) -> str:
     return f"{100 * rate['rate']:.0f} % ({rate['right']} of {rate['of']})"
 
 
-def _percent(value: float | None) -> str:
-    return "none" if value is None else f"{100 * value:.0f} %"
+def _percent(quartiles: Mapping[str, Any]) -> str:
+    if not quartiles["of"]:
+        return "none"
+    low, median, high = (f"{100 * quartiles[key]:.0f}" for key in ("low", "median", "high"))
+    return f"{median} % ({low} to {high}, {quartiles['of']} trials)"
 
 
 def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
@@ -56,16 +59,21 @@ def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
     alarms = "none"
     if s["nulls"]:
         alarms = f"{s['false_alarms']} of {s['nulls']} (95 % upper bound {100 * s['false_alarms_upper_95']:.1f} %)"
-    seconds = ", ".join(f"{rig} {value:.0f}" for rig, value in s["seconds_by_rig"].items() if math.isfinite(value))
+    seconds = ", ".join(
+        f"{rig} {value['median']:.0f} ({value['most']:.0f})" for rig, value in s["seconds"].items() if value["most"]
+    )
     lines = [
-        f"Blind trial, seed {seed}: {s['trials']} trials, {len(s['failed'])} failed, {scores['open']} open.",
+        f"Blind trial, seed {seed}: {s['trials']} trials, {len(s['failed'])} failed "
+        f"({len(s['timed_out'])} of them out of time), {scores['open']} open; "
+        f"{s['seconds_total'] / 3600:.2f} h of diagnosis in all.",
         "",
-        "| effects that move the held-out prediction by at least twice the noise | |",
+        f"| {s['clear']} trials in which the hidden moves the held-out prediction by twice the noise or more | |",
         "|---|---|",
         f"| right name first | {_share(s['name'])}{f': {routes}' if routes else ''} |",
         f"| right set | {_share(s['set'])} |",
         f"| right place | {_share(s['place'])} |",
-        f"| held-out error reached, median | {_percent(s['reached_median'])} ({s['reached_trials']} trials) |",
+        f"| held-out error reached, median (quartiles) | {_percent(s['reached'])} |",
+        f"| the same at the file's own time step | {_percent(s['reached_own_step'])} |",
         "| **other questions** | |",
         f"| false alarms where nothing is missing | {alarms} |",
         f"| right numbers called wrong there | {s['nulls_renumbered']} of {s['nulls']} |",
@@ -73,26 +81,45 @@ def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
         f"| unknown physics called unknown | {_share(s['unknown'])} |",
         f"| unknown physics given a known name | {_share(s['unknown_misnamed'])} |",
         f"| 90 % intervals that cover the truth | {_share(s['interval_coverage'])} |",
-        f"| intervals printed | {_share(s['intervals_printed'])} |",
+        f"| intervals printed, of parameters of effects named right | {_share(s['intervals_printed'])} |",
         f"| right name first, all sizes | {_share(s['name_all_sizes'])} |",
-        f"| seconds a trial, median | {seconds or 'none'} |",
-        "",
-        "| size (noise = 1) | trials | right name first | right set | right place | error reached |",
-        "|---|---|---|---|---|---|",
+        f"| seconds a trial, median (most) | {seconds or 'none'} |",
     ]
-    for row in scores["by_size"]:
-        size = f"{row['low']:g} to {row['high']:g}" if row["high"] else f"over {row['low']:g}"
-        lines.append(
-            f"| {size} | {row['trials']} | {_share(row['name'])} | {_share(row['set'])} | {_share(row['place'])} "
-            f"| {_percent(row['reached_median'])} |"
-        )
+    lines += _sizes("size (noise = 1)", scores["by_size"], 1.0, "")
+    lines += _sizes("size (share of signal)", scores["by_share"], 100.0, " %")
     confusion = scores["confusion"]
     columns = sorted({name for row in confusion.values() for name in row})
     lines += ["", "| truth, said first | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     for truth in sorted(confusion):
         cells = " | ".join(str(confusion[truth].get(name, "")) for name in columns)
         lines.append(f"| {truth} | {cells} |")
+    wrong = [t for t in scores["trials"] if _amiss(t)]
+    if wrong:
+        lines += ["", "| not right | truth | size | said | verdict |", "|---|---|---|---|---|"]
+        lines += [
+            f"| {t['trial']}{' (tuned)' if t['tuned'] else ''} | {', '.join(t['truth']) or t['kind']} "
+            f"| {t['size']:.3g} | {', '.join(t['said']) or '-'} | {t['verdict']} |"
+            for t in wrong
+        ]
     return "\n".join(lines) + "\n"
+
+
+def _amiss(trial: Mapping[str, Any]) -> bool:
+    """Whether a trial is worth a look: a wrong name, an alarm, an unknown that was missed or misnamed, a failure."""
+    wrong = trial["name"] is False or trial["alarm"] or trial["unknown"] is False or trial["misnamed"]
+    return bool(wrong) or trial["verdict"] == "failed"
+
+
+def _sizes(title: str, rows: Sequence[Mapping[str, Any]], scale: float, unit: str) -> list[str]:
+    lines = ["", f"| {title} | trials | right name first | right set | right place | error reached |", "|---" * 6 + "|"]
+    for row in rows:
+        low = f"{scale * row['low']:g}"
+        size = f"{low} to {scale * row['high']:g}{unit}" if row["high"] else f"over {low}{unit}"
+        lines.append(
+            f"| {size} | {row['trials']} | {_share(row['name'])} | {_share(row['set'])} | {_share(row['place'])} "
+            f"| {_percent(row['reached'])} |"
+        )
+    return lines
 
 
 def figure(scores: Mapping[str, Any], path: Path) -> None:

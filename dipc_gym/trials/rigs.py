@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.trials import integrator
-from dipc_gym.trials.integrator import index
+from dipc_gym.trials.plant import SIZE, index
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ class Rig:
 
 
 def _plant(**numbers: float) -> Array:
-    plant = np.zeros(integrator.SIZE)
+    plant = np.zeros(SIZE)
     for name, value in numbers.items():
         plant[index(name)] = value
     return plant

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -17,8 +18,17 @@ from dipc_gym.trials.publish import write_report
 from dipc_gym.trials.score import score
 
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv")
-PATIENCE = 1800
-"""Seconds after which a diagnosis counts as failed."""
+PATIENCE = 1800.0
+"""Seconds after which a diagnosis is stopped and counts as failed."""
+WINDOW = 0.25
+CONVERGED = 0.001
+"""Step at which a model is judged, s: Runge-Kutta with located reversals, so that what is left is not integration.
+A quarter of it moves no error by a hundredth of the noise."""
+INTERRUPTED = (-signal.SIGINT, 128 + signal.SIGINT)
+
+
+class TookTooLong(RuntimeError):
+    """The tool was stopped because its time was up."""
 
 
 def run_tool(folder: Path, out: Path, *, seed: int = 0, patience: float = PATIENCE) -> dict[str, Any]:
@@ -34,7 +44,9 @@ def run_tool(folder: Path, out: Path, *, seed: int = 0, patience: float = PATIEN
         The diagnosis.
 
     Raises:
-        RuntimeError: the tool failed, took too long, or left no diagnosis; its last words are quoted.
+        TookTooLong: the time was up.
+        RuntimeError: the tool failed or left no readable diagnosis; its last words are quoted.
+        KeyboardInterrupt: the tool was interrupted.
     """
     shutil.rmtree(out, ignore_errors=True)
     with tempfile.TemporaryDirectory(prefix="trial-") as place:
@@ -45,27 +57,34 @@ def run_tool(folder: Path, out: Path, *, seed: int = 0, patience: float = PATIEN
     written = out / "diagnosis.json"
     if not written.exists():
         raise RuntimeError(f"{folder.name}: the tool ended well but left no {written}")
-    found: dict[str, Any] = json.loads(written.read_text(encoding="utf-8"))
-    return found
+    return _read(written)
 
 
-def replay_tool(model: Path, recording: Path, *, window: float) -> dict[str, Any]:
+def replay_tool(model: Path, recording: Path, *, step: float | None) -> dict[str, float]:
     """Prediction error of a model on a recording, as the tool's `replay` command measures it.
 
     Args:
         model: MJCF file.
         recording: CSV file.
-        window: seconds.
+        step: s; None for the model's own integrator and step.
 
     Returns:
-        What `--json` writes; `sensors` has the root mean square error of each in SI units.
+        Root mean square error of each sensor in windows of 0.25 s, SI units.
     """
     with tempfile.TemporaryDirectory(prefix="replay-") as place:
         out = Path(place) / "replay.json"
         command = [sys.executable, "-m", "dipc_gym", "replay", str(model.absolute()), str(recording.absolute())]
-        _call([*command, "--window", str(window), "--json", str(out)], Path(place), PATIENCE)
-        found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
-        return found
+        command += ["--window", str(WINDOW), "--json", str(out)]
+        _call(command + ([] if step is None else ["--step", str(step)]), Path(place), PATIENCE)
+        return {name: sensor["error"] for name, sensor in _read(out)["sensors"].items()}
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise RuntimeError(f"{path} is not JSON: {error}") from None
+    return found
 
 
 def _call(command: list[str], place: Path, patience: float) -> None:
@@ -75,36 +94,44 @@ def _call(command: list[str], place: Path, patience: float) -> None:
             command, cwd=place, env={**os.environ, **single}, capture_output=True, text=True, timeout=patience
         )
     except subprocess.TimeoutExpired:
-        raise RuntimeError(f"{command[3]} took longer than {patience:.0f} s") from None
+        raise TookTooLong(f"{command[3]} took longer than {patience:.0f} s") from None
+    if done.returncode in INTERRUPTED:
+        raise KeyboardInterrupt
     if done.returncode != 0:
         raise RuntimeError(f"{command[3]} ended with {done.returncode}: {done.stderr.strip()[-2000:]}")
 
 
-def attempt(folder: Path, result: Path, *, seed: int) -> dict[str, Any]:
+def attempt(folder: Path, result: Path, *, seed: int, patience: float = PATIENCE) -> dict[str, Any]:
     """Diagnose one trial, judge its improved model on the recording that the tool never saw, note it all.
 
-    A failure is a result too: it is written down and scored as one.
+    A failure is a result too: it is written down and scored as one. An interruption is not.
 
     Args:
         folder: trial folder.
         result: where `diagnosis.json`, `improved.xml` and `attempt.json` go.
         seed: the tool's.
+        patience: seconds before the tool is stopped.
 
     Returns:
-        What was written to `attempt.json`: seconds, what went wrong or None, errors by sensor on `test.csv`.
+        What was written to `attempt.json`: seconds and their limit, what went wrong or None, whether time was up,
+        errors by sensor on `test.csv` of a converged simulation (`sensor_errors`) and at the file's own step.
     """
     begun = time.perf_counter()
-    note: dict[str, Any] = {"trial": folder.name, "failure": None, "sensor_errors": None}
+    note: dict[str, Any] = {"trial": folder.name, "limit": patience, "failure": None, "timed_out": False}
+    note |= {"sensor_errors": None, "sensor_errors_own_step": None, "replay_failure": None}
     try:
-        diagnosis = run_tool(folder, result, seed=seed)
-        note["seconds"] = time.perf_counter() - begun
+        diagnosis = run_tool(folder, result, seed=seed, patience=patience)
+    except RuntimeError as error:
+        note["failure"], note["timed_out"] = str(error), isinstance(error, TookTooLong)
+    note["seconds"] = time.perf_counter() - begun
+    if note["failure"] is None:
         improved = result / (diagnosis.get("improved_model") or "improved.xml")
         model = improved if improved.exists() else folder / "nominal.xml"
-        replayed = replay_tool(model, folder / "test.csv", window=0.25)
-        note["sensor_errors"] = {name: sensor["error"] for name, sensor in replayed["sensors"].items()}
-    except RuntimeError as error:
-        note.setdefault("seconds", time.perf_counter() - begun)
-        note["failure"] = str(error)
+        try:
+            note["sensor_errors"] = replay_tool(model, folder / "test.csv", step=CONVERGED)
+            note["sensor_errors_own_step"] = replay_tool(model, folder / "test.csv", step=None)
+        except RuntimeError as error:
+            note["replay_failure"] = str(error)
     result.mkdir(parents=True, exist_ok=True)
     (result / "attempt.json").write_text(json.dumps(note, indent=1), encoding="utf-8")
     return note
@@ -116,7 +143,8 @@ def _done(result: Path) -> bool:
 
 
 def trial(
-    out: Path, *, seed: int = 1, count: int | None = None, full: bool = False, jobs: int = 1, resume: bool = True
+    out: Path, *, seed: int = 1, count: int | None = None, full: bool = False, jobs: int = 1, resume: bool = True,
+    patience: float = PATIENCE,
 ) -> dict[str, Any]:  # fmt: skip
     """The blind trial: generate, diagnose, score.
 
@@ -127,24 +155,30 @@ def trial(
         full: the long version.
         jobs: trials at a time.
         resume: keep the diagnoses that are there, failures aside; otherwise diagnose everything anew.
+        patience: seconds before a diagnosis is stopped and counts as failed.
 
     Returns:
         The scores, as in `report.json`.
 
     Raises:
         ValueError: `out` holds trials of another seed or composition.
+        KeyboardInterrupt: after what is done was scored.
     """
     from joblib import Parallel, delayed
     from tqdm import tqdm
 
     made = generate(out, seed=seed, count=count, full=full, jobs=jobs)
+    names = [plan.name for plan in made]
     results = out / "results"
-    open_ones = [plan.name for plan in made if not (resume and _done(results / plan.name))]
-    runs = Parallel(n_jobs=jobs, return_as="generator_unordered")(
-        delayed(attempt)(out / "trials" / name, results / name, seed=0) for name in open_ones
-    )
-    for _ in tqdm(runs, total=len(open_ones), desc="diagnose", disable=None):
-        pass
-    scores = score(out, [plan.name for plan in made])
-    write_report(out, scores, seed=seed)
+    open_ones = [name for name in names if not (resume and _done(results / name))]
+    try:
+        # The tool runs in processes of its own; here threads wait for them.
+        runs = Parallel(n_jobs=jobs, prefer="threads", return_as="generator_unordered")(
+            delayed(attempt)(out / "trials" / name, results / name, seed=0, patience=patience) for name in open_ones
+        )
+        for _ in tqdm(runs, total=len(open_ones), desc="diagnose", disable=None):
+            pass
+    finally:
+        scores = score(out, names)
+        write_report(out, scores, seed=seed)
     return scores

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dipc_gym.trials import rigs
-from dipc_gym.trials.effects import RIVALS, SETS, Effect, Hidden, draw, effects, unknowns
-from dipc_gym.trials.integrator import index
+from dipc_gym.trials.catalogue import effects, unknowns
+from dipc_gym.trials.effects import RIVALS, SETS, Effect, Hidden, draw
+from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig, excitation
 from dipc_gym.trials.windows import ONES, WINDOW, Recording, Windows, fit, predict, record, rms, standard_numbers
 
@@ -181,6 +183,12 @@ class Secret:
             "share_of_signal": share,
             "share_of_each": self._shares(windows, references, judged),
             "moved_from_nominal": from_nominal,
+            "signal": self._signal(windows[judged]),
+            "drive": {
+                "gear": rig.gear,
+                "rotor": rig.rotor,
+                **{name: float(rig.plant[index(name)]) for name in ("kt", "resistance")},
+            },
             "held_out_predictable": not self.once and plan.kind != "unknown",
             "test_error": {
                 "nominal": error(self.nominal),
@@ -190,6 +198,12 @@ class Secret:
             "noise": dict(zip(rig.joints, rig.noise.tolist(), strict=True)),
             "window": WINDOW * SAMPLE_TIME,
         }
+
+    def _signal(self, windows: Windows) -> float:
+        """What the command does within a window, in noise units: recorded motion less the free motion of the rig."""
+        recording = windows.recording
+        free = predict(self.rig, self.rig.plant, replace(recording, command=np.zeros(SAMPLES)))
+        return rms(windows.residual(free, recording.reading))
 
     def _shares(self, windows: Sequence[Windows], references: Sequence[Array], judged: int) -> dict[str, float]:
         """For several effects: what the judged prediction loses when one is taken out and all else refitted."""
@@ -227,19 +241,16 @@ class Secret:
         for rival in effects(self.rig):
             entry = {"effect": rival.name, "at": rival.at}
             itself = (rival.name, rival.at) == (hidden.effect.name, hidden.effect.at)
-            if rival.name not in names or itself or entry in found:
+            # Bristles are the same name as the curve without them, and a hundred times slower to fit.
+            if rival.name not in names or itself or entry in found or rival.kind == "bristle":
                 continue
+            together = [*(h.effect for h in others), rival]
             best = np.inf
             for start in _starts(rival, hidden):
-                trying = fit(
-                    windows,
-                    references,
-                    base,
-                    [*(h.effect for h in others), rival],
-                    [*kept, *start],
-                    effort=7,
-                    own=own,
-                )
+                place = [*kept, *start]
+                trying = fit(windows, references, base, together, place, effort=3, own=own)
+                if limit < trying.error < 0.7 * scale and not trying.converged:
+                    trying = fit(windows, references, base, together, place, effort=6, own=own, onward=trying)
                 best = min(best, trying.error)
                 if best <= limit:
                     found.append(entry)
@@ -252,23 +263,36 @@ class Secret:
     def _equivalent_sets(
         self, hidden: Hidden, windows: Sequence[Windows], references: Sequence[Array], recalibrated: float
     ) -> list[list[dict[str, str]]]:
-        """Several effects at the same place that together explain the readings as well as the truth does."""
+        """Several effects that together explain the noise-free training readings as well as the truth does."""
         found = []
         others = [h for h in self.hidden if h is not hidden]
         kept = [value for h in others for value in h.values]
+        limit = SAME * min(1.0, recalibrated)
         for names in SETS.get(hidden.effect.name, ()):
-            rivals = [e for name in names for e in effects(self.rig) if (e.name, e.at) == (name, hidden.effect.at)]
-            start = [value for rival in rivals for value in _starts(rival, hidden)[0]]
-            trying = fit(
-                windows, references, self.rig.plant, [*(h.effect for h in others), *rivals], [*kept, *start], effort=12
-            )
-            if trying.error <= SAME * min(1.0, recalibrated):
-                found.append([{"effect": rival.name, "at": rival.at} for rival in rivals])
+            for rivals in itertools.product(*(self._places_of(name, hidden) for name in names)):
+                start = [value for rival in rivals for value in _starts(rival, hidden)[0]]
+                together = [*(h.effect for h in others), *rivals]
+                trying = fit(windows, references, self.rig.plant, together, [*kept, *start], effort=4)
+                if limit < trying.error < 0.3 * recalibrated and not trying.converged:
+                    trying = fit(windows, references, self.rig.plant, together, [*kept, *start], onward=trying)
+                if trying.error <= limit:
+                    found.append([{"effect": rival.name, "at": rival.at} for rival in rivals])
         return found
+
+    def _places_of(self, name: str, hidden: Hidden) -> list[Effect]:
+        """An effect where it could stand in for a part of a hidden one: there, at the drive, or at any sensor."""
+        near = {hidden.effect.at, self.rig.joints[0], "world"}
+        everywhere = name.startswith("sensor.")
+        if name.startswith("friction."):
+            near = {hidden.effect.at}
+        return [e for e in effects(self.rig) if e.name == name and (everywhere or e.at in near)]
 
 
 def _starts(rival: Effect, hidden: Hidden) -> list[list[float]]:
-    """A few places to start a rival's fit from; numbers of the same name and unit start from the truth."""
+    """A few places to start a rival's fit from; numbers of the same name and unit start from the truth.
+
+    A single number is found from anywhere, save in the transmission, where contacts hide it.
+    """
     known = {(n.name, n.unit): v for n, v in zip(hidden.effect.numbers, hidden.values, strict=True)}
 
     def middle(position: float) -> list[float]:
@@ -282,7 +306,8 @@ def _starts(rival: Effect, hidden: Hidden) -> list[list[float]]:
                 values.append(float(number.low ** (1 - position) * number.high**position))
         return values
 
-    if known.keys() >= {(n.name, n.unit) for n in rival.numbers}:
+    single = len(rival.numbers) == 1 and not rival.name.startswith("transmission.")
+    if single or known.keys() >= {(n.name, n.unit) for n in rival.numbers}:
         return [middle(0.5)]
     return [middle(0.5), middle(0.85), middle(0.2)]
 

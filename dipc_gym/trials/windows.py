@@ -14,11 +14,11 @@ import numpy as np
 
 from dipc_gym.trials import integrator
 from dipc_gym.trials.effects import Effect, Number
-from dipc_gym.trials.integrator import index
+from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig
 
 WINDOW = 125
-FINE, COARSE = 5e-5, 5e-4
+FINE, COARSE = 5e-5, 2e-3
 ONES = np.ones(SAMPLES)
 
 
@@ -48,14 +48,19 @@ class Recording:
 
 
 def step_size(rig: Rig, plant: Array, largest: float) -> float:
-    """Integration step that a plant's fastest mode allows, s."""
+    """Integration step that a plant's fastest mode and its jumps in time allow, s."""
     step = largest
     if plant[index("inductance")] > 0:
         step = min(step, 2 * plant[index("inductance")] / plant[index("resistance")])
     bristle, level = plant[index("bristle", 0)], plant[index("coulomb", 0)]
     if bristle > 0:
         step = min(step, max(0.5 * level / (bristle * 4 * rig.speed[0]), 1e-5))
-    return step
+    stiffness, rotor, driven = plant[[index("stiffness"), index("rotor"), index("m0")]]
+    if stiffness > 0:
+        step = min(step, 0.4 * np.sqrt(rotor * driven / (rotor + driven) / stiffness))
+    if any(plant[index("pulse_size", joint)] for joint in range(rig.count)):
+        step = min(step, 5e-4)
+    return float(step)
 
 
 def record(
@@ -177,7 +182,9 @@ def standard_numbers(rig: Rig, plant: Array) -> list[Number]:
         numbers.append(Number(f"damping.{at}", "", index("damping", j), 0, 0, "change", scale))
     kt, ke = plant[index("kt")], plant[index("ke")]
     numbers.append(Number("motor_constant", "", index("kt"), 0, 0, "change", kt, ((index("ke"), ke),)))
-    numbers.append(Number("mass", "", index("m0"), 0, 0, "change", plant[index("m0")]))
+    # A pendulum's mass stands in its inertia and in its weight.
+    weight = ((index("mgl"), plant[index("mgl")]),) if rig.name == "pendulum" else ()
+    numbers.append(Number("mass", "", index("m0"), 0, 0, "change", plant[index("m0")], weight))
     for j, at in enumerate(rig.joints):
         level = plant[index("coulomb", j)]
         if level > 0:
@@ -193,16 +200,20 @@ class Fit:
         plant: its numbers.
         values: of the effect's own numbers, none for a mere refit.
         error: windowed difference from the reference on the fitted recordings, noise units.
+        end: where the solver stopped, for going on from there.
+        converged: whether it stopped by itself.
     """
 
     plant: Array
     values: tuple[float, ...]
     error: float
+    end: Array
+    converged: bool
 
 
 def fit(
     windows: Sequence[Windows], references: Sequence[Array], plant: Array, effects: Sequence[Effect],
-    start: Sequence[float], *, effort: int = 10, own: Sequence[Number] | None = None,
+    start: Sequence[float], *, effort: int = 10, own: Sequence[Number] | None = None, onward: Fit | None = None,
 ) -> Fit:  # fmt: skip
     """Fit the standard numbers, and those of added effects, to readings.
 
@@ -217,6 +228,7 @@ def fit(
         start: values of the effects' numbers to start from.
         effort: largest number of Jacobians.
         own: numbers of the model to refit; all `standard_numbers` if None.
+        onward: an earlier fit of the same numbers, to go on from where it stopped.
     """
     from scipy.optimize import least_squares
 
@@ -227,11 +239,12 @@ def fit(
     logarithmic = np.array([number.kind == "log" for number in added], dtype=bool)
     begin = np.asarray(start, dtype=float)
     scale = np.where(logarithmic, 1.0, np.where([n.kind == "uniform" for n in added], 0.3, np.abs(begin) + 1e-12))
-    low = np.array([np.log(n.low / 5) if n.kind == "log" else 0.0 for n in added])
+    # A fit may go below the sizes that are drawn, except where that makes the simulation stiff and slow.
+    least = [n.low if n.place == index("inductance") else n.low / 5 for n in added]
+    low = np.array([np.log(value) if n.kind == "log" else 0.0 for n, value in zip(added, least, strict=True)])
     high = np.array([np.log(n.high * 4) if n.kind == "log" else 0.0 for n in added])
-    x0 = np.concatenate(
-        [np.zeros(len(own)), np.where(logarithmic, np.log(np.where(logarithmic, begin, 1.0)), begin) / scale]
-    )
+    neutral = np.where(logarithmic, np.log(np.where(logarithmic, begin, 1.0)), begin) / scale
+    x0 = np.concatenate([np.zeros(len(own)), neutral]) if onward is None else onward.end
 
     def split(x: Array) -> tuple[Array, Array]:
         result = plant.copy()
@@ -274,7 +287,7 @@ def fit(
         return matrix
 
     found = least_squares(
-        residuals, x0, jac=jacobian, method="lm", max_nfev=2 * effort, ftol=1e-6, xtol=1e-7, gtol=1e-10
+        residuals, x0, jac=jacobian, method="lm", max_nfev=2 * effort, ftol=1e-4, xtol=1e-6, gtol=1e-10
     )
     best, values = split(found.x)
-    return Fit(best, tuple(float(v) for v in values), rms(found.fun))
+    return Fit(best, tuple(float(v) for v in values), rms(found.fun), found.x, found.status > 0)

@@ -1,0 +1,332 @@
+"""What can be hidden in each rig: every catalogue effect at every place where it makes sense, and unknown physics.
+
+The same table serves twice. `draw` takes a size at random, log-uniform from clearly visible down to the noise
+floor; `dipc_gym.trials.windows` frees the same numbers to see whether another name explains a recording as well.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dipc_gym.trials.effects import Effect, Number
+from dipc_gym.trials.plant import index
+from dipc_gym.trials.rigs import Rig
+
+
+def effects(rig: Rig) -> list[Effect]:
+    """Every catalogue effect that makes sense on this rig, at every place where it does."""
+    found = _motor(rig) + _drive(rig)
+    for joint in range(rig.count):
+        found += _joint(rig, joint)
+    return found
+
+
+def _units(rig: Rig, joint: int) -> tuple[str, str]:
+    """Units of force and of length at a joint."""
+    return ("N", "m") if rig.linear and joint == 0 else ("N m", "rad")
+
+
+def _joint(rig: Rig, joint: int) -> list[Effect]:
+    at = rig.joints[joint]
+    force, speed, span = rig.force[joint], rig.speed[joint], rig.span[joint]
+    n, m = _units(rig, joint)
+
+    def place(name: str) -> int:
+        return index(name, joint)
+
+    level = Number("level", n, place("coulomb"), 0.0008 * force, 0.5 * force)
+    pulse = (
+        Number("force", n, place("pulse_size"), 0.02 * force, 1.5 * force, "signed"),
+        Number("start", "s", place("pulse_start"), 3.0, 14.0, "uniform"),
+        Number("duration", "s", place("pulse_length"), 0.03, 0.3),
+    )
+    found = [
+        Effect("friction.coulomb", at, (level,)),
+        Effect(
+            "friction.viscous",
+            at,
+            (Number("damping", f"{n} s/{m}", place("damping"), 0.001 * force / speed, 0.5 * force / speed),),
+        ),
+        Effect(
+            "drag.quadratic",
+            at,
+            (Number("drag", f"{n} s^2/{m}^2", place("quadratic"), 0.001 * force / speed**2, 0.4 * force / speed**2),),
+        ),
+        Effect(
+            "load.spring",
+            at,
+            (Number("stiffness", f"{n}/{m}", place("spring"), 0.0015 * force / span, 0.8 * force / span),),
+        )
+        if rig.name != "motor_axis"
+        else Effect(
+            "load.spring",
+            at,
+            (Number("stiffness", f"{n}/{m}", place("spring"), 0.0005 * force / span, 0.2 * force / span),),
+        ),
+        Effect("load.constant", at, (Number("force", n, place("constant"), 0.001 * force, 0.4 * force, "signed"),)),
+        Effect(
+            "disturbance.periodic",
+            at,
+            (
+                Number("amplitude", n, place("periodic_size"), 0.001 * force, 0.3 * force),
+                Number("frequency", "rad/s", place("periodic_rate"), 4.0, 50.0),
+                Number("phase", "rad", place("periodic_phase"), -np.pi, np.pi, "uniform"),
+            ),
+        ),
+        Effect("disturbance.pulse", at, pulse, kind="half-sine"),
+        Effect("disturbance.pulse", at, pulse, fixed=((place("pulse_square"), 1.0),), kind="square"),
+    ]
+    rotates = not (rig.linear and joint == 0)
+    if rotates and rig.name != "motor_axis":
+        found.append(Effect("sensor.bias", at, (Number("bias", m, place("bias"), 1e-4, 0.05, "signed"),)))
+    if rig.name != "motor_axis":
+        found.append(Effect("sensor.gain", at, (Number("gain", "1", place("gain"), 0.0005, 0.1, "signed"),)))
+    longest = 0.004 if rig.name == "upright" else 0.012
+    lag = Effect("timing.sensor_lag", at, (Number("delay", "s", place("lag"), 1e-4, longest),), kind="delay")
+    smooth = Effect(
+        "timing.sensor_lag", at, (Number("time_constant", "s", place("filter"), 1e-4, longest),), kind="filter"
+    )
+    return [*found, lag, smooth]
+
+
+def _drive(rig: Rig) -> list[Effect]:
+    """Effects at the driven joint only."""
+    at = rig.joints[0]
+    force, speed, span = rig.force[0], rig.speed[0], rig.span[0]
+    n, m = _units(rig, 0)
+    level = Number("level", n, index("coulomb", 0), 0.03 * force, 0.3 * force)
+    stribeck = (
+        level,
+        Number("excess", n, index("excess", 0), 0.01 * force, 0.4 * force),
+        Number("stribeck_speed", f"{m}/s", index("stribeck_speed", 0), 0.02 * speed, 0.15 * speed),
+    )
+    own = rig.plant[index("m0")]
+    # Bristles deflect by a few thousandths of the range before they slip.
+    bristle = 0.15 * force / (0.003 * span)
+    part = ("friction.coulomb",)
+    found = [
+        Effect("friction.stribeck", at, stribeck, includes=part),
+        Effect(
+            "friction.stribeck",
+            at,
+            stribeck,
+            fixed=((index("bristle", 0), bristle), (index("bristle_damping", 0), 0.5 * np.sqrt(bristle * own))),
+            includes=part,
+            kind="bristle",
+        ),
+        Effect(
+            "friction.asymmetric",
+            at,
+            (level, Number("asymmetry", "1", index("asymmetry", 0), 0.03, 0.6, "signed")),
+            includes=(*part, "load.constant"),
+        ),
+        Effect(
+            "friction.position",
+            at,
+            (
+                level,
+                Number("variation", "1", index("place_size", 0), 0.1, 0.9),
+                Number("wave", f"rad/{m}", index("place_wave", 0), np.pi / span, 8 * np.pi / span),
+                Number("phase", "rad", index("place_phase", 0), -np.pi, np.pi, "uniform"),
+            ),
+            includes=part,
+        ),
+        Effect("friction.load", at, (Number("slope", "1", index("per_load", 0), 0.001, 0.3),), includes=part),
+        Effect(
+            "load.position",
+            at,
+            (
+                Number("amplitude", n, index("force_size", 0), 0.0015 * force, 0.4 * force),
+                Number("wave", f"rad/{m}", index("force_wave", 0), np.pi / span, 8 * np.pi / span),
+                Number("phase", "rad", index("force_phase", 0), -np.pi, np.pi, "uniform"),
+            ),
+        ),
+        _mass(rig),
+    ]
+    if rig.name != "motor_axis":
+        found.append(
+            Effect("load.tilt", "world", (Number("tilt", "rad", index("tilt"), 1e-4, 0.06, "signed"),), also_at=(at,))
+        )
+    return found
+
+
+def _mass(rig: Rig) -> Effect:
+    """More or less mass on the driven body."""
+    at = rig.joints[0]
+    if rig.name == "pendulum":
+        com = rig.plant[index("com1")]
+        m1 = rig.plant[index("m1")]
+        extra = Number(
+            "mass", "kg", index("m0"), 0.003 * m1, 0.4 * m1, factor=com**2, also=((index("mgl"), 9.81 * com),)
+        )
+        return Effect("inertia.mass", at, (extra,))
+    own = rig.plant[index("m0")]
+    return Effect(
+        "inertia.mass", at, (Number("mass", "kg" if rig.linear else "kg m^2", index("m0"), 0.003 * own, 0.4 * own),)
+    )
+
+
+def _motor(rig: Rig) -> list[Effect]:
+    """Effects at the motor."""
+    plant, at = rig.plant, rig.joints[0]
+    n, m = _units(rig, 0)
+    force, speed, span = rig.force[0], rig.speed[0], rig.span[0]
+    volt = "V" if rig.voltage_driven else "N m"
+    own, rotor = plant[index("m0")], rig.rotor
+    shared = rotor * (own - rotor) / own
+    shaft = (index("rotor"), rotor), (index("m0"), -rotor)
+    contact = rotor * 700.0**2
+    longest = 0.004 if rig.name == "upright" else 0.012
+    # The balancing rig falls where the limit is felt for long.
+    least, most = (2.5, 7.0) if rig.name == "upright" else (0.8, 2.2)
+    found = [
+        Effect(
+            "motor.deadzone", "motor", (Number("width", volt, index("dead"), 0.0015 * rig.command, 0.4 * rig.command),)
+        ),
+        Effect(
+            "motor.saturation",
+            "motor",
+            (Number("voltage", volt, index("vlimit"), least * rig.command, most * rig.command),),
+            kind="voltage",
+        ),
+        Effect("timing.delay", "motor", (Number("delay", "s", index("delay"), 1e-4, longest),)),
+        Effect(
+            "transmission.backlash",
+            "motor",
+            (Number("gap", m, index("gap"), 0.0003 * span, 0.04 * span),),
+            fixed=(*shaft, (index("stiffness"), contact), (index("shaft_damping"), 0.3 * np.sqrt(contact * rotor))),
+            also_at=(at,),
+        ),
+        Effect(
+            "transmission.compliance",
+            "motor",
+            (
+                Number(
+                    "stiffness",
+                    f"{n}/{m}",
+                    index("stiffness"),
+                    shared * (2 * np.pi * 5) ** 2,
+                    shared * (2 * np.pi * 60) ** 2,
+                ),
+            ),
+            fixed=(*shaft, (index("shaft_damping"), 0.06 * shared * 2 * np.pi * 20)),
+            also_at=(at,),
+        ),
+    ]
+    if not rig.voltage_driven:
+        gain = plant[index("kt")]
+        back = Number("back_emf", "N m s/rad", index("ke"), 0.001 * force / speed / gain, 0.3 * force / speed / gain)
+        return [*found, Effect("motor.back_emf", "motor", (back,), also_at=(at,))]
+    resistance, ke, kt = plant[index("resistance")], plant[index("ke")], plant[index("kt")]
+    stall = rig.command * kt / resistance
+    cogging = (
+        Number("amplitude", n, index("cog_size"), 0.001 * force, 0.25 * force),
+        Number("wave", f"rad/{m}", index("cog_wave"), 4 * rig.gear, 12 * rig.gear),
+        Number("phase", "rad", index("cog_phase"), -np.pi, np.pi, "uniform"),
+    )
+    heat = rig.command**2 / resistance
+    found += [
+        Effect(
+            "motor.saturation",
+            "motor",
+            (Number("force", n, index("flimit"), 0.7 * least * stall, 0.8 * most * stall),),
+            kind="force",
+        ),
+        Effect(
+            "motor.inductance",
+            "motor",
+            (Number("inductance", "H", index("inductance"), 1e-4 * resistance, 8e-3 * resistance),),
+        ),
+        Effect(
+            "motor.back_emf",
+            "motor",
+            (Number("back_emf", f"V s/{m}", index("ke"), 0.003 * ke, 0.4 * ke, "signed"),),
+            also_at=(at,),
+        ),
+        Effect("motor.cogging", "motor", cogging, also_at=(at,)),
+        Effect(
+            "motor.thermal",
+            "motor",
+            (
+                Number(
+                    "thermal_resistance", "K/W", index("heat_resistance"), 0.002 / 0.0039 / heat, 0.8 / 0.0039 / heat
+                ),
+                Number("time_constant", "s", index("heat_time"), 3.0, 15.0),
+            ),
+            fixed=((index("heat_coefficient"), 0.0039),),
+        ),
+    ]
+    return found
+
+
+def unknowns(rig: Rig) -> list[Effect]:
+    """Physics that is in no catalogue, at the driven joint."""
+    at = rig.joints[0]
+    force, span = rig.force[0], rig.span[0]
+    n, m = _units(rig, 0)
+    own = rig.plant[index("m0")]
+    level = Number("level", n, index("coulomb", 0), 0.05 * force, 0.25 * force)
+    part = ("friction.coulomb",)
+    found = [
+        Effect(
+            "unknown",
+            at,
+            (
+                Number("drift", n, index("drift"), 0.05 * force, 0.3 * force),
+                Number("drift_time", "s", index("drift_time"), 3.0, 10.0),
+                level,
+            ),
+            includes=part,
+            kind="dry friction that grows over the recording",
+        ),
+        Effect(
+            "unknown",
+            at,
+            (
+                Number("dwell", n, index("dwell"), 0.1 * force, 0.5 * force),
+                Number("dwell_time", "s", index("dwell_time"), 0.03, 0.4),
+                level,
+            ),
+            includes=(*part, "friction.stribeck"),
+            kind="breakaway force that grows with the time at rest",
+        ),
+        Effect(
+            "unknown",
+            at,
+            (Number("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),),
+            fixed=((index("slosh_mass"), 0.15 * own), (index("m0"), -0.15 * own), (index("slosh_damping"), 0.05)),
+            kind="sloshing load with a resonance of its own",
+        ),
+        Effect(
+            "unknown",
+            at,
+            (
+                Number("stiffness", f"{n}/{m}", index("creep_stiffness"), 0.05 * force / span, 0.6 * force / span),
+                Number("creep_time", "s", index("creep_time"), 0.05, 1.0),
+            ),
+            kind="creeping (viscoelastic) spring",
+        ),
+        Effect(
+            "unknown",
+            at,
+            (Number("leak", "1/s", index("leak"), -0.025, 0.04, "uniform"),),
+            kind="load that changes its mass over the recording",
+        ),
+        Effect(
+            "unknown",
+            at,
+            (
+                Number("eccentricity", m, index("encoder_size"), 0.0005 * span, 0.01 * span, "signed"),
+                Number(
+                    "wave",
+                    f"rad/{m}",
+                    index("encoder_wave"),
+                    (rig.gear if rig.linear else 1.0),
+                    (rig.gear if rig.linear else 1.0) * 1.001,
+                ),
+            ),
+            kind="eccentric encoder",
+        ),
+        Effect("unknown", "motor", (), also_at=(at,), kind="amplifier gain that wanders"),
+    ]
+    return found

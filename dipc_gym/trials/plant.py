@@ -1,0 +1,42 @@
+"""The numbers of a rig, hidden effects included, as one flat vector; zero means "not there"."""
+
+from __future__ import annotations
+
+MAX_JOINTS = 3
+
+GLOBAL = (
+    "m0", "m1", "m2", "com1", "com2", "inertia1", "inertia2", "length1", "gravity", "tilt", "mgl",  # bodies
+    "kt", "ke", "resistance", "inductance", "dead", "vlimit", "flimit",  # motor, seen at the joint
+    "cog_size", "cog_wave", "cog_phase",
+    "heat_coefficient", "heat_resistance", "heat_time", "delay",
+    "rotor", "gap", "stiffness", "shaft_damping",  # transmission
+    "drift", "drift_time", "dwell", "dwell_time", "slosh_mass", "slosh_rate", "slosh_damping",  # in no catalogue
+    "creep_stiffness", "creep_time", "leak", "encoder_size", "encoder_wave",
+)  # fmt: skip
+
+JOINT = (
+    "damping", "quadratic", "coulomb", "asymmetry", "excess", "stribeck_speed", "bristle", "bristle_damping",
+    "place_size", "place_wave", "place_phase", "per_load", "constant", "spring",
+    "force_size", "force_wave", "force_phase",
+    "periodic_size", "periodic_rate", "periodic_phase", "pulse_size", "pulse_start", "pulse_length", "pulse_square",
+    "bias", "gain", "lag", "filter",
+)  # fmt: skip
+JOINT_BASE = len(GLOBAL)
+JOINT_SIZE = len(JOINT)
+SIZE = JOINT_BASE + MAX_JOINTS * JOINT_SIZE
+
+
+def index(name: str, joint: int | None = None) -> int:
+    """Place of a number in the plant vector.
+
+    Args:
+        name: one of `GLOBAL`, or one of `JOINT` together with `joint`.
+        joint: joint number, 0 is the driven one.
+
+    Example:
+        >>> index("m0")
+        0
+    """
+    if joint is None:
+        return GLOBAL.index(name)
+    return JOINT_BASE + joint * JOINT_SIZE + JOINT.index(name)

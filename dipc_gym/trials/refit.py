@@ -1,0 +1,112 @@
+"""A rival of the diagnosis: the model's own numbers refitted by `mujoco.sysid`, as a careful user would do it.
+
+Google DeepMind's toolbox comes with MuJoCo (extra `mujoco[sysid]`). It is given what helps it: short windows from
+estimated states, so that neither drift nor an unstable rig overwhelms it, residuals in units of noise and without
+what a better start would remove, and steps of one sample, so that its interpolation of commands does no harm. It fits the numbers it is told to fit and names nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from dipc_gym.trials.replayed import WINDOW, Array, Motion, from_starts, without_start
+
+LEAST, MOST = 0.05, 20.0
+"""Bounds of each number, as factors of the nominal one."""
+ITERATIONS = 30
+
+
+def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.MjModel, dict[str, float]]:
+    """Fit damping, dry friction, gear and masses of a trial's nominal model to windows of recordings.
+
+    Args:
+        model: `nominal.xml` of a trial.
+        motions: training recordings.
+        noise: standard deviation of each reading's noise.
+
+    Returns:
+        The refitted model, and each number as a factor of the nominal one.
+
+    Raises:
+        ImportError: what `mujoco.sysid` needs is not installed.
+    """
+    try:
+        from mujoco.sysid import (
+            ModelSequences, Parameter, ParameterDict, TimeSeries, apply_param_modifiers, create_initial_state,
+            model_residual, optimize,
+        )  # fmt: skip
+    except ImportError:
+        raise ImportError("mujoco.sysid needs further packages: pip install 'mujoco[sysid]'") from None
+    spec = mujoco.MjSpec.from_file(str(model))
+    spec.option.timestep = motions[0].step
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    params = ParameterDict()
+    for name, write in _numbers(spec).items():
+        params.add(Parameter(name, 1.0, LEAST, MOST, modifier=write))
+    given = spec.compile()
+    starts, commands, readings = [], [], []
+    sensors, controls = (f(given) for f in (TimeSeries.compute_all_sensor_mapping, TimeSeries.compute_all_control_mapping))
+    for motion in motions:
+        time = np.arange(len(motion.command)) * motion.step
+        parts = (motion.cut(x) for x in (time[:, None], motion.command, motion.measured, motion.q, motion.v))
+        for t, u, y, q, v in zip(*parts, strict=True):
+            starts.append(create_initial_state(given, q[0], v[0]))
+            starts[-1][0] = t[0, 0]
+            commands.append(TimeSeries(t[:, 0], u, controls))
+            readings.append(TimeSeries(t[:, 0], y, sensors))
+    names = [f"window_{k}" for k in range(len(starts))]
+    sequences = ModelSequences("rig", spec, names, starts, commands, readings).measured_rollout
+    bases = np.concatenate([from_starts(given, motion, noise)[1] for motion in motions])
+    # A rollout's first reading is that after its first step, and its last has no measured one beside it.
+    bases = np.linalg.qr(bases[:, given.nv :])[0]
+
+    def scaled(params, predicted, measured, model, return_pred_all, state=None):  # type: ignore[no-untyped-def]
+        rest = (measured.data[1:] - predicted.data[: WINDOW - 1]) / noise
+        return np.clip(np.nan_to_num(rest, nan=1e4), -1e4, 1e4), predicted, measured
+
+    def residual(x: Array, params: ParameterDict):  # type: ignore[no-untyped-def]
+        rest, *more = model_residual(
+            x, params, lambda p: apply_param_modifiers(p, spec), sequences, scaled, n_threads=1, resample_true=False
+        )  # fmt: skip
+        variants = x.shape[1] if x.ndim > 1 else 1
+        by_window = rest.T.reshape(variants, len(sequences), -1)
+        flat = without_start(by_window, bases).reshape(variants, -1)
+        return [flat.T if x.ndim > 1 else flat[0]], *more
+
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints every iteration
+        found, _ = optimize(params, residual, max_iters=ITERATIONS)
+    factors = dict(zip(found.get_non_frozen_parameter_names(), found.as_vector().tolist(), strict=True))
+    return apply_param_modifiers(found, spec), factors
+
+
+def _numbers(spec: mujoco.MjSpec) -> dict[str, Callable[[mujoco.MjSpec, object], None]]:
+    """What may be scaled, by name, and how a spec is given a factor."""
+    writers: dict[str, Callable[[mujoco.MjSpec, object], None]] = {}
+
+    def scale(kind: str, name: str, *attributes: str) -> Callable[[mujoco.MjSpec, object], None]:
+        nominal = {a: np.array(getattr(getattr(spec, kind)(name), a), dtype=float) for a in attributes}
+
+        def write(target: mujoco.MjSpec, parameter: object) -> None:
+            element = getattr(target, kind)(name)
+            for attribute, value in nominal.items():
+                new = value * parameter.value[0]  # type: ignore[attr-defined]
+                setattr(element, attribute, float(new) if new.ndim == 0 else new)
+
+        return write
+
+    for joint in spec.joints:
+        for attribute in ("damping", "frictionloss", "armature"):
+            if np.any(np.asarray(getattr(joint, attribute)) > 0):
+                writers[f"{joint.name}.{attribute}"] = scale("joint", joint.name, attribute)
+    for actuator in spec.actuators:
+        writers[f"{actuator.name}.gear"] = scale("actuator", actuator.name, "gear")
+    for body in spec.bodies:
+        if body.name != "world":
+            writers[f"{body.name}.mass"] = scale("body", body.name, "mass", "inertia")
+    return writers

@@ -1,0 +1,139 @@
+"""Recordings of a trial in MuJoCo, window by window: what the rivals are fitted on and judged by.
+
+Windows are those of the scorer: 0.25 s, from estimated states, errors in units of the sensors' noise, freed of what
+a better start would remove.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco import batch
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Force = Callable[[Array, Array, Array], Array]
+"""Generalised force to add, (n, nv), from positions (n, nv), velocities (n, nv) and commands (n, 1)."""
+
+WINDOW = 125
+STEPS = 4
+"""Runge-Kutta steps a sample."""
+SMOOTH = 31
+"""Samples over which a cubic is laid to differentiate a reading."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A recording with what its readings say about the rig's state.
+
+    Attributes:
+        step: sample time, s.
+        command: (samples, 1).
+        measured: joint readings, (samples, nv).
+        q: positions, smoothed.
+        v: velocities.
+        a: accelerations.
+    """
+
+    step: float
+    command: Array
+    measured: Array
+    q: Array
+    v: Array
+    a: Array
+
+    @classmethod
+    def read(cls, path: Path) -> Motion:
+        """Read a trial's CSV: time, command, joints."""
+        from scipy.signal import savgol_filter
+
+        table = np.loadtxt(path, delimiter=",", skiprows=1)
+        step, y = float(np.median(np.diff(table[:, 0]))), table[:, 2:]
+        q, v, a = (savgol_filter(y, SMOOTH, 3, deriv=k, delta=step, axis=0) for k in range(3))
+        return cls(step, table[:, 1:2], y, q, v, a)
+
+    @property
+    def windows(self) -> int:
+        """How many whole windows there are."""
+        return len(self.measured) // WINDOW
+
+    def cut(self, values: Array) -> Array:
+        """(samples, k) to (windows, window samples, k)."""
+        return values[: self.windows * WINDOW].reshape(self.windows, WINDOW, -1)
+
+
+def predict(model: mujoco.MjModel, motion: Motion, force: Force | None, q: Array, v: Array) -> Array:
+    """Joint positions in every window, (windows, window samples, nv).
+
+    Args:
+        model: whose sensors are its joints' positions, in their order.
+        motion: for its commands.
+        force: added at every step.
+        q: positions at the windows' starts, (windows, nv).
+        v: velocities there.
+    """
+    model.opt.timestep, model.opt.integrator = motion.step / STEPS, mujoco.mjtIntegrator.mjINT_RK4
+    count = len(q)
+    sims = batch.Batch(model, count, 1)
+    sims.qpos[:], sims.qvel[:] = q, v
+    commands = motion.cut(motion.command)
+    commands = np.tile(commands, (count // len(commands), 1, 1))
+    seen = np.empty((count, WINDOW, model.nv))
+    for k in range(WINDOW):
+        seen[:, k] = sims.qpos
+        sims.ctrl[:] = commands[:, k]
+        for _ in range(STEPS):
+            if force is not None:
+                sims.qfrc_applied[:] = force(sims.qpos, sims.qvel, commands[:, k])
+            sims.step()
+    return seen
+
+
+def from_starts(
+    model: mujoco.MjModel, motion: Motion, noise: Array, force: Force | None = None
+) -> tuple[Array, Array]:  # fmt: skip
+    """Predictions from the estimated states, and what a better start of each window could change in them.
+
+    Args:
+        model: see `predict`.
+        motion: the recording.
+        noise: standard deviation of each reading's noise, (nv,).
+        force: added to the model, if any.
+
+    Returns:
+        Predictions in units of noise, (windows, window samples x nv), and an orthonormal basis of the changes,
+        (windows, window samples x nv, 2 nv).
+    """
+    q, v = motion.cut(motion.q)[:, 0], motion.cut(motion.v)[:, 0]
+    moves = [(np.zeros(model.nv), np.zeros(model.nv))]
+    for k in range(model.nv):
+        for j in range(2):
+            move = (np.zeros(model.nv), np.zeros(model.nv))
+            move[j][k] = 20 * noise[k] / (1.0 if j == 0 else WINDOW * motion.step)
+            moves.append(move)
+    begin_q, begin_v = (np.concatenate([x + move[j] for move in moves]) for j, x in ((0, q), (1, v)))
+    plain, *others = (predict(model, motion, force, begin_q, begin_v) / noise).reshape(len(moves), len(q), -1)
+    return plain, np.linalg.qr(np.stack([other - plain for other in others], axis=-1))[0]
+
+
+def without_start(rest: Array, basis: Array) -> Array:
+    """Residuals (..., windows, values) without what a better start would remove."""
+    return np.asarray(rest - np.einsum("wij,...wj->...wi", basis, np.einsum("wij,...wi->...wj", basis, rest)))
+
+
+def error(model: mujoco.MjModel, motion: Motion, noise: Array, force: Force | None = None) -> float:
+    """Prediction error on a recording in units of noise; 1 is a model that lacks nothing.
+
+    Args:
+        model: see `predict`.
+        motion: the recording.
+        noise: standard deviation of each reading's noise, (nv,).
+        force: added to the model, if any.
+    """
+    plain, basis = from_starts(model, motion, noise, force)
+    measured = (motion.cut(motion.measured) / noise).reshape(plain.shape)
+    return float(np.sqrt(np.mean(without_start(plain - measured, basis) ** 2)))
