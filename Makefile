@@ -4,10 +4,20 @@ EXTRAS := rl,parquet,trial,test,dev
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: compare test lint bench clean
+.PHONY: compare trial trial-full rivals test lint bench clean
 
 compare: .venv/installed
 	$(BIN)/dipc-gym compare --out runs/compare --jobs 2 --overwrite
+
+# The blind trial of the diagnosis. Interrupted, each goes on where it stopped when started again.
+trial: .venv/installed
+	$(BIN)/dipc-gym trial --out runs/trial --jobs 2
+
+trial-full: .venv/installed
+	$(BIN)/dipc-gym trial --out runs/trial-full --full --jobs 2
+
+rivals: .venv/installed
+	$(BIN)/dipc-gym trial --out runs/trial --jobs 2 --rivals
 
 test: .venv/installed
 	$(BIN)/python -m pytest -q -m timing
