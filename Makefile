@@ -4,13 +4,23 @@ EXTRAS := rl,parquet,trial,ray,test,dev
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: compare learning test lint bench clean
+.PHONY: compare learning trial trial-full rivals test lint bench clean
 
 compare: .venv/installed
 	$(BIN)/dipc-gym compare --out runs/compare --jobs 2 --overwrite
 
 learning: .venv/installed
 	$(BIN)/python -m benchmarks.learning
+
+# The blind trial of the diagnosis. Interrupted, each goes on where it stopped when started again.
+trial: .venv/installed
+	$(BIN)/dipc-gym trial --out runs/trial --jobs 2
+
+trial-full: .venv/installed
+	$(BIN)/dipc-gym trial --out runs/trial-full --full --jobs 2
+
+rivals: .venv/installed
+	$(BIN)/dipc-gym trial --out runs/trial --jobs 2 --rivals
 
 test: .venv/installed
 	$(BIN)/python -m pytest -q -m timing

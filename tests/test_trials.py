@@ -20,7 +20,7 @@ from dipc_gym.trials.plant import SIZE, index
 
 PACKAGE = Path(dipc_gym.__file__).parent
 PYTHON = sys.executable
-GENERATOR = ("integrator", "rigs", "effects", "windows", "secret", "generate")
+GENERATOR = ("integrator", "rigs", "effects", "catalogue", "windows", "secret", "generate")
 
 
 def cart(**joint):
@@ -521,6 +521,54 @@ def test_parts_pairs_and_refits():
     assert judge.judge(sealed(), said(verdict="recalibrated"), FINE).name is False
 
 
+def test_several_effects_that_are_the_truth_stand_for_it_beside_others():
+    both = [{"effect": "load.constant", "at": "cart"}, {"effect": "sensor.bias", "at": "pole1"}]
+    pair = sealed(
+        "pair",
+        [("load.tilt", "world"), ("motor.deadzone", "motor")],
+        equivalent_sets={"load.tilt@world": [both], "motor.deadzone@motor": []},
+    )
+    told = [one("motor.deadzone", "motor"), one("sensor.bias", "pole1", same=["load.tilt"]), one("load.constant")]
+    judged = judge.judge(pair, said(*told), FINE)
+    assert (judged.name, judged.set, judged.route) == (True, True, "truth")
+    assert judge.judge(pair, said(*told[1:], told[0]), FINE).route == "same"
+    assert judge.judge(pair, said(told[0], one("sensor.bias", "pole2"), told[2]), FINE).set is False
+    assert judge.judge(pair, said(*told, one("timing.delay")), FINE).set is False
+
+
+def test_what_a_refit_explains_has_its_size_beyond_the_nominal_model():
+    faint = sealed(share_of_signal=0.1, recalibrated_suffices=True)
+    judged = judge.judge(faint, said(one("motor.deadzone")), FINE)
+    assert (judged.size, judged.share, judged.clear) == (10.0, 0.1, True)  # right or wrong, it counts
+    assert not judge.judge(sealed(share_of_signal=1.9), said(), FINE).clear
+    assert not judge.judge(sealed("null", []), said(), FINE).clear
+    # Nothing said is no place found.
+    assert judge.judge(sealed(), said(verdict="consistent"), FINE).place is False
+
+
+@pytest.mark.parametrize(
+    ("effect", "numbers", "printed"),
+    [
+        ("load.tilt", {"tilt": 0.02}, {"about_y": -0.02}),
+        ("motor.back_emf", {"back_emf": 0.5}, {"coefficient": 1.0}),
+        ("motor.inductance", {"inductance": 0.003}, {"time_constant": 0.002}),
+        ("disturbance.periodic", {"frequency": math.tau, "amplitude": 2.0, "phase": 0.0}, {"frequency": 1, "sine": 2}),
+        ("motor.cogging", {"amplitude": 3.0, "wave": 12.0, "phase": math.pi / 2}, {"cosine": 1.5, "poles": 6.0}),
+        ("load.position", {"amplitude": 3.0, "wave": math.pi, "phase": 0.0}, {"sine": 3.0, "wavelength": 2.0}),
+        ("friction.load", {"slope": 0.1}, {"by_drive": 0.1}),
+        ("sensor.gain", {"gain": -0.02}, {"gain": 0.98}),
+    ],
+)
+def test_true_values_stand_under_the_names_that_are_printed(effect, numbers, printed):
+    answer = sealed(
+        missing=[(effect, "cart")],
+        parameters={f"{effect}@cart": {name: {"value": value, "unit": ""} for name, value in numbers.items()}},
+    )
+    around = {name: (value, value - 1e-9, value + 1e-9) for name, value in printed.items()}
+    judged = judge.judge(answer, said(one(effect, **around)), FINE)
+    assert (judged.inside, judged.printed) == (len(printed), len(printed))
+
+
 def test_false_alarms_wrong_numbers_and_the_unknown():
     null = sealed("null", [])
     assert judge.judge(null, said(verdict="consistent"), FINE).alarm is False
@@ -642,6 +690,56 @@ def test_a_tool_that_breaks_is_noted_with_its_last_words(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, "import time; time.sleep(30)"))
     with pytest.raises(RuntimeError, match="took longer"):
         run.run_tool(tmp_path / "trials" / "t001_cart", tmp_path / "result", patience=0.5)
+
+
+def test_time_that_is_up_is_told_and_an_interruption_is_no_failure(tmp_path, monkeypatch):
+    folder = folder_with_recordings(tmp_path)
+    monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, "import time; time.sleep(30)"))
+    note = run.attempt(folder, tmp_path / "slow", seed=0, patience=0.5)
+    assert note["timed_out"]
+    assert note["limit"] == 0.5
+    assert judge.judge(sealed(), said(one("friction.coulomb")), note).verdict == "failed"
+    monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, "sys.exit(130)"))
+    with pytest.raises(KeyboardInterrupt):
+        run.attempt(folder, tmp_path / "stopped", seed=0)
+    assert not (tmp_path / "stopped" / "attempt.json").exists()
+
+
+def test_a_diagnosis_that_cannot_be_read_or_replayed_is_noted(tmp_path, monkeypatch):
+    folder = folder_with_recordings(tmp_path)
+    torn = """
+out = pathlib.Path(args[args.index("--out") + 1])
+out.mkdir(parents=True)
+(out / "diagnosis.json").write_text('{"verdict"')
+"""
+    monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, torn))
+    assert "is not JSON" in run.attempt(folder, tmp_path / "torn", seed=0)["failure"]
+    whole = torn.replace("""'{"verdict"'""", """'{"verdict": "consistent"}'""")
+    whole = "if args[0] == 'replay': sys.exit('no window')\n" + whole
+    monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, whole))
+    note = run.attempt(folder, tmp_path / "whole", seed=0)
+    assert note["failure"] is None
+    assert "no window" in note["replay_failure"]
+
+
+def test_ctrl_c_scores_what_is_done(tmp_path, monkeypatch):
+    plans = [generate.Plan(k, "null", "cart", "", False) for k in (1, 2)]
+    (tmp_path / "sealed").mkdir()
+    for plan in plans:
+        (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(sealed("null", []) | {"trial": plan.name}))
+
+    def attempt(folder, result, *, seed, patience):
+        if folder.name == plans[1].name:
+            raise KeyboardInterrupt
+        result.mkdir(parents=True)
+        (result / "diagnosis.json").write_text(json.dumps(said(verdict="consistent")))
+        (result / "attempt.json").write_text(json.dumps(FINE))
+
+    monkeypatch.setattr(run, "generate", lambda out, **_: plans)
+    monkeypatch.setattr(run, "attempt", attempt)
+    with pytest.raises(KeyboardInterrupt):
+        run.trial(tmp_path, seed=1)
+    assert "1 trials, 0 failed (0 of them out of time), 1 open" in (tmp_path / "report.md").read_text()
 
 
 def test_a_run_that_was_stopped_goes_on_and_tries_failures_again(tmp_path, monkeypatch):

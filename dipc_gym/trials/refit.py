@@ -1,8 +1,9 @@
 """A rival of the diagnosis: the model's own numbers refitted by `mujoco.sysid`, as a careful user would do it.
 
 Google DeepMind's toolbox comes with MuJoCo (extra `mujoco[sysid]`). It is given what helps it: short windows from
-estimated states, so that neither drift nor an unstable rig overwhelms it, residuals in units of noise and without
-what a better start would remove, and steps of one sample, so that its interpolation of commands does no harm. It fits the numbers it is told to fit and names nothing.
+estimated states, so that neither drift nor an unstable rig overwhelms it; residuals in units of noise and without
+what a better start would remove; steps of one sample, so that its interpolation of commands does no harm; readings
+beside the step they belong to. It fits the numbers it is told to fit and names nothing.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dipc_gym.trials.replayed import WINDOW, Array, Motion, from_starts, without_start
+from dipc_gym.trials.replayed import Array, Motion, from_starts, without_start
 
-LEAST, MOST = 0.05, 20.0
-"""Bounds of each number, as factors of the nominal one."""
-ITERATIONS = 30
+BOUNDS = {"damping": (0.05, 10.0), "frictionloss": (0.05, 10.0), "armature": (0.3, 3.0)}
+"""Bounds of numbers, as factors of the nominal one; wider ones diverge at a step of one sample."""
+OTHERS = (0.3, 3.0)
+"""Bounds of gear and masses."""
+ITERATIONS = 12
 
 
 def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.MjModel, dict[str, float]]:
@@ -38,8 +41,14 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
     """
     try:
         from mujoco.sysid import (
-            ModelSequences, Parameter, ParameterDict, TimeSeries, apply_param_modifiers, create_initial_state,
-            model_residual, optimize,
+            ModelSequences,
+            Parameter,
+            ParameterDict,
+            TimeSeries,
+            apply_param_modifiers,
+            create_initial_state,
+            model_residual,
+            optimize,
         )  # fmt: skip
     except ImportError:
         raise ImportError("mujoco.sysid needs further packages: pip install 'mujoco[sysid]'") from None
@@ -48,10 +57,13 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     params = ParameterDict()
     for name, write in _numbers(spec).items():
-        params.add(Parameter(name, 1.0, LEAST, MOST, modifier=write))
+        low, high = BOUNDS.get(name.rsplit(".", 1)[1], OTHERS)
+        params.add(Parameter(name, 1.0, low, high, modifier=write))
     given = spec.compile()
     starts, commands, readings = [], [], []
-    sensors, controls = (f(given) for f in (TimeSeries.compute_all_sensor_mapping, TimeSeries.compute_all_control_mapping))
+    sensors, controls = (
+        f(given) for f in (TimeSeries.compute_all_sensor_mapping, TimeSeries.compute_all_control_mapping)
+    )
     for motion in motions:
         time = np.arange(len(motion.command)) * motion.step
         parts = (motion.cut(x) for x in (time[:, None], motion.command, motion.measured, motion.q, motion.v))
@@ -63,11 +75,12 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
     names = [f"window_{k}" for k in range(len(starts))]
     sequences = ModelSequences("rig", spec, names, starts, commands, readings).measured_rollout
     bases = np.concatenate([from_starts(given, motion, noise)[1] for motion in motions])
-    # A rollout's first reading is that after its first step, and its last has no measured one beside it.
-    bases = np.linalg.qr(bases[:, given.nv :])[0]
+
+    bases = np.linalg.qr(bases[:, : -given.nv])[0]
 
     def scaled(params, predicted, measured, model, return_pred_all, state=None):  # type: ignore[no-untyped-def]
-        rest = (measured.data[1:] - predicted.data[: WINDOW - 1]) / noise
+        # A rollout's first reading is that before its first step, and the last command is not stepped.
+        rest = (measured.data[:-1] - predicted.data) / noise
         return np.clip(np.nan_to_num(rest, nan=1e4), -1e4, 1e4), predicted, measured
 
     def residual(x: Array, params: ParameterDict):  # type: ignore[no-untyped-def]

@@ -6,6 +6,7 @@ a better start would remove.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,6 +78,7 @@ def predict(model: mujoco.MjModel, motion: Motion, force: Force | None, q: Array
         v: velocities there.
     """
     model.opt.timestep, model.opt.integrator = motion.step / STEPS, mujoco.mjtIntegrator.mjINT_RK4
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what diverges stays diverged
     count = len(q)
     sims = batch.Batch(model, count, 1)
     sims.qpos[:], sims.qvel[:] = q, v
@@ -116,8 +118,10 @@ def from_starts(
             move[j][k] = 20 * noise[k] / (1.0 if j == 0 else WINDOW * motion.step)
             moves.append(move)
     begin_q, begin_v = (np.concatenate([x + move[j] for move in moves]) for j, x in ((0, q), (1, v)))
-    plain, *others = (predict(model, motion, force, begin_q, begin_v) / noise).reshape(len(moves), len(q), -1)
-    return plain, np.linalg.qr(np.stack([other - plain for other in others], axis=-1))[0]
+    with np.errstate(over="ignore", invalid="ignore"):
+        plain, *others = (predict(model, motion, force, begin_q, begin_v) / noise).reshape(len(moves), len(q), -1)
+        changes = np.stack([other - plain for other in others], axis=-1)
+    return plain, np.linalg.qr(np.nan_to_num(changes, nan=0.0, posinf=0.0, neginf=0.0))[0]
 
 
 def without_start(rest: Array, basis: Array) -> Array:
@@ -126,7 +130,7 @@ def without_start(rest: Array, basis: Array) -> Array:
 
 
 def error(model: mujoco.MjModel, motion: Motion, noise: Array, force: Force | None = None) -> float:
-    """Prediction error on a recording in units of noise; 1 is a model that lacks nothing.
+    """Prediction error on a recording in units of noise; 1 is a model that lacks nothing, infinity one that diverges.
 
     Args:
         model: see `predict`.
@@ -135,5 +139,7 @@ def error(model: mujoco.MjModel, motion: Motion, noise: Array, force: Force | No
         force: added to the model, if any.
     """
     plain, basis = from_starts(model, motion, noise, force)
+    if not (np.all(np.isfinite(plain)) and np.all(np.isfinite(basis))):
+        return math.inf
     measured = (motion.cut(motion.measured) / noise).reshape(plain.shape)
     return float(np.sqrt(np.mean(without_start(plain - measured, basis) ** 2)))

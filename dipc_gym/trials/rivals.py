@@ -1,0 +1,161 @@
+"""The same trials given to rivals: a refit by `mujoco.sysid`, and a network that learns the residual force.
+
+Neither can name what is missing; what they can be compared by is the held-out error.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dipc_gym.trials.generate import generate
+from dipc_gym.trials.judge import CLEAR, in_noise
+
+NAMES = {"sysid": "`mujoco.sysid` refit", "network": "residual network"}
+
+
+def contend(folder: Path, sealed: Path, result: Path) -> dict[str, Any]:
+    """Fit both rivals to one trial and note their held-out errors in `rivals.json`.
+
+    Args:
+        folder: trial folder.
+        sealed: its answer; only the sensors' noise is taken from it.
+        result: where `rivals.json` goes.
+
+    Returns:
+        `seconds` and `error` (in units of noise) of each rival, and sysid's `factors`.
+    """
+    import mujoco
+
+    from dipc_gym.mjcf import quiet_mujoco
+    from dipc_gym.trials.network import learn
+    from dipc_gym.trials.refit import refit
+    from dipc_gym.trials.replayed import Motion, error
+
+    quiet_mujoco()
+    noise = np.array(list(json.loads(sealed.read_text(encoding="utf-8"))["noise"].values()))
+    motions = [Motion.read(folder / f"train_{k}.csv") for k in (1, 2)]
+    test = Motion.read(folder / "test.csv")
+    begun = time.perf_counter()
+    model, factors = refit(folder / "nominal.xml", motions, noise)
+    note: dict[str, Any] = {"sysid": {"seconds": time.perf_counter() - begun, "factors": factors}}
+    note["sysid"]["error"] = error(model, test, noise)
+    nominal = mujoco.MjModel.from_xml_path(str(folder / "nominal.xml"))
+    begun = time.perf_counter()
+    force = learn(nominal, motions, noise)
+    note["network"] = {"seconds": time.perf_counter() - begun, "kept": force is not None}
+    note["network"]["error"] = error(nominal, test, noise, force)
+    result.mkdir(parents=True, exist_ok=True)
+    (result / "rivals.json").write_text(json.dumps(note, indent=1), encoding="utf-8")
+    return note
+
+
+def compare(
+    out: Path, *, seed: int = 1, count: int | None = None, full: bool = False, jobs: int = 1
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Give the trials of a folder to the rivals, and write `rivals.md` and `rivals.json`.
+
+    Trials that they have seen are left alone; trials that are not there are generated.
+
+    Args:
+        out: folder.
+        seed: see `dipc_gym.trials.run.trial`.
+        count: likewise.
+        full: likewise.
+        jobs: trials at a time.
+
+    Returns:
+        One entry a trial: what was hidden, and everybody's held-out error in units of noise.
+    """
+    from joblib import Parallel, delayed
+    from tqdm import tqdm
+
+    made = generate(out, seed=seed, count=count, full=full, jobs=jobs)
+    places = {plan.name: (out / "trials" / plan.name, out / "sealed" / f"{plan.name}.json") for plan in made}
+    open_ones = [name for name in places if not (out / "results" / name / "rivals.json").exists()]
+    try:
+        runs = Parallel(n_jobs=jobs, return_as="generator_unordered")(
+            delayed(contend)(*places[name], out / "results" / name) for name in open_ones
+        )
+        for _ in tqdm(runs, total=len(open_ones), desc="rivals", disable=None):
+            pass
+    finally:
+        rows = [row for name in places if (row := _row(out, name))]
+        (out / "rivals.json").write_text(json.dumps({"seed": seed, "trials": rows}, indent=1), encoding="utf-8")
+        (out / "rivals.md").write_text(markdown(rows, seed=seed), encoding="utf-8")
+    return rows
+
+
+def _row(out: Path, name: str) -> dict[str, Any] | None:
+    note, attempt = (out / "results" / name / file for file in ("rivals.json", "attempt.json"))
+    if not note.exists():
+        return None
+    answer = json.loads((out / "sealed" / f"{name}.json").read_text(encoding="utf-8"))
+    rivals = json.loads(note.read_text(encoding="utf-8"))
+    ours = json.loads(attempt.read_text(encoding="utf-8"))["sensor_errors"] if attempt.exists() else None
+    return {
+        "trial": name,
+        "kind": answer["kind"],
+        "size": answer["share_of_signal"],
+        "truth": [m["effect"] for m in answer["missing"]],
+        "predictable": answer["held_out_predictable"],
+        "error": {
+            "nominal": answer["test_error"]["nominal"],
+            **{rival: rivals[rival]["error"] for rival in NAMES},
+            "diagnose": None if ours is None else in_noise(ours, answer["noise"]),
+            "truth": answer["test_error"]["truth"],
+        },
+        "seconds": {rival: rivals[rival]["seconds"] for rival in NAMES},
+    }
+
+
+def markdown(rows: Sequence[Mapping[str, Any]], *, seed: int) -> str:
+    """The rivals' table: median held-out error (quartiles) by class of trial.
+
+    Args:
+        rows: from `compare`.
+        seed: of the trials.
+    """
+    classes = {
+        "nothing missing": [r for r in rows if r["kind"] == "null"],
+        "effects of twice the noise or more": [
+            r for r in rows if r["kind"] in ("single", "pair") and r["size"] >= CLEAR and r["predictable"]
+        ],
+        "smaller effects": [r for r in rows if r["kind"] in ("single", "pair") and r["size"] < CLEAR],
+        "unknown physics": [r for r in rows if r["kind"] == "unknown"],
+        "wrong numbers": [r for r in rows if r["kind"] == "wrong"],
+    }
+    titles = {"nominal": "model as given", **NAMES, "diagnose": "`dipc-gym diagnose`", "truth": "true structure"}
+    says = {
+        "nominal": "nothing",
+        "sysid": "its numbers; no structure",
+        "network": "nothing",
+        "diagnose": "what, where, how much",
+        "truth": "",
+    }
+    lines = [
+        f"Held-out error in units of the sensors' noise, median (quartiles), seed {seed}:",
+        "",
+        "| | " + " | ".join(f"{name} ({len(some)})" for name, some in classes.items()) + " | can say |",
+        "|---" * (len(classes) + 2) + "|",
+    ]
+    for key, title in titles.items():
+        cells = [_cell([r["error"][key] for r in some]) for some in classes.values()]
+        lines.append(f"| {title} | " + " | ".join(cells) + f" | {says[key]} |")
+    if rows:
+        spent = ", ".join(f"{NAMES[k]} {np.median([r['seconds'][k] for r in rows]):.0f}" for k in NAMES)
+        lines += ["", f"Median seconds a trial: {spent}."]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(errors: Sequence[float | None]) -> str:
+    known = [e for e in errors if e is not None]
+    if not known:
+        return ""
+    low, median, high = np.quantile(known, [0.25, 0.5, 0.75])
+    return f"{median:.3g} ({low:.3g} to {high:.3g})"

@@ -1,0 +1,154 @@
+"""The rivals of the blind trial: the windows they are judged by, the refit and the network."""
+
+import json
+import math
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from dipc_gym.trials import catalogue, generate, network, replayed, rigs, rivals, windows
+from dipc_gym.trials.generate import write_csv
+
+CART = "cart"
+
+
+def rig_with(tmp_path, effect=None, values=(), *, rig=CART, nominal=None):
+    """Three recordings of a rig as a trial has them, and the generator's own view of the last."""
+    rng = np.random.default_rng(3)
+    made = rigs.RIGS[rig](rng)
+    plant = made.plant
+    if effect is not None:
+        one = next(e for e in catalogue.effects(made) if e.name == effect)
+        plant = one.apply(plant, np.asarray(values, dtype=float))
+    recordings = [
+        windows.record(made, plant, rigs.excitation(made, kind, rng), windows.ONES, rng)
+        for kind in ("chirp", "noise", "steps")
+    ]
+    for name, recording in zip(("train_1", "train_2", "test"), recordings, strict=True):
+        write_csv(tmp_path / f"{name}.csv", made, recording)
+    given = made.plant if nominal is None else nominal(made.plant.copy())
+    (tmp_path / "nominal.xml").write_text(rigs.nominal_xml(made, given))
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "nominal.xml"))
+    motions = [replayed.Motion.read(tmp_path / f"{name}.csv") for name in ("train_1", "train_2", "test")]
+    return made, model, [first(motion) for motion in motions], recordings
+
+
+def first(motion, windows_=24):
+    """The beginning of a recording, which is quicker."""
+    part = slice(0, windows_ * replayed.WINDOW)
+    return replace(motion, **{name: getattr(motion, name)[part] for name in ("command", "measured", "q", "v", "a")})
+
+
+def generators_error(rig, plant, recording):
+    seen = windows.Windows(rig, recording, rig.plant)
+    rest = seen.residual(windows.predict(rig, plant, recording), recording.measured)
+    return windows.rms(rest[: 24 * replayed.WINDOW * rig.count])
+
+
+@pytest.mark.parametrize(("rig", "effect", "values"), [("upright", None, ()), ("pendulum", "drag.quadratic", (0.01,))])
+def test_windows_in_mujoco_say_what_the_generator_says(tmp_path, rig, effect, values):
+    """Two integrators, two estimates of the starts, one error."""
+    made, model, motions, recordings = rig_with(tmp_path, effect, values, rig=rig)
+    there = generators_error(made, made.plant, recordings[2])
+    assert (there < 1.1) == (effect is None)
+    assert replayed.error(model, motions[2], made.noise) == pytest.approx(there, rel=0.01)
+
+
+def test_a_tilt_is_gravity_turned_backwards_about_y(tmp_path):
+    """What the scorer takes for granted when it compares a tilt with the printed angle."""
+    made, model, motions, _ = rig_with(tmp_path, "load.tilt", (0.02,))
+    assert replayed.error(model, motions[2], made.noise) > 20
+    about_y = -0.02
+    model.opt.gravity = [-9.81 * math.sin(about_y), 0.0, -9.81 * math.cos(about_y)]
+    assert replayed.error(model, motions[2], made.noise) == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_network_learns_a_missing_force_and_leaves_a_complete_model_alone(tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    monkeypatch.setattr(network, "EPOCHS", 40)
+    made, model, motions, _ = rig_with(tmp_path, "drag.quadratic", (30.0,))
+    before = replayed.error(model, motions[2], made.noise)
+    force = network.learn(model, motions[:2], made.noise)
+    assert force is not None
+    assert replayed.error(model, motions[2], made.noise, force) < 0.6 * before
+    other = tmp_path / "complete"
+    other.mkdir()
+    made, model, motions, _ = rig_with(other)
+    assert network.learn(model, motions[:2], made.noise) is None
+
+
+def test_sysid_finds_wrong_numbers(tmp_path):
+    sysid = pytest.importorskip("mujoco.sysid")
+    if not hasattr(sysid, "optimize"):
+        pytest.skip("mujoco[sysid] is not installed")
+    from dipc_gym.trials.plant import index
+    from dipc_gym.trials.refit import refit
+
+    def worn(plant):
+        plant[index("damping", 0)] *= 0.5
+        return plant
+
+    made, model, motions, _ = rig_with(tmp_path, nominal=worn)
+    assert replayed.error(model, motions[2], made.noise) > 5
+    better, factors = refit(tmp_path / "nominal.xml", motions[:1], made.noise)
+    assert replayed.error(better, motions[2], made.noise) == pytest.approx(1.0, abs=0.1)
+    # Damping, gear and mass together have a null space; their ratio has none.
+    assert set(factors) == {"cart.damping", "motor.gear", "cart.mass"}
+
+
+def test_the_table_of_rivals(tmp_path, monkeypatch):
+    plans = [generate.Plan(1, "null", CART, "", False), generate.Plan(2, "single", CART, "load.spring", False)]
+    (tmp_path / "sealed").mkdir()
+    for plan, size in zip(plans, (0.0, 30.0), strict=True):
+        answer = {
+            "kind": plan.kind,
+            "share_of_signal": size,
+            "missing": [{"effect": plan.effect}] if plan.effect else [],
+            "held_out_predictable": True,
+            "test_error": {"nominal": 40.0 if size else 1.0, "truth": 1.0},
+            "noise": {"cart": 1e-5},
+        }
+        (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(answer))
+    asked = []
+
+    def contend(folder, sealed, result):
+        asked.append(folder.name)
+        result.mkdir(parents=True)
+        note = {"sysid": {"error": 20.0, "seconds": 9.0}, "network": {"error": 4.0, "seconds": 3.0}}
+        (result / "rivals.json").write_text(json.dumps(note))
+
+    monkeypatch.setattr(rivals, "generate", lambda out, **_: plans)
+    monkeypatch.setattr(rivals, "contend", contend)
+    done = tmp_path / "results" / plans[1].name
+    rivals.compare(tmp_path, seed=1)
+    (done / "attempt.json").write_text(json.dumps({"sensor_errors": {"cart": 1.1e-5}}))
+    rows = rivals.compare(tmp_path, seed=1)
+    assert asked == [plan.name for plan in plans]  # nobody is asked twice
+    assert rows[1]["error"] == {
+        "nominal": 40.0, "sysid": 20.0, "network": 4.0, "diagnose": pytest.approx(1.1), "truth": 1.0
+    }  # fmt: skip
+    text = (tmp_path / "rivals.md").read_text()
+    assert "nothing missing (1)" in text
+    assert "| residual network | 4 (4 to 4) | 4 (4 to 4) |" in text
+    assert json.loads((tmp_path / "rivals.json").read_text())["seed"] == 1
+
+
+def test_a_complete_model_is_judged_complete_once_its_integration_is_exact(tmp_path):
+    """At its file's own step this very model reads three times the noise, all of it owed to the integrator."""
+    from dipc_gym.sim2real.replay import replay
+
+    made, *_ = rig_with(tmp_path, rig="motor_axis")
+    files = tmp_path / "nominal.xml", tmp_path / "test.csv"
+    own, exact, finer = (
+        replay(*files, window=0.25, step=step, threads=1).sensors[0].error / made.noise[0]
+        for step in (None, 0.001, 0.0005)
+    )
+    assert own > 1.5
+    assert exact == pytest.approx(1.0, abs=0.05)
+    assert exact == pytest.approx(finer, abs=0.01)
+    with pytest.raises(ValueError, match="no step"):
+        replay(*files, step=0.0)
