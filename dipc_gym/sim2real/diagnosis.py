@@ -219,10 +219,11 @@ def _split(problem: Problem) -> tuple[Problem, Problem, Problem]:
     return problem.pick(np.delete(chosen, np.s_[1::3])), problem.pick(chosen[1::3]), problem.pick(others)
 
 
-def _odd_times(problem: Problem, fitted: Fit) -> Array:
+def _odd_times(problem: Problem, fitted: Fit) -> list[float]:
     """Times at which fitted windows begin that are far worse than most, the worst first."""
     worst = np.argsort(-fitted.mse)[:ODD]
-    return problem.windows.start[worst[fitted.mse[worst] > FAR_OUT * typical(fitted.mse)]]
+    far = worst[fitted.mse[worst] > FAR_OUT * typical(fitted.mse)]
+    return [float(start) for start in problem.windows.start[far]]
 
 
 def _odd(rest: Problem, recalibrated: Fit) -> Problem:

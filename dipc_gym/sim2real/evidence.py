@@ -135,7 +135,8 @@ def force_errors(
         motions: of the joints.
         span: the part of each recording to judge, as fractions of its length.
     """
-    lacking, transmitted = [], []
+    lacking: list[Array] = []
+    transmitted: list[Array] = []
     for recording, motion in zip(recordings, motions, strict=True):
         force, load = unexplained_force(physics, recording, motion)
         low, high = (int(x * len(recording)) for x in span)

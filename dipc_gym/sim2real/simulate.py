@@ -98,10 +98,11 @@ class Windows:
         """These windows and others of the same recordings."""
         return replace(
             self,
-            **{
-                name: np.concatenate([getattr(self, name), getattr(other, name)])
-                for name in ("source", "start", "times", "observed", "valid")
-            },
+            source=np.append(self.source, other.source),
+            start=np.append(self.start, other.start),
+            times=np.append(self.times, other.times, 0),
+            observed=np.append(self.observed, other.observed, 0),
+            valid=np.append(self.valid, other.valid, 0),
         )
 
     @property

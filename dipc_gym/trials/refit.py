@@ -65,7 +65,7 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
         f(given) for f in (TimeSeries.compute_all_sensor_mapping, TimeSeries.compute_all_control_mapping)
     )
     for motion in motions:
-        time = np.arange(len(motion.command)) * motion.step
+        time = motion.step * np.arange(len(motion.command), dtype=np.float64)
         parts = (motion.cut(x) for x in (time[:, None], motion.command, motion.measured, motion.q, motion.v))
         for t, u, y, q, v in zip(*parts, strict=True):
             starts.append(create_initial_state(given, q[0], v[0]))
