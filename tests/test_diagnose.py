@@ -165,6 +165,17 @@ def test_finds_nothing_where_nothing_is_missing(few: list[object]) -> None:
     assert found.improved == NOMINAL
 
 
+def test_an_interrupted_search_keeps_what_it_found(few: list[object]) -> None:
+    def tell(line: str) -> None:
+        if line.startswith("added"):
+            raise KeyboardInterrupt
+
+    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], effects=few, tell=tell)  # type: ignore[arg-type]
+    assert any("interrupted" in note for note in found.notes)
+    assert [m.effect for m in found.missing] == ["friction.coulomb"]
+    assert found.missing[0].rivals == ()
+
+
 def test_a_wrong_number_is_no_missing_physics(few: list[object]) -> None:
     found = diagnose(mjcf.from_text(NOMINAL), [run(3, 20, 0.0, drag=46.0)], effects=few)  # type: ignore[arg-type]
     assert found.verdict == "recalibrated", found.sentence

@@ -174,11 +174,13 @@ def diagnose(
     replaced = {}
     for term in final.structure.terms:
         tell(f"what could stand in for {term.key}?")
-        replaced[term.key] = judge.rivals(search, final, term)
+        replaced[term.key] = [] if search.interrupted else judge.rivals(search, final, term)
     missing = [
         _missing(search, final, term, worst, _rivals_told(replaced[term.key], held, errors), spread, shift, verdict)
         for term in final.structure.terms
     ]
+    if search.interrupted:
+        notes.append("The search was interrupted: effects may be lacking, and rivals were not compared.")
     if verdict == "consistent":
         changed = []
     missing.sort(key=lambda m: -m.share)

@@ -87,6 +87,7 @@ class Search:
         anchor: the model with its own numbers free but at their nominal values. Refitted without an effect that
             matters they can be far off, and an effect tried on top of such numbers looks worse than it is.
         tell: called with a line about progress.
+        interrupted: whether Ctrl-C ended the search.
     """
 
     problem: Problem
@@ -97,6 +98,7 @@ class Search:
     anchor: Fit | None = None
     tell: Callable[[str], None] = lambda line: None
     rounds: list[list[Tried]] = field(default_factory=list)
+    interrupted: bool = False
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
 
     def unseen_mse(self, fitted: Fit) -> Array:
@@ -307,17 +309,21 @@ class Search:
         return difference.gain < max(ALIKE * difference.error, WORTH / 2) and difference.gain < 0.02 * gained + WORTH
 
     def run(self, start: Fit, most: int = 6) -> Fit:
-        """Add effects until none earns its place, then take out those that the later ones made idle."""
+        """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
         current = start
-        for _ in range(most):
-            better = self.round(current) or self.ahead(current)
-            if better is None:
-                break
-            added = better.structure.terms[-1].key
-            self.tell(f"added {', '.join(names(better.structure.terms[len(current.structure.terms) :])) or added}")
-            before, current = current, self.prune(better)
-            if added not in names(current.structure.terms) and not self.compare(current, before).clear:
-                break
+        try:
+            for _ in range(most):
+                before, better = current, self.round(current) or self.ahead(current)
+                if better is None:
+                    break
+                current, added = better, better.structure.terms[-1].key
+                self.tell(f"added {', '.join(names(better.structure.terms[len(before.structure.terms) :])) or added}")
+                current = self.prune(better)
+                if added not in names(current.structure.terms) and not self.compare(current, before).clear:
+                    break
+        except KeyboardInterrupt:
+            self.interrupted = True
+            self.tell("interrupted; judging what was found so far (Ctrl-C again stops at once)")
         return current
 
     def ahead(self, current: Fit) -> Fit | None:
