@@ -183,7 +183,8 @@ def question(model, file, effects, mass, threads):
     whole = recording.read(file, mjcf.compile(model))
     until = int(SHARE * len(whole))
     first = replace(whole, time=whole.time[:until], commands=whole.commands[:until], sensors=whole.sensors[:until])
-    guess = {"mass": mass_of(source.text), "damping": 1.0, "frictionloss": 1.0}
+    # A guess of the order of magnitude; the bounds are a factor of twenty either way.
+    guess = {"mass": mass_of(source.text), "damping": 100.0, "frictionloss": 10.0}
 
     from mujoco.sysid.report.sections.insights import AutomatedInsights
 
