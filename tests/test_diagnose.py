@@ -176,6 +176,17 @@ def test_an_interrupted_search_keeps_what_it_found(few: list[object]) -> None:
     assert found.missing[0].rivals == ()
 
 
+def test_what_held_out_data_refute_is_not_named(few: list[object]) -> None:
+    """The friction of the first recording is gone in the second one, which the model as it is predicts well."""
+    source, right = mjcf.from_text(NOMINAL), Wishes(("cart.damping", "motor.gear", "cart.mass"))
+    found = diagnose(source, [run(1, 12, 3.0)], [run(2, 12, 0.0)], effects=few, wishes=right)  # type: ignore[arg-type]
+    assert found.missing == (), found.sentence
+    assert found.verdict == "consistent"
+    assert any("friction.coulomb@cart" in note and "held-out" in note for note in found.notes)
+    assert found.held_out is not None
+    assert found.held_out.improved < 1.1 * found.held_out.recalibrated
+
+
 def test_a_wrong_number_is_no_missing_physics(few: list[object]) -> None:
     found = diagnose(mjcf.from_text(NOMINAL), [run(3, 20, 0.0, drag=46.0)], effects=few)  # type: ignore[arg-type]
     assert found.verdict == "recalibrated", found.sentence

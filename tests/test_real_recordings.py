@@ -176,11 +176,13 @@ def real(rig: str) -> Path:
     pytest.skip(f"no shared/recordings/{rig} beside the checkout")
 
 
-def diagnosed(rig: str, run: str, *effects: str) -> Diagnosis:
+def diagnosed(rig: str, runs: str, *effects: str) -> Diagnosis:
+    """Diagnose the runs that match a pattern, with a part of the catalogue."""
     model = real(rig) / "nominal.xml"
     known = catalogue()
-    run_ = recording.read(real(rig) / run, mjcf.compile(model))
-    return diagnose(model, [run_], effects=[known[name] for name in effects])
+    compiled = mjcf.compile(model)
+    read = [recording.read(run, compiled) for run in sorted(real(rig).glob(runs))]
+    return diagnose(model, read, effects=[known[name] for name in effects])
 
 
 @pytest.fixture(scope="module")
@@ -208,6 +210,14 @@ def test_emps_friction_depends_on_direction(emps: Diagnosis) -> None:
     """As its authors found; with it, the force is at least as well explained as by their best model."""
     assert "friction.asymmetric@carriage" in named(emps)
     assert emps.to_dict()["fit"]["held_out_force"]["carriage"]["improved"] <= EMPS_PUBLISHED
+
+
+def test_bam_friction_grows_with_load() -> None:
+    """As its authors found. In the runs left out the torque was switched off, which no command of 0 V says."""
+    found = diagnosed(
+        "bam_xl330", "[su]*_kp*.csv", "friction.load", "friction.position", "friction.stribeck", "motor.saturation"
+    )
+    assert "friction.load@joint" in named(found)
 
 
 def test_uw_lacks_nothing() -> None:

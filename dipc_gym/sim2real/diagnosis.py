@@ -156,6 +156,10 @@ def diagnose(
     final = judge.fewest_numbers(search, best)
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
     errors = Errors(*(_error(held, f) for f in (nominal, recalibrated, final)))
+    if final.structure.terms and judge.refuted(errors.recalibrated, errors.improved):
+        notes.append(sentences.refutation(final.structure.terms, errors))
+        final = judge.fewest_numbers(search, recalibrated)
+        errors = replace(errors, improved=_error(held, final))
     forces = np.stack(
         [
             evidence.force_errors(f.structure.physics(f.z), judged, kept.motions, judged_span)

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 AT_FLOOR = 1.2  # times the noise: an error below this is explained
 QUANTILE = 1.645  # of the normal distribution, for 90 % intervals
 SMALL = 3e-3  # of the motion within a window: a smaller mismatch without a name is not called missing physics
+REFUTED = 1.05  # times the refitted model's error on held-out data, from which effects are not named after all
 STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
 
 
@@ -239,6 +240,11 @@ def credible(recalibrated: float, improved: float, motion: float) -> bool:
     Where the mismatch is small beside the motion, only what comes down to the noise is named.
     """
     return improved <= AT_FLOOR or recalibrated >= SMALL * motion
+
+
+def refuted(recalibrated: float, improved: float) -> bool:
+    """Whether held-out data speak against effects: they predict it clearly worse than refitted numbers alone do."""
+    return improved > AT_FLOOR and improved > REFUTED * recalibrated
 
 
 def verdict(errors: Sequence[float], motion: float, terms: int, changed: int) -> str:

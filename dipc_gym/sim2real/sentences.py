@@ -7,6 +7,7 @@ from typing import Any
 
 from dipc_gym.sim2real import judge
 from dipc_gym.sim2real.result import Errors, Missing
+from dipc_gym.sim2real.structure import Term
 
 
 def verb(where: str) -> str:
@@ -16,7 +17,8 @@ def verb(where: str) -> str:
 
 def in_one_sentence(verdict: str, missing: Sequence[Missing], changed: Sequence[dict[str, Any]], errors: Errors) -> str:
     """What happened, in words that a rig's owner understands."""
-    fall = f"On held-out data the error falls from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
+    goes = "falls" if errors.improved < errors.nominal else "goes"
+    fall = f"On held-out data the error {goes} from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
     known = " ".join(m.sentence for m in missing if m.effect != "unknown")
     rest = ""
     if errors.improved > judge.AT_FLOOR:
@@ -74,3 +76,12 @@ def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
             f"{errors.recalibrated:.3g} to {errors.improved:.3g} times the noise)."
         )
     return notes
+
+
+def refutation(terms: Sequence[Term], errors: Errors) -> str:
+    """Note on effects that fit the recordings and fail on held-out data."""
+    return (
+        f"{' and '.join(term.key for term in terms)} would explain the recordings that were fitted, but held-out data "
+        f"speak against it (the error rises from {errors.recalibrated:.3g} to {errors.improved:.3g} times the noise), "
+        "so it is not named."
+    )
