@@ -23,8 +23,7 @@ rivals: .venv/installed
 	$(BIN)/dipc-gym trial --out runs/trial --jobs 2 --rivals
 
 test: .venv/installed
-	$(BIN)/python -m pytest -q -m timing
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not timing"
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: .venv/installed
 	$(BIN)/ruff check .

@@ -9,7 +9,6 @@ import pickle
 import pkgutil
 import subprocess
 import sys
-import timeit
 import warnings
 from dataclasses import FrozenInstanceError, dataclass, replace
 from pathlib import Path
@@ -288,14 +287,6 @@ def test_copies_carry_the_memory_and_then_go_their_own_way(fitted, name):
 def test_it_is_frozen(fitted, name):
     with pytest.raises(FrozenInstanceError):
         fitted[name].figures = None
-
-
-@pytest.mark.timing
-def test_a_call_in_the_control_loop_takes_ten_microseconds_or_less(fitted):
-    compensators = [fitted["feedforward"], fitted["mlp"], fitted["llnf"], small_llnf(MAX_MODELS)]
-    for compensator in compensators:
-        best = min(timeit.repeat(lambda c=compensator: c.voltage(3.0, 0.1), number=500, repeat=30)) / 500
-        assert best <= 10e-6, compensator.name
 
 
 # Far outside the training data

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -283,15 +282,3 @@ def test_scikit_learn_is_not_needed():
         "assert model.fit(x, x[:, 0] ** 2).score(x, x[:, 0] ** 2) > 0.99\n"
     )
     subprocess.run([sys.executable, "-W", "error", "-c", script], check=True)
-
-
-@pytest.mark.timing
-def test_thirty_models_on_ten_thousand_samples_take_150_ms():
-    X, y = surface(np.random.default_rng(14), 10_000, noise=0.05)
-
-    def seconds():
-        start = time.perf_counter()
-        assert len(LOLIMOT(max_models=30).fit(X, y).levels_) == 30
-        return time.perf_counter() - start
-
-    assert any(seconds() <= 0.15 for _ in range(10))
