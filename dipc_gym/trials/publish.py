@@ -146,10 +146,12 @@ def figure(scores: Mapping[str, Any], path: Path) -> None:
     left.axvline(2.0, color="0.6", linewidth=0.8)
     left.legend(loc="lower right")
     counts = np.array([[confusion[truth].get(name, 0) for name in columns] for truth in rows], dtype=float)
-    right.imshow(counts / counts.sum(axis=1, keepdims=True), cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    shares = counts / counts.sum(axis=1, keepdims=True)
+    right.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     right.set_xticks(range(len(columns)), columns, rotation=90, fontsize=7)
     right.set_yticks(range(len(rows)), rows, fontsize=7)
     right.set(xlabel="said first", ylabel="truth")
     for i, j in zip(*np.nonzero(counts), strict=True):
-        right.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7)
+        ink = "white" if shares[i, j] > 0.5 else "black"
+        right.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7, color=ink)
     canvas.savefig(path, dpi=130)
