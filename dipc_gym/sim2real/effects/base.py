@@ -207,6 +207,25 @@ def passive_wave(document: Document, name: str, joint: str, size: float, per_uni
     shield(document, element)
 
 
+def passive_rate(document: Document, name: str, joint: str, rate: float, limits: tuple[float, float]) -> None:
+    """A force rate * velocity on a joint, held between limits; MuJoCo drops the rate where the gain is zero."""
+    name = document.fresh(name)
+    element = document.add(
+        "actuator",
+        "general",
+        name=name,
+        joint=joint,
+        gainprm=1,
+        biastype="affine",
+        biasprm=(0, 0, rate),
+        forcelimited="true",
+        forcerange=limits,
+    )
+    document.plain(element, dyntype="none", gaintype="fixed")
+    shield(document, element)
+    document.passive(name)
+
+
 def shield(document: Document, element: ET.Element) -> None:
     """Keep from an actuator that stands for a force what default classes give to the motors of the file."""
     document.plain(element, gear="1", damping="0 0 0", armature="0", delay="0", ctrllimited="auto", ctrlrange="0 0")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry, passive_force, shield
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry, passive_force, passive_rate
 
 
 class Asymmetric(Effect):
@@ -63,21 +63,8 @@ class AsymmetricDrag(Effect):
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A passive drag with a force limit that leaves one direction of it."""
         drag = values["drag"]
-        name = document.fresh(f"{at}_drag_{'forward' if drag > 0 else 'backward'}")
-        element = document.add(
-            "actuator",
-            "general",
-            name=name,
-            joint=at,
-            gainprm=1,
-            biastype="affine",
-            biasprm=(0, 0, -abs(drag)),
-            forcelimited="true",
-            forcerange=(-_UNLIMITED, 0) if drag > 0 else (0, _UNLIMITED),
-        )
-        document.plain(element, dyntype="none", gaintype="fixed")
-        shield(document, element)
-        document.passive(name)
+        name = f"{at}_drag_{'forward' if drag > 0 else 'backward'}"
+        passive_rate(document, name, at, -abs(drag), (-_UNLIMITED, 0) if drag > 0 else (0, _UNLIMITED))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

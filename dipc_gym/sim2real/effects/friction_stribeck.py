@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry, shield
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry, passive_rate
 
 # The curve exp(-(v / velocity)^2) between these multiples of the Stribeck velocity is drawn with straight lines.
 KNOTS = np.array([0.0, 0.4, 0.9, 1.4, 2.1])
@@ -47,21 +47,8 @@ class Stribeck(Effect):
         slope = np.append(np.diff(fall / fall[-1]) / np.diff(KNOTS), 0.0)
         for k, bend in enumerate(-np.diff(slope)):
             limit = abs(float(bend * KNOTS[k + 1])) * excess
-            name = document.fresh(f"{at}_stribeck_{k + 1}")
-            element = document.add(
-                "actuator",
-                "general",
-                name=name,
-                joint=at,
-                gainprm=1,
-                biastype="affine",
-                biasprm=(0, 0, float(bend) * excess / values["velocity"]),
-                forcelimited="true",
-                forcerange=(-limit, limit),
-            )
-            document.plain(element, dyntype="none", gaintype="fixed")
-            shield(document, element)
-            document.passive(name)
+            rate = float(bend) * excess / values["velocity"]
+            passive_rate(document, f"{at}_stribeck_{k + 1}", at, rate, (-limit, limit))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
