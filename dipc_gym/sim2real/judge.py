@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.sim2real.evidence import Scene
 from dipc_gym.sim2real.fit import Fit, Problem, fit, weights
-from dipc_gym.sim2real.search import ALIKE, LARGE, WORTH, Search
+from dipc_gym.sim2real.search import ALIKE, AT_FLOOR, LARGE, WORTH, Search
 from dipc_gym.sim2real.structure import Structure, Term, carry
 
 Array = NDArray[np.float64]
 
-AT_FLOOR = 1.2  # times the noise: an error below this is explained
 QUANTILE = 1.645  # of the normal distribution, for 90 % intervals
 SMALL = 3e-3  # of the motion within a window: a smaller mismatch without a name is not called missing physics
 REFUTED = 1.05  # times the refitted model's error on held-out data, from which effects are not named after all

@@ -29,7 +29,7 @@ ONCE = 1.5  # improvement of the log square errors, summed over windows, by whic
 WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
-FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
+AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
 ALIKE = 2.0  # standard errors within which two hypotheses are not told apart
 
 
@@ -267,7 +267,7 @@ class Search:
         friction is asked again when the rest is in place.
         """
         assert chosen.fitted is not None
-        if chosen.fitted.error < FLOOR:
+        if chosen.fitted.error < AT_FLOOR:
             return chosen
         most = current.error - MOST * (current.error - chosen.fitted.error)
         plain = [
@@ -300,7 +300,7 @@ class Search:
         little of it.
         """
         now, then = (float(np.sqrt(np.mean(self.mse(f)))) for f in (current, fitted))
-        return then < FLOOR or now - then > EARNS * (now - 1)
+        return then < AT_FLOOR or now - then > EARNS * (now - 1)
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""
@@ -329,7 +329,7 @@ class Search:
     def ahead(self, current: Fit) -> Fit | None:
         """Two effects that need each other: add the best one, clear or not, and see whether a second makes it so."""
         first = next((t.fitted for t in self.rounds[-1] if t.fitted is not None), None)
-        if first is None or current.error < FLOOR or self.compare(first, current).gain < WORTH:
+        if first is None or current.error < AT_FLOOR or self.compare(first, current).gain < WORTH:
             return None
         self.tell(f"{first.structure.terms[-1].key} alone does not stand out; with another one?")
         second = self.round(self.polish(first))
