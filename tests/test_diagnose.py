@@ -299,7 +299,11 @@ def test_evidence_on_a_model_with_a_rotor_of_its_own() -> None:
     given = physics.from_model(mjcf.compile(source))
     runs = [run(10, 6, 0.0)]
     prepared = prepare(source, given, runs, Stepping(0.002, mujoco.mjtIntegrator.mjINT_RK4))
-    term = Term(catalogue()["transmission.backlash"], "motor", {"gap": 1e-3, "rotor_inertia": 0.1})
+    term = Term(
+        catalogue()["transmission.backlash"],
+        "motor",
+        {"gap": 1e-3, "rotor_inertia": 0.1, "contact_rate": 1e3, "contact_damping": 0.3},
+    )
     structure = prepared.structure.with_term(term)
     scene = evidence.scene(structure.physics(structure.first), runs, prepared.motions, 1.0)
     for effect in catalogue().values():

@@ -273,7 +273,9 @@ def test_a_stiff_coupling_is_the_rotors_inertia(rig: str, at: str, effect: str) 
     base, inertia = ready(rig).structure, guesses(known, rig, at)[0]["rotor_inertia"]
     values = {"rotor_inertia": inertia}
     play = (
-        {"gap": 1e-9} if effect == "transmission.backlash" else {"stiffness": inertia * 4e6, "damping": inertia * 400}
+        {"gap": 1e-9, "contact_rate": 4e3, "contact_damping": 1.0}
+        if effect == "transmission.backlash"
+        else {"stiffness": inertia * 4e6, "damping": inertia * 400}
     )
     stiff = predicted(rig, _fine(base).with_term(Term(known, at, values | play)))
     rigid, without = predicted(rig, _fine(base, inertia)), predicted(rig, _fine(base))
@@ -283,7 +285,12 @@ def test_a_stiff_coupling_is_the_rotors_inertia(rig: str, at: str, effect: str) 
 def test_play_lets_the_load_be_for_as_long_as_it_lasts() -> None:
     """A resting load does not feel the motor until the rotor has crossed half the play."""
     gap, inertia, volts = 0.01, 0.1, 4.0
-    structure = added("cart", catalogue()["transmission.backlash"], "motor", {"gap": gap, "rotor_inertia": inertia})
+    structure = added(
+        "cart",
+        catalogue()["transmission.backlash"],
+        "motor",
+        {"gap": gap, "rotor_inertia": inertia, "contact_rate": 1e3, "contact_damping": 0.3},
+    )
     rig = structure.physics(structure.first)
     model = rig.model
     model.opt.timestep = 1e-4

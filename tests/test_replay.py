@@ -200,7 +200,11 @@ def test_effects_under_custom_are_applied(tmp_path: Path, effect: tuple[str, str
 @pytest.mark.parametrize(
     ("effect", "at", "values"),
     [
-        ("transmission.backlash", "motor", {"gap": 0.004, "rotor_inertia": 0.1}),
+        (
+            "transmission.backlash",
+            "motor",
+            {"gap": 0.004, "rotor_inertia": 0.1, "contact_rate": 1e3, "contact_damping": 0.3},
+        ),
         ("motor.inductance", "motor", {"time_constant": 0.015}),
     ],
 )

@@ -318,7 +318,7 @@ def test_a_heating_motor_needs_the_motion(hot: tuple[Recording, np.ndarray, np.n
 
 def test_a_rotor_behind_play_is_where_the_warm_up_left_it() -> None:
     """With play of 3 mm, windows are predicted far better than with a rotor that starts in the middle of it."""
-    values = {"gap": 3e-3, "rotor_inertia": 0.3}
+    values = {"gap": 3e-3, "rotor_inertia": 0.3, "contact_rate": 1e3, "contact_damping": 0.3}
     run = record(rig(CART, "transmission.backlash", "motor", **values), sweep(4.0), 4.0, noise=1e-5, step=5e-5)
     P = prepared(CART, [run])
     S = P.structure.with_term(Term(catalogue()["transmission.backlash"], "motor", values))

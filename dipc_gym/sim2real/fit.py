@@ -174,10 +174,22 @@ class _Shooting:
         # A sensor with a bias or a lag tells a state only through the model.
         self.spread = problem.spread * (1e3 if structure.moves_readings else 1.0)
 
-    def best_starts(self, z: Array, tries: Array) -> tuple[Array, Array, Array]:
-        """For each window the start (of tries, (k, n, 2 nb)) that leaves least, its residual, its mean square error."""
+    def best_starts(
+        self, z: Array, tries: Sequence[Array], known: tuple[Array, Array] | None = None
+    ) -> tuple[Array, Array, Array]:
+        """For each window the start that leaves least, its residual, its mean square error.
+
+        Args:
+            z: mapped numbers, (p,).
+            tries: starts, each (n, 2 nb).
+            known: one more start and its residual.
+        """
         problem = self.problem
-        rests = _residuals(problem, predict(problem, self.structure, [z] * len(tries), tries))
+        if known is not None:
+            tries = [start for start in tries if not np.array_equal(start, known[0])]
+        rests = _residuals(problem, predict(problem, self.structure, [z] * len(tries), np.stack(tries)))
+        tries = np.stack([*tries, *([] if known is None else known[:1])])
+        rests = rests if known is None else np.concatenate([rests, known[1][None]])
         far = np.sum(((problem.starts - tries) / self.spread) ** 2, axis=2)
         mse = (np.sum(rests**2, axis=(2, 3)) + far) / problem.counts
         best, each = np.argmin(mse, axis=0), np.arange(tries.shape[1])
@@ -288,7 +300,7 @@ def fit(
             step = np.clip(step, -reach, reach)
             trial = structure.clip(z + step)
             ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
-            moved, rest, trial_mse = shooting.best_starts(trial, np.stack([s + ahead, s + ahead / 3, problem.starts]))
+            moved, rest, trial_mse = shooting.best_starts(trial, [s + ahead, s + ahead / 3, problem.starts])
             then = _objective(trial_mse, scale) + prior_z @ (trial - centre) ** 2 / counts.mean()
             if then < now:
                 accepted = True
@@ -314,7 +326,7 @@ def _settle(
     for _ in range(2):
         r = _augment(base.reshape(len(s), -1, 1), (problem.starts - s) / shooting.spread, shooting.nb2)
         ahead = shooting.nudge * _project(S, r)[1][..., 0]
-        s, base, _ = shooting.best_starts(z, np.stack([s + ahead, s, s + ahead / 3, still, problem.starts]))
+        s, base, _ = shooting.best_starts(z, [s + ahead, s + ahead / 3, still, problem.starts], (s, base))
         S = shooting.sensitivity(z, s, base)
     return base, s, S
 

@@ -176,22 +176,26 @@ def _candidates(work: Work) -> list[report.Candidate]:
         for r in rs
     }
     rows: dict[str, report.Candidate] = {}
-    baseline = work.recalibrated
+    baseline, few = work.recalibrated, search.few
     for tried in [t for r in reversed(search.rounds) for t in r]:
-        if tried.key in rows and (rows[tried.key].error is not None or tried.fitted is None):
+        if tried.key in rows and (rows[tried.key].error is not None or tried.sketch is None):
             continue
         words = (tried.term.effect.__doc__ or "").split("\n")[0].rstrip(".")
-        fitted = tried.fitted
-        if fitted is None:
+        if tried.sketch is None:
             rows[tried.key] = report.Candidate(tried.term.effect.name, tried.term.at, words, "screened out")
             continue
-        gain = compare(search.unseen_mse(fitted), search.unseen_mse(baseline), search.unseen.blocks)
+        if tried.fitted is not None:
+            error = tried.fitted.error
+            gain = compare(search.unseen_mse(tried.fitted), search.unseen_mse(baseline), search.unseen.blocks)
+        else:  # the windows of a sketch are among the worse ones
+            error = tried.sketch.error * baseline.error / float(np.sqrt(np.mean(baseline.mse[few])))
+            gain = compare(tried.sketch.mse, baseline.mse[few], search.problem.blocks[few])
         rows[tried.key] = report.Candidate(
             tried.term.effect.name,
             tried.term.at,
             words,
             "chosen" if tried.key in chosen else status.get(tried.key, "ruled out"),  # type: ignore[arg-type]
-            fitted.error,
+            error,
             gain.gain,
             gain.error if np.isfinite(gain.error) else None,
         )

@@ -1,8 +1,9 @@
 """Find the effects that a model lacks, one at a time, by what they do to predictions of windows not fitted.
 
 Screening costs one simulation a hypothesis: its response at a first guess, laid over the residual beside everything
-that is free already. The best few are fitted fully. What decides is the error of other windows than those that were
-fitted, as a mean of logarithms, so that each window counts alike and its standard error means something.
+that is free already. The best few are sketched, that is fitted to a third of the windows, and those that keep up are
+fitted fully. What decides is the error of other windows than those that were fitted, as a mean of logarithms, so that
+each window counts alike and its standard error means something.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
 
-FINALISTS = 6  # hypotheses fitted fully in a round
+FINALISTS = 6  # hypotheses sketched in a round
+KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
+FEW = 18  # windows that a sketch has at least
 CLEAR = 2.5  # standard errors by which an improvement must stand out
 LARGE = 0.5  # improvement of the mean log square error (an error one fifth smaller) that no chance brings about
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
@@ -58,12 +61,14 @@ class Tried:
     Attributes:
         key: `effect@place`.
         promise: fall of the log error that screening foretold.
-        fitted: the full fit, or None if it was not among the finalists.
+        sketch: the fit to a few windows, or None if it was not among the finalists.
+        fitted: the full fit, or None if the sketch did not keep up.
         score: mean log square error of all windows; infinite if not fitted.
     """
 
     term: Term
     promise: float
+    sketch: Fit | None = None
     fitted: Fit | None = None
     score: float = math.inf
 
@@ -87,6 +92,7 @@ class Search:
         anchor: the model with its own numbers free but at their nominal values. Refitted without an effect that
             matters they can be far off, and an effect tried on top of such numbers looks worse than it is.
         tell: called with a line about progress.
+        few: the windows of `problem` that are sketched on.
         interrupted: whether Ctrl-C ended the search.
     """
 
@@ -97,6 +103,7 @@ class Search:
     look: Callable[[Fit], Scene]
     anchor: Fit | None = None
     tell: Callable[[str], None] = lambda line: None
+    few: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     rounds: list[list[Tried]] = field(default_factory=list)
     interrupted: bool = False
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
@@ -196,13 +203,24 @@ class Search:
         left = current.left - columns @ step
         return float(np.mean(np.log1p(np.einsum("nm,nm->n", left, left) / counts))), size
 
-    def full(self, base: Fit, term: Term, most: int = 8) -> Fit | None:
-        """Fit the structure with one more effect; None where it cannot be simulated."""
-        structure = base.structure.with_term(term)
+    def sketch(self, base: Fit, structure: Structure) -> Fit | None:
+        """Fit a structure to a few of the windows, from the numbers of `base`; None where it cannot be simulated."""
+        z = carry(base.structure, base.z, structure)
         try:
-            return fit(self.problem, structure, carry(base.structure, base.z, structure), base.starts, most=most)
+            return fit(self.problem.pick(self.few), structure, z, base.starts[self.few], most=5, tolerance=5e-3)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
+
+    def full(self, base: Fit, sketch: Fit) -> Fit | None:
+        """Fit all windows from where a sketch came to; None where it cannot be simulated."""
+        try:
+            return fit(self.problem, sketch.structure, sketch.z, base.starts, most=8)
+        except (mjcf.MjcfError, np.linalg.LinAlgError):
+            return None
+
+    def behind(self, sketch: Fit, fitted: Fit) -> Comparison:
+        """How much worse a sketch is than a full fit, on the windows of the sketch."""
+        return compare(fitted.mse[self.few], sketch.mse, self.problem.blocks[self.few])
 
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
@@ -213,16 +231,35 @@ class Search:
                     promising[tried.key] = (tried, base)
         ranked = sorted(promising.values(), key=lambda pair: -pair[0].promise)
         least = max(WORTH / 2, 0.1 * ranked[0][0].promise) if ranked else 0.0
-        done: list[Tried] = []
+        sketched: list[tuple[Tried, Fit]] = []
         for tried, base in _finalists([pair for pair in ranked if pair[0].promise > least]):
-            fitted = self.full(base, tried.term)
+            sketch = self.sketch(base, base.structure.with_term(tried.term))
+            if sketch is not None:
+                sketched.append((replace(tried, term=_as_fitted(sketch), sketch=sketch), base))
+        done: list[Tried] = []
+        for tried, base in self._keeping_up(sketched, current):
+            assert tried.sketch is not None
+            fitted = self.full(base, tried.sketch)
             if fitted is not None:
                 done.append(replace(tried, fitted=fitted))
                 self.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
         done = self._scored(done)
-        self.rounds.append(done + [t for t, _ in ranked if t.key not in {d.key for d in done}])
-        chosen = self.choose(current, done)
+        for more in (sketched, ranked):
+            done += [t for t, _ in more if t.key not in {d.key for d in done}]
+        self.rounds.append(done)
+        chosen = self.choose(current, [t for t in done if t.fitted is not None])
         return None if chosen is None else self.polish(chosen)
+
+    def _keeping_up(self, sketched: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
+        """Those whose sketches come near the best one, and the plainer ones that these elaborate."""
+        errors = [t.sketch.mse for t, _ in sketched if t.sketch is not None]
+        usual = min((typical(mse) for mse in errors), default=1.0)
+        before = float(np.mean(loss(current.mse[self.few], usual)))
+        gains = {t.key: before - float(np.mean(loss(mse, usual))) for (t, _), mse in zip(sketched, errors, strict=True)}
+        least = max(KEEPS_UP * max(gains.values(), default=0.0), WORTH / 2)
+        near = [t for t, _ in sketched if gains[t.key] > least]
+        plain = {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
+        return [pair for pair in sketched if pair[0].key in plain or gains[pair[0].key] > least]
 
     def _scored(self, done: Sequence[Tried]) -> list[Tried]:
         """Fitted hypotheses with their scores, the best first."""
@@ -254,11 +291,14 @@ class Search:
         clear = [t for t in done if t.fitted is not None and self.stands_out(t.term, t.fitted, current)]
         if not clear:
             return None
-        best = clear[0]
-        assert best.fitted is not None
-        alike = [t for t in clear if t.fitted is not None and self.alike(best.fitted, t.fitted, current)]
-        chosen = min(alike, key=lambda t: (*_cost(t.fitted), t.score))
-        return self.core(chosen, clear, current).fitted
+        return self.core(self.simplest(clear, current), clear, current).fitted
+
+    def simplest(self, done: Sequence[Tried], current: Fit) -> Tried:
+        """The simplest of the fitted hypotheses, sorted by score, that predict as well as the first."""
+        best = done[0].fitted
+        assert best is not None
+        alike = [t for t in done if t.fitted is not None and self.alike(best, t.fitted, current)]
+        return min(alike, key=lambda t: (*_cost(t.fitted), t.score))
 
     def core(self, chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
         """The plainer effect that a chosen one elaborates, where it alone brings most of the improvement.
@@ -311,6 +351,7 @@ class Search:
     def run(self, start: Fit, most: int = 6) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
         current = start
+        self.few = _few(start.mse)
         try:
             for _ in range(most):
                 before, better = current, self.round(current) or self.ahead(current)
@@ -328,7 +369,8 @@ class Search:
 
     def ahead(self, current: Fit) -> Fit | None:
         """Two effects that need each other: add the best one, clear or not, and see whether a second makes it so."""
-        first = next((t.fitted for t in self.rounds[-1] if t.fitted is not None), None)
+        done = [t for t in self.rounds[-1] if t.fitted is not None]
+        first = self.simplest(done, current).fitted if done else None
         if first is None or current.error < AT_FLOOR or self.compare(first, current).gain < WORTH:
             return None
         self.tell(f"{first.structure.terms[-1].key} alone does not stand out; with another one?")
@@ -338,13 +380,16 @@ class Search:
         return second if self.confirmed(second, current) else None
 
     def prune(self, current: Fit) -> Fit:
-        """Take out effects whose absence costs nothing; put plainer ones in the place of those with idle numbers."""
+        """Take out effects that do not earn their place any more; put plainer ones in the place of idle numbers."""
         for term in current.structure.terms:
             less = [self.without(current, term.key)] if len(current.structure.terms) > 1 else []
             plainer = [self.swap(current, term, inner) for inner in term.effect.contains]
             for other in [*less, *(fitted for fitted in plainer if fitted is not None)]:
                 lost = self.compare(current, other)
-                if not (lost.gain > WORTH / 2 and lost.gain > ALIKE * lost.error):
+                idle = (
+                    any(other is fitted for fitted in less) and not term.effect.once and not self.earns(current, other)
+                )
+                if idle or not (lost.gain > WORTH / 2 and lost.gain > ALIKE * lost.error):
                     self.tell(f"{term.key} is more than is needed")
                     return self.prune(other)
         return current
@@ -358,7 +403,8 @@ class Search:
         scene = self.look(current)
         if term.at not in places(other, current.structure.model, self.joints, scene.recordings[0]):
             return None
-        levels = [v for name, v in current.structure.term_values(current.z, term).items() if name.startswith("level")]
+        values = current.structure.term_values(current.z, term)
+        levels = [values[name] for name in term.effect.levels]
         evidence = scene.at(other.place, term.at, {term.at: float(np.mean(levels))} if levels else {})
         structure = rest.with_term(Term(other, term.at, dict(other.guesses(evidence)[0])))
         try:
@@ -367,7 +413,7 @@ class Search:
             return None
 
     def without(self, current: Fit, key: str) -> Fit:
-        """Refit with one effect less."""
+        """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
 
@@ -398,6 +444,16 @@ def _finalists(ranked: Sequence[tuple[Tried, Fit]]) -> list[tuple[Tried, Fit]]:
     return [*first, *(pair for pair in ranked[FINALISTS:] if pair[0].key in plain)]
 
 
+def _few(mse: Array) -> NDArray[np.intp]:
+    """A third of the windows, those with the largest errors (n,) among them."""
+    count = len(mse)
+    if count <= FEW:
+        return np.arange(count)
+    return np.unique(
+        np.append(np.linspace(0, count - 1, max(count // 3, FEW)).round(), np.argsort(-mse)[: FEW // 4])
+    ).astype(np.intp)
+
+
 def _cost(fitted: Fit | None) -> tuple[int, int, int, int]:
     """What the simpler of two structures has less of: numbers, effects, and effects that stock MuJoCo lacks.
 
@@ -422,6 +478,12 @@ def _scaled(term: Term, size: float) -> Term:
     if abs(size) < 0.05 or not term.effect.linear:
         return term
     return replace(term, guess={**term.guess, **{name: size * term.guess[name] for name in term.effect.linear}})
+
+
+def _as_fitted(fitted: Fit) -> Term:
+    """The last effect of a structure with its fitted numbers for guesses."""
+    term = fitted.structure.terms[-1]
+    return replace(term, guess=fitted.structure.term_values(fitted.z, term))
 
 
 def _signed(effect: Effect) -> bool:

@@ -128,6 +128,7 @@ class Effect(ABC):
         needs_loader: whether stock MuJoCo leaves it out.
         moves_readings: whether it changes what sensors say of a state, so that estimated starts mean little.
         linear: parameters in proportion to which, taken together, its response grows from nothing.
+        levels: parameters that are levels of dry friction.
         once: whether it happened once, so that other recordings cannot confirm it.
     """
 
@@ -142,6 +143,7 @@ class Effect(ABC):
     needs_loader: ClassVar[bool] = False
     moves_readings: ClassVar[bool] = False
     linear: ClassVar[tuple[str, ...]] = ()
+    levels: ClassVar[tuple[str, ...]] = ()
     once: ClassVar[bool] = False
 
     @property

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.effects.base import joint_of
+from dipc_gym.sim2real.effects.base import Evidence, dof, joint_of
 
+IMPEDANCE = 0.9999  # of a contact: the largest that MuJoCo allows, which makes its limit a spring and a damper
 SETTLE = 0.15  # s of simulation until a rotor is where it would be, whatever it was given to start with
 
 
@@ -25,8 +29,15 @@ def inertia_at(model: mujoco.MjModel, joint: str) -> float:
     return float(full[model.joint(joint).dofadr[0], model.joint(joint).dofadr[0]])
 
 
+def rotor_guesses(evidence: Evidence, shares: Sequence[float]) -> list[float]:
+    """Inertias that the rotor may have: the armature that the model gives the joint, or shares of what it moves."""
+    joint = joint_of(evidence.model, evidence.at)
+    armature = float(evidence.model.dof_armature[dof(evidence.model, joint)]) if joint else 0.0
+    return [armature] if armature > 0 else [share * evidence.inertia for share in shares]
+
+
 def split(document: Document, actuator: str, inertia: float) -> tuple[str, str]:
-    """Give the motor a rotor beside the body it drives.
+    """Give the motor a rotor beside the body it drives; an armature at the joint was that rotor, and goes.
 
     Args:
         document: to edit.
@@ -57,21 +68,50 @@ def split(document: Document, actuator: str, inertia: float) -> tuple[str, str]:
     own = document.add(rotor, "joint", name=name, type=kind, axis=axis, pos=place)
     document.plain(own, damping="0 0 0", stiffness="0 0 0", frictionloss="0", armature="0", springdamper="0 0")
     document.plain(own, limited="auto", range="0 0")
+    if armature := float(document.effective(joint, "armature", "0")):
+        document.set(joint, armature=max(armature - inertia, 0.0))
     document.set(element, joint=name)
     document.follows(name, joint.get("name", ""))
     return name, joint.get("name", "")
 
 
-def couple(document: Document, name: str, rotor: str, load: str, stiffness: float, damping: float, gap: float) -> None:
-    """A fixed tendon between rotor and load; springlength is the play."""
+def couple(document: Document, name: str, rotor: str, load: str, stiffness: float, damping: float) -> None:
+    """A spring and a damper between rotor and load, as a fixed tendon."""
+    tendon = document.add(
+        "tendon", "fixed", name=document.fresh(name), stiffness=stiffness, damping=damping, springlength="0"
+    )
+    document.plain(tendon, limited="auto", range="0 0", frictionloss="0", armature="0")
+    _between(document, tendon, rotor, load)
+
+
+def limit(document: Document, name: str, rotor: str, load: str, gap: float, rate: float, damping: float) -> None:
+    """A contact at each end of a gap between rotor and load, as the limits of a fixed tendon.
+
+    A spring with a dead band in its place gives back all of a blow, or with damping drags in the gap as well; fitted to
+    play that does neither, it leaves twice to four times the error.
+
+    Args:
+        document: to edit.
+        name: of the tendon.
+        rotor: joint.
+        load: joint.
+        gap: m or rad.
+        rate: natural frequency of rotor against load while they touch, rad/s.
+        damping: its damping ratio.
+    """
     tendon = document.add(
         "tendon",
         "fixed",
         name=document.fresh(name),
-        stiffness=stiffness,
-        damping=damping,
-        springlength=(-gap / 2, gap / 2),
+        limited="true",
+        range=(-gap / 2, gap / 2),
+        solreflimit=(-(rate**2), -2 * damping * rate),
+        solimplimit=(IMPEDANCE, IMPEDANCE, 1.0),
     )
-    document.plain(tendon, limited="auto", range="0 0", frictionloss="0", armature="0")
+    document.plain(tendon, margin="0", frictionloss="0", armature="0", stiffness="0", damping="0")
+    _between(document, tendon, rotor, load)
+
+
+def _between(document: Document, tendon: ET.Element, rotor: str, load: str) -> None:
     document.add(tendon, "joint", joint=rotor, coef=1)
     document.add(tendon, "joint", joint=load, coef=-1)

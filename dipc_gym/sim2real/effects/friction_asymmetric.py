@@ -21,6 +21,7 @@ class Asymmetric(Effect):
     place = "joint"
     law = "dry friction"
     parameters = (Parameter("forward", "N", 0.0), Parameter("backward", "N", 0.0))
+    levels = ("forward", "backward")
     rivals = ("friction.coulomb", "load.constant", "friction.stribeck")
     contains = ("friction.coulomb", "load.constant")
 

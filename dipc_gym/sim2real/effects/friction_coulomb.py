@@ -18,6 +18,7 @@ class Coulomb(Effect):
     law = "dry friction"
     linear = ("level",)
     parameters = (Parameter("level", "N", 0.0),)
+    levels = ("level",)
     rivals = ("friction.stribeck", "motor.deadzone", "friction.viscous", "transmission.backlash")
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:

@@ -25,6 +25,7 @@ class UnderLoad(Effect):
         Parameter("by_drive", "", 0.0, 2.0),
         Parameter("by_weight", "", 0.0, 2.0),
     )
+    levels = ("level",)
     rivals = ("friction.coulomb", "friction.position", "friction.viscous")
     contains = ("friction.coulomb",)
     needs_loader = True

@@ -23,6 +23,7 @@ class AlongTheWay(Effect):
         Parameter("last", "m", fixed=True),
         *(Parameter(f"level_{k + 1}", "N", 0.0) for k in range(KNOTS)),
     )
+    levels = tuple(f"level_{k + 1}" for k in range(KNOTS))
     rivals = ("load.position", "friction.coulomb", "friction.load", "load.spring")
     contains = ("friction.coulomb",)
     needs_loader = True

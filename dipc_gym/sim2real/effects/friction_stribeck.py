@@ -29,6 +29,7 @@ class Stribeck(Effect):
         Parameter("static", "N", 0.0),
         Parameter("velocity", "m/s", 1e-5, log=True),
     )
+    levels = ("level",)
     rivals = ("friction.coulomb", "friction.asymmetric", "transmission.backlash")
     contains = ("friction.coulomb",)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import SETTLE, can_split, couple, split
+from dipc_gym.sim2real.effects.coupling import SETTLE, can_split, couple, rotor_guesses, split
 
 
 class Compliance(Effect):
@@ -34,8 +34,8 @@ class Compliance(Effect):
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Resonances at two frequencies."""
         found = []
+        (small,) = rotor_guesses(evidence, (0.2,))
         for hertz in (8.0, 25.0):
-            small = 0.2 * evidence.inertia
             stiffness = small * (2 * np.pi * hertz) ** 2
             found.append(
                 {
@@ -49,7 +49,7 @@ class Compliance(Effect):
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A rotor beside the load, and a spring between them."""
         rotor, load = split(document, at, values["rotor_inertia"])
-        couple(document, f"{at}_coupling", rotor, load, values["stiffness"], values["damping"], 0.0)
+        couple(document, f"{at}_coupling", rotor, load, values["stiffness"], values["damping"])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
