@@ -16,9 +16,10 @@ from typing import Any
 
 import pytest
 
-from dipc_gym import compare, sweep
+from dipc_gym import compare, sweep, train, trainings
 from dipc_gym.compare import Comparison
 from dipc_gym.sweep import Outcome, SweepError
+from dipc_gym.train import Recipe, Training
 
 
 @dataclass(frozen=True)
@@ -203,3 +204,16 @@ def test_a_comparison_on_ray_is_the_one_made_here(cluster: Any, tmp_path: Path) 
     assert there["failures"] == {}
     assert there["rows"] == here["rows"]
     assert (tmp_path / "there" / "robustness.json").read_text() == (tmp_path / "here" / "robustness.json").read_text()
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_training_on_ray_is_the_one_made_here(cluster: Any, tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    recipe = Recipe(steps=1_000, rigs=4, stage=250, rollout=125, batch=250, width=4)
+    training = Training(compensator="feedforward", seed=5, recipe=recipe)
+    train.run(training, tmp_path / "here", quiet=True)
+    (outcome,) = trainings.run([training], tmp_path / "there", backend="ray")
+    assert outcome.failure is None
+    for name in ("training.json", "policy.json", "compensator.json"):
+        there = tmp_path / "there" / "ppo-feedforward-05" / name
+        assert there.read_bytes() == (tmp_path / "here" / name).read_bytes()
