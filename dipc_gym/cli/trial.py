@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -12,13 +13,14 @@ class Trial:
 
     A generator that knows neither the tool nor MuJoCo simulates rigs with concealed physics and writes recordings and
     a nominal model; the tool diagnoses these files in folders of their own; a scorer then opens the sealed answers.
-    Interrupted, it scores what is done, and goes on where it stopped when started again.
+    Interrupted, it scores what is done, and goes on where it stopped when started again. On a Ray cluster, the nodes
+    must share the folder.
 
     Try:
         dipc-gym trial --out trial
         dipc-gym trial --out trial --rivals
         dipc-gym trial --out trial --count 12 --seed 7
-        dipc-gym trial --out big --full --jobs 2
+        dipc-gym trial --out big --full --backend ray
     """
 
     out: Path
@@ -29,8 +31,10 @@ class Trial:
     """number of trials; without it 42, or 430 with --full"""
     full: bool = False
     """the long version"""
-    jobs: int = 1
-    """trials at a time, each on one core"""
+    jobs: int | None = None
+    """trials at a time, each on one core; without it 2, or on Ray as many as the cluster has CPUs"""
+    backend: Literal["local", "ray"] = "local"
+    """ray: on the cluster that RAY_ADDRESS names, or a Ray that is started on this machine"""
     limit: float = 1800.0
     """seconds after which a diagnosis is stopped and counts as failed"""
     rivals: bool = False
@@ -39,13 +43,24 @@ class Trial:
     def run(self) -> int:
         """Generate, diagnose, score, print the table."""
         if self.rivals:
+            from dipc_gym.trials.generate import plans
             from dipc_gym.trials.rivals import compare
 
-            compare(self.out, seed=self.seed, count=self.count, full=self.full, jobs=self.jobs)
+            rows = compare(
+                self.out, seed=self.seed, count=self.count, full=self.full, jobs=self.jobs, backend=self.backend
+            )
             print((self.out / "rivals.md").read_text())
-            return 0
+            return 1 if len(rows) < len(plans(self.seed, count=self.count, full=self.full)) else 0
         from dipc_gym.trials.run import trial
 
-        trial(self.out, seed=self.seed, count=self.count, full=self.full, jobs=self.jobs, patience=self.limit)
+        scores = trial(
+            self.out,
+            seed=self.seed,
+            count=self.count,
+            full=self.full,
+            jobs=self.jobs,
+            backend=self.backend,
+            patience=self.limit,
+        )
         print((self.out / "report.md").read_text())
-        return 0
+        return 1 if scores["open"] else 0
