@@ -24,7 +24,6 @@ from dipc_gym.sim2real.replay import replay
 from dipc_gym.sweep import Outcome, SweepError
 from dipc_gym.train import Recipe, Training
 from dipc_gym.trials.attempt import Attempt
-from dipc_gym.trials.run import swept
 
 
 @dataclass(frozen=True)
@@ -255,6 +254,9 @@ def small_trial(folder: Path, noise: float) -> Path:
 
 @pytest.mark.filterwarnings("default")
 def test_a_trial_is_diagnosed_on_ray(cluster: Any, tmp_path: Path) -> None:
+    pytest.importorskip("numba")  # the generator's, which comes along
+    from dipc_gym.trials.run import swept
+
     trial = small_trial(tmp_path / "trials" / "t001_axis", noise=1e-3)
     attempt = Attempt(folder=str(trial), seed=0, limit=120.0)
     ((name, texts),) = swept([attempt], jobs=None, backend="ray", label="diagnose")
