@@ -1,37 +1,44 @@
 """Is a friction compensator worth it to a learner? Learning curves with and without, over seeds.
 
     python -m benchmarks.learning [--seeds 5] [--compensators none llnf ideal] [--out runs/learning]
+                                  [--jobs 2] [--backend ray]
 
 PPO as `dipc-gym train-policy` has it, at its own budget of control periods, once for each seed and compensator; `none`
 commands the voltage itself. Every training is tried eight times on the way, by ten runs of 80 s, and its best policy by
-ten further runs that did not choose it. What is finished is not trained again when the benchmark is started again, and
-a training that was killed goes on. Prints medians and quartiles over the seeds and draws the curves.
+ten further runs that did not choose it. What is finished is not trained again when the benchmark is started again; a
+training that was killed on the way is. Prints medians and quartiles over the seeds and draws the curves.
 """
 
 import argparse
-import json
+import sys
 from pathlib import Path
 
 import numpy as np
 
+from dipc_gym import trainings
 from dipc_gym.policy import Policy
-from dipc_gym.train import RECIPES, Training, run
+from dipc_gym.train import RECIPES, Training
 
 ALPHA = 0.2
 NAMES = {"none": "voltage", "ideal": "ideal (true friction known)"}
 
 
-def trained(compensator, seed, out):
-    """Train, unless that has been done; the policy and its curve, one row for each trial."""
-    folder = out / f"{compensator}-{seed}"
-    training = Training(compensator=compensator, seed=seed, recipe=RECIPES["ppo"])
-    if (folder / "done").exists():
-        policy = Policy.load(folder / "policy.json")
-    else:
-        policy = run(training, folder, resume=(folder / "training.json").exists())
-        (folder / "done").touch()
-    assert json.loads((folder / "training.json").read_text()) == json.loads(json.dumps(training.to_dict())), folder
-    return policy, np.genfromtxt(folder / "curve.csv", delimiter=",", names=True)
+def trained(options):
+    """Train what is not trained yet; by compensator and seed, the policy and its curve, one row for each trial."""
+    wanted = [
+        Training(compensator=compensator, seed=seed, recipe=RECIPES["ppo"])
+        for seed in range(options.seeds)
+        for compensator in options.compensators
+    ]
+    outcomes = trainings.run(wanted, options.out, jobs=options.jobs, backend=options.backend)
+    if failed := [f"{outcome.cell.name}: {outcome.failure}" for outcome in outcomes if outcome.failure is not None]:
+        sys.exit("\n".join(failed) + "\nthe same command tries these again")
+    done = {}
+    for training, outcome in zip(wanted, outcomes, strict=True):
+        folder = options.out / outcome.cell.name
+        curve = np.genfromtxt(folder / "curve.csv", delimiter=",", names=True)
+        done[training.compensator, training.seed] = Policy.load(folder / "policy.json"), curve
+    return done
 
 
 def quartiles(values, form):
@@ -62,12 +69,13 @@ def main():
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--compensators", nargs="+", default=["none", "llnf", "ideal"])
     parser.add_argument("--out", type=Path, default=Path("runs/learning"))
+    parser.add_argument("--jobs", type=int, help="trainings at a time; without it 2, or the cluster's CPUs")
+    parser.add_argument("--backend", choices=("local", "ray"), default="local")
     parser.add_argument("--figure", type=Path, default=Path("docs/fig_learning.png"))
     options = parser.parse_args()
     if options.seeds < 1:
         parser.error("--seeds must be above zero")
-    options.out.mkdir(parents=True, exist_ok=True)
-    done = {(c, s): trained(c, s, options.out) for s in range(options.seeds) for c in options.compensators}
+    done = trained(options)
 
     curves = {c: [done[c, s][1] for s in range(options.seeds)] for c in options.compensators}
     marks = curves[options.compensators[0]][0]["steps"]

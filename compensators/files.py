@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
+from dipc_gym import untrusted
 from dipc_gym.compensators.base import (
     INPUTS,
     SCHEMA,
@@ -19,13 +18,16 @@ from dipc_gym.compensators.base import (
     number_fields,
 )
 from dipc_gym.compensators.registry import kind, names
-
-LARGEST_FILE = 10_000_000
-"""Bytes. A trained compensator takes a few thousand; whatever is larger than this is something else."""
+from dipc_gym.files import write_json
+from dipc_gym.untrusted import Format, shown
 
 
 class CompensatorError(ValueError):
     """A compensator file or dict cannot be used; the message names the file, the field and the mend."""
+
+
+FORMAT = Format("compensator file", "compensators.save", "train the compensator again", 10_000_000, CompensatorError)
+"""A trained compensator takes a few thousand bytes."""
 
 
 def save(compensator: Compensator, path: str | Path) -> None:
@@ -38,11 +40,7 @@ def save(compensator: Compensator, path: str | Path) -> None:
     Raises:
         OSError: The file cannot be written.
     """
-    path = Path(path)
-    text = json.dumps(compensator.to_dict(), indent=2, allow_nan=False)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text + "\n", encoding="utf-8")
-    partial.replace(path)
+    write_json(path, compensator.to_dict())
 
 
 def load(source: str | Path | dict[str, Any]) -> Compensator:
@@ -64,66 +62,24 @@ def load(source: str | Path | dict[str, Any]) -> Compensator:
         0.5
     """
     if isinstance(source, Mapping):
-        return _Reader("compensator dict").compensator(source)
+        return _Reader(FORMAT, "compensator dict").compensator(source)
     if not isinstance(source, str | Path):
         raise CompensatorError(f"a compensator comes from a path or a dict, not from {type(source).__name__}")
-    return _Reader(str(source)).compensator(_read(Path(source)))
+    return _Reader(FORMAT, str(source)).compensator(FORMAT.read(source))
 
 
-def _read(path: Path) -> Any:
-    try:
-        with path.open("rb") as file:
-            raw = file.read(LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise CompensatorError(
-            f"{path}: cannot be read ({reason}); give the path of a file written by compensators.save"
-        ) from error
-    if len(raw) > LARGEST_FILE:
-        raise CompensatorError(f"{path}: larger than {LARGEST_FILE} bytes; this is no compensator file")
-    if not raw.strip():
-        raise CompensatorError(f"{path}: the file is empty; save the compensator again")
-    try:
-        return json.loads(raw.decode("utf-8"))
-    except UnicodeDecodeError as error:
-        raise CompensatorError(f"{path}: not text; a compensator file is JSON in UTF-8") from error
-    except RecursionError as error:
-        raise CompensatorError(f"{path}: nested too deeply; this is no compensator file") from error
-    except ValueError as error:
-        raise CompensatorError(
-            f"{path}: not valid JSON ({error}); perhaps cut short: save the compensator again"
-        ) from error
-
-
-class _Reader:
-    """Takes a compensator from untrusted data, naming source and field where something is wrong."""
-
-    def __init__(self, source: str) -> None:
-        self.source = source
-        self.lengths: dict[str, int] = {}
-
-    def fail(self, where: str, problem: str) -> NoReturn:
-        raise CompensatorError(f"{self.source}: {where}: {problem}")
+class _Reader(untrusted.Reader):
+    """Takes a compensator from untrusted data."""
 
     def compensator(self, data: Any) -> Compensator:
-        if not isinstance(data, Mapping):
-            self.fail("top level", f"is {_kind_of(data)}; it must be an object with schema, kind, parameters")
-        schema = self.member(data, "schema", "")
-        if schema != SCHEMA:
-            self.fail(
-                "schema",
-                f"is {_short(schema)}, and this version of dipc-gym reads {SCHEMA!r}; update dipc-gym if the "
-                "file is newer, or train the compensator again",
-            )
-        self.only(data, ("schema", "kind", "inputs", "output", "parameters", "fit"), "")
-        name = self.member(data, "kind", "")
+        self.document(data, SCHEMA, ("kind", "inputs", "output", "parameters", "fit"))
+        name = data["kind"]
         if not isinstance(name, str) or name not in names():
-            self.fail("kind", f"is {_short(name)}; there are {', '.join(names())} (register an own one before loading)")
-        if self.member(data, "output", "") != {"name": "voltage", "unit": "V"}:
+            self.fail("kind", f"is {shown(name)}; there are {', '.join(names())} (register an own one before loading)")
+        if data["output"] != {"name": "voltage", "unit": "V"}:
             self.fail("output", 'must be {"name": "voltage", "unit": "V"}')
-        ranges = self.ranges(self.member(data, "inputs", ""))
-        figures = self.figures(self.member(data, "fit", ""))
-        values = self.parameters(kind(name), self.member(data, "parameters", ""))
+        ranges, figures = self.ranges(data["inputs"]), self.figures(data["fit"])
+        values = self.parameters(kind(name), data["parameters"])
         try:
             compensator = kind(name)(**values, ranges=ranges, figures=figures)
         except ValueError as error:
@@ -138,15 +94,11 @@ class _Reader:
         ranges = []
         for i, (entry, (name, unit)) in enumerate(zip(entries, INPUTS, strict=False)):
             where = f"inputs[{i}]"
-            if not isinstance(entry, Mapping):
-                self.fail(where, f"is {_kind_of(entry)}; it must be an object with name, unit, low, high")
-            self.only(entry, ("name", "unit", "low", "high"), where)
-            if self.member(entry, "name", where) != name:
-                self.fail(f"{where}.name", f"is {_short(entry['name'])}; this input must be {name!r}")
-            if self.member(entry, "unit", where) != unit:
-                self.fail(f"{where}.unit", f"is {_short(entry['unit'])}; {name} must be in {unit!r}")
-            low = self.number(self.member(entry, "low", where), f"{where}.low")
-            high = self.number(self.member(entry, "high", where), f"{where}.high")
+            self.members(entry, ("name", "unit", "low", "high"), where)
+            self.one_of(entry["name"], (name,), f"{where}.name")
+            self.one_of(entry["unit"], (unit,), f"{where}.unit")
+            low = self.number(entry["low"], f"{where}.low")
+            high = self.number(entry["high"], f"{where}.high")
             if low > high:
                 self.fail(f"{where}.low", f"is {low}, above high = {high}; exchange the two")
             ranges.append(InputRange(low, high))
@@ -155,70 +107,51 @@ class _Reader:
     def figures(self, entry: Any) -> FitFigures | None:
         if entry is None:
             return None
-        if not isinstance(entry, Mapping):
-            self.fail("fit", f"is {_kind_of(entry)}; it must be an object of fit figures, or null")
-        self.only(entry, ("train_mse", "test_mse", "train_samples", "test_samples"), "fit")
-        errors: list[float] = []
-        counts: list[int] = []
-        for name in ("train_mse", "test_mse"):
-            errors.append(self.number(self.member(entry, name, "fit"), f"fit.{name}"))
-            if errors[-1] < 0:
-                self.fail(f"fit.{name}", f"is {errors[-1]}; a mean square is not negative")
-        for name in ("train_samples", "test_samples"):
-            count = self.member(entry, name, "fit")
-            if not isinstance(count, int) or isinstance(count, bool) or count < 0:
-                self.fail(f"fit.{name}", f"is {_short(count)}; it must be a count")
-            counts.append(count)
-        return FitFigures(errors[0], errors[1], counts[0], counts[1])
+        self.members(entry, ("train_mse", "test_mse", "train_samples", "test_samples"), "fit")
+        return FitFigures(
+            train_mse=self.mean_square(entry["train_mse"], "fit.train_mse"),
+            test_mse=self.mean_square(entry["test_mse"], "fit.test_mse"),
+            train_samples=self.count(entry["train_samples"], "fit.train_samples"),
+            test_samples=self.count(entry["test_samples"], "fit.test_samples"),
+        )
 
-    def parameters(self, cls: type[Compensator], entry: Any) -> dict[str, Any]:
-        if not isinstance(entry, Mapping):
-            self.fail("parameters", f"is {_kind_of(entry)}; it must be an object")
-        fields = number_fields(cls)
-        self.only(entry, [column.name for column in fields], "parameters")
-        values = {}
-        for column in fields:
-            where = f"parameters.{column.name}"
-            shape = column.metadata.get("shape", ())
-            positive = column.metadata.get("positive", False)
-            values[column.name] = self.numbers(self.member(entry, column.name, "parameters"), shape, positive, where)
-        return values
-
-    def numbers(self, value: Any, shape: tuple[int | str, ...], positive: bool, where: str) -> Any:
-        """Read nested lists of the wanted shape into nested tuples of floats."""
-        if not shape:
-            number = self.number(value, where)
-            if positive and number <= 0:
-                self.fail(where, f"is {number}; it must be above zero")
-            return number
-        if not isinstance(value, list | tuple):
-            self.fail(where, f"is {_kind_of(value)}; it must be a list")
-        length = shape[0] if isinstance(shape[0], int) else self.lengths.setdefault(shape[0], len(value))
-        if len(value) != length or length == 0:
-            self.fail(where, f"has {len(value)} entries; it must have {length or 'at least one'}")
-        return tuple(self.numbers(item, shape[1:], positive, f"{where}[{i}]") for i, item in enumerate(value))
-
-    def number(self, value: Any, where: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            self.fail(where, f"is {_kind_of(value)}; it must be a number")
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if not math.isfinite(number):
-            self.fail(where, f"is {number}; it must be a finite number: train the compensator again")
+    def mean_square(self, value: Any, where: str) -> float:
+        number = self.number(value, where)
+        if number < 0:
+            self.fail(where, f"is {number}; a mean square is not negative")
         return number
 
-    def member(self, data: Mapping[str, Any], name: str, parent: str) -> Any:
-        if name not in data:
-            self.fail(f"{parent}.{name}" if parent else name, "is missing; save the compensator again")
-        return data[name]
+    def parameters(self, cls: type[Compensator], entry: Any) -> dict[str, Any]:
+        fields = number_fields(cls)
+        self.members(entry, [column.name for column in fields], "parameters")
+        lengths: dict[str, int] = {}
+        return {
+            column.name: self.numbers(
+                entry[column.name],
+                column.metadata.get("shape", ()),
+                self.positive if column.metadata.get("positive", False) else self.number,
+                lengths,
+                f"parameters.{column.name}",
+            )
+            for column in fields
+        }
 
-    def only(self, data: Mapping[str, Any], known: Any, parent: str) -> None:
-        for name in data:
-            if name not in known:
-                where = f"{parent}.{_short(name)}" if parent else _short(name)
-                self.fail(where, f"is unknown; there are {', '.join(known)}: remove or correct it")
+    def numbers(
+        self,
+        value: Any,
+        shape: tuple[int | str, ...],
+        read: Callable[[Any, str], float],
+        lengths: dict[str, int],
+        where: str,
+    ) -> Any:
+        """Read nested lists of the wanted shape into nested tuples of floats; lengths with a name must agree."""
+        if not shape:
+            return read(value, where)
+        wanted = shape[0] if isinstance(shape[0], int) else lengths.get(shape[0])
+        entries = self.entries(value, where, wanted)
+        if isinstance(shape[0], str):
+            lengths[shape[0]] = len(entries)
+        return tuple(self.numbers(item, shape[1:], read, lengths, f"{where}[{i}]") for i, item in enumerate(entries))
 
     def probe(self, compensator: Compensator) -> None:
         """Refuse numbers so large that the voltage overflows inside the training range."""
@@ -228,13 +161,3 @@ class _Reader:
             volts = compensator.volts(corners[0], corners[1], corners[2])
         if not np.isfinite(volts).all():
             self.fail("parameters", "give a voltage that is not finite; train the compensator again")
-
-
-def _kind_of(value: Any) -> str:
-    kinds = {dict: "an object", list: "a list", str: "text", bool: "true or false", type(None): "null"}
-    return kinds.get(type(value), f"the number {value}" if type(value) in (int, float) else "something else")
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -130,7 +130,7 @@ def read_policy(path: str | Path) -> Policy:
             weights = _member(archive, "policy.pth", path)
     except FileNotFoundError:
         raise ControllerError(f"{path}: no such policy file") from None
-    except (OSError, zipfile.BadZipFile, ValueError) as error:
+    except (OSError, zipfile.BadZipFile, ValueError, RecursionError) as error:
         if isinstance(error, ControllerError):
             raise
         raise ControllerError(f"{path}: not a policy saved by stable-baselines3 ({error})") from None

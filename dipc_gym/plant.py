@@ -14,12 +14,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dipc_gym.untrusted import Format
+
 SCHEMA = "dipc-gym/plant/1"
 MAX_DELAY = 1.0  # s; the simulation keeps that much of the past at every step
 
 
 class PlantError(ValueError):
     """A plant that cannot be; the message names file, field and mend."""
+
+
+FORMAT = Format("plant file", "Plant.write", "write it again", 1_000_000, PlantError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +183,7 @@ class Plant:
         Raises:
             PlantError: the file is missing, not JSON, of a later format, or has a wrong or unknown field.
         """
-        data = read_json(path)
+        data = FORMAT.read(path)
         try:
             return cls.from_dict(data, base)
         except PlantError as error:
@@ -317,20 +322,6 @@ class Plant:
 
 
 # ------------------------------------------------------------------------------------------------ checks
-
-
-def read_json(path: str | Path) -> Any:
-    """What a JSON file holds.
-
-    Raises:
-        PlantError: the file is missing or not JSON.
-    """
-    try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise PlantError(f"{path}: no such plant file") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise PlantError(f"{path}: not a JSON file ({error}); see Plant.write for the format") from None
 
 
 def _positive(instance: Any, *names: str, zero: bool = False) -> None:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NoReturn, cast
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import untrusted
 from dipc_gym.controllers import ControllerError
 from dipc_gym.files import write_whole
+from dipc_gym.untrusted import Format
 
 Array = NDArray[np.float64]
 Commands = Literal["force", "voltage"]
@@ -23,10 +24,12 @@ UNITS = {"force": "N", "voltage": "V"}
 OBSERVATION = (("cart", "m"), ("pole1", "rad"), ("pole2", "rad"))
 """Positions that are observed, with their units; their rates follow in the same order."""
 INPUTS = (*OBSERVATION, *((f"{name}_rate", f"{unit}/s") for name, unit in OBSERVATION))
-LARGEST_FILE = 5_000_000
-"""Bytes. A policy of two layers of 64 takes a tenth of a million."""
+FORMAT = Format("policy file", "train-policy", "copy or train the policy again", 5_000_000, ControllerError)
+"""A policy of two layers of 64 takes a tenth of a million bytes."""
 WIDEST = 1024
 DEEPEST = 8
+LARGEST = 1e300
+"""Of a learned number; sums of larger ones may overflow."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +118,8 @@ class Policy:
                 raise ValueError(
                     f"layer {i} has weights {weights.shape} and biases {biases.shape}, and gets {size} inputs"
                 )
-            if not (np.isfinite(weights).all() and np.isfinite(biases).all()):
-                raise ValueError(f"layer {i} has numbers that are not finite")
+            if not all((np.abs(numbers) < LARGEST).all() for numbers in (weights, biases)):
+                raise ValueError(f"layer {i} has numbers that are not finite, or beyond {LARGEST:g}")
             size = len(biases)
         if not self.layers or size != 1:
             raise ValueError(f"the last layer must give one number, the command; this one gives {size}")
@@ -191,7 +194,7 @@ class Policy:
                 message names file, field and mend.
         """
         path = Path(path)
-        return _Reader(str(path)).policy(_read(path), path.stem)
+        return _Reader(FORMAT, str(path)).policy(FORMAT.read(path), path.stem)
 
     def to_dict(self) -> dict[str, Any]:
         """What the file holds."""
@@ -238,78 +241,41 @@ def shipped(name: str) -> Policy:
     return Policy.load(folder / f"{name}.json")
 
 
-def _read(path: Path) -> Any:
-    try:
-        with path.open("rb") as file:
-            raw = file.read(LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ControllerError(
-            f"{path}: cannot be read ({reason}); give the path of a policy that train-policy wrote"
-        ) from None
-    if len(raw) > LARGEST_FILE:
-        raise ControllerError(f"{path}: larger than {LARGEST_FILE:,} bytes; this is no policy file")
-    try:
-        return json.loads(raw.decode("utf-8"))
-    except RecursionError:
-        raise ControllerError(f"{path}: nested too deeply; this is no policy file") from None
-    except ValueError as error:
-        raise ControllerError(
-            f"{path}: not JSON in UTF-8 ({error}); perhaps cut short: copy or train it again"
-        ) from None
-
-
-class _Reader:
-    """Takes a policy from untrusted data, naming file and field where something is wrong."""
-
-    def __init__(self, source: str) -> None:
-        self.source = source
-
-    def fail(self, where: str, problem: str) -> NoReturn:
-        raise ControllerError(f"{self.source}, {where}: {problem}")
+class _Reader(untrusted.Reader):
+    """Takes a policy from untrusted data."""
 
     def policy(self, data: Any, name: str) -> Policy:
-        if not isinstance(data, Mapping):
-            self.fail("top level", "must be a JSON object as train-policy writes it")
-        if data.get("schema") != SCHEMA:
-            self.fail(
-                "schema",
-                f"is {_short(data.get('schema'))}, and this version of dipc-gym reads {SCHEMA!r}; update dipc-gym if "
-                "the file is newer, or train the policy again",
-            )
-        keys = (
-            "schema algorithm seed steps compensator commands newtons_per_volt observation evaluation activation "
-            "squash layers"
+        fields = (
+            "algorithm seed steps compensator commands newtons_per_volt observation evaluation activation squash layers"
         )
-        self.members(data, keys.split(), "")
+        self.document(data, SCHEMA, fields.split())
         commands = self.members(data["commands"], ("name", "unit", "limit"), "commands")
         what = self.one_of(commands["name"], tuple(UNITS), "commands.name")
         self.one_of(commands["unit"], (UNITS[what],), "commands.unit")
         self.one_of(data["activation"], ("tanh",), "activation")
+        values: dict[str, Any] = {
+            "layers": self.layers(data["layers"]),
+            "commands": what,
+            "limit": self.positive(commands["limit"], "commands.limit"),
+            "newtons_per_volt": self.positive(data["newtons_per_volt"], "newtons_per_volt"),
+            "compensator": self.text(data["compensator"], "compensator"),
+            "scales": self.scales(data["observation"]),
+            "squash": self.one_of(data["squash"], ("clip", "tanh"), "squash"),
+            "algorithm": self.one_of(data["algorithm"], ("ppo", "sac"), "algorithm"),
+            "seed": self.count(data["seed"], "seed"),
+            "steps": self.count(data["steps"], "steps"),
+            "evaluation": self.evaluation(data["evaluation"]),
+        }
         try:
-            return Policy(
-                layers=self.layers(data["layers"]),
-                commands=cast(Commands, what),
-                limit=self.positive(commands["limit"], "commands.limit"),
-                newtons_per_volt=self.positive(data["newtons_per_volt"], "newtons_per_volt"),
-                compensator=self.text(data["compensator"], "compensator"),
-                scales=self.scales(data["observation"]),
-                squash=cast(Literal["clip", "tanh"], self.one_of(data["squash"], ("clip", "tanh"), "squash")),
-                algorithm=self.one_of(data["algorithm"], ("ppo", "sac"), "algorithm"),
-                seed=self.count(data["seed"], "seed"),
-                steps=self.count(data["steps"], "steps"),
-                evaluation=self.evaluation(data["evaluation"]),
-                name=name,
-            )
-        except ControllerError:
-            raise
+            return Policy(**values, name=name)
         except ValueError as error:
-            raise ControllerError(f"{self.source}: {error}; train the policy again") from None
+            raise ControllerError(f"{self.source}: {error}; {self.format.mend}") from None
 
     def scales(self, entries: Any) -> Array:
-        entries = self.sequence(entries, "observation", len(INPUTS))
         scales = []
-        for i, (entry, (name, unit)) in enumerate(zip(entries, INPUTS, strict=True)):
+        for i, (entry, (name, unit)) in enumerate(
+            zip(self.entries(entries, "observation", len(INPUTS)), INPUTS, strict=True)
+        ):
             where = f"observation[{i}]"
             self.members(entry, ("name", "unit", "scale"), where)
             self.one_of(entry["name"], (name,), f"{where}.name")
@@ -318,8 +284,8 @@ class _Reader:
         return np.array(scales)
 
     def layers(self, entries: Any) -> tuple[tuple[Array, Array], ...]:
-        entries, size, layers = self.sequence(entries, "layers"), len(INPUTS), []
-        if len(entries) > DEEPEST:
+        size, layers = len(INPUTS), []
+        if len(self.entries(entries, "layers")) > DEEPEST:
             self.fail("layers", f"has {len(entries)} layers; at most {DEEPEST} are read")
         for i, entry in enumerate(entries):
             where = f"layers[{i}]"
@@ -327,7 +293,7 @@ class _Reader:
             biases = self.numbers(entry["biases"], f"{where}.biases")
             if len(biases) > WIDEST:
                 self.fail(f"{where}.biases", f"has {len(biases)} entries; at most {WIDEST} are read")
-            rows = self.sequence(entry["weights"], f"{where}.weights", len(biases))
+            rows = self.entries(entry["weights"], f"{where}.weights", len(biases))
             weights = np.stack([self.numbers(row, f"{where}.weights[{k}]", size) for k, row in enumerate(rows)])
             layers.append((weights, biases))
             size = len(biases)
@@ -337,7 +303,7 @@ class _Reader:
         if entry is None:
             return None
         self.members(entry, ("seconds", "seeds", "held", "reward"), "evaluation")
-        seeds = self.sequence(entry["seeds"], "evaluation.seeds")
+        seeds = self.entries(entry["seeds"], "evaluation.seeds")
         return Evaluation(
             seconds=self.positive(entry["seconds"], "evaluation.seconds"),
             seeds=tuple(self.count(seed, f"evaluation.seeds[{i}]") for i, seed in enumerate(seeds)),
@@ -345,56 +311,5 @@ class _Reader:
             reward=self.number(entry["reward"], "evaluation.reward"),
         )
 
-    def members(self, data: Any, names: Sequence[str], where: str) -> Mapping[str, Any]:
-        """Exactly these, no more and no less."""
-        if not isinstance(data, Mapping):
-            self.fail(where, f"must be an object with {', '.join(names)}")
-        for name in names:
-            if name not in data:
-                self.fail(f"{where}.{name}" if where else name, "is missing; copy or train the policy again")
-        for name in data:
-            if name not in names:
-                self.fail(f"{where}.{_short(name)}" if where else _short(name), "is unknown; remove or correct it")
-        return data
-
-    def sequence(self, value: Any, where: str, length: int | None = None) -> list[Any]:
-        if not isinstance(value, list) or not value or (length is not None and len(value) != length):
-            self.fail(where, f"must be a list of {length or 'at least one'}; train the policy again")
-        return value
-
     def numbers(self, value: Any, where: str, length: int | None = None) -> Array:
-        return np.array([self.number(v, f"{where}[{i}]") for i, v in enumerate(self.sequence(value, where, length))])
-
-    def number(self, value: Any, where: str) -> float:
-        number = math.nan
-        if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300:
-            number = float(value)
-        if not math.isfinite(number):
-            self.fail(where, f"is {_short(value)}; it must be a finite number: train the policy again")
-        return number
-
-    def positive(self, value: Any, where: str) -> float:
-        number = self.number(value, where)
-        if number <= 0:
-            self.fail(where, f"is {number:g}; it must be above zero")
-        return number
-
-    def count(self, value: Any, where: str) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-            self.fail(where, f"is {_short(value)}; it must be a whole number, zero or more")
-        return value
-
-    def text(self, value: Any, where: str) -> str:
-        if not isinstance(value, str) or not 0 < len(value) <= 100:
-            self.fail(where, f"is {_short(value)}; it must be a name")
-        return value
-
-    def one_of(self, value: Any, allowed: tuple[str, ...], where: str) -> str:
-        if not isinstance(value, str) or value not in allowed:
-            self.fail(where, f"is {_short(value)}; it must be {' or '.join(map(repr, allowed))}")
-        return value
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+        return np.array([self.number(v, f"{where}[{i}]") for i, v in enumerate(self.entries(value, where, length))])

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dipc_gym.plant import MAX_DELAY, Encoders, Friction, Masses, Motor, Plant, PlantError, read_json
+from dipc_gym.plant import FORMAT, MAX_DELAY, Encoders, Friction, Masses, Motor, Plant, PlantError
 
 PARTS = {"motor": Motor, "friction": Friction, "encoders": Encoders, "masses": Masses}
 FIXED = ("supply", "control_period")  # they set the action space and the rhythm of all environments
@@ -117,7 +117,7 @@ class PlantFamily:
         if isinstance(value, Plant):
             return cls(value)
         if isinstance(value, (str, Path)):
-            data = read_json(value)
+            data = FORMAT.read(value)
             try:
                 return cls._from_dict(data, base)
             except PlantError as error:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,15 +27,32 @@ class Axis:
 
     Attributes:
         label: what tables and figures call it, with its unit.
-        usual: the value that the rig has.
         values: those that are tried, from smallest to largest, `usual` among them.
-        rig: the changed rig.
+        part: field of the plant that has the numbers; None for the plant itself.
+        scaled: the numbers that are multiplied by a value.
+        usual: the value that the rig has.
     """
 
     label: str
-    usual: float
     values: tuple[float, ...]
-    rig: Callable[[Plant, float], Plant]
+    part: Literal["friction", "encoders"] | None = None
+    scaled: tuple[str, ...] = ()
+    usual: float = 1.0
+
+    def rig(self, plant: Plant, value: float) -> Plant:
+        """The changed rig.
+
+        Raises:
+            PlantError: the rig does not say what would have to change.
+        """
+        old: Any = plant if self.part is None else getattr(plant, self.part)
+        if old is None:
+            raise PlantError(
+                "the axis friction needs a rig whose friction is a LuGre <dcmotor name='friction'>; leave it out, as "
+                f"in --robustness {','.join(name for name in AXES if name != 'friction')}"
+            )
+        new = dataclasses.replace(old, **{name: getattr(old, name) * value for name in self.scaled})
+        return new if self.part is None else dataclasses.replace(plant, **{self.part: new})
 
     def between(self, holds: Mapping[float, bool]) -> tuple[float, float] | None:
         """First and last of the values around the usual one at which it holds without a gap; None: not even there.
@@ -45,73 +63,38 @@ class Axis:
         """
         if not holds.get(self.usual):
             return None
-        low = high = self.usual
-        for value in sorted(v for v in holds if v > self.usual):
-            if not holds[value]:
-                break
-            high = value
-        for value in sorted((v for v in holds if v < self.usual), reverse=True):
-            if not holds[value]:
-                break
-            low = value
-        return low, high
-
-
-def _friction(plant: Plant, factor: float) -> Plant:
-    if plant.friction is None:
-        raise PlantError(
-            "the axis friction needs a rig whose friction is a LuGre <dcmotor name='friction'>; leave it out, as in "
-            f"--robustness {','.join(name for name in AXES if name != 'friction')}"
-        )
-    old = plant.friction
-    new = dataclasses.replace(old, coulomb=old.coulomb * factor, static=old.static * factor)
-    return dataclasses.replace(plant, friction=new)
-
-
-def _encoder(plant: Plant, factor: float) -> Plant:
-    old = plant.encoders
-    coarse = dataclasses.replace(old, cart=old.cart * factor, pole=old.pole * factor)
-    return dataclasses.replace(plant, encoders=coarse)
-
-
-def _period(plant: Plant, factor: float) -> Plant:
-    return dataclasses.replace(plant, control_period=plant.control_period * factor)
-
-
-def _supply(plant: Plant, factor: float) -> Plant:
-    return dataclasses.replace(plant, supply=plant.supply * factor)
+        above = itertools.takewhile(holds.__getitem__, sorted(v for v in holds if v >= self.usual))
+        below = itertools.takewhile(holds.__getitem__, sorted((v for v in holds if v <= self.usual), reverse=True))
+        return min(below), max(above)
 
 
 AXES = {
     "friction": Axis(
         label="dry friction, times that of training",
-        usual=1.0,
         values=(0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 3.4, 4.0, 4.8, 5.7, 6.7, 8.0),
-        rig=_friction,
+        part="friction",
+        scaled=("coulomb", "static"),
     ),
     "encoder": Axis(
         label="encoder step, times the rig's",
-        usual=1.0,
         values=(0.5, 1.0, 2.0, 2.8, 4.0, 4.8, 5.7, 6.7, 8.0, 9.5, 11.3, 13.5, 16.0),
-        rig=_encoder,
+        part="encoders",
+        scaled=("cart", "pole"),
     ),
     "period": Axis(
         label="control period, times the rig's",
-        usual=1.0,
         values=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0, 14.0, 16.0, 20.0),
-        rig=_period,
+        scaled=("control_period",),
     ),
     "supply": Axis(
         label="supply voltage, times the rig's",
-        usual=1.0,
         values=(0.12, 0.15, 0.18, 0.21, 0.25, 0.3, 0.35, 0.42, 0.5, 0.7, 1.0, 1.5),
-        rig=_supply,
+        scaled=("supply",),
     ),
     "impulse": Axis(
         label="impulse on the cart, N s",
-        usual=0.0,
         values=(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0),
-        rig=lambda plant, _: plant,
+        usual=0.0,
     ),
 }
 """Coulomb and static friction together; counts and their noise together; a blow a quarter through the run."""

@@ -259,7 +259,9 @@ class Look:
         return self.standing, self.reward
 
 
-def run(training: Training, out: str | Path, *, resume: bool = False, overwrite: bool = False) -> Policy:
+def run(
+    training: Training, out: str | Path, *, resume: bool = False, overwrite: bool = False, quiet: bool = False
+) -> Policy:
     """Train a policy and leave it in a folder.
 
     The folder gets `policy.json` (the best so far, by ten runs of 80 s at eight moments of the training), `curve.csv`
@@ -271,6 +273,7 @@ def run(training: Training, out: str | Path, *, resume: bool = False, overwrite:
         out: the folder, new or empty.
         resume: go on from the folder's checkpoint; the training must be the same. Without a checkpoint, from the start.
         overwrite: replace what an earlier training left in the folder.
+        quiet: show no progress bar.
 
     Returns:
         The best policy, judged by ten runs that did not choose it.
@@ -299,7 +302,7 @@ def run(training: Training, out: str | Path, *, resume: bool = False, overwrite:
     recipe = training.recipe
     began = time.monotonic() - (looks[-1].seconds if looks else 0.0)
     every = math.ceil(recipe.steps / LOOKS)
-    bar = tqdm(total=recipe.steps, initial=learner.steps, desc="train", unit=" periods", unit_scale=True)
+    bar = tqdm(total=recipe.steps, initial=learner.steps, desc="train", unit=" periods", unit_scale=True, disable=quiet)
 
     def watch() -> None:
         bar.update(learner.steps - bar.n)

@@ -67,7 +67,7 @@ def test_train_record_render_go_together(tmp_path: Path, capsys: pytest.CaptureF
         (["train", "--out", "new.json", "--compensator", "x"], "there is no compensator 'x'"),
         (["train", "--out", "no/new.json"], "there is no folder"),
         (["train", "--out", "new.json", "--recording", "none.csv"], "none.csv"),
-        (["record", "--out", "new.csv", "--plant", "full/file"], "not a JSON file"),
+        (["record", "--out", "new.csv", "--plant", "full/file"], "not JSON"),
         (["record", "--out", "new.mat", "--seconds", "0.5"], "new.mat"),
         (["render", "--out", "new.png"], "only .gif"),
         (["render", "--out", "new.gif", "--model", "full/file"], "full/file"),

@@ -164,7 +164,7 @@ def test_folder_that_is_not_empty_is_refused(tmp_path: Path) -> None:
         ({"compensators": ()}, "at least one"),
         ({"seeds": 0}, "at least one"),
         ({"seconds": 0.0}, "positive length"),
-        ({"plant": "missing.json"}, "no such plant file"),
+        ({"plant": "missing.json"}, "missing.json: cannot be read"),
         ({"recording": "missing.csv"}, "missing.csv"),
         ({"model": "missing.xml"}, "no such model file"),
     ],

@@ -118,6 +118,7 @@ def test_broken_policy_files_are_refused(tmp_path: Path) -> None:
     refused(changed(file, target, data=None), "no part 'data'")
     refused(changed(file, target, data=b"[1]"), "not a JSON object")
     refused(changed(file, target, data=b"{"), "not a policy saved")
+    refused(changed(file, target, data=b"[" * 100_000), "not a policy saved")
     refused(edited(file, target, use_sde=True), "state-dependent exploration")
     refused(edited(file, target, action_space={"low": "?", "high": "?"}), "no readable limits")
     refused(edited(file, target, action_space={"low": "[3]", "high": "[-3]"}), "goes from 3")

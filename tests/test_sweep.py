@@ -14,11 +14,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import mujoco
+import numpy as np
 import pytest
 
-from dipc_gym import compare, sweep
+from dipc_gym import compare, sweep, train, trainings
 from dipc_gym.compare import Comparison
+from dipc_gym.sim2real.replay import replay
 from dipc_gym.sweep import Outcome, SweepError
+from dipc_gym.train import Recipe, Training
+from dipc_gym.trials.attempt import Attempt
 
 
 @dataclass(frozen=True)
@@ -203,3 +208,62 @@ def test_a_comparison_on_ray_is_the_one_made_here(cluster: Any, tmp_path: Path) 
     assert there["failures"] == {}
     assert there["rows"] == here["rows"]
     assert (tmp_path / "there" / "robustness.json").read_text() == (tmp_path / "here" / "robustness.json").read_text()
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_training_on_ray_is_the_one_made_here(cluster: Any, tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    recipe = Recipe(steps=1_000, rigs=4, stage=250, rollout=125, batch=250, width=4)
+    training = Training(compensator="feedforward", seed=5, recipe=recipe)
+    train.run(training, tmp_path / "here", quiet=True)
+    (outcome,) = trainings.run([training], tmp_path / "there", backend="ray")
+    assert outcome.failure is None
+    for name in ("training.json", "policy.json", "compensator.json"):
+        there = tmp_path / "there" / "ppo-feedforward-05" / name
+        assert there.read_bytes() == (tmp_path / "here" / name).read_bytes()
+
+
+AXIS = """<mujoco model="axis">
+  <option timestep="0.0005" integrator="implicitfast"/>
+  <worldbody>
+    <body>
+      <inertial pos="0 0 0" mass="0.1" diaginertia="0.0002 0.0002 0.0002"/>
+      <joint name="axis" type="hinge" axis="0 0 1" damping="0.0002"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="axis" gear="0.02"/></actuator>
+  <sensor><jointpos name="axis" joint="axis"/></sensor>
+</mujoco>"""
+
+
+def small_trial(folder: Path, noise: float) -> Path:
+    """A trial in which nothing is missing, of 2 s."""
+    folder.mkdir(parents=True)
+    (folder / "nominal.xml").write_text(AXIS)
+    rng = np.random.default_rng(0)
+    for name in ("train_1", "train_2", "test"):
+        model = mujoco.MjModel.from_xml_string(AXIS)
+        data, rows, phase = mujoco.MjData(model), ["time,motor,axis"], rng.uniform(0.0, 6.0)
+        for k in range(1_000):
+            data.ctrl[0] = round(np.sin(phase + 12.0 * k * 0.002) + 0.5 * np.sin(40.0 * k * 0.002), 6)
+            rows.append(f"{k * 0.002:.3f},{data.ctrl[0]},{data.qpos[0] + noise * rng.standard_normal():.9g}")
+            mujoco.mj_step(model, data, 4)
+        (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_trial_is_diagnosed_on_ray(cluster: Any, tmp_path: Path) -> None:
+    pytest.importorskip("numba")  # the generator's, which comes along
+    from dipc_gym.trials.run import swept
+
+    trial = small_trial(tmp_path / "trials" / "t001_axis", noise=1e-3)
+    attempt = Attempt(folder=str(trial), seed=0, limit=120.0)
+    ((name, texts),) = swept([attempt], jobs=None, backend="ray", label="diagnose")
+    note = json.loads(texts["attempt.json"])
+    assert (name, note["failure"], note["replay_failure"]) == ("t001_axis", None, None)
+    assert {"diagnosis.json", "improved.xml", "report.html"} < set(texts)
+    assert list(tmp_path.iterdir()) == [trial.parent]  # all comes back; nothing is written here
+    (tmp_path / "improved.xml").write_text(texts["improved.xml"])
+    here = replay(tmp_path / "improved.xml", trial / "test.csv", window=0.25, step=0.001, threads=1)
+    assert note["sensor_errors"] == {"axis": here.sensors[0].error}

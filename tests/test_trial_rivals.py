@@ -115,14 +115,14 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
         (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(answer))
     asked = []
 
-    def contend(folder, sealed, result):
-        asked.append(folder.name)
-        result.mkdir(parents=True)
-        note = {"sysid": {"error": 20.0, "seconds": 9.0}, "network": {"error": 4.0, "seconds": 3.0}}
-        (result / "rivals.json").write_text(json.dumps(note))
+    def swept(contests, **_):
+        for contest in contests:
+            asked.append(contest.name)
+            assert contest.noise == (1e-5,)
+            yield contest.name, {"sysid": {"error": 20.0, "seconds": 9.0}, "network": {"error": 4.0, "seconds": 3.0}}
 
     monkeypatch.setattr(rivals, "generate", lambda out, **_: plans)
-    monkeypatch.setattr(rivals, "contend", contend)
+    monkeypatch.setattr(rivals, "swept", swept)
     done = tmp_path / "results" / plans[1].name
     rivals.compare(tmp_path, seed=1)
     (done / "attempt.json").write_text(json.dumps({"sensor_errors": {"cart": 1.1e-5}}))

@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("numba")
 
 import dipc_gym
-from dipc_gym.trials import catalogue, generate, integrator, judge, publish, rigs, run, score, windows
+from dipc_gym.trials import attempt, catalogue, generate, integrator, judge, publish, rigs, run, score, windows
 from dipc_gym.trials.plant import SIZE, index
 
 PACKAGE = Path(dipc_gym.__file__).parent
@@ -669,6 +669,12 @@ def folder_with_recordings(tmp_path):
     return folder
 
 
+def attempted(folder, *, limit=60.0):
+    """What an attempt gives: its note, and all files by name."""
+    texts = attempt.Attempt(folder=str(folder), seed=0, limit=limit).run()
+    return json.loads(texts["attempt.json"]), texts
+
+
 def test_the_tool_sees_what_it_is_given_and_nothing_else(tmp_path, monkeypatch):
     body = """
 out = pathlib.Path(args[args.index("--out") + 1])
@@ -676,33 +682,32 @@ out.mkdir(parents=True)
 (out / "diagnosis.json").write_text(json.dumps({"args": args, "files": sorted(os.listdir())}))
 """
     monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, body))
-    found = run.run_tool(folder_with_recordings(tmp_path), tmp_path / "result", seed=3)
+    found = attempt.run_tool(folder_with_recordings(tmp_path), tmp_path / "result", seed=3)
     assert found["files"] == ["nominal.xml", "train_1.csv", "train_2.csv"]
     assert found["args"][:4] == ["diagnose", "nominal.xml", "train_1.csv", "train_2.csv"]
 
 
 def test_a_tool_that_breaks_is_noted_with_its_last_words(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, 'sys.exit("out of ideas")'))
-    note = run.attempt(folder_with_recordings(tmp_path), tmp_path / "result", seed=0)
+    note, texts = attempted(folder_with_recordings(tmp_path))
     assert "out of ideas" in note["failure"]
     assert note["sensor_errors"] is None
-    assert json.loads((tmp_path / "result" / "attempt.json").read_text()) == note
+    assert list(texts) == ["attempt.json"]
     monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, "import time; time.sleep(30)"))
     with pytest.raises(RuntimeError, match="took longer"):
-        run.run_tool(tmp_path / "trials" / "t001_cart", tmp_path / "result", patience=0.5)
+        attempt.run_tool(tmp_path / "trials" / "t001_cart", tmp_path / "result", patience=0.5)
 
 
 def test_time_that_is_up_is_told_and_an_interruption_is_no_failure(tmp_path, monkeypatch):
     folder = folder_with_recordings(tmp_path)
     monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, "import time; time.sleep(30)"))
-    note = run.attempt(folder, tmp_path / "slow", seed=0, patience=0.5)
+    note, _ = attempted(folder, limit=0.5)
     assert note["timed_out"]
     assert note["limit"] == 0.5
     assert judge.judge(sealed(), said(one("friction.coulomb")), note).verdict == "failed"
     monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, "sys.exit(130)"))
     with pytest.raises(KeyboardInterrupt):
-        run.attempt(folder, tmp_path / "stopped", seed=0)
-    assert not (tmp_path / "stopped" / "attempt.json").exists()
+        attempted(folder)
 
 
 def test_a_diagnosis_that_cannot_be_read_or_replayed_is_noted(tmp_path, monkeypatch):
@@ -713,13 +718,28 @@ out.mkdir(parents=True)
 (out / "diagnosis.json").write_text('{"verdict"')
 """
     monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, torn))
-    assert "is not JSON" in run.attempt(folder, tmp_path / "torn", seed=0)["failure"]
+    note, texts = attempted(folder)
+    assert "is not JSON" in note["failure"]
+    assert texts["diagnosis.json"] == '{"verdict"'
     whole = torn.replace("""'{"verdict"'""", """'{"verdict": "consistent"}'""")
     whole = "if args[0] == 'replay': sys.exit('no window')\n" + whole
     monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, whole))
-    note = run.attempt(folder, tmp_path / "whole", seed=0)
+    note, _ = attempted(folder)
     assert note["failure"] is None
     assert "no window" in note["replay_failure"]
+
+
+def given_back(note):
+    """What an attempt gives that said nothing is missing."""
+    return {"attempt.json": json.dumps(note), "diagnosis.json": json.dumps(said(verdict="consistent"))}
+
+
+def test_what_breaks_off_is_said_and_stays_open(tmp_path, capsys):
+    gone = attempt.Attempt(folder=str(tmp_path / "t001_cart"), seed=0, limit=1.0)
+    assert list(run.swept([gone], jobs=1, backend="local", label="diagnose")) == []
+    said = capsys.readouterr().err
+    assert "t001_cart: FileNotFoundError" in said
+    assert "the same command tries it again" in said
 
 
 def test_ctrl_c_scores_what_is_done(tmp_path, monkeypatch):
@@ -728,15 +748,14 @@ def test_ctrl_c_scores_what_is_done(tmp_path, monkeypatch):
     for plan in plans:
         (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(sealed("null", []) | {"trial": plan.name}))
 
-    def attempt(folder, result, *, seed, patience):
-        if folder.name == plans[1].name:
-            raise KeyboardInterrupt
-        result.mkdir(parents=True)
-        (result / "diagnosis.json").write_text(json.dumps(said(verdict="consistent")))
-        (result / "attempt.json").write_text(json.dumps(FINE))
+    def swept(cells, **_):
+        for cell in cells:
+            if cell.name == plans[1].name:
+                raise KeyboardInterrupt
+            yield cell.name, given_back(FINE)
 
     monkeypatch.setattr(run, "generate", lambda out, **_: plans)
-    monkeypatch.setattr(run, "attempt", attempt)
+    monkeypatch.setattr(run, "swept", swept)
     with pytest.raises(KeyboardInterrupt):
         run.trial(tmp_path, seed=1)
     assert "1 trials, 0 failed (0 of them out of time), 1 open" in (tmp_path / "report.md").read_text()
@@ -750,15 +769,14 @@ def test_a_run_that_was_stopped_goes_on_and_tries_failures_again(tmp_path, monke
         (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(answer))
     asked = []
 
-    def attempt(folder, result, *, seed, patience):
-        asked.append(folder.name)
-        result.mkdir(parents=True, exist_ok=True)
-        fails = folder.name == plans[1].name and len(asked) <= 3
-        (result / "diagnosis.json").write_text(json.dumps(said(verdict="consistent")))
-        (result / "attempt.json").write_text(json.dumps(FINE | {"failure": "broke" if fails else None}))
+    def swept(cells, **_):
+        for cell in cells:
+            asked.append(cell.name)
+            fails = cell.name == plans[1].name and len(asked) <= 3
+            yield cell.name, given_back(FINE | {"failure": "broke" if fails else None})
 
     monkeypatch.setattr(run, "generate", lambda out, **_: plans)
-    monkeypatch.setattr(run, "attempt", attempt)
+    monkeypatch.setattr(run, "swept", swept)
     run.trial(tmp_path, seed=1)
     assert asked == [plan.name for plan in plans]
     scores = run.trial(tmp_path, seed=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,36 +66,58 @@ class RecordRun(
         if not hasattr(self._inner, "encoders"):
             raise TypeError(f"{self._inner} has no encoders; RecordRun goes around DIPC-Friction-v0")
         self.folder = recordings_folder(folder, name, suffix, overwrite)
-        self._name, self._suffix, self._overwrite = name, suffix, overwrite
-        self._episode = 0
-        self._recorder = recording.Recorder(["motor"], SENSORS)
+        self._episodes = EpisodeFiles(self.folder, name, suffix, overwrite)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Finish the file of the last episode and start another."""
-        self._finish()
+        self._episodes.finish()
         return self.env.reset(seed=seed, options=options)
 
     def step(self, action: NDArray[Any]) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
         """Step, and note what the encoders read before it and the voltage that was applied."""
         time, readings = self._inner.time, self._inner.encoders
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self._recorder.append(time, [info["voltage"]], readings)
+        self._episodes.append(time, info["voltage"], readings)
         if terminated or truncated:
-            self._finish()
+            self._episodes.finish()
         return observation, reward, terminated, truncated, info
 
     def close(self) -> None:
         """Finish the last file."""
-        self._finish()
+        self._episodes.finish()
         self.env.close()
 
-    def _finish(self) -> None:
+
+class EpisodeFiles:
+    """The recordings of one rig: each of its episodes is a file `NAME-0`, `NAME-1` and so on.
+
+    Args:
+        folder: where they go.
+        name: what they are called.
+        suffix: `"csv"`, `"npz"` or `"parquet"`.
+        overwrite: replace files that are there.
+    """
+
+    def __init__(self, folder: Path, name: str, suffix: str, overwrite: bool) -> None:
+        self._folder, self._name, self._suffix, self._overwrite = folder, name, suffix, overwrite
+        self._episode = 0
+        self._begin()
+
+    def append(self, time: float, voltage: float, readings: Sequence[float] | Array) -> None:
+        """Note when a control period began, s, the voltage that was applied in it, and the readings before it."""
+        self._recorder.append(time, [voltage], readings)
+
+    def finish(self) -> None:
+        """Write the episode, if there is anything of it, and begin the next."""
         if not len(self._recorder):
             return
-        path = self.folder / f"{self._name}-{self._episode}.{self._suffix}"
-        recorder, self._recorder = self._recorder, recording.Recorder(["motor"], SENSORS)
+        recorder, path = self._recorder, self._folder / f"{self._name}-{self._episode}.{self._suffix}"
         self._episode += 1
+        self._begin()
         recording.write(recorder.recording(path.stem), path, overwrite=self._overwrite)
+
+    def _begin(self) -> None:
+        self._recorder = recording.Recorder(["motor"], SENSORS)
 
 
 def recordings_folder(folder: str | Path, name: str, suffix: str, overwrite: bool) -> Path:

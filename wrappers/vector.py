@@ -12,10 +12,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from dipc_gym.compensators import Compensator
-from dipc_gym.sim2real import recording
 from dipc_gym.vector import DIPCFrictionVectorEnv
 from dipc_gym.wrappers.force_command import force_range, frozen_compensator
-from dipc_gym.wrappers.record import SENSORS, recordings_folder
+from dipc_gym.wrappers.record import EpisodeFiles, recordings_folder
 
 Array = NDArray[np.float64]
 
@@ -134,9 +133,7 @@ class VectorRecordRun(VectorWrapper[Any, Any, Any, Any, Any]):
         super().__init__(env)
         self._inner = _own(env)
         self.folder = recordings_folder(folder, name, suffix, overwrite)
-        self._name, self._suffix, self._overwrite = name, suffix, overwrite
-        self._episodes = [0] * self.num_envs
-        self._recorders = [recording.Recorder(["motor"], SENSORS) for _ in range(self.num_envs)]
+        self._episodes = [EpisodeFiles(self.folder, f"{name}-{i}", suffix, overwrite) for i in range(self.num_envs)]
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -156,7 +153,7 @@ class VectorRecordRun(VectorWrapper[Any, Any, Any, Any, Any]):
             volts = np.where(ended, infos["final_info"]["voltage"], volts)
         stepped = np.flatnonzero(~self._inner.began | ended)  # not those that spent the step on their reset
         for i in stepped:
-            self._recorders[i].append(times[i], [float(volts[i])], readings[i])
+            self._episodes[i].append(times[i], float(volts[i]), readings[i])
         self._finish(np.flatnonzero(ended))
         return result
 
@@ -167,12 +164,7 @@ class VectorRecordRun(VectorWrapper[Any, Any, Any, Any, Any]):
 
     def _finish(self, rows: NDArray[np.intp]) -> None:
         for i in rows:
-            recorder = self._recorders[i]
-            if len(recorder):
-                path = self.folder / f"{self._name}-{i}-{self._episodes[i]}.{self._suffix}"
-                self._recorders[i] = recording.Recorder(["motor"], SENSORS)
-                self._episodes[i] += 1
-                recording.write(recorder.recording(path.stem), path, overwrite=self._overwrite)
+            self._episodes[i].finish()
 
 
 def _own(env: VectorEnv[Any, Any, Any]) -> DIPCFrictionVectorEnv:

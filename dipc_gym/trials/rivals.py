@@ -8,55 +8,67 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dipc_gym import sweep
+from dipc_gym.files import write_json
+from dipc_gym.sweep import Backend
 from dipc_gym.trials.generate import generate
 from dipc_gym.trials.judge import CLEAR, in_noise
+from dipc_gym.trials.run import processes, swept
 
 NAMES = {"sysid": "`mujoco.sysid` refit", "network": "residual network"}
 
 
-def contend(folder: Path, sealed: Path, result: Path) -> dict[str, Any]:
-    """Fit both rivals to one trial and note their held-out errors in `rivals.json`.
+@dataclass(frozen=True, kw_only=True)
+class Contest:
+    """Fit both rivals to one trial, and measure their held-out errors.
 
-    Args:
-        folder: trial folder.
-        sealed: its answer; only the sensors' noise is taken from it.
-        result: where `rivals.json` goes.
-
-    Returns:
-        `seconds` and `error` (in units of noise) of each rival, and sysid's `factors`.
+    Attributes:
+        folder: of the trial; other nodes need it under the same path.
+        noise: of the sensors, SI units; all that is taken from the sealed answer.
     """
-    import mujoco
 
-    from dipc_gym.mjcf import quiet_mujoco
-    from dipc_gym.trials.network import learn
-    from dipc_gym.trials.refit import refit
-    from dipc_gym.trials.replayed import Motion, error
+    folder: str
+    noise: tuple[float, ...]
 
-    quiet_mujoco()
-    noise = np.array(list(json.loads(sealed.read_text(encoding="utf-8"))["noise"].values()))
-    motions = [Motion.read(folder / f"train_{k}.csv") for k in (1, 2)]
-    test = Motion.read(folder / "test.csv")
-    begun = time.perf_counter()
-    model, factors = refit(folder / "nominal.xml", motions, noise)
-    note: dict[str, Any] = {"sysid": {"seconds": time.perf_counter() - begun, "factors": factors}}
-    note["sysid"]["error"] = error(model, test, noise)
-    nominal = mujoco.MjModel.from_xml_path(str(folder / "nominal.xml"))
-    begun = time.perf_counter()
-    force = learn(nominal, motions, noise)
-    note["network"] = {"seconds": time.perf_counter() - begun, "kept": force is not None}
-    note["network"]["error"] = error(nominal, test, noise, force)
-    result.mkdir(parents=True, exist_ok=True)
-    (result / "rivals.json").write_text(json.dumps(note, indent=1), encoding="utf-8")
-    return note
+    @property
+    def name(self) -> str:
+        """Of the trial."""
+        return Path(self.folder).name
+
+    def run(self) -> dict[str, Any]:
+        """Fit; `seconds` and `error` (in units of noise) of each rival, and sysid's `factors`."""
+        import mujoco
+
+        from dipc_gym.mjcf import quiet_mujoco
+        from dipc_gym.trials.network import learn
+        from dipc_gym.trials.refit import refit
+        from dipc_gym.trials.replayed import Motion, error
+
+        quiet_mujoco()
+        folder, noise = Path(self.folder), np.array(self.noise)
+        motions = [Motion.read(folder / f"train_{k}.csv") for k in (1, 2)]
+        test = Motion.read(folder / "test.csv")
+        begun = time.perf_counter()
+        model, factors = refit(folder / "nominal.xml", motions, noise)
+        note: dict[str, Any] = {"sysid": {"seconds": time.perf_counter() - begun, "factors": factors}}
+        note["sysid"]["error"] = error(model, test, noise)
+        nominal = mujoco.MjModel.from_xml_path(str(folder / "nominal.xml"))
+        begun = time.perf_counter()
+        force = learn(nominal, motions, noise)
+        note["network"] = {"seconds": time.perf_counter() - begun, "kept": force is not None}
+        note["network"]["error"] = error(nominal, test, noise, force)
+        return note
 
 
 def compare(
-    out: Path, *, seed: int = 1, count: int | None = None, full: bool = False, jobs: int = 1
+    out: Path, *, seed: int = 1, count: int | None = None, full: bool = False, jobs: int | None = None,
+    backend: Backend = "local",
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Give the trials of a folder to the rivals, and write `rivals.md` and `rivals.json`.
 
@@ -67,35 +79,41 @@ def compare(
         seed: see `dipc_gym.trials.run.trial`.
         count: likewise.
         full: likewise.
-        jobs: trials at a time.
+        jobs: likewise.
+        backend: likewise.
 
     Returns:
-        One entry a trial: what was hidden, and everybody's held-out error in units of noise.
+        One entry a trial that they have seen: what was hidden, and everybody's held-out error in units of noise.
     """
-    from joblib import Parallel, delayed
-    from tqdm import tqdm
-
-    made = generate(out, seed=seed, count=count, full=full, jobs=jobs)
-    places = {plan.name: (out / "trials" / plan.name, out / "sealed" / f"{plan.name}.json") for plan in made}
-    open_ones = [name for name in places if not (out / "results" / name / "rivals.json").exists()]
+    sweep.check(jobs, backend)
+    made = generate(out, seed=seed, count=count, full=full, jobs=processes(jobs, backend))
+    names = [plan.name for plan in made]
+    contests = [
+        Contest(folder=str((out / "trials" / name).absolute()), noise=tuple(_answer(out, name)["noise"].values()))
+        for name in names
+        if not (out / "results" / name / "rivals.json").exists()
+    ]
     try:
-        runs = Parallel(n_jobs=jobs, return_as="generator_unordered")(
-            delayed(contend)(*places[name], out / "results" / name) for name in open_ones
-        )
-        for _ in tqdm(runs, total=len(open_ones), desc="rivals", disable=None):
-            pass
+        for name, note in swept(contests, jobs=jobs, backend=backend, label="rivals"):
+            (out / "results" / name).mkdir(parents=True, exist_ok=True)
+            write_json(out / "results" / name / "rivals.json", note)
     finally:
-        rows = [row for name in places if (row := _row(out, name))]
+        rows = [row for name in names if (row := _row(out, name))]
         (out / "rivals.json").write_text(json.dumps({"seed": seed, "trials": rows}, indent=1), encoding="utf-8")
         (out / "rivals.md").write_text(markdown(rows, seed=seed), encoding="utf-8")
     return rows
+
+
+def _answer(out: Path, name: str) -> dict[str, Any]:
+    answer: dict[str, Any] = json.loads((out / "sealed" / f"{name}.json").read_text(encoding="utf-8"))
+    return answer
 
 
 def _row(out: Path, name: str) -> dict[str, Any] | None:
     note, attempt = (out / "results" / name / file for file in ("rivals.json", "attempt.json"))
     if not note.exists():
         return None
-    answer = json.loads((out / "sealed" / f"{name}.json").read_text(encoding="utf-8"))
+    answer = _answer(out, name)
     rivals = json.loads(note.read_text(encoding="utf-8"))
     ours = json.loads(attempt.read_text(encoding="utf-8"))["sensor_errors"] if attempt.exists() else None
     return {

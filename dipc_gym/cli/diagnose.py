@@ -1,0 +1,123 @@
+"""`dipc-gym diagnose`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from dipc_gym.cli.options import free, pairs
+
+
+@dataclass(frozen=True)
+class Diagnose:
+    """Find the physics that a model lacks, say it in a sentence, and write it back as MJCF.
+
+    The model is any MuJoCo model of hinge and slide joints without contacts whose sensors determine the joints. The
+    recordings are cut into windows of 0.25 s. First the model's own numbers are refitted, which is the fair rival of
+    any new physics. Then every effect of the catalogue is tried at every place it can act, and kept only if it
+    predicts windows that no fit has seen clearly better. What is reported was judged on data that no choice has
+    touched: the recordings given with --held-out, else the last quarter of each.
+
+    The folder gets diagnosis.json (all of it, for programs), improved.xml (your model with what was missing, which
+    stock MuJoCo loads) and report.html (to read).
+
+    Try:
+        dipc-gym diagnose rig.xml run_1.csv run_2.csv --out diagnosis
+        dipc-gym diagnose rig.xml run_1.csv --held-out run_2.csv --out diagnosis
+        dipc-gym diagnose rig.xml log.csv --unit theta1=deg --map u=motor --fix cart.mass --out diagnosis
+        dipc-gym diagnose rig.xml log.csv --prior motor.resistance=1.2+-0.05 --design next.csv --out diagnosis
+    """
+
+    model: tyro.conf.Positional[Path]
+    """MJCF file"""
+    recordings: tyro.conf.Positional[tuple[Path, ...]]
+    """recordings: .csv, .parquet or .npz"""
+    out: Path
+    """folder for the results"""
+    held_out: tuple[Path, ...] = ()
+    """recordings for judging only"""
+    fix: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """number of the model that is right, as cart.mass; may be repeated"""
+    prior: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """what you know of a number, as motor.resistance=1.2+-0.05; may be repeated"""
+    map: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """column=name: which column of the files is which name in the model; may be repeated"""
+    unit: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """name=unit: unit of a column, such as deg, mm or ms; may be repeated"""
+    jobs: int = 0
+    """threads of the simulations; 0 for all cores"""
+    seed: int = 0
+    """kept in the provenance; the diagnosis draws nothing at random"""
+    design: Path | None = None
+    """file for the command that the next experiment should send"""
+    overwrite: bool = False
+    """replace files that exist"""
+
+    def run(self) -> int:
+        """Diagnose, write, and say it in a sentence."""
+        import shlex
+
+        from dipc_gym import mjcf
+        from dipc_gym.sim2real import present, recording
+        from dipc_gym.sim2real.diagnosis import Wishes, diagnose
+
+        if self.jobs < 0:
+            raise ValueError(f"--jobs {self.jobs}: give the number of threads, or 0 for all cores")
+        if not self.recordings:
+            raise ValueError("name at least one recording after the model")
+        present.check_free(self.out, self.overwrite)
+        if self.design is not None:
+            free(self.design, self.overwrite)
+        source = mjcf.read(self.model)
+        model = mjcf.compile(source)
+        mapping, units = pairs("map", self.map), pairs("unit", self.unit)
+        fitted = recording.read_all(self.recordings, model, mapping=mapping, units=units)
+        judged = recording.read_all(self.held_out, model, mapping=mapping, units=units)
+        wishes = Wishes(self.fix, {key: _spread(key, text) for key, text in pairs("prior", self.prior).items()})
+        found = diagnose(source, fitted, judged, wishes=wishes, seed=self.seed, threads=self.jobs, tell=_progress())
+        for note in found.notes:
+            print(f"note: {note}")
+        command = shlex.join(["dipc-gym", *sys.argv[1:]])
+        present.save(found, self.out, model=self.model.name, command=command, overwrite=self.overwrite)
+        print(f"\n{found.verdict.upper()}. {found.sentence}")
+        for missing in found.missing:
+            print(f"  {missing.effect} at {missing.at}, {100 * missing.share:.0f} % of the improvement")
+        if found.next_experiment:
+            print(f"Next: {found.next_experiment}")
+        lacking = [f"{m.effect} at {m.at}" for m in found.missing if m.needs_loader]
+        if lacking:
+            print(f"Stock MuJoCo leaves out {', '.join(lacking)}; load improved.xml with dipc_gym.physics.load.")
+        if self.design is not None and found.work is not None:
+            from dipc_gym.sim2real import design
+
+            work = found.work
+            proposed = design.propose(
+                work.contenders(), work.prepared.problem, work.recordings, work.prepared.motions, seed=self.seed
+            )
+            recording.write(proposed.commands, self.design, overwrite=self.overwrite)
+            print(f"{self.design}: {proposed.sentence}")
+        print(f"results in {self.out}")
+        return 0
+
+
+def _spread(key: str, text: str) -> tuple[float, float]:
+    """Mean and standard deviation of `1.2+-0.05`."""
+    mean, between, spread = text.partition("+-")
+    try:
+        if not between:
+            raise ValueError
+        return float(mean), float(spread)
+    except ValueError:
+        raise ValueError(f"--prior {key}={text}: write it as {key}=1.2+-0.05, mean and standard deviation") from None
+
+
+def _progress() -> Callable[[str], None]:
+    """Prints lines of progress with the seconds since the start."""
+    import time
+
+    began = time.monotonic()
+    return lambda line: print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)

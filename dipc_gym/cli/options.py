@@ -1,0 +1,40 @@
+"""What options of several subcommands have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def listed(names: str) -> tuple[str, ...]:
+    """Names with commas between, each once."""
+    return tuple(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
+
+
+def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
+    """The two sides of options like `--unit theta1=deg`.
+
+    Raises:
+        ValueError: there is no equals sign, or a left side stands there twice.
+    """
+    found: dict[str, str] = {}
+    for text in texts:
+        left, equals, right = text.rpartition("=")
+        if not (left and equals and right):
+            raise ValueError(f"--{option} {text}: write it with an equals sign between, such as --{option} a=b")
+        if left in found:
+            raise ValueError(f"--{option} names {left!r} twice")
+        found[left] = right
+    return found
+
+
+def free(path: Path, overwrite: bool) -> None:
+    """Refuse to write over a file, before any work is done.
+
+    Raises:
+        OSError: it exists and `overwrite` is not set, or its folder does not exist.
+    """
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists; choose another name or say --overwrite")
+    if not path.absolute().parent.is_dir():
+        raise FileNotFoundError(f"{path}: there is no folder {path.absolute().parent}")

@@ -1,0 +1,121 @@
+"""`dipc-gym record` and `dipc-gym render`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from dipc_gym.cli.options import free
+
+
+@dataclass(frozen=True)
+class Record:
+    """Simulate a run of the rig and write it as a recording.
+
+    A balancing run has the columns time, motor, cart, pole1 and pole2: replay, diagnose or render it. In an
+    identification run the poles are locked and have no columns: train from it. To replay it takes a model without them.
+
+    Try:
+        dipc-gym record --out balance.csv --compensator llnf --seconds 20
+        dipc-gym record --out sweep.parquet --experiment identification
+    """
+
+    out: Path
+    """file to write: .csv, .npz or .parquet"""
+    experiment: Literal["balance", "identification"] = "balance"
+    """balance the poles, or sweep the voltage with the poles locked"""
+    controller: str = "lqr"
+    """lqr, or a policy: our own (.json), or one of stable-baselines3 (.zip)"""
+    compensator: str = "none"
+    """a name, trained for this on a simulated run, or a saved compensator (.json)"""
+    seconds: float = 80.0
+    """length of a balancing run, s"""
+    plant: str | None = None
+    """JSON file of the plant"""
+    model: str | None = None
+    """MJCF file of the rig"""
+    seed: int = 0
+    """of starting state and noise"""
+    overwrite: bool = False
+    """replace the file if it exists"""
+
+    def run(self) -> int:
+        """Simulate and write."""
+        from dipc_gym import controllers, runs
+        from dipc_gym.sim2real import recording
+
+        free(self.out, self.overwrite)
+        if self.experiment == "identification":
+            run = runs.identify(self.plant, model=self.model, seed=self.seed).run
+        else:
+            brain = controllers.load(self.controller)
+            compensator = runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed)
+            course = runs.balance(
+                brain, compensator, seconds=self.seconds, seed=self.seed, plant=self.plant, model=self.model
+            )
+            run = course.recording(self.out.stem)
+            if course.fell:
+                print(f"fell after {course.time[-1]:.2f} s")
+        recording.write(run, self.out, overwrite=self.overwrite)
+        print(f"{self.out}: {len(run)} samples, {run.duration:.1f} s")
+        return 0
+
+
+@dataclass(frozen=True)
+class Render:
+    """Draw a run of the rig as an animated GIF, or in a window.
+
+    Works without a display too. The run is simulated, or taken from a recording that has all three encoders.
+
+    Try:
+        dipc-gym render --out rig.gif --compensator llnf
+        dipc-gym render --out run.gif --recording balance.csv
+        dipc-gym render
+    """
+
+    out: Path | None = None
+    """GIF to write; without it a window opens"""
+    recording: str | None = None
+    """recording to draw instead of a simulated run"""
+    controller: str = "lqr"
+    """lqr, or a policy: our own (.json), or one of stable-baselines3 (.zip)"""
+    compensator: str = "none"
+    """a name, trained for this on a simulated run, or a saved compensator (.json)"""
+    seconds: float = 10.0
+    """length, s"""
+    plant: str | None = None
+    """JSON file of the plant"""
+    model: str | None = None
+    """MJCF file of the rig"""
+    seed: int = 0
+    """of starting state and noise"""
+    overwrite: bool = False
+    """replace the file if it exists"""
+
+    def run(self) -> int:
+        """Draw."""
+        from dipc_gym import controllers, figures, runs
+
+        if self.out is not None:
+            free(self.out, self.overwrite)
+            if self.out.suffix.lower() != ".gif":
+                raise ValueError(f"{self.out}: only .gif can be written")
+        if self.recording is not None:
+            course = runs.recorded(self.recording, model=self.model)
+        else:
+            course = runs.balance(
+                controllers.load(self.controller),
+                runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed),
+                seconds=self.seconds,
+                seed=self.seed,
+                plant=self.plant,
+                model=self.model,
+            )
+        if self.out is None:
+            figures.show(course, model=self.model, seconds=self.seconds)
+        else:
+            caption = Path(self.recording).stem if self.recording else f"{self.controller}, {self.compensator}"
+            figures.animate({caption: course}, self.out, model=self.model, seconds=self.seconds)
+            print(f"{self.out}: {min(self.seconds, course.time[-1]):.1f} s")
+        return 0

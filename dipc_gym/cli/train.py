@@ -1,0 +1,154 @@
+"""`dipc-gym train` and `dipc-gym train-policy`."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from dipc_gym.cli.options import free
+
+if TYPE_CHECKING:
+    from dipc_gym.train import Training
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a friction compensator and save it as JSON.
+
+    It is trained on a simulated identification run, or on a recording of your rig made with the poles locked.
+
+    Try:
+        dipc-gym train --out llnf.json
+        dipc-gym train --out mine.json --compensator mlp --recording sweep.csv --plant rig.json
+    """
+
+    out: Path
+    """file for the compensator"""
+    compensator: str = "llnf"
+    """none, feedforward, mlp (needs torch), llnf or ideal"""
+    recording: str | None = None
+    """recording with columns time, motor (V) and cart (m)"""
+    plant: str | None = None
+    """JSON file of the plant"""
+    model: str | None = None
+    """MJCF file of the rig"""
+    seed: int = 0
+    """of training and of the simulated encoders' noise"""
+    overwrite: bool = False
+    """replace the file if it exists"""
+
+    def run(self) -> int:
+        """Train and save."""
+        from dipc_gym import compensators
+        from dipc_gym.runs import identify
+
+        free(self.out, self.overwrite)
+        compensators.registry.kind(self.compensator)  # refuse an unknown name before anything is simulated
+        found = identify(self.plant, model=self.model, from_recording=self.recording, seed=self.seed)
+        trained = found.fit(self.compensator, seed=self.seed)
+        compensators.save(trained, self.out)
+        print(f"{self.out}: {self.compensator}, {trained.parameters} numbers")
+        if trained.figures is not None:
+            fit = trained.figures
+            print(f"mean square error: training {fit.train_mse:.4g} V^2, test {fit.test_mse:.4g} V^2")
+        return 0
+
+
+@dataclass(frozen=True)
+class TrainPolicy:
+    """Train a policy that balances the rig, and try it.
+
+    The rig is identified and its compensator fitted; the policy then learns to command force through it, or, with
+    --compensator none, the motor's voltage itself. The folder gets policy.json (small, runs on NumPy, the best of
+    eight trials on the way), curve.csv, compensator.json, TensorBoard's files and a checkpoint. Killed, it goes on
+    with --resume, to the same policy.
+
+    With --seeds, so many policies are trained in one sweep, from --seed on, each into a folder of its own, such as
+    ppo-llnf-03, without TensorBoard's files. The same command goes on with a sweep that was killed, and tries again
+    what failed; a training that was under way then begins anew.
+
+    Try:
+        dipc-gym train-policy --out runs/llnf
+        dipc-gym train-policy --out runs/direct --compensator none --seed 3
+        dipc-gym train-policy --out runs/llnf --resume
+        dipc-gym train-policy --out runs/many --seeds 10 --jobs 2
+        tensorboard --logdir runs
+    """
+
+    out: Path
+    """folder for the results, new or empty"""
+    algo: Literal["ppo", "sac"] = "ppo"
+    """proximal policy optimisation, or soft actor-critic, which takes fewer but slower steps"""
+    compensator: str = "llnf"
+    """none, feedforward, mlp (needs torch), llnf or ideal, identified for this; or a saved compensator (.json)"""
+    seed: int = 0
+    """of weights, exploration, starting states and identification; with --seeds, the first of them"""
+    seeds: int | None = None
+    """train a sweep of so many seeds; without it, one policy"""
+    steps: int | None = None
+    """control periods to train for; without it the algorithm's own number"""
+    rigs: int | None = None
+    """rigs that are simulated side by side; without it the algorithm's own number"""
+    limit: float = 60.0
+    """largest force, N; for voltage, what exerts it on the blocked cart"""
+    plant: str | None = None
+    """JSON file of the plant; numbers may be distributions, drawn anew in every episode"""
+    model: str | None = None
+    """MJCF file of the rig"""
+    resume: bool = False
+    """go on from the folder's checkpoint; all other options as they were; a sweep goes on by itself"""
+    jobs: int | None = None
+    """of a sweep: trainings at a time; without it 2, or on Ray as many as the cluster has CPUs"""
+    backend: Literal["local", "ray"] = "local"
+    """of a sweep: ray is the cluster that RAY_ADDRESS names, or a Ray that is started on this machine"""
+    overwrite: bool = False
+    """replace what an earlier training left in the folder"""
+
+    def run(self) -> int:
+        """Train, try, and say how it did."""
+        from dipc_gym import train
+
+        changes = {key: value for key, value in (("steps", self.steps), ("rigs", self.rigs)) if value is not None}
+        training = train.Training(
+            algorithm=self.algo,
+            compensator=self.compensator,
+            seed=self.seed,
+            limit=self.limit,
+            plant=self.plant,
+            model=self.model,
+            recipe=replace(train.RECIPES[self.algo], **changes),
+        )
+        if self.seeds is not None:
+            return self._sweep(training, self.seeds)
+        if self.jobs is not None or self.backend != "local":
+            raise ValueError("--jobs and --backend are for a sweep of several trainings; say --seeds too")
+        try:
+            policy = train.run(training, self.out, resume=self.resume, overwrite=self.overwrite)
+        except KeyboardInterrupt:
+            print(f"\ninterrupted; go on from the last checkpoint in {self.out} with --resume", file=sys.stderr)
+            return 130
+        print(f"{self.out / 'policy.json'}: {policy.summary()}")
+        return 0
+
+    def _sweep(self, first: Training, count: int) -> int:
+        from dipc_gym import trainings
+        from dipc_gym.policy import Policy
+
+        if count < 1:
+            raise ValueError(f"--seeds {count}: give the number of policies to train, 1 or more")
+        wanted = [replace(first, seed=first.seed + i) for i in range(count)]
+        try:
+            outcomes = trainings.run(wanted, self.out, jobs=self.jobs, backend=self.backend, overwrite=self.overwrite)
+        except KeyboardInterrupt:
+            print(f"\ninterrupted; the same command goes on with what is finished in {self.out}", file=sys.stderr)
+            return 130
+        failed = [f"{outcome.cell.name}: {outcome.failure}" for outcome in outcomes if outcome.failure is not None]
+        for outcome in outcomes:
+            if outcome.failure is None:
+                path = self.out / outcome.cell.name / "policy.json"
+                print(f"{path}: {Policy.load(path).summary()}")
+        if failed:
+            print(*failed, f"{len(failed)} failed; the same command tries them again", sep="\n", file=sys.stderr)
+        return 1 if failed else 0
