@@ -36,15 +36,18 @@ class ScaledRigs(VecEnvWrapper):
         envs: the rigs.
         limit: command that 1 stands for, N or V.
         reward: factor on the reward.
+        hold: control periods that a command lasts. The step's reward is their mean. A rig whose episode ends
+            meanwhile begins the next, without a command until the step is over.
     """
 
-    def __init__(self, envs: DIPCFrictionVecEnv, limit: float, reward: float) -> None:
+    def __init__(self, envs: DIPCFrictionVecEnv, limit: float, reward: float, hold: int = 1) -> None:
         super().__init__(
             envs,
             observation_space=spaces.Box(-np.inf, np.inf, (6,), np.float32),
             action_space=spaces.Box(-1.0, 1.0, (1,), np.float32),
         )
-        self._limit, self._reward = limit, reward
+        self._limit, self._reward, self._hold = limit, reward / hold, hold
+        self._commands = np.zeros((envs.num_envs, 1))
 
     def reset(self) -> NDArray[np.float32]:
         """Start all episodes."""
@@ -52,11 +55,19 @@ class ScaledRigs(VecEnvWrapper):
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Note the actions, (n, 1) in shares of the limit."""
-        self.venv.step_async(actions.astype(np.float64) * self._limit)
+        self._commands = actions.astype(np.float64) * self._limit
+        self.venv.step_async(self._commands)
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Take the step."""
         observations, rewards, ended, infos = self.venv.step_wait()
+        for _ in range(self._hold - 1):
+            self._commands = np.where(ended[:, None], 0.0, self._commands)
+            observations, later, over, final = self.venv.step(self._commands)
+            rewards = rewards + np.where(ended, 0.0, later).astype(np.float32)
+            for i in np.flatnonzero(over & ~ended):
+                infos[i] = final[i]
+            ended = ended | over
         for i in np.flatnonzero(ended):
             infos[i]["terminal_observation"] = self._scaled(infos[i]["terminal_observation"])
         return self._scaled(observations), rewards * self._reward, ended, infos
@@ -81,10 +92,11 @@ class Learner:
     def __init__(self, training: Training, rig: Rig, folder: Path | None = None) -> None:
         torch.set_num_threads(1)  # networks this small are slower on two
         self.training, self.rig, recipe = training, rig, training.recipe
-        envs = VecMonitor(ScaledRigs(DIPCFrictionVecEnv(rig.many(recipe.rigs, recipe.stage)), rig.limit, recipe.reward))
+        rigs = DIPCFrictionVecEnv(rig.many(recipe.rigs, recipe.stage))
+        envs = VecMonitor(ScaledRigs(rigs, rig.limit, recipe.reward, recipe.hold))
         shape: dict[str, Any] = {"net_arch": [recipe.width] * 2, "activation_fn": torch.nn.Tanh}
         common: dict[str, Any] = {
-            "gamma": recipe.gamma,
+            "gamma": recipe.gamma**recipe.hold,
             "learning_rate": self._rate,
             "batch_size": recipe.batch,
             "device": "cpu",
@@ -109,8 +121,9 @@ class Learner:
                 learning_starts=recipe.warm_up,
                 train_freq=1,
                 gradient_steps=recipe.updates,
+                tau=recipe.follow,
                 ent_coef=f"auto_{recipe.first_entropy}",
-                policy_kwargs=shape,
+                policy_kwargs=shape | {"optimizer_kwargs": {"fused": True}},  # a tenth faster
                 **common,
             )
         self.model.set_logger(
@@ -122,7 +135,7 @@ class Learner:
     @property
     def steps(self) -> int:
         """Control periods so far."""
-        return 0 if self.model is None else int(self.model.num_timesteps)
+        return 0 if self.model is None else int(self.model.num_timesteps) * self.training.recipe.hold
 
     def learn(self, stage: int, each_step: Callable[[], None]) -> None:
         """Learn for one stage.
@@ -137,7 +150,7 @@ class Learner:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OutOfRangeWarning)  # exploring leaves the identified range on purpose
             self.model.learn(
-                min(recipe.stage * recipe.rigs, recipe.steps - self.steps),
+                math.ceil(min(recipe.stage * recipe.rigs, recipe.steps - self.steps) / recipe.hold),
                 callback=_Watch(self.keep_average, each_step),
                 reset_num_timesteps=False,
                 log_interval=None if self.training.algorithm == "sac" else 1,
@@ -191,7 +204,8 @@ class Learner:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take up what `state` gave."""
         self.model.set_parameters(state["model"])
-        self.model.num_timesteps, self.model._n_updates = state["steps"], state["updates"]
+        self.model.num_timesteps = state["steps"] // self.training.recipe.hold
+        self.model._n_updates = state["updates"]
         self.average, self._averaged_at = dict(state["average"]), state["steps"]
         if self.training.algorithm == "sac":
             self.model.log_ent_coef.data.copy_(state["entropy"])

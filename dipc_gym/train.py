@@ -51,6 +51,8 @@ class Recipe:
         steps: control periods of the whole training.
         rigs: environments side by side.
         stage: control periods of one rig between two checkpoints; 12,000 are 60 s.
+        hold: control periods that a command lasts while it learns; the policy then commands anew in each. SAC learns
+            from what a single command does to the value, and in 5 ms that drowns in the error of the value.
         rate: learning rate at the start; it falls linearly to a twentieth.
         gamma: discount of a control period.
         reward: factor on the environment's reward, which keeps the value near 1.
@@ -60,15 +62,17 @@ class Recipe:
         epochs: PPO: passes over a rollout.
         trace: PPO: lambda of the advantage estimate.
         first_spread: PPO: logarithm of the first standard deviation of the commands, in shares of the limit.
-        buffer: SAC: control periods that are remembered.
-        warm_up: SAC: control periods with random commands.
-        updates: SAC: gradient steps for every period of all rigs.
+        buffer: SAC: commands that are remembered, with what came of them.
+        warm_up: SAC: random commands at the start.
+        updates: SAC: gradient steps for one command to each rig.
+        follow: SAC: share by which the target networks approach the critics at every gradient step.
         first_entropy: SAC: first weight of entropy beside the scaled reward.
     """
 
     steps: int = 768_000
     rigs: int = 32
     stage: int = 12_000
+    hold: int = 1
     rate: float = 5e-4
     gamma: float = 0.995
     reward: float = 0.02
@@ -81,10 +85,11 @@ class Recipe:
     buffer: int = 300_000
     warm_up: int = 5_000
     updates: int = 1
+    follow: float = 0.01
     first_entropy: float = 0.01
 
     def __post_init__(self) -> None:
-        for name in ("steps", "rigs", "stage", "batch", "width", "rollout", "epochs", "buffer", "updates"):
+        for name in ("steps", "rigs", "stage", "hold", "batch", "width", "rollout", "epochs", "buffer", "updates"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise TrainingError(f"{name} is {value!r}; it must be a whole number above zero")
@@ -92,7 +97,18 @@ class Recipe:
 
 RECIPES: dict[str, Recipe] = {
     "ppo": Recipe(),
-    "sac": Recipe(steps=384_000, rigs=16, stage=8_000, rate=1e-3, gamma=0.99, reward=0.05, batch=256),
+    "sac": Recipe(
+        steps=512_000,
+        rigs=16,
+        stage=8_000,
+        hold=8,
+        rate=1e-3,
+        gamma=0.9975,
+        reward=0.05,
+        batch=256,
+        warm_up=2_000,
+        updates=16,
+    ),
 }
 
 

@@ -17,12 +17,13 @@ from dipc_gym.train import RECIPES, Recipe, Rig, Training, TrainingError, evalua
 
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
-from dipc_gym.learner import SCALES, Learner
+from dipc_gym.learner import SCALES, Learner, ScaledRigs
+from dipc_gym.sb3 import DIPCFrictionVecEnv
 
 # Two stages each; SAC learns from step 200 on.
 SHORT = {
     "ppo": Recipe(steps=4_000, rigs=8, stage=250, rollout=125, batch=250, width=8),
-    "sac": Recipe(steps=1_000, rigs=4, stage=125, warm_up=200, batch=32, width=8, buffer=1_000),
+    "sac": Recipe(steps=4_000, rigs=4, stage=500, hold=4, warm_up=200, batch=32, width=8, buffer=1_000),
 }
 
 
@@ -94,6 +95,34 @@ def test_the_file_acts_as_the_model_does(algorithm: str) -> None:
     observations = np.random.default_rng(1).normal(0.0, [0.2, 0.1, 0.1, 1.0, 1.0, 1.0], (50, 6))
     theirs, _ = learner.model.predict((observations / SCALES).astype(np.float32), deterministic=True)
     np.testing.assert_allclose(policy.command(observations), policy.limit * theirs[:, 0], atol=1e-4 * policy.limit)
+
+
+def test_a_held_command_is_one_given_again_and_again() -> None:
+    rig = Rig.of(short())
+    one, held = (ScaledRigs(DIPCFrictionVecEnv(rig.many(3, 150)), 24.0, 0.5, hold) for hold in (1, 6))
+    for rigs in (one, held):
+        rigs.seed(3)
+    np.testing.assert_array_equal(one.reset(), held.reset())
+    commands = np.array([[-1.0], [0.0], [0.02]])  # the first falls soon, and the others are truncated in a 25th step
+    reasons = []
+    for _ in range(30):
+        now, rewards, over, last = commands, np.zeros(3), np.zeros(3, dtype=bool), [{}, {}, {}]
+        for _ in range(6):
+            observations, earned, ended, infos = one.step(now)
+            rewards += np.where(over, 0.0, earned)
+            for i in np.flatnonzero(ended & ~over):
+                last[i] = infos[i]
+                reasons.append(infos[i]["TimeLimit.truncated"])
+            over |= ended
+            now = np.where(over[:, None], 0.0, commands)
+        theirs, mean, ended, infos = held.step(commands)
+        np.testing.assert_array_equal(theirs, observations)
+        np.testing.assert_allclose(mean, rewards / 6, rtol=1e-6)
+        np.testing.assert_array_equal(ended, over)
+        for mine, other in zip(last, infos, strict=True):
+            assert mine.get("TimeLimit.truncated") == other.get("TimeLimit.truncated")
+            np.testing.assert_array_equal(mine.get("terminal_observation", 0), other.get("terminal_observation", 0))
+    assert reasons.count(False) >= 3
 
 
 def test_a_full_disk_leaves_the_last_checkpoint_whole(
