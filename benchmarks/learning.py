@@ -71,7 +71,6 @@ def main():
     parser.add_argument("--out", type=Path, default=Path("runs/learning"))
     parser.add_argument("--jobs", type=int, help="trainings at a time; without it 2, or the cluster's CPUs")
     parser.add_argument("--backend", choices=("local", "ray"), default="local")
-    parser.add_argument("--figure", type=Path, default=Path("docs/fig_learning.png"))
     options = parser.parse_args()
     if options.seeds < 1:
         parser.error("--seeds must be above zero")
@@ -91,7 +90,7 @@ def main():
         whole = sum(one.standing == len(one.held) for one in tried)
         returns = quartiles([one.reward for one in tried], ".4f")
         print(f"{name:14s}{whole:9d} of {options.seeds:2d}{returns:>36s}{min(one.standing for one in tried):15d}/10")
-    draw(curves, options.figure)
+    draw(curves, options.out / "learning.png")
 
 
 if __name__ == "__main__":

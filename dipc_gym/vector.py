@@ -296,7 +296,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         mask[rows] = True
         self._can_fall[rows] = (np.abs(theta1) <= kernels.FALL) & (np.abs(theta2) <= kernels.FALL)
         self._steps[rows], self._ended[rows] = 0, False
-        self._readings[rows] = self._read_encoders(mask)[rows]
+        self._readings[rows] = self._read_encoders(rows)
         self._rates[rows] = states[:, 3:]
         self._observed[rows] = states if self.exact_state else np.hstack([self._readings[rows], states[:, 3:]])
         infos: dict[str, Any] = {key: np.zeros(self.num_envs) for key in ("reward_survive", *COSTS, "voltage")}
@@ -305,34 +305,27 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         infos["reward_survive"][mask] = 1.0
         return infos
 
-    def _measure(self, state: Array, rows: Mask) -> None:
-        """Read the encoders of `rows`, update their velocity filters, and note what is observed."""
+    def _measure(self, state: Array, which: Mask) -> None:
+        """Read the encoders of rows, update their velocity filters, and note what is observed."""
+        rows = np.flatnonzero(which)
         readings = self._read_encoders(rows)
-        keep, gain = self._keep[:, None], self._gain[:, None]
-        rates = kernels.velocity(readings, self._readings, self._rates, keep, gain)
-        chosen = rows[:, None]
-        self._readings = np.where(chosen, readings, self._readings)
-        self._rates = np.where(chosen, rates, self._rates)
-        observed = state if self.exact_state else np.hstack([readings, rates])
-        self._observed = np.where(chosen, observed, self._observed)
+        keep, gain = self._keep[rows, None], self._gain[rows, None]
+        rates = kernels.velocity(readings, self._readings[rows], self._rates[rows], keep, gain)
+        self._readings[rows], self._rates[rows] = readings, rates
+        self._observed[rows] = state[rows] if self.exact_state else np.hstack([readings, rates])
 
-    def _read_encoders(self, rows: Mask) -> Array:
-        """Readings of the cart and the two absolute angles, (num_envs, 3); those outside `rows` mean nothing."""
-        a, b, c = self._rig._qpos_address
-        joints = np.where(rows[:, None], self._qpos[:, [a, b, c]], 0.0)
-        for i in np.flatnonzero(rows & (self._noise > 0)):
-            x, one, two = self._generator(int(i)).standard_normal(3).tolist()
+    def _read_encoders(self, rows: NDArray[np.intp]) -> Array:
+        """Readings of the cart and the two absolute angles, (rows, 3)."""
+        joints = self._qpos[np.ix_(rows, self._rig._qpos_address)]
+        cart_step, pole_step = self._cart[rows], self._pole[rows]
+        for k in np.flatnonzero(self._noise[rows] > 0):
+            i = int(rows[k])
+            x, one, two = self._generator(i).standard_normal(3).tolist()
             cart, pole = self._noise[i] * self._cart[i], self._noise[i] * self._pole[i]
-            joints[i] += cart * x, pole * one, pole * two
-        theta1 = kernels.quantise(joints[:, 1], self._pole)
-        return np.stack(
-            [
-                kernels.quantise(joints[:, 0], self._cart),
-                theta1,
-                theta1 + kernels.quantise(joints[:, 2], self._pole),
-            ],
-            axis=1,
-        )
+            joints[k] += cart * x, pole * one, pole * two
+        theta1 = kernels.quantise(joints[:, 1], pole_step)
+        theta2 = theta1 + kernels.quantise(joints[:, 2], pole_step)
+        return np.stack([kernels.quantise(joints[:, 0], cart_step), theta1, theta2], axis=1)
 
     # ------------------------------------------------------------------------------------------------ plants
 
