@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, stdtrit
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect, dof
@@ -27,6 +28,7 @@ FINALISTS = 6  # hypotheses sketched in a round
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
 FEW = 18  # windows that a sketch has at least
 CLEAR = 2.5  # standard errors by which an improvement must stand out
+MANY = 40  # blocks of a second: a recording of the usual length
 LARGE = 0.5  # improvement of the mean log square error (an error one fifth smaller) that no chance brings about
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
@@ -434,7 +436,13 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
     if len(sums) < 3:
         return Comparison(mean, math.inf)
     spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
-    return Comparison(mean, float(spread))
+    return Comparison(mean, float(spread) * _few_blocks(len(sums)))
+
+
+def _few_blocks(count: int) -> float:
+    """By how much a standard error from so few blocks is to be widened to mean what it does with many (Student's t)."""
+    many, tail = stdtrit([MANY - 1, count - 1], ndtr(CLEAR))
+    return max(1.0, float(tail / many))
 
 
 def _finalists(ranked: Sequence[tuple[Tried, Fit]]) -> list[tuple[Tried, Fit]]:
