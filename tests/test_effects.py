@@ -420,3 +420,31 @@ def test_an_improved_model_can_be_improved_again() -> None:
         effect.edit(document, at, values)
         twice = mjcf.compile(document.text())
         assert mjcf.controls(once) == mjcf.controls(twice) == ["motor"], effect.id
+
+
+@pytest.mark.parametrize("damping", [0.05, 0.3, 0.8])
+def test_a_blow_at_the_end_of_play_takes_the_energy_that_its_damping_says(damping: float) -> None:
+    """Rotor and load part at the speed of a damped oscillator at the moment its force has fallen to zero."""
+    xml = """<mujoco><option timestep="1e-5" gravity="0 0 0"/>
+      <worldbody><body><inertial pos="0 0 0" mass="1.5" diaginertia="1 1 1"/><joint name="load" type="slide"/>
+      </body></worldbody>
+      <actuator><motor name="drive" joint="load"/></actuator><sensor><jointpos joint="load"/></sensor></mujoco>"""
+    document, rate, speed = Document(mjcf.from_text(xml)), 1000.0, 0.2
+    values = {"gap": 1e-3, "rotor_inertia": 0.3, "contact_rate": rate, "contact_damping": damping}
+    catalogue()["transmission.backlash"].edit(document, "drive", values)
+    model = mujoco.MjModel.from_xml_string(document.text())
+    data = mujoco.MjData(model)
+    rotor, load = (int(model.joint(name).dofadr[0]) for name in ("drive_rotor", "load"))
+    data.qvel[rotor] = speed
+    mujoco.mj_step(model, data, 500)  # 5 ms: across half the gap in 2.5 ms, and in contact for pi ms at most
+    while data.ncon or data.nefc:
+        mujoco.mj_step(model, data)
+
+    swing = rate * np.sqrt(1 - damping**2)
+    t = np.linspace(0, np.pi / swing, 100_001)
+    way = np.exp(-damping * rate * t) * np.sin(swing * t) / swing
+    pace = np.gradient(way, t)
+    pushing = rate**2 * way + 2 * damping * rate * pace > 0
+    kept = -pace[np.flatnonzero(pushing)[-1]]
+    assert (data.qvel[load] - data.qvel[rotor]) / speed == pytest.approx(kept, abs=0.02)
+    assert 0.3 * data.qvel[rotor] + 1.5 * data.qvel[load] == pytest.approx(0.3 * speed, rel=1e-9)
