@@ -316,7 +316,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
 
     def _read_encoders(self, rows: NDArray[np.intp]) -> Array:
         """Readings of the cart and the two absolute angles, (rows, 3)."""
-        joints = self._qpos[np.ix_(rows, self._rig._qpos_address)]
+        joints = self._qpos[rows[:, None], self._rig._qpos_address]
         cart_step, pole_step = self._cart[rows], self._pole[rows]
         for k in np.flatnonzero(self._noise[rows] > 0):
             i = int(rows[k])

@@ -13,10 +13,10 @@ import pytest
 
 from dipc_gym import cli, mjcf, physics
 from dipc_gym.sim2real import evidence, judge, recording
+from dipc_gym.sim2real.comparison import Comparison, compare
 from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.search import Comparison, compare
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Term
 from dipc_gym.sim2real.windows import prepare

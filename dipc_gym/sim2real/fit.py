@@ -185,15 +185,15 @@ class _Shooting:
             known: one more start and its residual.
         """
         problem = self.problem
+        new = [start for start in tries if known is None or not np.array_equal(start, known[0])]
+        rests = _residuals(problem, predict(problem, self.structure, [z] * len(new), np.stack(new)))
+        starts = np.stack(new if known is None else [*new, known[0]])
         if known is not None:
-            tries = [start for start in tries if not np.array_equal(start, known[0])]
-        rests = _residuals(problem, predict(problem, self.structure, [z] * len(tries), np.stack(tries)))
-        tries = np.stack([*tries, *([] if known is None else known[:1])])
-        rests = rests if known is None else np.concatenate([rests, known[1][None]])
-        far = np.sum(((problem.starts - tries) / self.spread) ** 2, axis=2)
+            rests = np.concatenate([rests, known[1][None]])
+        far = np.sum(((problem.starts - starts) / self.spread) ** 2, axis=2)
         mse = (np.sum(rests**2, axis=(2, 3)) + far) / problem.counts
-        best, each = np.argmin(mse, axis=0), np.arange(tries.shape[1])
-        return tries[best, each], rests[best, each], mse[best, each]
+        best, each = np.argmin(mse, axis=0), np.arange(starts.shape[1])
+        return starts[best, each], rests[best, each], mse[best, each]
 
     def sensitivity(self, z: Array, starts: Array, base: Array) -> Array:
         """Of the scaled readings to the starts, prior rows appended: (n, m ns + 2 nb, 2 nb)."""

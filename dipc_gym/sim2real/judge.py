@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.sim2real.comparison import LARGE, WORTH
 from dipc_gym.sim2real.evidence import Scene
 from dipc_gym.sim2real.fit import Fit, Problem, fit, weights
-from dipc_gym.sim2real.search import ALIKE, AT_FLOOR, LARGE, WORTH, Search
+from dipc_gym.sim2real.search import ALIKE, AT_FLOOR, Search
 from dipc_gym.sim2real.structure import Structure, Term, names
 
 Array = NDArray[np.float64]

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real import report
+from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.fit import Fit, Problem, correct_starts, fit
 from dipc_gym.sim2real.result import Diagnosis, Work
-from dipc_gym.sim2real.search import compare
 from dipc_gym.sim2real.units import of_sensor
 
 Array = NDArray[np.float64]

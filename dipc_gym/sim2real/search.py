@@ -8,18 +8,18 @@ each window counts alike and its standard error means something.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, stdtrit
 
 from dipc_gym import mjcf
+from dipc_gym.sim2real.comparison import WORTH, Comparison, compare, loss
 from dipc_gym.sim2real.effects.base import Effect, dof
 from dipc_gym.sim2real.evidence import Scene, places
-from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, predict, residual, typical, weights
+from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, typical
+from dipc_gym.sim2real.screening import Tried, screen
 from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
@@ -27,57 +27,11 @@ Array = NDArray[np.float64]
 FINALISTS = 6  # hypotheses sketched in a round
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
 FEW = 18  # windows that a sketch has at least
-CLEAR = 2.5  # standard errors by which an improvement must stand out
-MANY = 40  # blocks of a second: a recording of the usual length
-LARGE = 0.5  # improvement of the mean log square error (an error one fifth smaller) that no chance brings about
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
-WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
 AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
 ALIKE = 2.0  # standard errors within which two hypotheses are not told apart
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """How much better one fit predicts than another.
-
-    Attributes:
-        gain: mean fall of the log square error of unseen windows; 0.7 is a factor of two.
-        error: standard error of it, over blocks of a second.
-    """
-
-    gain: float
-    error: float
-
-    @property
-    def clear(self) -> bool:
-        """Better beyond chance, and by enough to matter; a large gain need not be as even over the windows."""
-        return self.gain > WORTH and self.gain > (CLEAR if self.gain < LARGE else 1.0) * self.error
-
-
-@dataclass(frozen=True)
-class Tried:
-    """A hypothesis and what became of it.
-
-    Attributes:
-        key: `effect@place`.
-        promise: fall of the log error that screening foretold.
-        sketch: the fit to a few windows, or None if it was not among the finalists.
-        fitted: the full fit, or None if the sketch did not keep up.
-        score: mean log square error of all windows; infinite if not fitted.
-    """
-
-    term: Term
-    promise: float
-    sketch: Fit | None = None
-    fitted: Fit | None = None
-    score: float = math.inf
-
-    @property
-    def key(self) -> str:
-        """`effect@place`."""
-        return self.term.key
 
 
 @dataclass
@@ -164,47 +118,6 @@ class Search:
                 shared |= {p.name: values[p.name] for p in effect.parameters if p.name in values}
         return shared
 
-    def screen(self, current: Fit, terms: Sequence[Term]) -> list[Tried]:
-        """Rank hypotheses by what they promise; the best guess of each, the most promising first."""
-        before = float(np.mean(np.log1p(current.mse)))
-        best: dict[str, Tried] = {}
-        for term in terms:
-            try:
-                promise, size = self._promise(current, term)
-            except mjcf.MjcfError:
-                continue
-            promise = before - promise
-            if term.key not in best or promise > best[term.key].promise:
-                best[term.key] = Tried(_scaled(term, size), promise)
-        return sorted(best.values(), key=lambda tried: -tried.promise)
-
-    def _promise(self, current: Fit, term: Term) -> tuple[float, float]:
-        """Mean log square error after adding this effect at its best size, and that size in guesses."""
-        structure = current.structure.with_term(term)
-        z = carry(current.structure, current.z, structure)
-        readings = predict(self.problem, structure, [z], current.starts[None])[0]
-        # What the effect adds to the prediction, in units of noise.
-        change = current.raw - residual(self.problem, readings)
-        n = len(current.mse)
-        rows = np.concatenate([change.reshape(n, -1, 1), np.zeros((n, current.sensitivity.shape[2], 1))], axis=1)
-        Q, _ = np.linalg.qr(current.sensitivity)
-        rows = (rows - Q @ (np.swapaxes(Q, 1, 2) @ rows))[..., 0]
-        counts = self.problem.counts
-        weight = weights(current.mse) / counts
-        columns = np.concatenate([rows[..., None], current.jacobian], axis=2)
-        A = np.einsum("n,nmi,nmj->ij", weight, columns, columns)
-        b = np.einsum("n,nmi,nm->i", weight, columns, current.left)
-        prior = np.array([0.0, *(1 / slot.sigma**2 for slot in current.structure.slots)])
-        A = A + np.diag(prior / counts.mean()) * len(counts) / n
-        scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
-        step = np.linalg.lstsq(A / np.outer(scale, scale), b / scale, rcond=1e-9)[0] / scale
-        size = float(np.clip(step[0], -100.0 if _signed(term.effect) else 0.0, 100.0))
-        if size == 0.0:
-            return float(np.mean(np.log1p(current.mse))), 1.0
-        step = np.append(size, np.clip(step[1:], -1, 1))
-        left = current.left - columns @ step
-        return float(np.mean(np.log1p(np.einsum("nm,nm->n", left, left) / counts))), size
-
     def sketch(self, base: Fit, structure: Structure) -> Fit | None:
         """Fit a structure to a few of the windows, from the numbers of `base`; None where it cannot be simulated."""
         z = carry(base.structure, base.z, structure)
@@ -279,7 +192,7 @@ class Search:
     def _ranked(self, base: Fit, current: Fit) -> list[Tried]:
         """Hypotheses on top of a base; what they promise is counted from `current`."""
         handicap = float(np.mean(np.log1p(base.mse)) - np.mean(np.log1p(current.mse)))
-        ranked = self.screen(base, self.hypotheses(base, self.look(base)))
+        ranked = screen(self.problem, base, self.hypotheses(base, self.look(base)))
         return [replace(tried, promise=tried.promise - handicap) for tried in ranked]
 
     def polish(self, fitted: Fit) -> Fit:
@@ -420,31 +333,6 @@ class Search:
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
 
 
-def loss(mse: Array, usual: float) -> Array:
-    """Log of the mean square error of windows, (n,); errors far below the usual one count alike."""
-    return np.log1p(mse / usual)
-
-
-def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
-    """Paired comparison of mean square errors (n,) of windows, by blocks."""
-    usual = min(typical(new), typical(old))
-    difference = loss(old, usual) - loss(new, usual)
-    sums = np.bincount(blocks, difference)
-    sizes = np.bincount(blocks)
-    sums, sizes = sums[sizes > 0], sizes[sizes > 0]
-    mean = float(np.sum(sums) / np.sum(sizes))
-    if len(sums) < 3:
-        return Comparison(mean, math.inf)
-    spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
-    return Comparison(mean, float(spread) * _few_blocks(len(sums)))
-
-
-def _few_blocks(count: int) -> float:
-    """By how much a standard error from so few blocks is to be widened to mean what it does with many (Student's t)."""
-    many, tail = stdtrit([MANY - 1, count - 1], ndtr(CLEAR))
-    return max(1.0, float(tail / many))
-
-
 def _finalists(ranked: Sequence[tuple[Tried, Fit]]) -> list[tuple[Tried, Fit]]:
     """The most promising hypotheses, and the plainer ones that these elaborate."""
     first = ranked[:FINALISTS]
@@ -481,19 +369,7 @@ def _clash(structure: Structure, effect: Effect, at: str) -> bool:
     )
 
 
-def _scaled(term: Term, size: float) -> Term:
-    """A guess made `size` times as strong, where the response is linear."""
-    if abs(size) < 0.05 or not term.effect.linear:
-        return term
-    return replace(term, guess={**term.guess, **{name: size * term.guess[name] for name in term.effect.linear}})
-
-
 def _as_fitted(fitted: Fit) -> Term:
     """The last effect of a structure with its fitted numbers for guesses."""
     term = fitted.structure.terms[-1]
     return replace(term, guess=fitted.structure.term_values(fitted.z, term))
-
-
-def _signed(effect: Effect) -> bool:
-    """Whether an effect may as well act the other way."""
-    return bool(effect.linear) and all(p.low < 0 for p in effect.parameters if p.name in effect.linear)

@@ -1,0 +1,62 @@
+"""Whether one fit predicts better than another, beyond chance: the errors of the same windows, compared by blocks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, stdtrit
+
+from dipc_gym.sim2real.fit import typical
+
+Array = NDArray[np.float64]
+
+CLEAR = 2.5  # standard errors by which an improvement must stand out
+MANY = 40  # blocks of a second: a recording of the usual length
+LARGE = 0.5  # improvement of the mean log square error (an error one fifth smaller) that no chance brings about
+WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How much better one fit predicts than another.
+
+    Attributes:
+        gain: mean fall of the log square error of unseen windows; 0.7 is a factor of two.
+        error: standard error of it, over blocks of a second.
+    """
+
+    gain: float
+    error: float
+
+    @property
+    def clear(self) -> bool:
+        """Better beyond chance, and by enough to matter; a large gain need not be as even over the windows."""
+        return self.gain > WORTH and self.gain > (CLEAR if self.gain < LARGE else 1.0) * self.error
+
+
+def loss(mse: Array, usual: float) -> Array:
+    """Log of the mean square error of windows, (n,); errors far below the usual one count alike."""
+    return np.log1p(mse / usual)
+
+
+def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
+    """Paired comparison of mean square errors (n,) of windows, by blocks."""
+    usual = min(typical(new), typical(old))
+    difference = loss(old, usual) - loss(new, usual)
+    sums = np.bincount(blocks, difference)
+    sizes = np.bincount(blocks)
+    sums, sizes = sums[sizes > 0], sizes[sizes > 0]
+    mean = float(np.sum(sums) / np.sum(sizes))
+    if len(sums) < 3:
+        return Comparison(mean, math.inf)
+    spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
+    return Comparison(mean, float(spread) * _few_blocks(len(sums)))
+
+
+def _few_blocks(count: int) -> float:
+    """By how much a standard error from so few blocks is to be widened to mean what it does with many (Student's t)."""
+    many, tail = stdtrit([MANY - 1, count - 1], ndtr(CLEAR))
+    return max(1.0, float(tail / many))

@@ -1,0 +1,96 @@
+"""Rank hypotheses by what each promises, at the cost of one simulation.
+
+The response of a model to an effect at a first guess is laid over the residual, beside everything that is free already.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dipc_gym import mjcf
+from dipc_gym.sim2real.effects.base import Effect
+from dipc_gym.sim2real.fit import Fit, Problem, predict, residual, weights
+from dipc_gym.sim2real.structure import Term, carry
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A hypothesis and what became of it.
+
+    Attributes:
+        key: `effect@place`.
+        promise: fall of the log error that screening foretold.
+        sketch: the fit to a few windows, or None if it was not among the finalists.
+        fitted: the full fit, or None if the sketch did not keep up.
+        score: mean log square error of all windows; infinite if not fitted.
+    """
+
+    term: Term
+    promise: float
+    sketch: Fit | None = None
+    fitted: Fit | None = None
+    score: float = math.inf
+
+    @property
+    def key(self) -> str:
+        """`effect@place`."""
+        return self.term.key
+
+
+def screen(problem: Problem, current: Fit, terms: Sequence[Term]) -> list[Tried]:
+    """Rank hypotheses by what they promise; the best guess of each, the most promising first."""
+    before = float(np.mean(np.log1p(current.mse)))
+    best: dict[str, Tried] = {}
+    for term in terms:
+        try:
+            promise, size = _promise(problem, current, term)
+        except mjcf.MjcfError:
+            continue
+        promise = before - promise
+        if term.key not in best or promise > best[term.key].promise:
+            best[term.key] = Tried(_scaled(term, size), promise)
+    return sorted(best.values(), key=lambda tried: -tried.promise)
+
+
+def _promise(problem: Problem, current: Fit, term: Term) -> tuple[float, float]:
+    """Mean log square error after adding this effect at its best size, and that size in guesses."""
+    structure = current.structure.with_term(term)
+    z = carry(current.structure, current.z, structure)
+    readings = predict(problem, structure, [z], current.starts[None])[0]
+    # What the effect adds to the prediction, in units of noise.
+    change = current.raw - residual(problem, readings)
+    n = len(current.mse)
+    rows = np.concatenate([change.reshape(n, -1, 1), np.zeros((n, current.sensitivity.shape[2], 1))], axis=1)
+    Q, _ = np.linalg.qr(current.sensitivity)
+    rows = (rows - Q @ (np.swapaxes(Q, 1, 2) @ rows))[..., 0]
+    counts = problem.counts
+    weight = weights(current.mse) / counts
+    columns = np.concatenate([rows[..., None], current.jacobian], axis=2)
+    A = np.einsum("n,nmi,nmj->ij", weight, columns, columns)
+    b = np.einsum("n,nmi,nm->i", weight, columns, current.left)
+    prior = np.array([0.0, *(1 / slot.sigma**2 for slot in current.structure.slots)])
+    A = A + np.diag(prior / counts.mean()) * len(counts) / n
+    scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
+    step = np.linalg.lstsq(A / np.outer(scale, scale), b / scale, rcond=1e-9)[0] / scale
+    size = float(np.clip(step[0], -100.0 if _signed(term.effect) else 0.0, 100.0))
+    if size == 0.0:
+        return float(np.mean(np.log1p(current.mse))), 1.0
+    step = np.append(size, np.clip(step[1:], -1, 1))
+    left = current.left - columns @ step
+    return float(np.mean(np.log1p(np.einsum("nm,nm->n", left, left) / counts))), size
+
+
+def _scaled(term: Term, size: float) -> Term:
+    """A guess made `size` times as strong, where the response is linear."""
+    if abs(size) < 0.05 or not term.effect.linear:
+        return term
+    return replace(term, guess={**term.guess, **{name: size * term.guess[name] for name in term.effect.linear}})
+
+
+def _signed(effect: Effect) -> bool:
+    """Whether an effect may as well act the other way."""
+    return bool(effect.linear) and all(p.low < 0 for p in effect.parameters if p.name in effect.linear)
