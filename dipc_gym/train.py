@@ -52,7 +52,7 @@ class Recipe:
         rigs: environments side by side.
         stage: control periods of one rig between two checkpoints; 12,000 are 60 s.
         hold: control periods that a command lasts while it learns; the policy then commands anew in each. SAC learns
-            from what a single command does to the value, and in 5 ms that drowns in the error of the value.
+            from what a single command does to the value; in 5 ms that probably drowns in the error of the value.
         rate: learning rate at the start; it falls linearly to a twentieth.
         gamma: discount of a control period.
         reward: factor on the environment's reward, which keeps the value near 1.
