@@ -197,6 +197,20 @@ def test_unseen_windows_are_judged_without_being_fitted() -> None:
     assert np.sqrt(nominal.mean()) > 20
 
 
+def test_a_rig_that_rests_needs_no_start_corrected() -> None:
+    """Held-out stretches may hold nothing but zeros, of which every start that is tried is the same."""
+    problem, structure = ready(run()).problem, ready(run()).structure
+    still = tuple(
+        replace(r, commands=np.zeros_like(r.commands), sensors=np.zeros_like(r.sensors))
+        for r in problem.windows.recordings
+    )
+    windows = replace(problem.windows, recordings=still, observed=np.zeros_like(problem.windows.observed))
+    resting = replace(problem, windows=windows, starts=np.zeros_like(problem.starts))
+    mse, starts = evaluate(resting, structure, structure.first)
+    assert not mse.any()
+    assert not starts.any()
+
+
 def test_three_joints_fit_together() -> None:
     rig = physics.load(HANGING.replace('damping="0.001"', 'damping="0.003"'))
     recording = record(rig, sweep(3.0), 4.0, noise=NOISE["hanging"], step=5e-4, integrator=RK4, start=(0.0, 0.4, -0.3))

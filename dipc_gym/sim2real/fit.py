@@ -186,10 +186,10 @@ class _Shooting:
         """
         problem = self.problem
         new = [start for start in tries if known is None or not np.array_equal(start, known[0])]
-        rests = _residuals(problem, predict(problem, self.structure, [z] * len(new), np.stack(new)))
-        starts = np.stack(new if known is None else [*new, known[0]])
-        if known is not None:
-            rests = np.concatenate([rests, known[1][None]])
+        left = [] if known is None else [known[1]]
+        if new:  # a rig at rest needs no other start than the one it has
+            left = [*_residuals(problem, predict(problem, self.structure, [z] * len(new), np.stack(new))), *left]
+        starts, rests = np.stack(new if known is None else [*new, known[0]]), np.stack(left)
         far = np.sum(((problem.starts - starts) / self.spread) ** 2, axis=2)
         mse = (np.sum(rests**2, axis=(2, 3)) + far) / problem.counts
         best, each = np.argmin(mse, axis=0), np.arange(starts.shape[1])

@@ -22,7 +22,7 @@ class Tried:
     """A hypothesis and what became of it.
 
     Attributes:
-        key: `effect@place`.
+        term: the effect, its place, and numbers to begin at.
         promise: fall of the log error that screening foretold.
         sketch: the fit to a few windows, or None if it was not among the finalists.
         fitted: the full fit, or None if the sketch did not keep up.
