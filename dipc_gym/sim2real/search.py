@@ -139,18 +139,21 @@ class Search:
 
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
-        promising: dict[str, tuple[Tried, Fit]] = {}
+        starts: dict[str, list[tuple[Tried, Fit]]] = {}
         for base in self._bases(current):
             for tried in self._ranked(base, current):
-                if tried.key not in promising or tried.promise > promising[tried.key][0].promise:
-                    promising[tried.key] = (tried, base)
-        ranked = sorted(promising.values(), key=lambda pair: -pair[0].promise)
-        least = max(WORTH / 2, 0.1 * ranked[0][0].promise) if ranked else 0.0
+                starts.setdefault(tried.key, []).append((tried, base))
+        ranked = sorted((max(tries, key=_promise) for tries in starts.values()), key=_promise, reverse=True)
+        least = max(WORTH / 2, 0.1 * _promise(ranked[0])) if ranked else 0.0
         sketched: list[tuple[Tried, Fit]] = []
-        for tried, base in _finalists([pair for pair in ranked if pair[0].promise > least]):
-            sketch = self.sketch(base, base.structure.with_term(tried.term))
-            if sketch is not None:
-                sketched.append((replace(tried, term=_as_fitted(sketch), sketch=sketch), base))
+        for finalist, _ in _finalists([pair for pair in ranked if _promise(pair) > least]):
+            sketches = [
+                (replace(tried, term=_as_fitted(sketch), sketch=sketch), base)
+                for tried, base in starts[finalist.key]
+                if (sketch := self.sketch(base, base.structure.with_term(tried.term))) is not None
+            ]
+            losses = _losses([sketch.sketch.mse for sketch, _ in sketches if sketch.sketch is not None])
+            sketched += [sketches[int(np.argmin(losses))]] if sketches else []
         done: list[Tried] = []
         for tried, base in self._keeping_up(sketched, current):
             assert tried.sketch is not None
@@ -167,10 +170,8 @@ class Search:
 
     def _keeping_up(self, sketched: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
         """Those whose sketches come near the best one, and the plainer ones that these elaborate."""
-        errors = [t.sketch.mse for t, _ in sketched if t.sketch is not None]
-        usual = min((typical(mse) for mse in errors), default=1.0)
-        before = float(np.mean(loss(current.mse[self.few], usual)))
-        gains = {t.key: before - float(np.mean(loss(mse, usual))) for (t, _), mse in zip(sketched, errors, strict=True)}
+        losses = _losses([current.mse[self.few], *(t.sketch.mse for t, _ in sketched if t.sketch is not None)])
+        gains = {t.key: losses[0] - after for (t, _), after in zip(sketched, losses[1:], strict=True)}
         least = max(KEEPS_UP * max(gains.values(), default=0.0), WORTH / 2)
         near = [t for t, _ in sketched if gains[t.key] > least]
         plain = {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
@@ -178,9 +179,8 @@ class Search:
 
     def _scored(self, done: Sequence[Tried]) -> list[Tried]:
         """Fitted hypotheses with their scores, the best first."""
-        errors = [self.mse(tried.fitted) for tried in done if tried.fitted is not None]
-        usual = min((typical(mse) for mse in errors), default=1.0)
-        scored = [replace(t, score=float(np.mean(loss(mse, usual)))) for t, mse in zip(done, errors, strict=True)]
+        losses = _losses([self.mse(tried.fitted) for tried in done if tried.fitted is not None])
+        scored = [replace(tried, score=after) for tried, after in zip(done, losses, strict=True)]
         return sorted(scored, key=lambda tried: tried.score)
 
     def _bases(self, current: Fit) -> list[Fit]:
@@ -331,6 +331,16 @@ class Search:
         """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
+
+
+def _promise(pair: tuple[Tried, Fit]) -> float:
+    return pair[0].promise
+
+
+def _losses(errors: Sequence[Array]) -> list[float]:
+    """Mean loss of each of several fits' mean square errors (n,), on the scale of the best of them."""
+    usual = min(map(typical, errors), default=1.0)
+    return [float(np.mean(loss(mse, usual))) for mse in errors]
 
 
 def _finalists(ranked: Sequence[tuple[Tried, Fit]]) -> list[tuple[Tried, Fit]]:

@@ -26,7 +26,8 @@ class Saturation(Effect):
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The actuator's control range."""
-        document.set(document.actuator(at), ctrllimited="true", ctrlrange=(-values["limit"], values["limit"]))
+        limit = max(values["limit"], 1e-9)  # MuJoCo refuses an empty range, and a fit may pass through one
+        document.set(document.actuator(at), ctrllimited="true", ctrlrange=(-limit, limit))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
