@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ from dipc_gym import mjcf
 from dipc_gym.sim2real.comparison import LARGE, WORTH
 from dipc_gym.sim2real.evidence import Scene
 from dipc_gym.sim2real.fit import Fit, Problem, fit, weights
+from dipc_gym.sim2real.screening import Tried
 from dipc_gym.sim2real.search import ALIKE, AT_FLOOR, Search
 from dipc_gym.sim2real.structure import Structure, Term, names
 
@@ -68,21 +70,27 @@ def fewest_numbers(search: Search, fitted: Fit) -> Fit:
             step[open_] = np.linalg.lstsq(A[np.ix_(open_, open_)], rhs, rcond=1e-10)[0]
         return float(np.mean(np.log1p(np.maximum(q.after(step), 0) / counts))), fitted.z + step
 
-    everything = float(np.mean(np.log1p(fitted.mse)))
-    free: list[int] = []
-    while True:
-        now, z = loss(free)
-        if now - everything < WORTH / 2 or len(free) == k:
-            break
-        free.append(min((i for i in range(k) if i not in free), key=lambda i: loss([*free, i])[0]))
-    structure = replace(fitted.structure, numbers=tuple(numbers[i] for i in sorted(free)))
-    begin = np.concatenate([z[sorted(free)], z[k:]])
-    try:
-        sparse = fit(search.problem, structure, begin, fitted.starts, most=20)
-    except (mjcf.MjcfError, np.linalg.LinAlgError):
-        return fitted
-    worse = search.compare(fitted, sparse)
-    return fitted if worse.gain > WORTH and worse.gain > ALIKE * worse.error else sparse
+    order: list[int] = []
+    while len(order) < k:
+        order.append(min((i for i in range(k) if i not in order), key=lambda i: loss([*order, i])[0]))
+
+    # The quadratics choose the order only: along a null space the fit may have come too far for them to tell whether
+    # nominal numbers would do.
+    @functools.cache
+    def with_first(count: int) -> Fit | None:
+        free = sorted(order[:count])
+        structure = replace(fitted.structure, numbers=tuple(numbers[i] for i in free))
+        try:
+            return fit(search.problem, structure, loss(free)[1][[*free, *range(k, p)]], fitted.starts, most=20)
+        except (mjcf.MjcfError, np.linalg.LinAlgError):
+            return None
+
+    def suffices(count: int) -> bool:
+        sparse = with_first(count)
+        return sparse is not None and search.compare(fitted, sparse).gain < WORTH / 2
+
+    fewest = bisect.bisect_left(range(k), True, key=suffices)
+    return fitted if fewest == k else with_first(fewest) or fitted
 
 
 def intervals(fitted: Fit, problem: Problem) -> Array:
@@ -127,14 +135,14 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
     most = 5 if error < AT_FLOOR else 3
     found: list[Rival] = []
     for others, structure, before in _stand_ins(search, full, term, most):
-        sketch = before or search.sketch(full, structure)
+        sketch = before.sketch if before else search.sketch(full, structure)
         if sketch is None:
             continue
         if search.behind(sketch, full).gain > LARGE:  # so far that fitting on would not bring it close
             if len(others) == 1:
                 found.append(Rival(others[0], sketch, same=False, ruled_out=True))
             continue
-        swapped = search.full(full, sketch)
+        swapped = (before and before.fitted) or search.full(full, sketch)
         if swapped is None:
             continue
         difference = search.compare(full, swapped)
@@ -146,8 +154,10 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
     return found
 
 
-def _stand_ins(search: Search, full: Fit, term: Term, most: int) -> Iterator[tuple[list[Term], Structure, Fit | None]]:
-    """Effects to try in the place of one, the structure with them, and the sketch of it if its round made one."""
+def _stand_ins(
+    search: Search, full: Fit, term: Term, most: int
+) -> Iterator[tuple[list[Term], Structure, Tried | None]]:
+    """Effects to try in the place of one, the structure with them, and what its round made of it if it was tried."""
     everything = {t.key: t for round_ in search.rounds for t in round_}
     own = next((r for r in search.rounds if any(t.key == term.key and t.fitted for t in r)), [])
     present = {x.key for x in full.structure.terms}
@@ -164,7 +174,7 @@ def _stand_ins(search: Search, full: Fit, term: Term, most: int) -> Iterator[tup
     for other in others[:most]:
         structure = rest.with_term(other.term)
         same = other.sketch is not None and set(names(other.sketch.structure.terms)) == set(names(structure.terms))
-        yield [other.term], structure, other.sketch if same else None
+        yield [other.term], structure, other if same else None
     for tried in everything.values():
         inside = [
             t for t in full.structure.terms if t.at == tried.term.at and t.effect.id in tried.term.effect.contains

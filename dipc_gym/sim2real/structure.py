@@ -53,6 +53,7 @@ class Slot:
         scale: value that the mapped number 1 stands for (0 if `log`).
         sigma: standard deviation of the mapped number's prior; infinite for effects.
         centre: mean of that prior.
+        fine: relative change that a unit step makes, if `log`.
     """
 
     key: str
@@ -63,15 +64,16 @@ class Slot:
     scale: float
     sigma: float = math.inf
     centre: float = 0.0
+    fine: float = 1.0
 
     def value(self, z: float) -> float:
         """The number itself."""
-        value = self.scale * math.exp(min(z, 50.0)) if self.log else self.scale * z
+        value = self.scale * math.exp(min(z * self.fine, 50.0)) if self.log else self.scale * z
         return min(max(value, self.low), self.high)
 
     def mapped(self, value: float) -> float:
         """The mapped number of a value."""
-        return math.log(value / self.scale) if self.log else value / self.scale
+        return math.log(value / self.scale) / self.fine if self.log else value / self.scale
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ class Structure:
             for p in _free(term.effect):
                 guess = term.guess[p.name]
                 scale = abs(guess) if guess else _fallback(p.low, p.high)
-                slots.append(Slot(f"{term.key}.{p.name}", p.unit, p.low, p.high, p.log, scale))
+                slots.append(Slot(f"{term.key}.{p.name}", p.unit, p.low, p.high, p.log, scale, fine=p.fine))
         object.__setattr__(self, "slots", tuple(slots))
 
     @functools.cached_property

@@ -29,6 +29,8 @@ class Parameter:
         low: smallest allowed value.
         high: largest allowed value.
         log: whether ratios rather than differences matter, as for stiffnesses and time constants.
+        fine: relative change that is already a sizeable one, where `log`: a frequency that is off by a hundredth is out
+            of step soon.
         fixed: whether it stays at its guess, as the range that a table covers.
     """
 
@@ -37,6 +39,7 @@ class Parameter:
     low: float = -math.inf
     high: float = math.inf
     log: bool = False
+    fine: float = 1.0
     fixed: bool = False
 
 

@@ -19,7 +19,7 @@ class Periodic(Effect):
     parameters = (
         Parameter("sine", "N"),
         Parameter("cosine", "N"),
-        Parameter("frequency", "Hz", 0.0, log=True),
+        Parameter("frequency", "Hz", 0.0, log=True, fine=0.01),
     )
     rivals = ("load.position", "disturbance.pulse")
     needs_loader = True

@@ -9,8 +9,11 @@ import numpy as np
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry, passive_rate
 
-# The curve exp(-(v / velocity)^2) between these multiples of the Stribeck velocity is drawn with straight lines.
-KNOTS = np.array([0.0, 0.4, 0.9, 1.4, 2.1])
+# The curve exp(-(v / velocity)^2) is drawn with straight lines between these multiples of the Stribeck velocity. Chosen
+# to minimise the mean fourth power of the error, which is nowhere above 0.7 %: chords from knots on the curve are off
+# by up to 3.6 %, and the fit of a pendulum made up for that with a static level 1.5 % too high.
+KNOTS = np.array([0.0, 0.170, 0.398, 1.056, 1.376, 1.735, 2.284])
+CURVE = np.array([1.0, 0.9776, 0.8592, 0.3210, 0.1438, 0.0429, 0.0])
 
 
 class Stribeck(Effect):
@@ -44,8 +47,7 @@ class Stribeck(Effect):
         """Friction at the static level, and what speed takes off it."""
         excess = max(values["static"] - values["level"], 1e-9)
         dry(document, at, values["level"] + excess)
-        fall = 1 - np.exp(-(KNOTS**2))
-        slope = np.append(np.diff(fall / fall[-1]) / np.diff(KNOTS), 0.0)
+        slope = np.append(-np.diff(CURVE) / np.diff(KNOTS), 0.0)
         for k, bend in enumerate(-np.diff(slope)):
             limit = abs(float(bend * KNOTS[k + 1])) * excess
             rate = float(bend) * excess / values["velocity"]
