@@ -46,11 +46,13 @@ def run(
     *,
     constant: float = 0.0,
     forward: float = 0.0,
+    spring: float = 0.0,
     knock: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Recording:
     """A cart under a swept voltage; Coulomb friction by exact reversals at 50 microseconds; an encoder with noise.
 
-    A steady force, drag in forward motion alone, and a knock (a force, when it begins, for how long) come on top.
+    A steady force, drag in forward motion alone, a spring, and a knock (a force, when it begins, for how long) come on
+    top.
     """
     rng = np.random.default_rng(seed)
     h, hold = 5e-5, 40
@@ -64,7 +66,7 @@ def run(
         out[k] = x
         for _ in range(hold):
             knocked = knock[0] * (knock[1] <= k * h * hold < knock[1] + knock[2])
-            push = FORCE * volts[k] - drag * v - forward * max(v, 0.0) + constant + knocked
+            push = FORCE * volts[k] - drag * v - forward * max(v, 0.0) - spring * x + constant + knocked
             if v == 0.0 and abs(push) <= coulomb:
                 continue
             friction = math.copysign(coulomb, v if v else push)
@@ -138,6 +140,16 @@ def test_drag_that_depends_on_direction_comes_after_dry_friction() -> None:
         mujoco.mj_forward(model, data)
         forces.append(float(data.qfrc_actuator[0]))
     assert forces == [pytest.approx(-6.0, rel=0.05), 0.0]
+
+
+def test_what_is_missing_does_not_move_numbers_that_were_right() -> None:
+    """Mass, damping, gear and a spring predict alike when all are scaled; those that were given stay as they were."""
+    names = ("load.spring", "load.constant", "friction.viscous")
+    runs = [run(9, 20, 0.0, spring=20.0)]
+    found = diagnose(mjcf.from_text(NOMINAL), runs, effects=[catalogue()[n] for n in names])
+    assert [m.effect for m in found.missing] == ["load.spring"], found.sentence
+    assert found.recalibrated == ()
+    assert found.missing[0].parameters["stiffness"]["value"] == pytest.approx(20.0, rel=1e-3)
 
 
 def test_a_knock_in_a_window_left_aside_is_found() -> None:
