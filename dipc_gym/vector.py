@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 COSTS = ("cost_cart", "cost_pole1", "cost_pole2", "cost_voltage")
+INFO = ("reward_survive", *COSTS, "voltage", "friction", "time")  # and two flags
 
 
 class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]]):
@@ -100,14 +101,18 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         self._sims = mjbatch.Batch(rig.model, self.num_envs, threads)
         self._qpos, self._qvel, self._ctrl = (self._sims.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self._clock, self._force = self._sims.bind("time"), self._sims.bind("actuator_force")
+        self._sims.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._new = self._sims.state[0].copy()  # written into rows that are reset, at a fifth of what a reset costs
         self._generators: list[np.random.Generator | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
         n = self.num_envs
         self._plants = [rig.plant] * n
         self._numbers: _PlantNumbers | None = None
-        self._cart, self._pole, self._noise, self._keep, self._gain = np.zeros((5, n))
+        self._counts, self._noise, self._keep, self._gain = np.zeros((n, 3)), np.zeros(n), *np.zeros((2, n, 1))
         self._sense_as(np.arange(n), self._plants)
-        self._readings, self._rates, self._observed = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 6))
+        # Readings of the encoders and velocities worked out from them; what is observed, unless the state is.
+        self._measured = np.zeros((n, 6))
+        self._observed = np.zeros((n, 6)) if exact_state else self._measured
         self._can_fall, self._ended, self.began = (np.zeros(n, dtype=bool) for _ in range(3))
         self._steps = np.zeros(n, dtype=np.int64)
 
@@ -138,7 +143,9 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         for i in rows:
             if seeds[i] is not None:
                 self._generators[i], self._seeds[i] = gymnasium.utils.seeding.np_random(seeds[i])
-        infos = self._begin(rows, options)
+        infos: dict[str, Any] = {key: np.zeros(self.num_envs) for key in INFO}
+        infos |= {key: np.zeros(self.num_envs, dtype=bool) for key in ("clipped", "diverged")}
+        self._begin(rows, options, infos)
         self.began = mask
         return self._observed.copy(), _masked(infos, mask)
 
@@ -169,7 +176,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             rewards, terminated, truncated, infos = self._advance(asked, ~waiting)
         if waiting.any():
             rows = np.flatnonzero(waiting)
-            self._put(infos, rows, self._begin(rows, {}))
+            self._begin(rows, {}, infos)
         ended = terminated | truncated
         everywhere = np.ones(self.num_envs, dtype=bool)
         self.began, self._ended = waiting, ended
@@ -178,7 +185,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             if ended.any():
                 rows = np.flatnonzero(ended)
                 final_obs, final_info = _final(self._observed, infos, ended)
-                self._put(infos, rows, self._begin(rows, {}))
+                self._begin(rows, {}, infos)
                 infos = _masked(infos, everywhere)
                 infos |= {"final_obs": final_obs, "_final_obs": ended.copy()}
                 infos |= {"final_info": final_info, "_final_info": ended.copy()}
@@ -211,10 +218,10 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     @property
     def state(self) -> Array:
         """The simulations' exact states, (num_envs, 6), as the observation orders them."""
-        a, b, c = self._rig._qpos_address
-        i, j, k = self._rig._dof
-        q, v = self._qpos, self._qvel
-        return np.stack([q[:, a], q[:, b], q[:, b] + q[:, c], v[:, i], v[:, j], v[:, j] + v[:, k]], axis=1)
+        state = np.concatenate([self._qpos[:, self._rig._qpos_address], self._qvel[:, self._rig._dof]], axis=1)
+        state[:, 2] += state[:, 1]
+        state[:, 5] += state[:, 4]
+        return state
 
     @property
     def measured_velocity(self) -> Array:
@@ -224,7 +231,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     @property
     def encoders(self) -> Array:
         """Last readings of the encoders, (num_envs, 3), m and rad; the third is relative to the first pole."""
-        readings = self._readings.copy()
+        readings = self._measured[:, :3].copy()
         readings[:, 2] -= readings[:, 1]
         return readings
 
@@ -247,12 +254,11 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         """Step the rows that are `going`; what comes back for the others means nothing."""
         rig = self._rig
         supply, rail = self._family.base.supply, rig._rail
-        volts = np.where(asked < -supply, -supply, np.where(asked > supply, supply, asked))
+        volts = np.minimum(np.maximum(asked, -supply), supply)
         self._ctrl[:, rig._motor] = volts
         self._sims.step(None if going.all() else going, nstep=rig._nstep)
         state = self.state
-        size = np.abs(state).sum(axis=1)
-        diverged = ~(size < DIVERGED)
+        diverged = ~(np.abs(state).sum(axis=1) < DIVERGED)
         fine = going & ~diverged
         state[~fine] = 0.0
         x, theta1, theta2 = state[:, 0], state[:, 1], state[:, 2]
@@ -264,13 +270,15 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         limit = self.max_episode_steps
         truncated = np.zeros_like(going) if limit is None else going & (self._steps >= limit)
         rewards = np.where(fine, 1.0 - terms[0] - terms[1] - terms[2] - terms[3], 0.0)
-        infos: dict[str, Any] = {"reward_survive": np.where(diverged, 0.0, 1.0)}
-        infos |= {name: np.where(diverged, 0.0, term) for name, term in zip(COSTS, terms, strict=True)}
-        infos |= {"voltage": volts, "clipped": volts != asked, "friction": np.where(diverged, 0.0, self.friction)}
-        return rewards, terminated, truncated, infos | {"time": self.time, "diverged": diverged}
+        infos: dict[str, Any] = {"reward_survive": np.ones(self.num_envs), **dict(zip(COSTS, terms, strict=True))}
+        infos |= {"friction": self.friction}
+        for value in infos.values():
+            value[diverged] = 0.0
+        infos |= {"voltage": volts, "clipped": volts != asked, "time": self.time, "diverged": diverged}
+        return rewards, terminated, truncated, infos
 
-    def _begin(self, rows: NDArray[np.intp], options: dict[str, Any]) -> dict[str, Any]:
-        """Draw plants and states for `rows`, put them there, and return the `info` of their first moment."""
+    def _begin(self, rows: NDArray[np.intp], options: dict[str, Any], infos: dict[str, Any]) -> None:
+        """Draw plants and states for `rows`, put them there, and note the `info` of their first moment."""
         plant, start, state = (options.pop(key, None) for key in ("plant", "start", "state"))
         if options:
             raise ValueError(
@@ -285,47 +293,45 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             plants.append(family.draw(generator))
             states[k] = start_state(generator, start, state)
         self._become(rows, plants)
-        self._sims.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._sims.state[rows] = self._new
         x, theta1, theta2, v, w1, w2 = states.T
         for address, values in zip(self._rig._qpos_address, (x, theta1, theta2 - theta1), strict=True):
             self._qpos[rows, address] = values
         for address, values in zip(self._rig._dof, (v, w1, w2 - w1), strict=True):
             self._qvel[rows, address] = values
         self._sims.forward(rows)
-        mask = np.zeros(self.num_envs, dtype=bool)
-        mask[rows] = True
         self._can_fall[rows] = (np.abs(theta1) <= kernels.FALL) & (np.abs(theta2) <= kernels.FALL)
         self._steps[rows], self._ended[rows] = 0, False
-        self._readings[rows] = self._read_encoders(rows)
-        self._rates[rows] = states[:, 3:]
-        self._observed[rows] = states if self.exact_state else np.hstack([self._readings[rows], states[:, 3:]])
-        infos: dict[str, Any] = {key: np.zeros(self.num_envs) for key in ("reward_survive", *COSTS, "voltage")}
-        infos |= {"clipped": np.zeros_like(mask), "friction": np.where(mask, self.friction, 0.0)}
-        infos |= {"time": np.where(mask, self.time, 0.0), "diverged": np.zeros_like(mask)}
-        infos["reward_survive"][mask] = 1.0
-        return infos
+        joints = self._qpos[rows[:, None], self._rig._qpos_address] + self._encoder_noise(rows)
+        self._measured[rows, :3] = _readings(joints, self._counts[rows])
+        self._measured[rows, 3:] = states[:, 3:]
+        if self.exact_state:
+            self._observed[rows] = states
+        for value in infos.values():
+            value[rows] = 0
+        infos["reward_survive"][rows] = 1.0
+        infos["friction"][rows] = self.friction[rows]
 
     def _measure(self, state: Array, which: Mask) -> None:
         """Read the encoders of rows, update their velocity filters, and note what is observed."""
-        rows = np.flatnonzero(which)
-        readings = self._read_encoders(rows)
-        keep, gain = self._keep[rows, None], self._gain[rows, None]
-        rates = kernels.velocity(readings, self._readings[rows], self._rates[rows], keep, gain)
-        self._readings[rows], self._rates[rows] = readings, rates
-        self._observed[rows] = state[rows] if self.exact_state else np.hstack([readings, rates])
+        joints = self._qpos[:, self._rig._qpos_address]
+        if self._noise.any():
+            rows = np.flatnonzero(which)
+            joints[rows] += self._encoder_noise(rows)
+        before, measured, fine = self._measured, np.empty_like(self._measured), which[:, None]
+        measured[:, :3] = _readings(joints, self._counts)
+        measured[:, 3:] = kernels.velocity(measured[:, :3], before[:, :3], before[:, 3:], self._keep, self._gain)
+        np.copyto(self._measured, measured, where=fine)
+        if self.exact_state:
+            np.copyto(self._observed, state, where=fine)
 
-    def _read_encoders(self, rows: NDArray[np.intp]) -> Array:
-        """Readings of the cart and the two absolute angles, (rows, 3)."""
-        joints = self._qpos[rows[:, None], self._rig._qpos_address]
-        cart_step, pole_step = self._cart[rows], self._pole[rows]
+    def _encoder_noise(self, rows: NDArray[np.intp]) -> Array:
+        """What noise adds to the joints of rows before they are rounded, (rows, 3); drawn only where there is any."""
+        noise = np.zeros((len(rows), 3))
         for k in np.flatnonzero(self._noise[rows] > 0):
             i = int(rows[k])
-            x, one, two = self._generator(i).standard_normal(3).tolist()
-            cart, pole = self._noise[i] * self._cart[i], self._noise[i] * self._pole[i]
-            joints[k] += cart * x, pole * one, pole * two
-        theta1 = kernels.quantise(joints[:, 1], pole_step)
-        theta2 = theta1 + kernels.quantise(joints[:, 2], pole_step)
-        return np.stack([kernels.quantise(joints[:, 0], cart_step), theta1, theta2], axis=1)
+            noise[k] = self._noise[i] * self._counts[i] * self._generator(i).standard_normal(3)
+        return noise
 
     # ------------------------------------------------------------------------------------------------ plants
 
@@ -359,7 +365,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     def _sense_as(self, rows: NDArray[np.intp], plants: list[Plant]) -> None:
         for i, plant in zip(rows, plants, strict=True):
             encoders = plant.encoders
-            self._cart[i], self._pole[i], self._noise[i] = encoders.cart, encoders.pole, encoders.noise
+            self._counts[i], self._noise[i] = (encoders.cart, encoders.pole, encoders.pole), encoders.noise
             self._keep[i], self._gain[i] = kernels.velocity_gains(encoders.velocity_filter, plant.control_period)
 
     # ------------------------------------------------------------------------------------------------ details
@@ -379,11 +385,6 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         if not mask.any():
             raise ValueError("options['reset_mask'] selects no environment")
         return mask.copy()
-
-    @staticmethod
-    def _put(infos: dict[str, Any], rows: NDArray[np.intp], begun: dict[str, Any]) -> None:
-        for key, value in infos.items():
-            value[rows] = begun[key][rows]
 
 
 class _PlantNumbers:
@@ -440,6 +441,13 @@ class _PlantNumbers:
 
 def _actuators(plant: Plant) -> tuple[bool, bool | None]:
     return plant.motor is None, None if plant.friction is None else plant.friction.coulomb > 0
+
+
+def _readings(joints: Array, counts: Array) -> Array:
+    """What encoders with these counts say of joints, (rows, 3); the second angle is absolute, as the first is."""
+    readings = kernels.quantise(joints, counts)
+    readings[:, 2] += readings[:, 1]
+    return readings
 
 
 def _masked(infos: dict[str, Any], mask: Mask) -> dict[str, Any]:
