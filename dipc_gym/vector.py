@@ -272,8 +272,9 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         rewards = np.where(fine, 1.0 - terms[0] - terms[1] - terms[2] - terms[3], 0.0)
         infos: dict[str, Any] = {"reward_survive": np.ones(self.num_envs), **dict(zip(COSTS, terms, strict=True))}
         infos |= {"friction": self.friction}
-        for value in infos.values():
-            value[diverged] = 0.0
+        if diverged.any():
+            for value in infos.values():
+                value[diverged] = 0.0
         infos |= {"voltage": volts, "clipped": volts != asked, "time": self.time, "diverged": diverged}
         return rewards, terminated, truncated, infos
 
@@ -288,8 +289,8 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             raise ValueError("give either options['start'] or options['state'], not both")
         family = self._family if plant is None else self._fitting(PlantFamily.of(plant, base=self._family.base))
         plants, states = [], np.empty((len(rows), 6))
-        for k, i in enumerate(rows):
-            generator = self._generator(int(i))
+        for k, i in enumerate(rows.tolist()):
+            generator = self._generator(i)
             plants.append(family.draw(generator))
             states[k] = start_state(generator, start, state)
         self._become(rows, plants)
@@ -302,7 +303,9 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         self._sims.forward(rows)
         self._can_fall[rows] = (np.abs(theta1) <= kernels.FALL) & (np.abs(theta2) <= kernels.FALL)
         self._steps[rows], self._ended[rows] = 0, False
-        joints = self._qpos[rows[:, None], self._rig._qpos_address] + self._encoder_noise(rows)
+        joints = self._qpos[rows[:, None], self._rig._qpos_address]
+        if self._noisy:
+            joints += self._encoder_noise(rows)
         self._measured[rows, :3] = _readings(joints, self._counts[rows])
         self._measured[rows, 3:] = states[:, 3:]
         if self.exact_state:
@@ -315,7 +318,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     def _measure(self, state: Array, which: Mask) -> None:
         """Read the encoders of rows, update their velocity filters, and note what is observed."""
         joints = self._qpos[:, self._rig._qpos_address]
-        if self._noise.any():
+        if self._noisy:
             rows = np.flatnonzero(which)
             joints[rows] += self._encoder_noise(rows)
         before, measured, fine = self._measured, np.empty_like(self._measured), which[:, None]
@@ -351,7 +354,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
 
     def _become(self, rows: NDArray[np.intp], plants: list[Plant]) -> None:
         """Give plants to rows."""
-        changed = [k for k, i in enumerate(rows) if self._plants[i] != plants[k]]
+        changed = [k for k, i in enumerate(rows.tolist()) if self._plants[i] != plants[k]]
         if not changed:
             return
         rows, plants = rows[changed], [plants[k] for k in changed]
@@ -367,6 +370,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             encoders = plant.encoders
             self._counts[i], self._noise[i] = (encoders.cart, encoders.pole, encoders.pole), encoders.noise
             self._keep[i], self._gain[i] = kernels.velocity_gains(encoders.velocity_filter, plant.control_period)
+        self._noisy = bool(self._noise.any())
 
     # ------------------------------------------------------------------------------------------------ details
 
