@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.physics import Physics
 from dipc_gym.sim2real.simulate import Stepping, Windows, simulate
 from dipc_gym.sim2real.states import starts as early
 from dipc_gym.sim2real.structure import Structure
@@ -119,6 +120,20 @@ class Fit:
         """Root of the mean square prediction error, in units of noise."""
         return float(np.sqrt(np.mean(self.mse)))
 
+    def pick(self, which: NDArray[np.intp]) -> Fit:
+        """What it says of some of the windows."""
+        q = self.quadratics
+        return replace(
+            self,
+            starts=self.starts[which],
+            raw=self.raw[which],
+            left=self.left[which],
+            mse=self.mse[which],
+            sensitivity=self.sensitivity[which],
+            quadratics=Quadratics(q.A[which], q.b[which], q.c[which]),
+            jacobian=self.jacobian[which],
+        )
+
 
 def weights(mse: Array) -> Array:
     """Weight of each window: those that are far off count less, so that a few cannot decide a fit."""
@@ -137,16 +152,21 @@ def typical(mse: Array) -> float:
 
 def predict(problem: Problem, structure: Structure, Z: Sequence[Array], starts: Array) -> Array:
     """Readings (variants, n, m, ns) of a structure under several sets of numbers."""
-    made: dict[bytes, object] = {}
+    made: dict[bytes, Physics] = {}
     variants = []
     for z in Z:
         key = z.tobytes()
         if key not in made:
             made[key] = structure.physics(z)
         variants.append(made[key])
+    return predict_with(problem, structure, variants, starts)
+
+
+def predict_with(problem: Problem, structure: Structure, variants: Sequence[Physics], starts: Array) -> Array:
+    """Readings (variants, n, m, ns) of models that have this structure."""
     windows, warm = problem.windows, structure.warm
     return simulate(
-        variants,  # type: ignore[arg-type]
+        variants,
         windows,
         starts,
         _stepping(problem, structure),

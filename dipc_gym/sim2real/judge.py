@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real.comparison import LARGE, WORTH
+from dipc_gym.sim2real.comparison import WORTH
 from dipc_gym.sim2real.evidence import Scene
 from dipc_gym.sim2real.fit import Fit, Problem, fit, weights
 from dipc_gym.sim2real.screening import Tried
@@ -138,7 +138,7 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
         sketch = before.sketch if before else search.sketch(full, structure)
         if sketch is None:
             continue
-        if search.behind(sketch, full).gain > LARGE:  # so far that fitting on would not bring it close
+        if search.behind(sketch, full):
             if len(others) == 1:
                 found.append(Rival(others[0], sketch, same=False, ruled_out=True))
             continue

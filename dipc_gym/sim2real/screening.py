@@ -10,11 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect
-from dipc_gym.sim2real.fit import Fit, Problem, predict, residual, weights
+from dipc_gym.sim2real.fit import Fit, Problem, predict_with, residual, weights
 from dipc_gym.sim2real.structure import Term, carry
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -41,26 +44,56 @@ class Tried:
         return self.term.key
 
 
-def screen(problem: Problem, current: Fit, terms: Sequence[Term]) -> list[Tried]:
-    """Rank hypotheses by what they promise; the best guess of each, the most promising first."""
-    before = float(np.mean(np.log1p(current.mse)))
-    best: dict[str, Tried] = {}
+def screen(problem: Problem, current: Fit, terms: Sequence[Term], few: NDArray[np.intp]) -> list[Tried]:
+    """Rank hypotheses by what they promise; the best guess of each, the most promising first.
+
+    Args:
+        problem: windows to predict.
+        current: fit that the hypotheses are laid over.
+        terms: hypotheses, several guesses of one among them.
+        few: windows that have to do for what must be simulated in finer steps than the rest.
+    """
+    guesses: dict[str, list[Term]] = {}
     for term in terms:
+        guesses.setdefault(term.key, []).append(term)
+    some, currently = problem.pick(few), current.pick(few)
+    found = []
+    for group in guesses.values():
+        slow = group[0].effect.finest < min(problem.stepping.timestep, current.structure.finest)
+        tried = _best(*((some, currently) if slow else (problem, current)), group)
+        found += [tried] if tried else []
+    return sorted(found, key=lambda tried: -tried.promise)
+
+
+def _best(problem: Problem, current: Fit, group: Sequence[Term]) -> Tried | None:
+    """The most promising guess of one effect at one place; None if none can be simulated."""
+    possible, variants = [], []
+    for term in group:
+        structure = current.structure.with_term(term)
         try:
-            promise, size = _promise(problem, current, term)
+            variants.append(structure.physics(carry(current.structure, current.z, structure)))
         except mjcf.MjcfError:
             continue
-        promise = before - promise
-        if term.key not in best or promise > best[term.key].promise:
-            best[term.key] = Tried(_scaled(term, size), promise)
-    return sorted(best.values(), key=lambda tried: -tried.promise)
+        possible.append(term)
+    if not possible:
+        return None
+    all_readings = predict_with(problem, current.structure.with_term(possible[0]), variants, current.starts[None])
+    tried = []
+    for term, readings in zip(possible, all_readings, strict=True):
+        promise, size = _promise(problem, current, term.effect, readings)
+        tried.append(Tried(_scaled(term, size), promise))
+    return max(tried, key=lambda one: one.promise)
 
 
-def _promise(problem: Problem, current: Fit, term: Term) -> tuple[float, float]:
-    """Mean log square error after adding this effect at its best size, and that size in guesses."""
-    structure = current.structure.with_term(term)
-    z = carry(current.structure, current.z, structure)
-    readings = predict(problem, structure, [z], current.starts[None])[0]
+def _promise(problem: Problem, current: Fit, effect: Effect, readings: Array) -> tuple[float, float]:
+    """Fall of the mean log square error by adding an effect at its best size, and that size in guesses.
+
+    Args:
+        problem: windows to predict.
+        current: fit without the effect.
+        effect: what is added.
+        readings: predicted with it at a first guess, (n, m, ns).
+    """
     # What the effect adds to the prediction, in units of noise.
     change = current.raw - residual(problem, readings)
     n = len(current.mse)
@@ -76,12 +109,13 @@ def _promise(problem: Problem, current: Fit, term: Term) -> tuple[float, float]:
     A = A + np.diag(prior / counts.mean()) * len(counts) / n
     scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
     step = np.linalg.lstsq(A / np.outer(scale, scale), b / scale, rcond=1e-9)[0] / scale
-    size = float(np.clip(step[0], -100.0 if _signed(term.effect) else 0.0, 100.0))
+    size = float(np.clip(step[0], -100.0 if _signed(effect) else 0.0, 100.0))
     if size == 0.0:
-        return float(np.mean(np.log1p(current.mse))), 1.0
+        return 0.0, 1.0
     step = np.append(size, np.clip(step[1:], -1, 1))
     left = current.left - columns @ step
-    return float(np.mean(np.log1p(np.einsum("nm,nm->n", left, left) / counts))), size
+    after = np.einsum("nm,nm->n", left, left) / counts
+    return float(np.mean(np.log1p(current.mse)) - np.mean(np.log1p(after))), size
 
 
 def _scaled(term: Term, size: float) -> Term:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real.comparison import WORTH, Comparison, compare, loss
+from dipc_gym.sim2real.comparison import LARGE, WORTH, Comparison, compare, loss
 from dipc_gym.sim2real.effects.base import Effect, dof
 from dipc_gym.sim2real.evidence import Scene, places
 from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, typical
@@ -133,9 +133,14 @@ class Search:
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
-    def behind(self, sketch: Fit, fitted: Fit) -> Comparison:
-        """How much worse a sketch is than a full fit, on the windows of the sketch."""
-        return compare(fitted.mse[self.few], sketch.mse, self.problem.blocks[self.few])
+    def behind(self, sketch: Fit, fitted: Fit) -> bool:
+        """Whether a sketch is so much worse than a full fit that fitting on would not bring it close."""
+        return compare(fitted.mse[self.few], sketch.mse, self.problem.blocks[self.few]).gain > LARGE
+
+    def hopeless(self, current: Fit, structure: Structure) -> bool:
+        """Whether a sketch already tells that a structure is far from predicting as `current` does."""
+        sketch = self.sketch(current, structure)
+        return sketch is None or self.behind(sketch, current)
 
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
@@ -147,13 +152,7 @@ class Search:
         least = max(WORTH / 2, 0.1 * _promise(ranked[0])) if ranked else 0.0
         sketched: list[tuple[Tried, Fit]] = []
         for finalist, _ in _finalists([pair for pair in ranked if _promise(pair) > least]):
-            sketches = [
-                (replace(tried, term=_as_fitted(sketch), sketch=sketch), base)
-                for tried, base in starts[finalist.key]
-                if (sketch := self.sketch(base, base.structure.with_term(tried.term))) is not None
-            ]
-            losses = _losses([sketch.sketch.mse for sketch, _ in sketches if sketch.sketch is not None])
-            sketched += [sketches[int(np.argmin(losses))]] if sketches else []
+            sketched += self._sketched(sorted(starts[finalist.key], key=_promise, reverse=True), current)
         done: list[Tried] = []
         for tried, base in self._keeping_up(sketched, current):
             assert tried.sketch is not None
@@ -167,6 +166,23 @@ class Search:
         self.rounds.append(done)
         chosen = self.choose(current, [t for t in done if t.fitted is not None])
         return None if chosen is None else self.polish(chosen)
+
+    def _sketched(self, starts: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
+        """The best sketch of one hypothesis, if any, from the most promising start on.
+
+        A fit that brings less than screening foretold is stuck; then the next start is tried as well.
+        """
+        before = float(np.mean(np.log1p(current.mse[self.few])))
+        sketches: list[tuple[Tried, Fit]] = []
+        for tried, base in starts:
+            sketch = self.sketch(base, base.structure.with_term(tried.term))
+            if sketch is None:
+                continue
+            sketches.append((replace(tried, term=_as_fitted(sketch), sketch=sketch), base))
+            if before - float(np.mean(np.log1p(sketch.mse))) > max(tried.promise, WORTH / 2):
+                break
+        losses = _losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
+        return [sketches[int(np.argmin(losses))]] if sketches else []
 
     def _keeping_up(self, sketched: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
         """Those whose sketches come near the best one, and the plainer ones that these elaborate."""
@@ -192,7 +208,7 @@ class Search:
     def _ranked(self, base: Fit, current: Fit) -> list[Tried]:
         """Hypotheses on top of a base; what they promise is counted from `current`."""
         handicap = float(np.mean(np.log1p(base.mse)) - np.mean(np.log1p(current.mse)))
-        ranked = screen(self.problem, base, self.hypotheses(base, self.look(base)))
+        ranked = screen(self.problem, base, self.hypotheses(base, self.look(base)), self.few)
         return [replace(tried, promise=tried.promise - handicap) for tried in ranked]
 
     def polish(self, fitted: Fit) -> Fit:
@@ -297,7 +313,8 @@ class Search:
     def prune(self, current: Fit) -> Fit:
         """Take out effects that do not earn their place any more; put plainer ones in the place of idle numbers."""
         for term in current.structure.terms:
-            less = [self.without(current, term.key)] if len(current.structure.terms) > 1 else []
+            rest = current.structure.without(term.key)
+            less = [self.without(current, term.key)] if rest.terms and not self.hopeless(current, rest) else []
             plainer = [self.swap(current, term, inner) for inner in term.effect.contains]
             for other in [*less, *(fitted for fitted in plainer if fitted is not None)]:
                 lost = self.compare(current, other)
@@ -322,10 +339,8 @@ class Search:
         levels = [values[name] for name in term.effect.levels]
         evidence = scene.at(other.place, term.at, {term.at: float(np.mean(levels))} if levels else {})
         structure = rest.with_term(Term(other, term.at, dict(other.guesses(evidence)[0])))
-        try:
-            return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts, most=12)
-        except (mjcf.MjcfError, np.linalg.LinAlgError):
-            return None
+        sketch = self.sketch(current, structure)
+        return None if sketch is None or self.behind(sketch, current) else self.full(current, sketch)
 
     def without(self, current: Fit, key: str) -> Fit:
         """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
