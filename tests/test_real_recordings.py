@@ -220,6 +220,13 @@ def test_bam_friction_grows_with_load() -> None:
     assert "friction.load@joint" in named(found)
 
 
+def test_dfki_lacks_friction_at_its_joints_and_more() -> None:
+    """As published for both joints; what else is at the shoulder has no name in the catalogue."""
+    found = diagnosed("dfki", "run_0[024].csv", "friction.coulomb", "load.constant", "drag.quadratic")
+    assert {"friction.coulomb@shoulder", "friction.coulomb@elbow", "unknown@shoulder"} <= set(named(found))
+    assert found.verdict == "partly explained"
+
+
 def test_uw_lacks_nothing() -> None:
     """Its published model explains it; at most its numbers move."""
     found = diagnosed("uw_double", "free_swing.csv", "friction.coulomb", "drag.quadratic")

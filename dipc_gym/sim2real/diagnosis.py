@@ -169,9 +169,8 @@ def diagnose(
     force = {joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, forces.T, strict=True)}
     notes += sentences.disagreement(errors, force)
     located = judge.locate(search.look(recalibrated), prepared.structure.base)
-    spread = judge.intervals(final, problem)
-    shift = _step_shift(final, problem)
-    changed = _changed(final, spread)
+    wide = judge.QUANTILE * judge.intervals(final, problem) + _step_shift(final, problem)
+    changed = _changed(final, wide)
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved), _motion(held), len(final.structure.terms), len(changed)
     )
@@ -180,7 +179,7 @@ def diagnose(
         tell(f"what could stand in for {term.key}?")
         replaced[term.key] = [] if search.interrupted else judge.rivals(search, final, term)
     missing = [
-        _missing(search, final, term, worst, _rivals_told(replaced[term.key], held, errors), spread, shift, verdict)
+        _missing(search, final, term, worst, _rivals_told(replaced[term.key], held, errors), wide, verdict)
         for term in final.structure.terms
     ]
     if search.interrupted:
@@ -293,22 +292,21 @@ def _provenance(
     }
 
 
-def _changed(final: Fit, spread: Array) -> list[dict[str, Any]]:
-    """Own numbers that had to change, as diagnosis.json lists them."""
+def _changed(final: Fit, wide: Array) -> list[dict[str, Any]]:
+    """Own numbers that had to change, as diagnosis.json lists them, with intervals of +- `wide` mapped numbers (p,)."""
     out = []
     for i, number in enumerate(final.structure.numbers):
         if abs(final.z[i]) < NEGLIGIBLE:
             continue
         value = final.structure.slots[i].value(final.z[i])
-        wide = judge.QUANTILE * spread[i]
         out.append(
             {
                 "parameter": number.parameter,
                 "at": number.at,
                 "was": number.value,
                 "value": value,
-                "low": value * math.exp(-wide),
-                "high": value * math.exp(wide),
+                "low": value * math.exp(-wide[i]),
+                "high": value * math.exp(wide[i]),
                 "unit": number.unit,
             }
         )
@@ -344,8 +342,7 @@ def _missing(
     term: Term,
     worst: float,
     replaced: Sequence[dict[str, Any]],
-    spread: Array,
-    shift: Array,
+    wide: Array,
     verdict: str,
 ) -> Missing:
     units = improve.place_units(final.structure, term)
@@ -360,8 +357,7 @@ def _missing(
         # With structure left, an interval would tell how sure a wrong model is of its number; what happened once
         # leaves no blocks to resample.
         if verdict == "explained" and not term.effect.once:
-            wide = judge.QUANTILE * spread[i] + shift[i]
-            low, high = slot.value(final.z[i] - wide), slot.value(final.z[i] + wide)
+            low, high = slot.value(final.z[i] - wide[i]), slot.value(final.z[i] + wide[i])
             entry |= {"low": min(low, high), "high": max(low, high), "level": 0.9}
         parameters[name] = entry
     return Missing(

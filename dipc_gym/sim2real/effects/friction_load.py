@@ -51,7 +51,8 @@ class UnderLoad(Effect):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
+        level = f"{values['level']:.3g} {unit['level']}, " if values["level"] > 0 else ""
         return (
-            f"Friction at {at} that grows with load: {values['level']:.3g} {unit['level']}, "
+            f"Friction at {at} that grows with load: {level}"
             f"{100 * values['by_drive']:.3g} % of the drive and {100 * values['by_weight']:.3g} % of the weight."
         )
