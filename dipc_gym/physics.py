@@ -223,22 +223,27 @@ class Physics:
         """Memory (2, ..., nsensordata) of lagging sensors at rest at these readings; None if no sensor lags."""
         return np.stack([sensordata, sensordata]) if self.stage("lag") else None
 
-    def act(self, state: mujoco.MjData, frictionloss: Array, applied: Array) -> None:
-        """Write friction and forces of this moment.
+    def act(self, state: mujoco.MjData, frictionloss: Array, applied: Array, step: float = 0.0) -> None:
+        """Write friction and forces of this moment, or of a step that begins now.
+
+        They are held over the step, so they are those of its middle: held from its beginning, a force that depends on
+        time would come half a step late.
 
         Args:
             state: an `MjData`, or a `mujoco.batch.Batch` with bound fields (n, ...).
             frictionloss: where dry friction goes, (..., nv).
             applied: where generalised forces go, (..., nv).
+            step: s.
         """
         for extra in self.extras:
             if extra.stage == "friction":
                 j = extra.index
                 drive, weight = state.qfrc_actuator[..., j], state.qfrc_bias[..., j]
                 q = state.qpos[..., self.model.jnt_qposadr[self.model.dof_jntid[j]]]
-                frictionloss[..., j] = extra(_moment(state.time, q, drive, weight))
+                q = q + step / 2 * state.qvel[..., j]
+                frictionloss[..., j] = extra(_moment(state.time + step / 2, q, drive, weight))
             elif extra.stage == "force":
-                applied[..., extra.index] = extra(_moment(state.time))
+                applied[..., extra.index] = extra(_moment(state.time + step / 2))
 
     def step(self, data: mujoco.MjData, ctrl: Array, nstep: int = 1) -> None:
         """Advance one simulation by `nstep` steps under a held command (nu,)."""
@@ -247,7 +252,7 @@ class Physics:
             mujoco.mj_step(self.model, data, nstep)
             return
         for _ in range(nstep):
-            self.act(data, self.model.dof_frictionloss, data.qfrc_applied)
+            self.act(data, self.model.dof_frictionloss, data.qfrc_applied, self.model.opt.timestep)
             mujoco.mj_step(self.model, data)
 
 

@@ -346,7 +346,7 @@ def _run(
     sims: mjbatch.Batch, physics: Physics, dry: DryFriction | None, commands: Array, *, record: bool
 ) -> Array | None:
     """Advance under commands (sims, nstep, nu); readings (sims, nstep, nsensordata) at the beginning of each step."""
-    nstep = commands.shape[1]
+    nstep, step = commands.shape[1], float(sims.model.opt.timestep)
     if dry is None and not physics.acts:
         out = sims.rollout(nstep, commands, record=("sensordata",) if record else ())
         return out.get("sensordata")
@@ -361,7 +361,7 @@ def _run(
         dry.begin()
     for k in range(nstep):
         sims.ctrl[:] = commands[:, k]
-        physics.act(sims, level, forces)
+        physics.act(sims, level, forces, step)
         now = None if readings is None else readings[k]
         if dry is not None:
             dry.step(forces, now, sensed)
