@@ -137,10 +137,10 @@ class Search:
         """Whether a sketch is so much worse than a full fit that fitting on would not bring it close."""
         return compare(fitted.mse[self.few], sketch.mse, self.problem.blocks[self.few]).gain > LARGE
 
-    def hopeless(self, current: Fit, structure: Structure) -> bool:
-        """Whether a sketch already tells that a structure is far from predicting as `current` does."""
+    def near(self, current: Fit, structure: Structure) -> Fit | None:
+        """A sketch of a structure, if that does not tell already that it is far from predicting as `current` does."""
         sketch = self.sketch(current, structure)
-        return sketch is None or self.behind(sketch, current)
+        return None if sketch is None or self.behind(sketch, current) else sketch
 
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
@@ -314,7 +314,7 @@ class Search:
         """Take out effects that do not earn their place any more; put plainer ones in the place of idle numbers."""
         for term in current.structure.terms:
             rest = current.structure.without(term.key)
-            less = [self.without(current, term.key)] if rest.terms and not self.hopeless(current, rest) else []
+            less = [self.without(current, term.key)] if rest.terms and self.near(current, rest) else []
             plainer = [self.swap(current, term, inner) for inner in term.effect.contains]
             for other in [*less, *(fitted for fitted in plainer if fitted is not None)]:
                 lost = self.compare(current, other)
@@ -339,8 +339,8 @@ class Search:
         levels = [values[name] for name in term.effect.levels]
         evidence = scene.at(other.place, term.at, {term.at: float(np.mean(levels))} if levels else {})
         structure = rest.with_term(Term(other, term.at, dict(other.guesses(evidence)[0])))
-        sketch = self.sketch(current, structure)
-        return None if sketch is None or self.behind(sketch, current) else self.full(current, sketch)
+        sketch = self.near(current, structure)
+        return None if sketch is None else self.full(current, sketch)
 
     def without(self, current: Fit, key: str) -> Fit:
         """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
