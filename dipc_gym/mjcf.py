@@ -221,6 +221,11 @@ def sensor_addresses(model: mujoco.MjModel) -> NDArray[np.intp]:
     return np.array([model.sensor(name).adr[0] for name in scalar_sensors(model)], dtype=np.intp)
 
 
+def sensor_delays(model: mujoco.MjModel) -> NDArray[np.float64]:
+    """By how much each of the `scalar_sensors` reads late, s."""
+    return np.array([model.sensor_delay[model.sensor(name).id] for name in scalar_sensors(model)])
+
+
 def check_supported(model: mujoco.MjModel) -> None:
     """Refuse models that system identification cannot treat.
 

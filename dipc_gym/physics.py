@@ -91,6 +91,12 @@ def friction_along(data: Array, now: Moment) -> Array:
     return np.maximum(at + share * (above - at), 0.0)
 
 
+def friction_wave(data: Array, now: Moment) -> Array:
+    """Dry friction level + sine sin(a) + cosine cos(a), a = 2 pi q / wavelength; data: these four numbers."""
+    angle = 2 * np.pi * now.position / data[..., 3]
+    return np.maximum(data[..., 0] + data[..., 1] * np.sin(angle) + data[..., 2] * np.cos(angle), 0.0)
+
+
 def friction_under_load(data: Array, now: Moment) -> Array:
     """Dry friction level + by_drive |drive| + by_weight |weight|; data: level, by_drive, by_weight."""
     return data[..., 0] + data[..., 1] * np.abs(now.drive) + data[..., 2] * np.abs(now.weight)
@@ -112,6 +118,7 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     "sensor.bias": ("sensor", sensor_bias),
     "timing.sensor_lag": ("lag", lag),
     "friction.position": ("friction", friction_along),
+    "friction.wave": ("friction", friction_wave),
     "friction.load": ("friction", friction_under_load),
     "disturbance.periodic": ("force", periodic_force),
     "disturbance.pulse": ("force", pulse_force),

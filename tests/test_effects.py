@@ -66,7 +66,9 @@ NEUTRAL: dict[str, Mapping[str, float]] = {
     "friction.coulomb": {"level": 0},
     "friction.load": {"level": 0, "by_drive": 0, "by_weight": 0},
     "friction.position": {"first": -1, "last": 1, **{f"level_{k}": 0.0 for k in range(1, 6)}},
+    "friction.position:wave": {"level": 0, "sine": 0, "cosine": 0, "wavelength": 0.1},
     "friction.stribeck": {"level": 0, "static": 0, "velocity": 0.1},
+    "friction.stribeck:presliding": {"level": 0, "static": 0, "velocity": 0.1, "stiffness": 1e-6, "damping": 1e-9},
     "friction.viscous": {"coefficient": 0},
     "load.constant": {"force": 0},
     "load.position": {"sine": 0, "cosine": 0, "wavelength": 0.1},
@@ -82,9 +84,10 @@ NEUTRAL: dict[str, Mapping[str, float]] = {
     "sensor.gain": {"gain": 1},
     "timing.delay": {"delay": 0},
     "timing.sensor_lag": {"time_constant": 1e-4},
+    "timing.sensor_lag:delay": {"delay": 0},
 }
 # Time constants cannot be zero: the shortest one still delays by this much, s.
-SHORTEST = {"motor.inductance": 3e-4, "timing.sensor_lag": 1.1e-4}
+SHORTEST = {"motor.inductance": 2.1e-4, "timing.sensor_lag": 1.1e-4}
 ROTORS = {"transmission.backlash", "transmission.compliance"}
 
 

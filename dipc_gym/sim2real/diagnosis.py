@@ -34,6 +34,7 @@ ODD = 6  # windows left aside that are fitted after all
 FAR_OUT = 4.0  # times the usual square error, from which they are
 COARSEST = 2e-3  # s; longest step of the analysis
 NEGLIGIBLE = 2e-3  # a number that moves by less was right
+PAST = 0.05  # s before a window whose commands must be known: they may act late
 STILL = 10.0  # times its noise: a joint that moves less tells nothing
 
 
@@ -117,9 +118,11 @@ def diagnose(
     stepping = Stepping(step, mujoco.mjtIntegrator.mjINT_RK4)
     numbers = (wishes or Wishes()).apply(own_numbers(Document(source), given.model))
     try:
-        prepared = prepare(source, given, recordings, stepping, span=span, threads=threads)
+        prepared = _known_past(prepare(source, given, recordings, stepping, span=span, threads=threads))
         judged, judged_span = (held_out, (0.0, 1.0)) if held_out else (recordings, (TRAIN, 1.0))
-        kept = prepare(source, given, judged, stepping, length=prepared.length, span=judged_span, threads=threads)
+        kept = _known_past(
+            prepare(source, given, judged, stepping, length=prepared.length, span=judged_span, threads=threads)
+        )
     except states.Undetermined as error:
         return _cannot_tell(str(error), source, notes, provenance)
     quiet = _quiet(prepared)
@@ -209,6 +212,13 @@ def diagnose(
         provenance,
         Work(source, tuple(recordings), held, prepared, nominal, recalibrated, final, search, replaced),
     )
+
+
+def _known_past(prepared: Prepared) -> Prepared:
+    """Without windows at the beginning of a recording: where there is a delay, commands before it matter."""
+    w = prepared.problem.windows
+    began = np.array([recording.time[0] for recording in w.recordings])
+    return replace(prepared, problem=prepared.problem.pick(w.start - began[w.source] > PAST))
 
 
 def _split(problem: Problem) -> tuple[Problem, Problem, Problem]:

@@ -105,6 +105,10 @@ class Document:
         """The actuator of that name."""
         return self._named((e for e in self.section("actuator") if isinstance(e.tag, str)), "actuator", name)
 
+    def sensor(self, name: str) -> ET.Element:
+        """The sensor of that name."""
+        return self._named((e for e in self.section("sensor") if isinstance(e.tag, str)), "sensor", name)
+
     def body(self, name: str) -> ET.Element:
         """The body of that name."""
         return self._named(self.root.iterfind(".//worldbody//body"), "body", name)

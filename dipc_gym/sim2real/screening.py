@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect
-from dipc_gym.sim2real.fit import Fit, Problem, predict_with, residual, weights
+from dipc_gym.sim2real.fit import Fit, Problem, predict_with, residual
 from dipc_gym.sim2real.structure import Term, carry
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def screen(problem: Problem, current: Fit, terms: Sequence[Term], few: NDArray[n
         problem: windows to predict.
         current: fit that the hypotheses are laid over.
         terms: hypotheses, several guesses of one among them.
-        few: windows that have to do for what must be simulated in finer steps than the rest.
+        few: windows that have to do for what must be simulated in finer steps.
     """
     guesses: dict[str, list[Term]] = {}
     for term in terms:
@@ -59,7 +59,7 @@ def screen(problem: Problem, current: Fit, terms: Sequence[Term], few: NDArray[n
     some, currently = problem.pick(few), current.pick(few)
     found = []
     for group in guesses.values():
-        slow = group[0].effect.finest < min(problem.stepping.timestep, current.structure.finest)
+        slow = min(group[0].effect.finest, current.structure.finest) < problem.stepping.timestep
         tried = _best(*((some, currently) if slow else (problem, current)), group)
         found += [tried] if tried else []
     return sorted(found, key=lambda tried: -tried.promise)
@@ -101,7 +101,8 @@ def _promise(problem: Problem, current: Fit, effect: Effect, readings: Array) ->
     Q, _ = np.linalg.qr(current.sensitivity)
     rows = (rows - Q @ (np.swapaxes(Q, 1, 2) @ rows))[..., 0]
     counts = problem.counts
-    weight = weights(current.mse) / counts
+    # A promise is a fall of log errors, and so are these weights: windows at the noise are not given up for others.
+    weight = 1.0 / (1.0 + current.mse) / counts
     columns = np.concatenate([rows[..., None], current.jacobian], axis=2)
     A = np.einsum("n,nmi,nmj->ij", weight, columns, columns)
     b = np.einsum("n,nmi,nm->i", weight, columns, current.left)

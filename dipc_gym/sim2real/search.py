@@ -127,8 +127,14 @@ class Search:
             return None
 
     def full(self, base: Fit, sketch: Fit) -> Fit | None:
-        """Fit all windows from where a sketch came to; None where it cannot be simulated."""
+        """Fit all windows from where a sketch came to; None where it cannot be simulated.
+
+        A sketch that was still on its way goes on first: a step on a few windows costs a third, and on all of them a
+        gap or a contact far from its place holds a fit fast.
+        """
         try:
+            if not sketch.converged:
+                sketch = fit(self.problem.pick(self.few), sketch.structure, sketch.z, sketch.starts, most=15)
             return fit(self.problem, sketch.structure, sketch.z, base.starts, most=8)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
@@ -185,10 +191,16 @@ class Search:
         return [sketches[int(np.argmin(losses))]] if sketches else []
 
     def _keeping_up(self, sketched: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
-        """Those whose sketches come near the best one, and the plainer ones that these elaborate."""
+        """Those whose sketches come near the best one, and the plainer ones that these elaborate.
+
+        Where the best is at the noise, what is far from it needs no more fitting, and nothing plainer goes first.
+        """
         losses = _losses([current.mse[self.few], *(t.sketch.mse for t, _ in sketched if t.sketch is not None)])
         gains = {t.key: losses[0] - after for (t, _), after in zip(sketched, losses[1:], strict=True)}
-        least = max(KEEPS_UP * max(gains.values(), default=0.0), WORTH / 2)
+        most = max(gains.values(), default=0.0)
+        least = max(KEEPS_UP * most, WORTH / 2)
+        if any(t.sketch is not None and t.sketch.error < AT_FLOOR for t, _ in sketched):
+            return [pair for pair in sketched if gains[pair[0].key] > max(least, most - LARGE)]
         near = [t for t, _ in sketched if gains[t.key] > least]
         plain = {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
         return [pair for pair in sketched if pair[0].key in plain or gains[pair[0].key] > least]
@@ -206,8 +218,8 @@ class Search:
         return [current, self.anchor]
 
     def _ranked(self, base: Fit, current: Fit) -> list[Tried]:
-        """Hypotheses on top of a base; what they promise is counted from `current`."""
-        handicap = float(np.mean(np.log1p(base.mse)) - np.mean(np.log1p(current.mse)))
+        """Hypotheses on top of a base; what they promise is counted from `current`, or from a base that is better."""
+        handicap = max(0.0, float(np.mean(np.log1p(base.mse)) - np.mean(np.log1p(current.mse))))
         ranked = screen(self.problem, base, self.hypotheses(base, self.look(base)), self.few)
         return [replace(tried, promise=tried.promise - handicap) for tried in ranked]
 

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from mujoco import batch as mjbatch
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics, stack
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 
 # Sizes of buffers that recorded commands do not need: delays are taken out of the model.
 _LAYOUT = frozenset({"actuator_history", "actuator_historyadr", "sensor_history", "sensor_historyadr"})
+
+_LARGEST = 1.2  # time constants in a step, to which `_decay` grows
 
 # Default of MuJoCo's solref time constant; shorter ones were chosen with the time step in mind and scale with it.
 _SOFT = 0.02
@@ -181,54 +184,125 @@ def simulate(
     Returns:
         Readings (variants, n, m, ns). Where a simulation diverged, its last readings repeat.
     """
-    step = grid_step(windows, stepping)
-    models = [stepping.on(_copy(variant.model), step) for variant in variants]
-    delays = np.stack([_take_delays(model) for model in models])
-    if stepping.integrator is not None:
-        delays += step / 2 * np.stack([_has_current(model) for model in models])
-    level = np.stack([model.dof_frictionloss.copy() for model in models])
-    located = stepping.integrator is not None and bool((level > 0).any())
-    if located:
-        for model in models:
-            model.dof_frictionloss[:] = 0
     n, count = len(windows), len(variants)
-    which = np.repeat(np.arange(count), n)
-    physics = stack(variants, which)
-    # More simulations than this at a time fall out of the cache and win nothing.
-    sims = mjbatch.Batch(models[0], count * n, threads)
-    _spread(sims, models, which)
-
-    dry = DryFriction(sims, level[which]) if located else None
-    nwarm = math.ceil(warm / step - 1e-9) if warm > 0 else 0
-    nstep = math.floor(windows.times.max() / step + 1e-6) + 2
-    commands = _commands(windows, delays, step, nwarm, nstep)
-    commands = physics.command(commands.reshape(count * n, nwarm + nstep, -1).swapaxes(0, 1)).swapaxes(0, 1)
-
-    q, dof, follow = _places(models[0], base)
-    begin = np.broadcast_to(starts, (count, n, starts.shape[-1])).reshape(count * n, -1)
-    nb = len(base)
-    sims.time[:] = np.tile(windows.start - nwarm * step, count)
-    _warm_windings(sims, variants, delays, windows)
-    track = None
-    if nwarm:
+    starts = np.broadcast_to(starts, (count, n, starts.shape[-1]))
+    runs, track = _Runs(variants, windows, stepping, base, threads), None
+    if warm > 0:
         assert warm_starts is not None
-        early = np.broadcast_to(warm_starts, (count, n, starts.shape[-1])).reshape(count * n, -1)
-        _place(sims, q, dof, follow, early[:, :nb], early[:, nb:])
-        track = _run(sims, physics, dry, commands[:, :nwarm], record=bool(physics.stage("lag")))
-        # The joints go where the recording says; whatever hides behind a gap keeps its place relative to them.
-        offset = sims.qpos[:, [f for f, _ in follow]] - sims.qpos[:, [q[b] for _, b in follow]]
-        speed = sims.qvel[:, [f for f, _ in follow]] - sims.qvel[:, [dof[b] for _, b in follow]]
-        _place(sims, q, dof, follow, begin[:, :nb], begin[:, nb:])
-        if follow:
-            sims.qpos[:, [f for f, _ in follow]] += offset
-            sims.qvel[:, [f for f, _ in follow]] += speed
+        before = math.ceil(warm / runs.step - 1e-9)
+        # How a window is approached does not depend on its own start, which fits vary most.
+        distinct = list({id(variant): variant for variant in variants}.values())
+        approach = runs if len(distinct) == count else _Runs(distinct, windows, stepping, base, threads)
+        approach.begin(-before, np.broadcast_to(warm_starts, (len(distinct), *starts.shape[1:])))
+        track = approach.run(-before, before, record=bool(runs.physics.stage("lag")))
+        if approach is not runs:
+            which = np.array([next(i for i, one in enumerate(distinct) if one is variant) for variant in variants])
+            rows = (which[:, None] * n + np.arange(n)).ravel()
+            runs.sims.state[:] = approach.sims.state[rows]
+            track = None if track is None else track[rows]
+        runs.put_back(starts)
     else:
-        _place(sims, q, dof, follow, begin[:, :nb], begin[:, nb:])
-    readings = _run(sims, physics, dry, commands[:, nwarm:], record=True)
+        runs.begin(0, starts)
+    ahead = runs.late.max(axis=1, keepdims=True) - runs.late
+    nstep = math.floor((windows.times.max() + ahead.max(initial=0.0)) / runs.step + 1e-6) + 2
+    readings = runs.run(0, nstep, record=True)
     assert readings is not None
-    readings = _sense(physics, readings, track, step)
-    readings = readings[..., mjcf.sensor_addresses(models[0])]
-    return _at_samples(readings.reshape(count, n, nstep, -1), windows.times, step)
+    readings = _sense(runs.physics, readings, track, runs.step)
+    readings = readings[..., mjcf.sensor_addresses(runs.sims.model)].reshape(count, n, nstep, -1)
+    out = _at_samples(readings, windows.times, runs.step)
+    for k, sensor in np.argwhere(ahead > 0):
+        one = readings[k, None, :, :, sensor, None]
+        out[k, :, :, sensor] = _at_samples(one, windows.times + ahead[k, sensor], runs.step)[0, ..., 0]
+    return out
+
+
+class _Runs:
+    """Every window with every variant, side by side in one batch."""
+
+    def __init__(
+        self, variants: Sequence[Physics], windows: Windows, stepping: Stepping, base: Sequence[str], threads: int
+    ) -> None:
+        self.variants, self.windows = variants, windows
+        self.step = grid_step(windows, stepping)
+        models = [stepping.on(_copy(variant.model), self.step) for variant in variants]
+        self.delays = np.stack([_take_delays(model) for model in models])
+        # Seen from the sensor that reads latest, commands act later by as much, and all others read ahead of it: so a
+        # window begins with the state that this sensor shows, and nothing before it has to be simulated.
+        self.late = np.stack([_take_sensor_delays(model) for model in models])
+        self.delays += self.late.max(axis=1, keepdims=True)
+        if stepping.integrator is not None:
+            self.delays += np.stack([_steady_currents(model, self.step) for model in models])
+        level = np.stack([model.dof_frictionloss.copy() for model in models])
+        located = stepping.integrator is not None and bool((level > 0).any())
+        if located:
+            for model in models:
+                model.dof_frictionloss[:] = 0
+        which = np.repeat(np.arange(len(variants)), len(windows))
+        self.physics = stack(variants, which)
+        # More simulations than this at a time fall out of the cache and win nothing.
+        self.sims = mjbatch.Batch(models[0], len(which), threads)
+        _spread(self.sims, models, which)
+        self.dry = DryFriction(self.sims, level[which]) if located else None
+        self._base, self._hidden, self._leaders = _addresses(models[0], base)
+
+    def begin(self, at: int, starts: Array) -> None:
+        """Begin `at` steps after each window's start, from positions and velocities (variants, n, 2 nb)."""
+        begin = self.windows.start + at * self.step
+        self.sims.time[:] = (begin - self.late.max(axis=1, keepdims=True)).ravel()
+        _warm_windings(self.sims, self.variants, self.delays, self.windows)
+        self._place(starts)
+
+    def put_back(self, starts: Array) -> None:
+        """Put the joints at positions and velocities (variants, n, 2 nb).
+
+        Whatever hides behind a gap keeps its place relative to them.
+        """
+        qpos, qvel = self.sims.qpos, self.sims.qvel
+        apart = qpos[:, self._hidden] - qpos[:, self._leaders]
+        faster = qvel[:, self._hidden] - qvel[:, self._leaders]
+        self._place(starts)
+        qpos[:, self._hidden] += apart
+        qvel[:, self._hidden] += faster
+
+    def _place(self, starts: Array) -> None:
+        qpos, qvel, nb = self.sims.qpos, self.sims.qvel, len(self._base)
+        flat = starts.reshape(-1, 2 * nb)
+        qpos[:, self._base], qvel[:, self._base] = flat[:, :nb], flat[:, nb:]
+        qpos[:, self._hidden], qvel[:, self._hidden] = qpos[:, self._leaders], qvel[:, self._leaders]
+
+    def run(self, first: int, nstep: int, *, record: bool) -> Array | None:
+        """Advance under the recorded commands, from the `first` step after each window's start on.
+
+        Returns:
+            Readings (sims, nstep, nsensordata) at the beginning of each step, or None if nothing is recorded.
+        """
+        sims, physics, dry = self.sims, self.physics, self.dry
+        ctrl = _commands(self.windows, self.delays, self.step, first, nstep).reshape(sims.nsim, nstep, -1)
+        ctrl = physics.command(ctrl.swapaxes(0, 1)).swapaxes(0, 1)
+        if dry is None and not physics.acts:
+            out = sims.rollout(nstep, ctrl, record=("sensordata",) if record else ())
+            return out.get("sensordata")
+        readings = np.empty((nstep, sims.nsim, sims.model.nsensordata)) if record else None
+        sensed = sims.bind("sensordata")
+        forces = np.zeros((sims.nsim, sims.model.nv))
+        level = sims.expand("dof_frictionloss") if dry is None else dry.level
+        if physics.stage("friction"):
+            sims.bind("qfrc_actuator"), sims.bind("qfrc_bias")
+            sims.forward()
+        if dry is not None:
+            dry.begin()
+        for k in range(nstep):
+            sims.ctrl[:] = ctrl[:, k]
+            physics.act(sims, level, forces, self.step)
+            now = None if readings is None else readings[k]
+            if dry is not None:
+                dry.step(forces, now, sensed)
+                continue
+            sims.qfrc_applied[:] = forces
+            sims.step()
+            if now is not None:
+                now[:] = sensed
+        return None if readings is None else readings.swapaxes(0, 1)
 
 
 def _copy(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -247,13 +321,41 @@ def _take_delays(model: mujoco.MjModel) -> Array:
     return delays
 
 
-def _has_current(model: mujoco.MjModel) -> Array:
-    """1 for each control of a motor with inductance, (nu,): its current comes half a step early, as MuJoCo steps it."""
-    out = np.zeros(model.nu)
+def _take_sensor_delays(model: mujoco.MjModel) -> Array:
+    """Delay of each scalar sensor, s, (ns,); taken out of the model, since its readings can simply be read earlier."""
+    delays = mjcf.sensor_delays(model)
+    model.sensor_delay[:] = 0
+    return delays
+
+
+def _steady_currents(model: mujoco.MjModel, step: float) -> Array:
+    """Make windings follow their time constants under RK4; the delay each control still needs for that, s, (nu,).
+
+    MuJoCo averages the current's rate over RK4's stages and puts the average into an exponential meant for the rate at
+    the step's beginning, which delays by half a step; or it acts with the next step's current (`actearly`), which comes
+    half a step early, before the back-EMF of its own speed too. The first of the two with another time constant,
+    chosen so that a step decays as the winding does, is of second order; it exists where a step is not much longer than
+    half the time constant. Faster windings act early. What either lacks of the winding's lag is a delay of commands.
+    """
+    delay = np.zeros(model.nu)
     for i in range(model.nactuator):
-        if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR and model.actuator_dynprm[i, 0] > 0:
-            out[model.actuator_ctrladr[i] : model.actuator_ctrladr[i] + model.actuator_ctrlnum[i]] = 1.0
-    return out
+        tau = float(model.actuator_dynprm[i, 0])
+        if model.actuator_gaintype[i] != mujoco.mjtGain.mjGAIN_DCMOTOR or tau <= 0:
+            continue
+        decay = -math.expm1(-step / tau)
+        lag = step / decay - step
+        if decay < _decay(_LARGEST):
+            x = brentq(lambda x, decay=decay: _decay(x) - decay, 1e-9, _LARGEST)
+            model.actuator_dynprm[i, 0], model.actuator_actearly[i] = step / x, False
+            lag = step / decay * (1 - x / 2 + x**2 / 6 - x**3 / 24)  # of the mean over RK4's stages
+        first = int(model.actuator_ctrladr[i])
+        delay[first : first + int(model.actuator_ctrlnum[i])] = tau - lag
+    return delay
+
+
+def _decay(x: float) -> float:
+    """Share of the way to its target that MuJoCo's current goes in a step of x time constants, under RK4."""
+    return (x - x**2 / 2 + x**3 / 6 - x**4 / 24) * -math.expm1(-x) / x
 
 
 def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArray[np.intp]) -> None:
@@ -269,12 +371,11 @@ def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArra
         sims.expand(name)[...] = np.stack(values)[which].reshape(sims.expand(name).shape)
 
 
-def _commands(windows: Windows, delays: Array, step: float, nwarm: int, nstep: int) -> Array:
-    """Mean command over each step, (variants, n, nwarm + nstep, nu); a model's further controls stay at zero."""
+def _commands(windows: Windows, delays: Array, step: float, first: int, nstep: int) -> Array:
+    """Mean command over each step from the `first` on, (variants, n, nstep, nu); further controls stay at zero."""
     n, nu = len(windows), delays.shape[1]
-    out = np.zeros((len(delays), n, nwarm + nstep, nu))
-    offsets = (np.arange(nwarm + nstep) - nwarm) * step
-    edges = np.append(offsets, offsets[-1] + step)
+    out = np.zeros((len(delays), n, nstep, nu))
+    edges = (first + np.arange(nstep + 1)) * step
     for k in range(len(delays)):
         same = next((j for j in range(k) if np.array_equal(delays[j], delays[k])), None)
         if same is not None:
@@ -309,23 +410,16 @@ def _held_integral(recording: Recording, time: Array, control: int) -> Array:
     return inside + before + np.maximum(time - stamps[-1], 0.0) * held[-1]
 
 
-def _places(model: mujoco.MjModel, base: Sequence[str]) -> tuple[list[int], list[int], list[tuple[int, int]]]:
-    """Addresses of the base joints, and for every other joint its address and the base joint that it follows."""
-    q = [int(model.joint(name).qposadr[0]) for name in base]
-    dof = [int(model.joint(name).dofadr[0]) for name in base]
+def _addresses(model: mujoco.MjModel, base: Sequence[str]) -> tuple[list[int], list[int], list[int]]:
+    """Where the base joints stand, those hidden behind a gap or a spring, and the base joint that each follows.
+
+    Positions and velocities have the same addresses: all joints are hinges and slides.
+    """
     leaders = {n.removeprefix(FOLLOWS): leader for n, leader in mjcf.texts(model).items() if n.startswith(FOLLOWS)}
-    follow = [(int(model.joint(name).qposadr[0]), list(base).index(leader)) for name, leader in sorted(leaders.items())]
-    return q, dof, follow
-
-
-def _place(
-    sims: mjbatch.Batch, q: list[int], dof: list[int], follow: list[tuple[int, int]], pos: Array, vel: Array
-) -> None:
-    sims.qpos[:, q] = pos
-    sims.qvel[:, dof] = vel
-    for mine, leader in follow:
-        sims.qpos[:, mine] = pos[:, leader]
-        sims.qvel[:, mine] = vel[:, leader]
+    hidden = sorted(leaders)
+    each = (base, hidden, [leaders[name] for name in hidden])
+    at, behind, lead = ([int(model.joint(name).dofadr[0]) for name in names] for names in each)
+    return at, behind, lead
 
 
 def _warm_windings(sims: mjbatch.Batch, variants: Sequence[Physics], delays: Array, windows: Windows) -> None:
@@ -340,37 +434,6 @@ def _warm_windings(sims: mjbatch.Batch, variants: Sequence[Physics], delays: Arr
             mine = np.tile(windows.source == i, len(variants))
             begin = sims.time.reshape(len(variants), n)[0, windows.source == i]
             temperature[mine] = winding_temperatures(variants, delays, motor, recording, motion, begin).ravel()
-
-
-def _run(
-    sims: mjbatch.Batch, physics: Physics, dry: DryFriction | None, commands: Array, *, record: bool
-) -> Array | None:
-    """Advance under commands (sims, nstep, nu); readings (sims, nstep, nsensordata) at the beginning of each step."""
-    nstep, step = commands.shape[1], float(sims.model.opt.timestep)
-    if dry is None and not physics.acts:
-        out = sims.rollout(nstep, commands, record=("sensordata",) if record else ())
-        return out.get("sensordata")
-    readings = np.empty((nstep, sims.nsim, sims.model.nsensordata)) if record else None
-    sensed = sims.bind("sensordata")
-    forces = np.zeros((sims.nsim, sims.model.nv))
-    level = sims.expand("dof_frictionloss") if dry is None else dry.level
-    if physics.stage("friction"):
-        sims.bind("qfrc_actuator"), sims.bind("qfrc_bias")
-        sims.forward()
-    if dry is not None:
-        dry.begin()
-    for k in range(nstep):
-        sims.ctrl[:] = commands[:, k]
-        physics.act(sims, level, forces, step)
-        now = None if readings is None else readings[k]
-        if dry is not None:
-            dry.step(forces, now, sensed)
-            continue
-        sims.qfrc_applied[:] = forces
-        sims.step()
-        if now is not None:
-            now[:] = sensed
-    return None if readings is None else readings.swapaxes(0, 1)
 
 
 def _sense(physics: Physics, readings: Array, track: Array | None, step: float) -> Array:

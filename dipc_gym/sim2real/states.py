@@ -6,6 +6,7 @@ simulation, since differentiated encoder noise biases any regression on accelera
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.linalg import solveh_banded
 
 from dipc_gym import mjcf
@@ -85,7 +87,7 @@ def _ties(model: mujoco.MjModel) -> tuple[list[str], dict[str, str]]:
 def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
     """How the scalar sensors read positions and velocities of the base joints: y = P q + V v + c.
 
-    What the model's `<custom>` entries do to readings is in it, a lag excepted.
+    What the model's `<custom>` entries do to readings is in it, lags and delays excepted.
 
     Returns:
         P (ns, nb), V (ns, nb), c (ns,).
@@ -93,7 +95,8 @@ def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
     Raises:
         Undetermined: a sensor is not linear in them, or the position sensors leave a joint free.
     """
-    model = physics.model
+    model = copy.copy(physics.model)
+    model.sensor_delay[:] = 0
     data, address = mujoco.MjData(model), mjcf.sensor_addresses(model)
     base, out = base_joints(model), spread_out(model)
     rng = np.random.default_rng(0)
@@ -162,8 +165,11 @@ def inverse_map(P: Array, noise: Array) -> Array:
 
 
 def _undo_lag(physics: Physics, time: Array, smooth: Array, positional: NDArray[np.intp]) -> None:
-    """Lead lagging sensors (n, ns) by their time constant, in place: tau dy/dt + y is what they follow."""
+    """Lead delayed and lagging sensors (n, ns), in place: what a lag follows is tau dy/dt + y."""
     address = mjcf.sensor_addresses(physics.model)
+    delays = mjcf.sensor_delays(physics.model)[positional]
+    for k in np.flatnonzero(delays > 0):
+        smooth[:, k] = CubicSpline(time, smooth[:, k])(np.minimum(time + delays[k], time[-1]))
     for extra in physics.stage("lag"):
         for k in np.flatnonzero(address[positional] == extra.index):
             smooth[:, k] += extra.data[0] * np.gradient(smooth[:, k], time, edge_order=2)
@@ -242,7 +248,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
         if model.na:
-            data.act[:] += data.act_dot * _relaxed(model, gaps[k])
+            data.act[:] += data.act_dot * _relaxed(model, data, gaps[k])
             mujoco.mj_fwdActuation(model, data)
         physics.act(data, model.dof_frictionloss, data.qfrc_applied)
         data.qacc[:] = acceleration[k]
@@ -264,15 +270,26 @@ def _delayed(model: mujoco.MjModel, recording: Recording) -> Array:
     return commands
 
 
-def _relaxed(model: mujoco.MjModel, step: float) -> Array:
-    """How long the present rate of each activation, (na,), lasts within a step: it decays with the time constant."""
+def _relaxed(model: mujoco.MjModel, data: mujoco.MjData, step: float) -> Array:
+    """How long the present rate of each activation, (na,), lasts within a step: it decays with its time constant."""
     lasting = np.full(model.na, step)
     for i in np.flatnonzero(model.actuator_actadr >= 0):
         tau = float(model.actuator_dynprm[i, 0])
+        end = int(model.actuator_actadr[i] + model.actuator_actnum[i])
         if tau > 0:
-            first = int(model.actuator_actadr[i])
-            lasting[first : first + int(model.actuator_actnum[i])] = -tau * np.expm1(-step / tau)
+            lasting[model.actuator_actadr[i] : end] = -tau * np.expm1(-step / tau)
+        if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR and model.actuator_dynprm[i, 5] > 0:
+            # MuJoCo keeps the bristles after the winding's temperature and before its current.
+            rate = _bristle_rate(model, i, float(data.actuator_velocity[model.actuator_outadr[i]]))
+            lasting[end - 1 - (tau > 0)] = -np.expm1(-rate * step) / rate if rate > 0 else step
     return lasting
+
+
+def _bristle_rate(model: mujoco.MjModel, motor: int, speed: float) -> float:
+    """Rate at which LuGre's bristles follow the motion, 1/s: stiffness times |v| over the force at that speed."""
+    level, static, velocity = map(float, model.actuator_biasprm[motor, 3:6])
+    force = level + (static - level) * math.exp(-((speed / velocity) ** 2)) if velocity > 0 else level
+    return float(model.actuator_dynprm[motor, 5]) * abs(speed) / max(force, 1e-12)
 
 
 def starts(motions: Sequence[Motion], source: NDArray[np.intp], time: Array) -> Array:

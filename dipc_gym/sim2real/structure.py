@@ -180,8 +180,8 @@ class Structure:
 
     @property
     def moves_readings(self) -> bool:
-        """Whether an effect changes what sensors say of a state."""
-        return any(term.effect.moves_readings for term in self.terms)
+        """Whether an effect, or a late sensor of the model's own, changes what sensors say of a state."""
+        return any(term.effect.moves_readings for term in self.terms) or bool(np.any(self.model.sensor_delay > 0))
 
     @property
     def finest(self) -> float:
@@ -190,12 +190,14 @@ class Structure:
 
     @functools.cached_property
     def own_finest(self) -> float:
-        """Longest step that the nominal model's currents, filters and rotors bear under explicit integration, s."""
+        """Longest step that the model's own currents, bristles and rotors bear under explicit integration, s."""
         model, kind = self.model, mujoco.mjtDyn
         finest = FAST if len(self.base) < model.njnt else math.inf
         for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
             if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:
                 finest = min(finest, FAST, numbers[0])
+            if dynamics == kind.mjDYN_DCMOTOR and numbers[5] > 0:
+                finest = min(finest, FAST)
             elif dynamics == kind.mjDYN_FILTER:
                 finest = min(finest, numbers[0])
         return float(finest)

@@ -157,8 +157,10 @@ class Secret:
         share = moved(refit.plant, judged)
         from_nominal = moved(self.nominal, judged)
         limit = SAME * min(1.0, from_nominal)
+        # Effects are fitted to every recording they are asked of, and a knock struck the first one only.
+        shown = 1 if self.once else 2
         equal = {
-            f"{h.effect.name}@{h.effect.at}": self._equivalents(h, windows[:2], references, refit.error)
+            f"{h.effect.name}@{h.effect.at}": self._equivalents(h, windows[:shown], references[:shown], refit.error)
             for h in self.hidden
         }
         return {
@@ -176,7 +178,9 @@ class Secret:
             "parameters": {f"{h.effect.name}@{h.effect.at}": h.parameters() for h in self.hidden},
             "equivalents": equal,
             "equivalent_sets": {
-                f"{h.effect.name}@{h.effect.at}": self._equivalent_sets(h, windows[:2], references, refit.error)
+                f"{h.effect.name}@{h.effect.at}": self._equivalent_sets(
+                    h, windows[:shown], references[:shown], refit.error
+                )
                 for h in self.hidden
             },
             "recalibrated_suffices": bool(self.hidden) and share <= limit,
@@ -213,7 +217,8 @@ class Secret:
         for out in self.hidden:
             rest = [h for h in self.hidden if h is not out]
             start = [value for h in rest for value in h.values]
-            found = fit(windows[:2], references, self.rig.plant, [h.effect for h in rest], start, effort=6)
+            shown = 1 if self.once else 2
+            found = fit(windows[:shown], references[:shown], self.rig.plant, [h.effect for h in rest], start, effort=6)
             recording = self.recordings[judged]
             difference = windows[judged].residual(predict(self.rig, found.plant, recording), recording.reading)
             shares[f"{out.effect.name}@{out.effect.at}"] = rms(difference)

@@ -196,6 +196,11 @@ def passive_force(document: Document, name: str, joint: str, force: float) -> No
 
 def passive_wave(document: Document, name: str, joint: str, size: float, per_unit: float, phase: float) -> None:
     """A force size * sin(per_unit * position + phase) on a joint, by the cogging torque of a passive motor."""
+    passive_motor(document, name, joint, cogging=(size, per_unit, phase))
+
+
+def passive_motor(document: Document, name: str, joint: str, **physics: Sequence[float]) -> None:
+    """A DC motor without winding or command, for what MuJoCo's motors have beside them: `cogging` or `lugre`."""
     element = document.add(
         "actuator",
         "dcmotor",
@@ -204,9 +209,12 @@ def passive_wave(document: Document, name: str, joint: str, size: float, per_uni
         input="none",
         resistance=1,
         motorconst="0 0",
-        cogging=(size, per_unit, phase),
+        **physics,
     )
-    document.plain(element, inductance="0 0", thermal="0 0 0 0 0 0", lugre="0 0 0 0 0", controller="0 0 0 0 0 0")
+    none = {"inductance": "0 0", "thermal": "0 0 0 0 0 0", "cogging": "0 0 0", "lugre": "0 0 0 0 0"}
+    document.plain(
+        element, controller="0 0 0 0 0 0", **{key: zeros for key, zeros in none.items() if key not in physics}
+    )
     if document.effective(element, "forcerange") or document.effective(element, "saturation"):
         document.set(element, saturation="0 0 0")
     shield(document, element)

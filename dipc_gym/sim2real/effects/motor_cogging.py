@@ -9,7 +9,7 @@ import numpy as np
 
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor
-from dipc_gym.sim2real.effects.load_position import waves
+from dipc_gym.sim2real.effects.waves import FINE, waves
 
 
 class Cogging(Effect):
@@ -21,7 +21,7 @@ class Cogging(Effect):
     parameters = (
         Parameter("sine", "N m"),
         Parameter("cosine", "N m"),
-        Parameter("poles", "", 0.0, log=True),
+        Parameter("poles", "", 0.0, log=True, fine=FINE),
     )
     rivals = ("load.position", "load.spring")
 
@@ -34,7 +34,7 @@ class Cogging(Effect):
         gear = abs(evidence.gear) or 1.0
         return [
             {"sine": w["sine"] / gear, "cosine": w["cosine"] / gear, "poles": 2 * np.pi / w["wavelength"] / gear}
-            for w in waves(evidence, 1.0, 0.01)
+            for w in waves(evidence, 1.0, 100.0)
         ]
 
     def edit(self, document: Document, at: str, values: Values) -> None:

@@ -20,9 +20,9 @@ class Saturation(Effect):
     rivals = ("motor.back_emf", "drag.quadratic", "motor.thermal")
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Three shares of the largest command."""
+        """Four shares of the largest command."""
         most = float(np.quantile(np.abs(evidence.command), 0.999)) if len(evidence.command) else 0.0
-        return [{"limit": share * most} for share in (0.95, 0.8, 0.6)] if most > 0 else []
+        return [{"limit": share * most} for share in (0.95, 0.8, 0.6, 0.4)] if most > 0 else []
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The actuator's control range."""
@@ -47,9 +47,9 @@ class TorqueLimit(Effect):
         return is_dcmotor(model, at)
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Three shares of the largest torque."""
+        """Four shares of the largest torque."""
         most = float(np.quantile(np.abs(evidence.load), 0.999)) / (abs(evidence.gear) or 1.0)
-        return [{"limit": share * most} for share in (0.95, 0.8, 0.6)] if most > 0 else []
+        return [{"limit": share * most} for share in (0.95, 0.8, 0.6, 0.4)] if most > 0 else []
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The motor's torque limit."""

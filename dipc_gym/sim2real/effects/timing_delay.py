@@ -15,7 +15,7 @@ class Delay(Effect):
     place = "actuator"
     linear = ("delay",)
     parameters = (Parameter("delay", "s", 0.0, 0.2),)
-    rivals = ("motor.inductance", "timing.sensor_lag", "transmission.compliance")
+    rivals = ("timing.sensor_lag:delay", "motor.inductance", "timing.sensor_lag", "transmission.compliance")
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """A quarter of a sample, two samples, and ten milliseconds."""

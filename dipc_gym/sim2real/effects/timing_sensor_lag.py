@@ -14,7 +14,7 @@ class SensorLag(Effect):
     id = "timing.sensor_lag"
     place = "sensor"
     parameters = (Parameter("time_constant", "s", 1e-4, 0.2, log=True),)
-    rivals = ("timing.delay", "motor.inductance", "transmission.compliance")
+    rivals = ("timing.sensor_lag:delay", "timing.delay", "motor.inductance", "transmission.compliance")
     warm = 0.06
     needs_loader = True
     moves_readings = True

@@ -1,0 +1,66 @@
+"""Dry friction that gives way a little before it slips."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, passive_motor
+
+
+class Presliding(Effect):
+    """LuGre friction (Canudas de Wit et al. 1995): bristles that bend like springs until they slip.
+
+    While they bend, what is pushed springs back; once they slip it is friction with a Stribeck curve.
+    """
+
+    id = "friction.stribeck:presliding"
+    place = "joint"
+    law = "dry friction"
+    parameters = (
+        Parameter("level", "N", 0.0),
+        Parameter("static", "N", 0.0),
+        Parameter("velocity", "m/s", 1e-5, log=True),
+        Parameter("stiffness", "N/m", 1e-9, log=True),
+        Parameter("damping", "N s/m", 1e-12, log=True),
+    )
+    levels = ("level",)
+    rivals = ("friction.stribeck", "friction.coulomb", "transmission.compliance", "transmission.backlash")
+    contains = ("friction.coulomb", "friction.stribeck")
+    finest = 5e-4
+    warm = 0.06
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Bristles that bend by a few thousandths of the way, or by a few ten-thousandths."""
+        level, reach = evidence.dry_level, float(np.ptp(evidence.position))
+        found = []
+        for bend in (5e-3, 5e-4):
+            stiffness = level / max(bend * reach, 1e-12)
+            found.append(
+                {
+                    "level": level,
+                    "static": 1.5 * level,
+                    "velocity": 0.1 * evidence.speed_scale,
+                    "stiffness": stiffness,
+                    "damping": float(np.sqrt(stiffness * evidence.inertia)),
+                }
+            )
+        return found
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """The LuGre friction of a motor that has no winding."""
+        document.set(document.joint(at), frictionloss=0)
+        level, static = values["level"], max(values["static"], values["level"])
+        numbers = (values["stiffness"], values["damping"], max(level, 1e-12), max(static, 1e-12), values["velocity"])
+        passive_motor(document, f"{at}_bristles", at, lugre=numbers)
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        bend = values["level"] / values["stiffness"]
+        way = unit["velocity"].partition("/")[0]
+        return (
+            f"Stick-slip friction with presliding (LuGre) at {at}: {values['static']:.3g} {unit['static']} to break "
+            f"away, {values['level']:.3g} {unit['level']} in motion; it gives way by {bend:.2g} {way} before it slips."
+        )

@@ -1,0 +1,36 @@
+"""A sensor reads late."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+
+
+class SensorDelay(Effect):
+    """A pure delay between a quantity and its reading: a bus, a camera, a buffer."""
+
+    id = "timing.sensor_lag:delay"
+    place = "sensor"
+    linear = ("delay",)
+    parameters = (Parameter("delay", "s", 0.0, 0.05),)
+    rivals = ("timing.sensor_lag", "timing.delay", "motor.inductance", "transmission.compliance")
+    moves_readings = True
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """A quarter of a sample, two samples, and ten milliseconds."""
+        return [{"delay": d} for d in sorted({0.25 * evidence.period, 2 * evidence.period, 0.01})]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """The sensor's delay, with as many samples of history as it needs."""
+        document.set(
+            document.sensor(at),
+            delay=values["delay"],
+            interp="linear",
+            nsample=str(int(values["delay"] / document.timestep) + 3),
+        )
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        return f"Sensor {at} reads {1e3 * values['delay']:.3g} ms late."
