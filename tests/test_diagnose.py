@@ -48,11 +48,17 @@ def run(
     forward: float = 0.0,
     spring: float = 0.0,
     knock: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    uneven: tuple[float, float] = (0.0, 1.0),
+    bristles: tuple[float, float, float, float] | None = None,
+    most: float = math.inf,
+    late: int = 0,
 ) -> Recording:
     """A cart under a swept voltage; Coulomb friction by exact reversals at 50 microseconds; an encoder with noise.
 
     A steady force, drag in forward motion alone, a spring, and a knock (a force, when it begins, for how long) come on
-    top.
+    top; friction that is uneven (share of the level, wavelength), or LuGre's (static level, Stribeck velocity, the
+    bristles' stiffness and damping); a drive that gives no more than `most`; an encoder that is late, in steps of 50
+    microseconds.
     """
     rng = np.random.default_rng(seed)
     h, hold = 5e-5, 40
@@ -60,21 +66,30 @@ def run(
     t = np.arange(n) * h * hold
     phase = rng.uniform(0, 6)
     volts = 7 * np.sin(2 * np.pi * (0.4 + 0.15 * t) * t + phase) + 3 * np.sin(2 * np.pi * 0.7 * t)
-    x = v = 0.0
-    out = np.empty(n)
+    x = v = z = 0.0
+    out, trail = np.empty(n), [0.0] * (late + 1)
     for k in range(n):
-        out[k] = x
+        out[k] = trail[-1 - late]
         for _ in range(hold):
             knocked = knock[0] * (knock[1] <= k * h * hold < knock[1] + knock[2])
-            push = FORCE * volts[k] - drag * v - forward * max(v, 0.0) - spring * x + constant + knocked
-            if v == 0.0 and abs(push) <= coulomb:
-                continue
-            friction = math.copysign(coulomb, v if v else push)
-            new = v + h * (push - friction) / MASS
-            if v and new * v < 0:
-                new = 0.0
+            drive = min(max(FORCE * volts[k], -most), most)
+            push = drive - drag * v - forward * max(v, 0.0) - spring * x + constant + knocked
+            level = coulomb * (1 + uneven[0] * math.sin(2 * math.pi * x / uneven[1]))
+            if bristles is not None:
+                static, stribeck, stiffness, damping = bristles
+                curve = level + (static - level) * math.exp(-((v / stribeck) ** 2))
+                bend = v - stiffness * abs(v) / curve * z
+                new = v + h * (push - stiffness * z - damping * bend) / MASS
+                z += h * bend
+            elif v == 0.0 and abs(push) <= level:
+                new = v
+            else:
+                new = v + h * (push - math.copysign(level, v if v else push)) / MASS
+                if v and new * v < 0:
+                    new = 0.0
             x += h * (v + new) / 2
             v = new
+            trail = [*trail[-late:], x] if late else [x]
     sensed = np.round((out + rng.normal(0, 3e-6, n)) / 2e-5) * 2e-5
     return Recording(f"run{seed}", t, volts[:, None], sensed[:, None], ("motor",), ("cart",))
 
@@ -150,6 +165,54 @@ def test_what_is_missing_does_not_move_numbers_that_were_right() -> None:
     assert [m.effect for m in found.missing] == ["load.spring"], found.sentence
     assert found.recalibrated == ()
     assert found.missing[0].parameters["stiffness"]["value"] == pytest.approx(20.0, rel=1e-3)
+
+
+def test_friction_that_comes_and_goes_along_the_way() -> None:
+    """Eight waves on the way, of a third of the level: five knots would see the mean of them only."""
+    names = ("friction.coulomb", "friction.position", "friction.position:wave", "friction.stribeck", "load.position")
+    found = diagnose(
+        mjcf.from_text(NOMINAL), [run(1, 20, 3.0, uneven=(0.3, 0.02))], effects=[catalogue()[n] for n in names]
+    )
+    assert [(m.effect, m.at) for m in found.missing] == [("friction.position", "cart")], found.sentence
+    parameters = found.missing[0].parameters
+    assert parameters["level"]["value"] == pytest.approx(3.0, rel=5e-3)
+    assert parameters["wavelength"]["value"] == pytest.approx(0.02, rel=5e-3)
+    assert math.hypot(parameters["sine"]["value"], parameters["cosine"]["value"]) == pytest.approx(0.9, rel=0.02)
+    assert found.held_out is not None
+    assert found.held_out.improved < 1.1
+
+
+def test_friction_that_gives_way_before_it_slips() -> None:
+    """LuGre's model, whose bristles bend by a tenth of a millimetre, beside the curve without them."""
+    names = ("friction.coulomb", "friction.stribeck", "friction.stribeck:presliding", "friction.asymmetric")
+    true = (5.0, 0.05, 2e4, 200.0)
+    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 20, 3.0, bristles=true)], effects=[catalogue()[n] for n in names])
+    assert [m.effect for m in found.missing] == ["friction.stribeck"], found.sentence
+    assert "presliding" in found.sentence
+    for name, value in zip(("static", "velocity", "stiffness", "damping"), true, strict=True):
+        printed = found.missing[0].parameters[name]
+        assert 0.7 * value < printed["low"] < value < printed["high"] < 1.4 * value, name
+    assert found.held_out is not None
+    assert found.held_out.improved < 1.2
+    mujoco.MjModel.from_xml_string(found.improved)
+
+
+def test_a_limit_that_refitted_numbers_spread_over_all_windows_is_found() -> None:
+    """The simulator as given predicts most windows perfectly; refitted, none. Its numbers were right."""
+    names = ("motor.saturation", "friction.coulomb", "drag.quadratic", "motor.deadzone", "load.constant")
+    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 20, 0.0, most=16.0)], effects=[catalogue()[n] for n in names])
+    assert [m.effect for m in found.missing] == ["motor.saturation"], found.sentence
+    assert found.missing[0].parameters["limit"]["value"] == pytest.approx(16.0 / FORCE, rel=1e-3)
+    assert found.recalibrated == ()
+
+
+def test_a_late_encoder_is_the_same_as_late_commands_to_a_single_joint() -> None:
+    names = ("timing.delay", "timing.sensor_lag", "timing.sensor_lag:delay", "motor.inductance")
+    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 0.0, late=70)], effects=[catalogue()[n] for n in names])
+    (missing,) = found.missing
+    assert missing.effect in ("timing.delay", "timing.sensor_lag")
+    assert missing.parameters["delay"]["value"] == pytest.approx(0.0035, abs=5e-5)
+    assert {"timing.delay", "timing.sensor_lag"} == {missing.effect, *(r["effect"] for r in missing.same_here)}
 
 
 def test_a_knock_in_a_window_left_aside_is_found() -> None:

@@ -556,6 +556,11 @@ def test_what_a_refit_explains_has_its_size_beyond_the_nominal_model():
         ("motor.cogging", {"amplitude": 3.0, "wave": 12.0, "phase": math.pi / 2}, {"cosine": 1.5, "poles": 6.0}),
         ("load.position", {"amplitude": 3.0, "wave": math.pi, "phase": 0.0}, {"sine": 3.0, "wavelength": 2.0}),
         ("friction.load", {"slope": 0.1}, {"by_drive": 0.1}),
+        (
+            "friction.position",
+            {"level": 2.0, "variation": 0.5, "wave": math.pi, "phase": 0.0},
+            {"level": 2.0, "sine": 1.0, "cosine": 0.0, "wavelength": 2.0},
+        ),
         ("sensor.gain", {"gain": -0.02}, {"gain": 0.98}),
     ],
 )

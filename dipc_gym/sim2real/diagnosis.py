@@ -324,12 +324,14 @@ def _changed(final: Fit, wide: Array) -> list[dict[str, Any]]:
 
 
 def _step_shift(final: Fit, problem: Problem) -> Array:
-    """How far each mapped number moves when the step is halved, (p,), by one Newton step."""
+    """How far each mapped number is off because steps have a length, (p,).
+
+    Twice what it moves by when they are halved, as errors of first order do; bristles have such. One Newton step.
+    """
     if not len(final.z):
         return np.zeros(0)
-    finer = replace(problem, stepping=replace(problem.stepping, timestep=problem.stepping.timestep / 2))
-    again = fit(finer, final.structure, final.z, final.starts, most=1)
-    return np.abs(again.z - final.z)
+    again = fit(replace(problem, finer=2), final.structure, final.z, final.starts, most=1)
+    return 2 * np.abs(again.z - final.z)
 
 
 def _rivals_told(replaced: Sequence[judge.Rival], held: Problem, errors: Errors) -> list[dict[str, Any]]:

@@ -37,6 +37,7 @@ class Problem:
         spread: standard deviation of the estimated starts, (2 nb,).
         stepping: of the simulation.
         threads: 0 for all cores.
+        finer: how many times shorter the steps are than structures need, to see what the step costs.
     """
 
     windows: Windows
@@ -44,6 +45,7 @@ class Problem:
     spread: Array
     stepping: Stepping
     threads: int = 0
+    finer: int = 1
 
     def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Problem:
         """Some of the windows."""
@@ -413,4 +415,4 @@ def _stepping(problem: Problem, structure: Structure) -> Stepping:
     """As fine as the structure needs; a model that is to be simulated as it is keeps its own step."""
     given = problem.stepping
     own = math.inf if given.integrator is None else structure.own_finest
-    return replace(given, timestep=min(given.timestep, structure.finest, own))
+    return replace(given, timestep=min(given.timestep, structure.finest, own) / problem.finer)

@@ -276,8 +276,9 @@ def _values(answer: Mapping[str, Any], truth: str) -> dict[str, float]:
         size = values["amplitude"] / (drive["gear"] if effect == "motor.cogging" else 1.0)
         values |= {"sine": size * math.cos(values["phase"]), "cosine": size * math.sin(values["phase"])}
     if effect == "friction.position":
-        # The level means something else where it is printed knot by knot.
-        values.pop("level")
+        size = values["level"] * values["variation"]
+        values |= {"sine": size * math.cos(values["phase"]), "cosine": size * math.sin(values["phase"])}
+        values["wavelength"] = 2 * math.pi / values["wave"]
     return values
 
 
