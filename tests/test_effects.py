@@ -12,12 +12,15 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from sim2real_rigs import NOISE, RIGS, RK4, STRENGTH, prepared, record, sweep
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sim2real_rigs import CART, NOISE, RIGS, RK4, STRENGTH, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real import evidence
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
+from dipc_gym.sim2real.effects.waves import waves
 from dipc_gym.sim2real.fit import predict
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.simulate import Stepping
@@ -358,6 +361,48 @@ def test_stribeck_friction_follows_its_curve(v: float) -> None:
         passive = data.qfrc_actuator[0] - data.actuator_force[motor] * 78.7
         friction = model.dof_frictionloss[0] - sign * passive
         assert friction == pytest.approx(curve, abs=0.007 * (static - level))
+
+
+def test_bristles_are_springs_until_they_slip() -> None:
+    values = {"level": 3.0, "static": 5.0, "velocity": 0.05, "stiffness": 2e4, "damping": 200.0}
+    structure = added("cart", catalogue()["friction.stribeck:presliding"], "cart", values)
+    model = structure.physics(structure.first).model
+    model.opt.timestep = 1e-5
+    data = mujoco.MjData(model)
+    forces = []
+    for _ in range(20_000):  # 10 mm/s, as a drive that gives whatever it takes would move it
+        data.qvel[0] = 0.01
+        mujoco.mj_step(model, data)
+        forces.append(-data.qfrc_actuator[0] - 78.7**2 * 0.06**2 / 1.2 * 0.01)
+    limit = 3 + 2 * np.exp(-((0.01 / 0.05) ** 2))
+    for k in (99, 999, 19_999):
+        bend = limit / 2e4 * (1 - np.exp(-0.01 * (k + 1) * 1e-5 * 2e4 / limit))  # dz/dt = v (1 - stiffness z / limit)
+        expected = 2e4 * bend + 200 * 0.01 * (1 - 2e4 * bend / limit)
+        assert forces[k] == pytest.approx(expected, rel=2e-3)
+
+
+@given(
+    count=st.floats(2.0, 40.0),
+    phase=st.floats(0.0, 6.28),
+    along=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=30, deadline=None)
+def test_waves_are_found_under_noise_ten_times_as_large(count: float, phase: float, along: bool, seed: int) -> None:
+    """Over the whole of a recording; the direction of motion may carry them."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(20_000) * 1e-3
+    x = 0.5 * np.sin(1.7 * t) + 0.5 * np.sin(0.61 * t + 1)
+    v = np.gradient(x, t)
+    scene = evidence.scene(physics.load(CART), [recorded("cart")], ready("cart").motions, 1.0).at("joint", "cart", {})
+    scene = replace(scene, position=x, velocity=v, force=np.zeros_like(x))
+    reach = float(np.ptp(x))
+    carrier = -scene.direction if along else np.ones_like(x)
+    wave = carrier * np.sin(2 * np.pi * count / reach * x + phase)
+    scene = replace(scene, force=wave + rng.normal(0, 10, len(x)))
+    found = waves(scene, 0.5, 50.0, carrier if along else None)
+    assert any(abs(reach / w["wavelength"] - count) < 0.25 for w in found[:1])
+    assert np.hypot(found[0]["sine"], found[0]["cosine"]) == pytest.approx(1.0, abs=0.6)
 
 
 def test_back_emf_of_a_plain_motor_brakes_by_its_coefficient() -> None:

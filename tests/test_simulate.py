@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 from sim2real_rigs import CART, HANGING, NOISE, RK4, TORQUE, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
@@ -263,6 +264,59 @@ def test_currents_follow_voltages_with_their_time_constant() -> None:
         exact = force / 1e4 * (t**2 / 2 - tau * t + tau**2 * (1 - np.exp(-t / tau)))
         # A twentieth of the step, where the step itself is half a millisecond: what a fit would take for inductance.
         assert readings[0, -1, 0] == pytest.approx(exact[-1], abs=force / 1e4 * t[-1] * 5e-5)
+
+
+@pytest.mark.parametrize("tau", [0.0015, 0.004])
+def test_currents_and_back_emf_keep_second_order(tau: float) -> None:
+    """A cart on a motor with inductance against its differential equations: half the step, a quarter of the error."""
+    gear, constant, ohms, mass, drag = 78.7, 0.06, 1.2, 1.26, 21.4
+    winding = rig(CART, "motor.inductance", "motor", time_constant=tau)
+    time = np.arange(200) * 0.002
+    volts = 4 * np.sin(40 * time)
+    run = Recording("tones", time, volts[:, None], np.zeros((200, 1)), ["motor"], ["cart"])
+    windows = cut([run], np.ones(1), 0.25, (0.0, 1.0)).pick(np.array([0]))
+    zero = np.zeros((1, 1, 2))
+
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        held = volts[min(int(t / 0.002 + 1e-9), 199)]
+        return [
+            y[1],
+            (constant * gear * y[2] - drag * y[1]) / mass,
+            ((held - constant * gear * y[1]) / ohms - y[2]) / tau,
+        ]
+
+    exact = solve_ivp(rates, (0, 0.25), [0, 0, 0], t_eval=windows.times[0], max_step=2e-5).y[0]
+    errors = []
+    for step in (5e-4, 2.5e-4):
+        found = simulate([winding], windows, zero, Stepping(step, RK4), base=["cart"])[0, 0, :, 0]
+        errors.append(np.abs(found - exact).max())
+    assert errors[0] < 2e-3 * np.ptp(exact)
+    assert errors[1] < 0.4 * errors[0]
+
+
+@pytest.mark.parametrize("delay", [0.0007, 0.002, 0.0093])
+def test_a_late_sensor_reads_what_it_would_have_read_before(delay: float) -> None:
+    """One sensor of three: the others are not, and a window begins with the state that the late one shows."""
+    plain, late = physics.load(HANGING), rig(HANGING, "timing.sensor_lag:delay", "pole1", delay=delay)
+    model, step = copy.copy(plain.model), 1e-4
+    model.opt.timestep, model.opt.integrator = step, RK4
+    data, command = mujoco.MjData(model), sweep(3.0)
+    data.qpos[:] = 0, 0.4, -0.3
+    states = []
+    for k in range(8_000):
+        states.append(np.concatenate([data.qpos, data.qvel]))
+        data.ctrl[:] = command(0.002 * (k // 20))
+        mujoco.mj_step(model, data)
+    truth = CubicSpline(np.arange(8_000) * step, np.array(states))
+    time = np.arange(400) * 0.002
+    seen = np.stack([truth(np.maximum(time - by, 0))[:, j] for j, by in enumerate((0.0, delay, 0.0))], axis=1)
+    volts = np.array([[command(t)] for t in time])
+    run = Recording("late", time, volts, seen, ["motor"], ["cart", "pole1", "pole2"])
+    windows = cut([run], np.ones(3), 0.25, (0.0, 1.0)).pick(np.array([1, 2]))
+    starts = truth(windows.start - delay)[None]
+    found = simulate([late, plain], windows, starts, FINE, base=["cart", "pole1", "pole2"])
+    assert found[0] == pytest.approx(windows.observed, abs=1e-6)
+    assert np.abs(found[1] - windows.observed).max() > 1e-4
 
 
 HOT = {"thermal_resistance": 3.0, "time_constant": 8.0}
