@@ -280,7 +280,7 @@ def _relaxed(model: mujoco.MjModel, data: mujoco.MjData, step: float) -> Array:
             lasting[model.actuator_actadr[i] : end] = -tau * np.expm1(-step / tau)
         if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR and model.actuator_dynprm[i, 5] > 0:
             # MuJoCo keeps the bristles after the winding's temperature and before its current.
-            rate = _bristle_rate(model, i, float(data.actuator_velocity[model.actuator_outadr[i]]))
+            rate = _bristle_rate(model, int(i), float(data.actuator_velocity[model.actuator_outadr[i]]))
             lasting[end - 1 - (tau > 0)] = -np.expm1(-rate * step) / rate if rate > 0 else step
     return lasting
 
