@@ -23,7 +23,7 @@ from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.result import Diagnosis, Errors, Missing, Work
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.structure import Term
+from dipc_gym.sim2real.structure import Term, names
 from dipc_gym.sim2real.windows import Prepared, prepare
 
 Array = NDArray[np.float64]
@@ -156,11 +156,13 @@ def diagnose(
     if best.structure.terms and not judge.credible(worst, judge.unseen_error(search, best), _motion(held)):
         tell("the mismatch is small beside the motion, and no effect brings it down to the noise")
         best = recalibrated
+    best, struck = _upheld(held, search.path if best.structure.terms else [recalibrated])
+    notes += struck
     final = judge.fewest_numbers(search, best)
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
     errors = Errors(*(_error(held, f) for f in (nominal, recalibrated, final)))
     if final.structure.terms and judge.refuted(errors.recalibrated, errors.improved):
-        notes.append(sentences.refutation(final.structure.terms, errors))
+        notes.append(sentences.refutation(final.structure.terms, errors.recalibrated, errors.improved))
         final = judge.fewest_numbers(search, recalibrated)
         errors = replace(errors, improved=_error(held, final))
     forces = np.stack(
@@ -252,6 +254,24 @@ def _odd(rest: Problem, recalibrated: Fit) -> Problem:
 def _error(problem: Problem, fitted: Fit) -> float:
     mse, _ = evaluate(problem, fitted.structure, fitted.z)
     return float(np.sqrt(np.mean(mse)))
+
+
+def _upheld(held: Problem, path: Sequence[Fit]) -> tuple[Fit, list[str]]:
+    """The last of the accepted fits that held-out data do not speak against, and notes on what they strike off.
+
+    What the best of dozens of effects takes up of structure that no catalogue has need not be there the next time.
+    Held-out data may strike an effect off; they never add one.
+    """
+    notes, last = [], len(path) - 1
+    while last > 0:
+        before, after = (_error(held, fitted) for fitted in path[last - 1 : last + 1])
+        if not judge.refuted(before, after):
+            break
+        kept = names(path[last - 1].structure.terms)
+        added = [term for term in path[last].structure.terms if term.key not in kept]
+        notes.append(sentences.refutation(added or path[last].structure.terms, before, after))
+        last -= 1
+    return path[last], notes
 
 
 def _motion(problem: Problem) -> float:

@@ -50,6 +50,7 @@ class Search:
         tell: called with a line about progress.
         few: the windows of `problem` that are sketched on.
         interrupted: whether Ctrl-C ended the search.
+        path: the fits that were accepted one after another, the first without effects.
     """
 
     problem: Problem
@@ -62,6 +63,7 @@ class Search:
     few: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     rounds: list[list[Tried]] = field(default_factory=list)
     interrupted: bool = False
+    path: list[Fit] = field(default_factory=list)
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
 
     def unseen_mse(self, fitted: Fit) -> Array:
@@ -294,7 +296,7 @@ class Search:
     def run(self, start: Fit, most: int = 6) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
         current = start
-        self.few = _few(start.mse)
+        self.few, self.path = _few(start.mse), [start]
         try:
             for _ in range(most):
                 before, better = current, self.round(current) or self.ahead(current)
@@ -303,6 +305,7 @@ class Search:
                 current, added = better, better.structure.terms[-1].key
                 self.tell(f"added {', '.join(names(better.structure.terms[len(before.structure.terms) :])) or added}")
                 current = self.prune(better)
+                self.path.append(current)
                 if added not in names(current.structure.terms) and not self.compare(current, before).clear:
                     break
         except KeyboardInterrupt:

@@ -37,7 +37,7 @@ def in_one_sentence(verdict: str, missing: Sequence[Missing], changed: Sequence[
 
 def next_experiment(verdict: str, missing: Sequence[Missing]) -> str:
     """What to record to settle what is left."""
-    open_ = [(m, s) for m in missing for s in m.same_here]
+    open_ = [(m, s) for m in missing for s in m.same_here if (s["effect"], s["at"]) != (m.effect, m.at)]
     if open_:
         m, s = open_[0]
         return (
@@ -78,10 +78,10 @@ def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
     return notes
 
 
-def refutation(terms: Sequence[Term], errors: Errors) -> str:
-    """Note on effects that fit the recordings and fail on held-out data."""
+def refutation(terms: Sequence[Term], before: float, after: float) -> str:
+    """Note on effects that fit the recordings and fail on held-out data, with the errors there, in units of noise."""
     return (
         f"{' and '.join(term.key for term in terms)} would explain the recordings that were fitted, but held-out data "
-        f"speak against it (the error rises from {errors.recalibrated:.3g} to {errors.improved:.3g} times the noise), "
+        f"speak against it (the error rises from {before:.3g} to {after:.3g} times the noise), "
         "so it is not named."
     )
