@@ -303,9 +303,9 @@ class Search:
                 if better is None:
                     break
                 current, added = better, better.structure.terms[-1].key
-                self.tell(f"added {', '.join(names(better.structure.terms[len(before.structure.terms) :])) or added}")
-                current = self.prune(better)
                 self.path.append(current)
+                self.tell(f"added {', '.join(names(better.structure.terms[len(before.structure.terms) :])) or added}")
+                current = self.path[-1] = self.prune(better)
                 if added not in names(current.structure.terms) and not self.compare(current, before).clear:
                     break
         except KeyboardInterrupt:
