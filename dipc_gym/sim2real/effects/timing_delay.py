@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 
 from dipc_gym.sim2real.document import Document
@@ -18,18 +19,23 @@ class Delay(Effect):
     rivals = ("timing.sensor_lag:delay", "motor.inductance", "timing.sensor_lag", "transmission.compliance")
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """A quarter of a sample, two samples, and ten milliseconds."""
-        return [{"delay": d} for d in sorted({0.25 * evidence.period, 2 * evidence.period, 0.01})]
+        """Shorter and longer ones."""
+        return delays(evidence)
 
     def edit(self, document: Document, at: str, values: Values) -> None:
-        """The actuator's delay, with as many samples of history as it needs."""
-        document.set(
-            document.actuator(at),
-            delay=values["delay"],
-            interp="linear",
-            nsample=str(int(values["delay"] / document.timestep) + 3),
-        )
+        """The actuator's delay."""
+        set_delay(document, document.actuator(at), values["delay"])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         return f"Commands to {at} act {1e3 * values['delay']:.3g} ms late."
+
+
+def delays(evidence: Evidence) -> Sequence[Values]:
+    """A quarter of a sample, two samples, and ten milliseconds."""
+    return [{"delay": d} for d in sorted({0.25 * evidence.period, 2 * evidence.period, 0.01})]
+
+
+def set_delay(document: Document, element: ET.Element, delay: float) -> None:
+    """Delay an actuator or a sensor, with as many samples of history as that needs."""
+    document.set(element, delay=delay, interp="linear", nsample=str(int(delay / document.timestep) + 3))

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.timing_delay import delays, set_delay
 
 
 class SensorDelay(Effect):
@@ -19,17 +20,12 @@ class SensorDelay(Effect):
     moves_readings = True
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """A quarter of a sample, two samples, and ten milliseconds."""
-        return [{"delay": d} for d in sorted({0.25 * evidence.period, 2 * evidence.period, 0.01})]
+        """Shorter and longer ones."""
+        return delays(evidence)
 
     def edit(self, document: Document, at: str, values: Values) -> None:
-        """The sensor's delay, with as many samples of history as it needs."""
-        document.set(
-            document.sensor(at),
-            delay=values["delay"],
-            interp="linear",
-            nsample=str(int(values["delay"] / document.timestep) + 3),
-        )
+        """The sensor's delay."""
+        set_delay(document, document.sensor(at), values["delay"])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
