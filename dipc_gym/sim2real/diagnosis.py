@@ -156,15 +156,10 @@ def diagnose(
     if best.structure.terms and not judge.credible(worst, judge.unseen_error(search, best), _motion(held)):
         tell("the mismatch is small beside the motion, and no effect brings it down to the noise")
         best = recalibrated
-    best, struck = _upheld(held, search.path if best.structure.terms else [recalibrated])
+    final, struck = _upheld(search, held, search.path if best.structure.terms else [recalibrated])
     notes += struck
-    final = judge.fewest_numbers(search, best)
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
     errors = Errors(*(_error(held, f) for f in (nominal, recalibrated, final)))
-    if final.structure.terms and judge.refuted(errors.recalibrated, errors.improved):
-        notes.append(sentences.refutation(final.structure.terms, errors.recalibrated, errors.improved))
-        final = judge.fewest_numbers(search, recalibrated)
-        errors = replace(errors, improved=_error(held, final))
     forces = np.stack(
         [
             evidence.force_errors(f.structure.physics(f.z), judged, kept.motions, judged_span)
@@ -256,22 +251,32 @@ def _error(problem: Problem, fitted: Fit) -> float:
     return float(np.sqrt(np.mean(mse)))
 
 
-def _upheld(held: Problem, path: Sequence[Fit]) -> tuple[Fit, list[str]]:
+def _upheld(search: Search, held: Problem, path: Sequence[Fit]) -> tuple[Fit, list[str]]:
     """The last of the accepted fits that held-out data do not speak against, and notes on what they strike off.
 
     What the best of dozens of effects takes up of structure that no catalogue has need not be there the next time.
     Held-out data may strike an effect off; they never add one.
+
+    Args:
+        search: that accepted them.
+        held: held-out windows.
+        path: fits, each with an effect more than the one before; the first one without any.
     """
-    notes, last = [], len(path) - 1
-    while last > 0:
-        before, after = (_error(held, fitted) for fitted in path[last - 1 : last + 1])
-        if not judge.refuted(before, after):
+    notes: list[str] = []
+    fewest = judge.fewest_numbers(search, path[-1])
+    error = _error(held, fewest)
+    for k in range(len(path) - 1, 0, -1):
+        if error <= judge.AT_FLOOR:
             break
-        kept = names(path[last - 1].structure.terms)
-        added = [term for term in path[last].structure.terms if term.key not in kept]
-        notes.append(sentences.refutation(added or path[last].structure.terms, before, after))
-        last -= 1
-    return path[last], notes
+        simpler = judge.fewest_numbers(search, path[k - 1])
+        before = _error(held, simpler)
+        if not judge.refuted(before, error):
+            break
+        kept = names(simpler.structure.terms)
+        added = [term for term in fewest.structure.terms if term.key not in kept]
+        notes.append(sentences.refutation(added or fewest.structure.terms, before, error))
+        fewest, error = simpler, before
+    return fewest, notes
 
 
 def _motion(problem: Problem) -> float:
