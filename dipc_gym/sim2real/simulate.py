@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 from mujoco import batch as mjbatch
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics, stack
@@ -23,13 +22,12 @@ from dipc_gym.sim2real.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.states import Motion
 from dipc_gym.sim2real.stick import DryFriction
+from dipc_gym.sim2real.windings import steady_currents
 
 Array = NDArray[np.float64]
 
 # Sizes of buffers that recorded commands do not need: delays are taken out of the model.
 _LAYOUT = frozenset({"actuator_history", "actuator_historyadr", "sensor_history", "sensor_historyadr"})
-
-_LARGEST = 1.2  # time constants in a step, to which `_decay` grows
 
 # Default of MuJoCo's solref time constant; shorter ones were chosen with the time step in mind and scale with it.
 _SOFT = 0.02
@@ -231,7 +229,7 @@ class _Runs:
         self.late = np.stack([_take_sensor_delays(model) for model in models])
         self.delays += self.late.max(axis=1, keepdims=True)
         if stepping.integrator is not None:
-            self.delays += np.stack([_steady_currents(model, self.step) for model in models])
+            self.delays += np.stack([steady_currents(model, self.step) for model in models])
         level = np.stack([model.dof_frictionloss.copy() for model in models])
         located = stepping.integrator is not None and bool((level > 0).any())
         if located:
@@ -326,36 +324,6 @@ def _take_sensor_delays(model: mujoco.MjModel) -> Array:
     delays = mjcf.sensor_delays(model)
     model.sensor_delay[:] = 0
     return delays
-
-
-def _steady_currents(model: mujoco.MjModel, step: float) -> Array:
-    """Make windings follow their time constants under RK4; the delay each control still needs for that, s, (nu,).
-
-    MuJoCo averages the current's rate over RK4's stages and puts the average into an exponential meant for the rate at
-    the step's beginning, which delays by half a step; or it acts with the next step's current (`actearly`), which comes
-    half a step early, before the back-EMF of its own speed too. The first of the two with another time constant,
-    chosen so that a step decays as the winding does, is of second order; it exists where a step is not much longer than
-    half the time constant. Faster windings act early. What either lacks of the winding's lag is a delay of commands.
-    """
-    delay = np.zeros(model.nu)
-    for i in range(model.nactuator):
-        tau = float(model.actuator_dynprm[i, 0])
-        if model.actuator_gaintype[i] != mujoco.mjtGain.mjGAIN_DCMOTOR or tau <= 0:
-            continue
-        decay = -math.expm1(-step / tau)
-        lag = step / decay - step
-        if decay < _decay(_LARGEST):
-            x = brentq(lambda x, decay=decay: _decay(x) - decay, 1e-9, _LARGEST)
-            model.actuator_dynprm[i, 0], model.actuator_actearly[i] = step / x, False
-            lag = step / decay * (1 - x / 2 + x**2 / 6 - x**3 / 24)  # of the mean over RK4's stages
-        first = int(model.actuator_ctrladr[i])
-        delay[first : first + int(model.actuator_ctrlnum[i])] = tau - lag
-    return delay
-
-
-def _decay(x: float) -> float:
-    """Share of the way to its target that MuJoCo's current goes in a step of x time constants, under RK4."""
-    return (x - x**2 / 2 + x**3 / 6 - x**4 / 24) * -math.expm1(-x) / x
 
 
 def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArray[np.intp]) -> None:
