@@ -16,6 +16,7 @@ from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.fit import Fit, correct_starts, evaluate, fit, predict, residual, typical, weights
 from dipc_gym.sim2real.numbers import own_numbers
 from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.screening import screen
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Structure, Term, carry
 from dipc_gym.sim2real.windows import Prepared
@@ -286,3 +287,22 @@ def test_a_structure_is_what_is_written() -> None:
     assert model.dof_damping[0] == values["cart.damping"]
     assert model.actuator_gainprm[0, 0] == values["motor.resistance"]
     assert isinstance(mujoco.MjModel.from_xml_string(Document(mjcf.from_text(CART)).text()), mujoco.MjModel)
+
+
+def test_a_good_guess_promises_what_it_brings() -> None:
+    """A double pendulum's own numbers have a null space, along which a joint least-squares step goes far too far."""
+    wave = {"sine": 0.2, "cosine": 0.2, "wavelength": 0.13}
+    document = Document(mjcf.from_text(HANGING))
+    catalogue()["load.position"].edit(document, "cart", wave)
+    run = record(
+        physics.load(document.text()), sweep(3.0), 12.0, noise=NOISE["hanging"], integrator=RK4, start=(0, 1.5, -1.0)
+    )
+    S = ready(run, HANGING)
+    numbers = tuple(own_numbers(S.structure.document, S.structure.model))
+    alone = fit(S.problem, replace(S.structure, numbers=numbers), most=8)
+    (tried,) = screen(S.problem, alone, [Term(catalogue()["load.position"], "cart", wave)], np.arange(9))
+    whole = alone.structure.with_term(tried.term)
+    after = fit(S.problem, whole, carry(alone.structure, alone.z, whole), alone.starts)
+    brought = float(np.mean(np.log1p(alone.mse) - np.log1p(after.mse)))
+    assert after.error < 1.1
+    assert tried.promise > 0.5 * brought > 0.5
