@@ -290,7 +290,7 @@ def test_a_structure_is_what_is_written() -> None:
 
 
 def test_a_good_guess_promises_what_it_brings() -> None:
-    """A double pendulum's own numbers have a null space, along which a joint least-squares step goes far too far."""
+    """On a double pendulum, whose own numbers have a null space that a joint step could run along."""
     wave = {"sine": 0.2, "cosine": 0.2, "wavelength": 0.13}
     document = Document(mjcf.from_text(HANGING))
     catalogue()["load.position"].edit(document, "cart", wave)

@@ -80,11 +80,8 @@ def fewest_numbers(search: Search, fitted: Fit) -> Fit:
     def with_first(count: int) -> Fit | None:
         free = sorted(order[:count])
         structure = replace(fitted.structure, numbers=tuple(numbers[i] for i in free))
-        sketch = search.sketch(fitted, structure, loss(free)[1][[*free, *range(k, p)]])
-        if sketch is None or search.behind(sketch, fitted):
-            return None
         try:
-            return fit(search.problem, structure, sketch.z, fitted.starts, most=20)
+            return fit(search.problem, structure, loss(free)[1][[*free, *range(k, p)]], fitted.starts, most=20)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 

@@ -120,9 +120,9 @@ class Search:
                 shared |= {p.name: values[p.name] for p in effect.parameters if p.name in values}
         return shared
 
-    def sketch(self, base: Fit, structure: Structure, z: Array | None = None) -> Fit | None:
-        """Fit a structure to a few windows, from `z` or the numbers of `base`; None where it cannot be simulated."""
-        z = carry(base.structure, base.z, structure) if z is None else z
+    def sketch(self, base: Fit, structure: Structure) -> Fit | None:
+        """Fit a structure to a few of the windows, from the numbers of `base`; None where it cannot be simulated."""
+        z = carry(base.structure, base.z, structure)
         try:
             return fit(self.problem.pick(self.few), structure, z, base.starts[self.few], most=5, tolerance=5e-3)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
