@@ -110,18 +110,17 @@ def _promise(problem: Problem, current: Fit, effect: Effect, readings: Array) ->
     A = A + np.diag(prior / counts.mean()) * len(counts) / n
     scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
     before = float(np.mean(np.log1p(current.mse)))
-    best = 0.0, 1.0
-    # Beside everything that is free, and alone: along a null space the other numbers would have to go too far.
-    for count in {len(b), 1}:
+    # Beside everything that is free; alone only where the other numbers would have to go too far along a null space.
+    for count in (len(b), 1):
         own = scale[:count]
         step = np.linalg.lstsq(A[:count, :count] / np.outer(own, own), b[:count] / own, rcond=1e-9)[0] / own
         size = float(np.clip(step[0], -100.0 if _signed(effect) else 0.0, 100.0))
-        if size == 0.0:
-            continue
         left = current.left - columns[..., :count] @ np.append(size, np.clip(step[1:], -1, 1))
         after = np.einsum("nm,nm->n", left, left) / counts
-        best = max(best, (before - float(np.mean(np.log1p(after))), size))
-    return best
+        promise = before - float(np.mean(np.log1p(after)))
+        if size != 0.0 and promise > 0.0:
+            return promise, size
+    return 0.0, 1.0
 
 
 def _scaled(term: Term, size: float) -> Term:
