@@ -147,7 +147,7 @@ def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
     P, V, c = sensor_map(physics)
     positional = np.flatnonzero(~V.any(axis=1))
     smooth = np.stack([smoothed(recording.time, recording.sensors[:, s], noise[s]) for s in positional], axis=1)
-    _undo_lag(physics, recording.time, smooth, positional)
+    _undo_lateness(physics, recording.time, smooth, positional)
     position = (smooth - c[positional]) @ inverse_map(P[positional], noise[positional]).T
     velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
     acceleration = np.gradient(velocity, recording.time, axis=0, edge_order=2)
@@ -164,7 +164,7 @@ def inverse_map(P: Array, noise: Array) -> Array:
     return np.asarray(np.linalg.pinv(P * weight[:, None]) * weight)
 
 
-def _undo_lag(physics: Physics, time: Array, smooth: Array, positional: NDArray[np.intp]) -> None:
+def _undo_lateness(physics: Physics, time: Array, smooth: Array, positional: NDArray[np.intp]) -> None:
     """Lead delayed and lagging sensors (n, ns), in place: what a lag follows is tau dy/dt + y."""
     address = mjcf.sensor_addresses(physics.model)
     delays = mjcf.sensor_delays(physics.model)[positional]
@@ -271,7 +271,7 @@ def _delayed(model: mujoco.MjModel, recording: Recording) -> Array:
 
 
 def _relaxed(model: mujoco.MjModel, data: mujoco.MjData, step: float) -> Array:
-    """How long the present rate of each activation, (na,), lasts within a step: it decays with its time constant."""
+    """For how much of a step each activation, (na,), would keep its present rate: it decays with its time constant."""
     lasting = np.full(model.na, step)
     for i in np.flatnonzero(model.actuator_actadr >= 0):
         tau = float(model.actuator_dynprm[i, 0])

@@ -196,9 +196,9 @@ class Structure:
         for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
             if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:
                 finest = min(finest, FAST, numbers[0])
-            if dynamics == kind.mjDYN_DCMOTOR and numbers[5] > 0:
+            if dynamics == kind.mjDYN_DCMOTOR and numbers[5] > 0:  # bristles
                 finest = min(finest, FAST)
-            elif dynamics == kind.mjDYN_FILTER:
+            if dynamics == kind.mjDYN_FILTER:
                 finest = min(finest, numbers[0])
         return float(finest)
 

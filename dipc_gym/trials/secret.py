@@ -122,6 +122,11 @@ class Secret:
                 return False
         return True
 
+    @property
+    def shown(self) -> int:
+        """How many recordings, from the first on, effects may be fitted to; a knock struck the first one only."""
+        return 1 if self.once else 2
+
     def worth_keeping(self) -> bool:
         """Whether the rig behaved and the secret shows at all."""
         if not self.sound():
@@ -157,10 +162,10 @@ class Secret:
         share = moved(refit.plant, judged)
         from_nominal = moved(self.nominal, judged)
         limit = SAME * min(1.0, from_nominal)
-        # Effects are fitted to every recording they are asked of, and a knock struck the first one only.
-        shown = 1 if self.once else 2
         equal = {
-            f"{h.effect.name}@{h.effect.at}": self._equivalents(h, windows[:shown], references[:shown], refit.error)
+            f"{h.effect.name}@{h.effect.at}": self._equivalents(
+                h, windows[: self.shown], references[: self.shown], refit.error
+            )
             for h in self.hidden
         }
         return {
@@ -179,7 +184,7 @@ class Secret:
             "equivalents": equal,
             "equivalent_sets": {
                 f"{h.effect.name}@{h.effect.at}": self._equivalent_sets(
-                    h, windows[:shown], references[:shown], refit.error
+                    h, windows[: self.shown], references[: self.shown], refit.error
                 )
                 for h in self.hidden
             },
@@ -217,8 +222,14 @@ class Secret:
         for out in self.hidden:
             rest = [h for h in self.hidden if h is not out]
             start = [value for h in rest for value in h.values]
-            shown = 1 if self.once else 2
-            found = fit(windows[:shown], references[:shown], self.rig.plant, [h.effect for h in rest], start, effort=6)
+            found = fit(
+                windows[: self.shown],
+                references[: self.shown],
+                self.rig.plant,
+                [h.effect for h in rest],
+                start,
+                effort=6,
+            )
             recording = self.recordings[judged]
             difference = windows[judged].residual(predict(self.rig, found.plant, recording), recording.reading)
             shares[f"{out.effect.name}@{out.effect.at}"] = rms(difference)

@@ -8,6 +8,7 @@ import numpy as np
 
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, passive_motor
+from dipc_gym.sim2real.effects.friction_stribeck import Stribeck
 
 
 class Presliding(Effect):
@@ -20,9 +21,7 @@ class Presliding(Effect):
     place = "joint"
     law = "dry friction"
     parameters = (
-        Parameter("level", "N", 0.0),
-        Parameter("static", "N", 0.0),
-        Parameter("velocity", "m/s", 1e-5, log=True),
+        *Stribeck.parameters,
         Parameter("stiffness", "N/m", 1e-9, log=True),
         Parameter("damping", "N s/m", 1e-12, log=True),
     )
