@@ -162,6 +162,7 @@ class Secret:
         share = moved(refit.plant, judged)
         from_nominal = moved(self.nominal, judged)
         limit = SAME * min(1.0, from_nominal)
+        shown = windows[: self.shown], references[: self.shown]
         equal = {
             f"{h.effect.name}@{h.effect.at}": self._equivalents(
                 h, windows[: self.shown], references[: self.shown], refit.error
@@ -183,10 +184,7 @@ class Secret:
             "parameters": {f"{h.effect.name}@{h.effect.at}": h.parameters() for h in self.hidden},
             "equivalents": equal,
             "equivalent_sets": {
-                f"{h.effect.name}@{h.effect.at}": self._equivalent_sets(
-                    h, windows[: self.shown], references[: self.shown], refit.error
-                )
-                for h in self.hidden
+                f"{h.effect.name}@{h.effect.at}": self._equivalent_sets(h, *shown, refit.error) for h in self.hidden
             },
             "recalibrated_suffices": bool(self.hidden) and share <= limit,
             "share_of_signal": share,
