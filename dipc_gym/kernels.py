@@ -1,7 +1,7 @@
 """The environment's arithmetic, on numbers or on arrays of any shape alike.
 
-Nothing but + - * / and // is used, which IEEE 754 defines to the last bit. So one simulation on Python floats and a
-thousand on arrays give the same bits, as long as both call these functions.
+Nothing but + - * / and rounding down is used, which IEEE 754 defines to the last bit. So one simulation on Python
+floats and a thousand on arrays give the same bits, as long as both call these functions.
 """
 
 from __future__ import annotations
@@ -19,6 +19,16 @@ RAIL = 0.45  # m, from the middle of the rail to a stop, where the model sets no
 FALL = 0.35  # rad from upright, beyond which a balancing pole has fallen
 
 
+def floor(number: Number) -> Number:
+    """The next whole number below; NumPy's own is ten times as fast as // on arrays, Python's on floats.
+
+    Example:
+        >>> floor(-0.5)
+        -1.0
+    """
+    return np.floor(number) if isinstance(number, np.ndarray) else number // 1.0
+
+
 def quantise(position: Number, step: Number | float) -> Number:
     """The reading of an encoder with counts of `step`, same unit as `position`.
 
@@ -26,7 +36,7 @@ def quantise(position: Number, step: Number | float) -> Number:
         >>> quantise(0.26, 0.1)
         0.30000000000000004
     """
-    return (position / step + 0.5) // 1.0 * step
+    return floor(position / step + 0.5) * step
 
 
 def velocity(
@@ -62,6 +72,6 @@ def costs(
         (0.25, 0.0, 0.0, 0.0625)
     """
     x, u = cart / rail, volts / supply
-    a = (theta1 - TURN * ((theta1 + math.pi) // TURN)) / FALL
-    b = (theta2 - TURN * ((theta2 + math.pi) // TURN)) / FALL
+    a = (theta1 - TURN * floor((theta1 + math.pi) / TURN)) / FALL
+    b = (theta2 - TURN * floor((theta2 + math.pi) / TURN)) / FALL
     return 0.25 * x * x, 0.25 * a * a, 0.25 * b * b, 0.25 * u * u

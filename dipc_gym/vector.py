@@ -99,12 +99,19 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
         self._sims = mjbatch.Batch(rig.model, self.num_envs, threads)
-        self._qpos, self._qvel, self._ctrl = (self._sims.bind(name) for name in ("qpos", "qvel", "ctrl"))
-        self._clock, self._force = self._sims.bind("time"), self._sims.bind("actuator_force")
+        self._ctrl, self._clock, self._force = (self._sims.bind(name) for name in ("ctrl", "time", "actuator_force"))
         self._sims.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._new = self._sims.state[0].copy()  # written into rows that are reset, at a fifth of what a reset costs
+        # MuJoCo's state begins with the time, qpos and qvel.
+        first = 1 + rig.model.nq
+        self._joints = np.array([*(1 + q for q in rig._qpos_address), *(first + dof for dof in rig._dof)])
         self._generators: list[np.random.Generator | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
+        # The friction of motors without cogging is nothing where nothing has moved, so it need not be computed there.
+        motor, model = mujoco.mjtBias.mjBIAS_DCMOTOR, rig.model
+        self._free_at_rest = all(
+            model.actuator_biastype[i] == motor and model.actuator_biasprm[i, 0] == 0 for i, _ in rig._passive
+        )
         n = self.num_envs
         self._plants = [rig.plant] * n
         self._numbers: _PlantNumbers | None = None
@@ -113,6 +120,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         # Readings of the encoders and velocities worked out from them; what is observed, unless the state is.
         self._measured = np.zeros((n, 6))
         self._observed = np.zeros((n, 6)) if exact_state else self._measured
+        self._friction = np.zeros(n)
         self._can_fall, self._ended, self.began = (np.zeros(n, dtype=bool) for _ in range(3))
         self._steps = np.zeros(n, dtype=np.int64)
 
@@ -218,10 +226,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     @property
     def state(self) -> Array:
         """The simulations' exact states, (num_envs, 6), as the observation orders them."""
-        state = np.concatenate([self._qpos[:, self._rig._qpos_address], self._qvel[:, self._rig._dof]], axis=1)
-        state[:, 2] += state[:, 1]
-        state[:, 5] += state[:, 4]
-        return state
+        return _absolute(self._sims.state.take(self._joints, axis=1))
 
     @property
     def measured_velocity(self) -> Array:
@@ -243,10 +248,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     @property
     def friction(self) -> Array:
         """Dry friction on each cart at the last physics step, (num_envs,) N."""
-        force = np.zeros(self.num_envs)
-        for i, gear in self._rig._passive:
-            force += gear * self._force[:, i]
-        return force
+        return self._friction.copy()
 
     # -------------------------------------------------------------------------------------------- simulation
 
@@ -257,20 +259,23 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         volts = np.minimum(np.maximum(asked, -supply), supply)
         self._ctrl[:, rig._motor] = volts
         self._sims.step(None if going.all() else going, nstep=rig._nstep)
-        state = self.state
-        diverged = ~(np.abs(state).sum(axis=1) < DIVERGED)
+        joints = self._sims.state.take(self._joints, axis=1)
+        state = _absolute(joints.copy())
+        size = np.abs(state)
+        diverged = ~(size.sum(axis=1) < DIVERGED)
         fine = going & ~diverged
-        state[~fine] = 0.0
-        x, theta1, theta2 = state[:, 0], state[:, 1], state[:, 2]
-        terms = kernels.costs(x, theta1, theta2, volts, rail, supply)
-        fell = (np.abs(theta1) > kernels.FALL) | (np.abs(theta2) > kernels.FALL)
-        terminated = going & (~((-rail < x) & (x < rail)) | (self._can_fall & fell) | diverged)
-        self._measure(state, fine)
+        if not fine.all():
+            state[~fine] = size[~fine] = 0.0
+        terms = kernels.costs(state[:, 0], state[:, 1], state[:, 2], volts, rail, supply)
+        fell = (size[:, 1] > kernels.FALL) | (size[:, 2] > kernels.FALL)
+        terminated = going & ((size[:, 0] >= rail) | (self._can_fall & fell) | diverged)
+        self._measure(joints[:, :3], state, fine)
         self._steps += going
         limit = self.max_episode_steps
         truncated = np.zeros_like(going) if limit is None else going & (self._steps >= limit)
         rewards = np.where(fine, 1.0 - terms[0] - terms[1] - terms[2] - terms[3], 0.0)
         infos: dict[str, Any] = {"reward_survive": np.ones(self.num_envs), **dict(zip(COSTS, terms, strict=True))}
+        self._friction = self._read_friction()
         infos |= {"friction": self.friction}
         if diverged.any():
             for value in infos.values():
@@ -294,16 +299,14 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             plants.append(family.draw(generator))
             states[k] = start_state(generator, start, state)
         self._become(rows, plants)
-        self._sims.state[rows] = self._new
-        x, theta1, theta2, v, w1, w2 = states.T
-        for address, values in zip(self._rig._qpos_address, (x, theta1, theta2 - theta1), strict=True):
-            self._qpos[rows, address] = values
-        for address, values in zip(self._rig._dof, (v, w1, w2 - w1), strict=True):
-            self._qvel[rows, address] = values
-        self._sims.forward(rows)
-        self._can_fall[rows] = (np.abs(theta1) <= kernels.FALL) & (np.abs(theta2) <= kernels.FALL)
+        joints = states.copy()
+        joints[:, (2, 5)] -= states[:, (1, 4)]
+        fresh = np.repeat(self._new[None], len(rows), axis=0)
+        fresh[:, self._joints] = joints
+        self._sims.state[rows] = fresh
+        self._can_fall[rows] = (np.abs(states[:, 1:3]) <= kernels.FALL).all(axis=1)
         self._steps[rows], self._ended[rows] = 0, False
-        joints = self._qpos[rows[:, None], self._rig._qpos_address]
+        joints = joints[:, :3]
         if self._noisy:
             joints += self._encoder_noise(rows)
         self._measured[rows, :3] = _readings(joints, self._counts[rows])
@@ -313,11 +316,14 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         for value in infos.values():
             value[rows] = 0
         infos["reward_survive"][rows] = 1.0
-        infos["friction"][rows] = self.friction[rows]
+        self._friction[rows] = 0.0
+        if not self._free_at_rest or states[:, 3:].any():
+            self._sims.forward(rows)
+            self._friction[rows] = self._read_friction()[rows]
+            infos["friction"][rows] = self._friction[rows]
 
-    def _measure(self, state: Array, which: Mask) -> None:
-        """Read the encoders of rows, update their velocity filters, and note what is observed."""
-        joints = self._qpos[:, self._rig._qpos_address]
+    def _measure(self, joints: Array, state: Array, which: Mask) -> None:
+        """Read the encoders of joints (n, 3) in rows, update their velocity filters, and note what is observed."""
         if self._noisy:
             rows = np.flatnonzero(which)
             joints[rows] += self._encoder_noise(rows)
@@ -327,6 +333,12 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         np.copyto(self._measured, measured, where=fine)
         if self.exact_state:
             np.copyto(self._observed, state, where=fine)
+
+    def _read_friction(self) -> Array:
+        force = np.zeros(self.num_envs)
+        for i, gear in self._rig._passive:
+            force += gear * self._force[:, i]
+        return force
 
     def _encoder_noise(self, rows: NDArray[np.intp]) -> Array:
         """What noise adds to the joints of rows before they are rounded, (rows, 3); drawn only where there is any."""
@@ -445,6 +457,13 @@ class _PlantNumbers:
 
 def _actuators(plant: Plant) -> tuple[bool, bool | None]:
     return plant.motor is None, None if plant.friction is None else plant.friction.coulomb > 0
+
+
+def _absolute(joints: Array) -> Array:
+    """Positions and velocities of joints, (rows, 6), with those of the second pole made absolute in place."""
+    joints[:, 2] += joints[:, 1]
+    joints[:, 5] += joints[:, 4]
+    return joints
 
 
 def _readings(joints: Array, counts: Array) -> Array:

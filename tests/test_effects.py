@@ -382,7 +382,7 @@ def test_bristles_are_springs_until_they_slip() -> None:
 
 
 @given(
-    count=st.floats(2.0, 40.0),
+    count=st.floats(2.0, 90.0),
     phase=st.floats(0.0, 6.28),
     along=st.booleans(),
     seed=st.integers(0, 2**32 - 1),
@@ -400,7 +400,7 @@ def test_waves_are_found_under_noise_ten_times_as_large(count: float, phase: flo
     carrier = -scene.direction if along else np.ones_like(x)
     wave = carrier * np.sin(2 * np.pi * count / reach * x + phase)
     scene = replace(scene, force=wave + rng.normal(0, 10, len(x)))
-    found = waves(scene, 0.5, 50.0, carrier if along else None)
+    found = waves(scene, 0.5, carrier if along else None)
     assert reach / found[0]["wavelength"] == pytest.approx(count, abs=0.25)
     assert np.hypot(found[0]["sine"], found[0]["cosine"]) == pytest.approx(1.0, abs=0.6)
 

@@ -30,7 +30,7 @@ class Uneven(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The waves that explain most of what opposes motion now more, now less."""
-        return [{"level": evidence.dry_level} | wave for wave in waves(evidence, 2.0, 50.0, -evidence.direction)]
+        return [{"level": evidence.dry_level} | wave for wave in waves(evidence, 2.0, -evidence.direction)]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader; stock MuJoCo gets the mean level."""

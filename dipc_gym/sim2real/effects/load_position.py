@@ -27,7 +27,7 @@ class Wave(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The wavelengths that explain most of the force."""
-        return waves(evidence, 0.5, 50.0)
+        return waves(evidence, 0.5)
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A passive force that is a sine of position."""

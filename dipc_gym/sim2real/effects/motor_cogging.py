@@ -34,7 +34,7 @@ class Cogging(Effect):
         gear = abs(evidence.gear) or 1.0
         return [
             {"sine": w["sine"] / gear, "cosine": w["cosine"] / gear, "poles": 2 * np.pi / w["wavelength"] / gear}
-            for w in waves(evidence, 1.0, 100.0)
+            for w in waves(evidence, 1.0)
         ]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
