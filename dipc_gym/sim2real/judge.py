@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import functools
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,7 +15,7 @@ from dipc_gym import mjcf
 from dipc_gym.sim2real.comparison import WORTH
 from dipc_gym.sim2real.evidence import Scene
 from dipc_gym.sim2real.fit import Fit, Problem, fit, weights
-from dipc_gym.sim2real.screening import Tried
+from dipc_gym.sim2real.screening import Tried, excludes
 from dipc_gym.sim2real.search import ALIKE, AT_FLOOR, Search
 from dipc_gym.sim2real.structure import Structure, Term, names
 
@@ -171,7 +172,10 @@ def _stand_ins(
     ]
     others.sort(key=lambda t: (t.score, -t.promise))
     rest = full.structure.without(term.key)
-    for other in others[:most]:
+    fitting = (
+        t for t in others if not any(t.term.at == x.at and excludes(x.effect, t.term.effect) for x in rest.terms)
+    )
+    for other in itertools.islice(fitting, most):
         structure = rest.with_term(other.term)
         same = other.sketch is not None and set(names(other.sketch.structure.terms)) == set(names(structure.terms))
         yield [other.term], structure, other if same else None

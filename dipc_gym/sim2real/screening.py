@@ -1,21 +1,24 @@
-"""Rank hypotheses by what each promises, at the cost of one simulation.
+"""Rank hypotheses, and pairs of them, by what they promise, at the cost of one simulation a hypothesis.
 
 The response of a model to an effect at a first guess is laid over the residual, beside everything that is free already.
+Two effects may need each other: drag is worth nothing while a damping that was refitted without friction does its work,
+and friction nothing without drag. Laid over the residual side by side, the two are seen without another simulation.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect
-from dipc_gym.sim2real.fit import Fit, Problem, predict_with, residual
-from dipc_gym.sim2real.structure import Term, carry
+from dipc_gym.sim2real.fit import Fit, Problem, Quadratics, predict_with, residual
+from dipc_gym.sim2real.structure import Structure, Term, carry
 
 Array = NDArray[np.float64]
 
@@ -30,6 +33,8 @@ class Tried:
         sketch: the fit to a few windows, or None if it was not among the finalists.
         fitted: the full fit, or None if the sketch did not keep up.
         score: mean log square error of all windows; infinite if not fitted.
+        response: what the effect adds to the predictions of a few windows at these numbers, less what their starts
+            could explain, in units of noise, (n, M).
     """
 
     term: Term
@@ -37,6 +42,7 @@ class Tried:
     sketch: Fit | None = None
     fitted: Fit | None = None
     score: float = math.inf
+    response: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
 
     @property
     def key(self) -> str:
@@ -51,7 +57,7 @@ def screen(problem: Problem, current: Fit, terms: Sequence[Term], few: NDArray[n
         problem: windows to predict.
         current: fit that the hypotheses are laid over.
         terms: hypotheses, several guesses of one among them.
-        few: windows that have to do for what must be simulated in finer steps.
+        few: windows that have to do for what must be simulated in finer steps; responses are kept for them.
     """
     guesses: dict[str, list[Term]] = {}
     for term in terms:
@@ -61,7 +67,8 @@ def screen(problem: Problem, current: Fit, terms: Sequence[Term], few: NDArray[n
     for group in guesses.values():
         slow = min(group[0].effect.finest, current.structure.finest) < problem.stepping.timestep
         tried = _best(*((some, currently) if slow else (problem, current)), group)
-        found += [tried] if tried else []
+        if tried is not None:
+            found.append(tried if slow else replace(tried, response=tried.response[few]))
     return sorted(found, key=lambda tried: -tried.promise)
 
 
@@ -80,47 +87,100 @@ def _best(problem: Problem, current: Fit, group: Sequence[Term]) -> Tried | None
     all_readings = predict_with(problem, current.structure.with_term(possible[0]), variants, current.starts[None])
     tried = []
     for term, readings in zip(possible, all_readings, strict=True):
-        promise, size = _promise(problem, current, term.effect, readings)
-        tried.append(Tried(_scaled(term, size), promise))
+        response = _response(problem, current, readings)
+        promise, size = _promise(problem, current, term.effect, response)
+        scaled = _scaled(term, size)
+        tried.append(Tried(scaled, promise, response=response if scaled is term else size * response))
     return max(tried, key=lambda one: one.promise)
 
 
-def _promise(problem: Problem, current: Fit, effect: Effect, readings: Array) -> tuple[float, float]:
-    """Fall of the mean log square error by adding an effect at its best size, and that size in guesses.
-
-    Args:
-        problem: windows to predict.
-        current: fit without the effect.
-        effect: what is added.
-        readings: predicted with it at a first guess, (n, m, ns).
-    """
-    # What the effect adds to the prediction, in units of noise.
+def _response(problem: Problem, current: Fit, readings: Array) -> Array:
+    """What `readings` (n, m, ns) add to the predictions of a fit, less what the starts could explain, (n, M)."""
     change = current.raw - residual(problem, readings)
     n = len(current.mse)
     rows = np.concatenate([change.reshape(n, -1, 1), np.zeros((n, current.sensitivity.shape[2], 1))], axis=1)
     Q, _ = np.linalg.qr(current.sensitivity)
-    rows = (rows - Q @ (np.swapaxes(Q, 1, 2) @ rows))[..., 0]
-    counts = problem.counts
-    # A promise is a fall of log errors, and so are these weights: windows at the noise are not given up for others.
-    weight = 1.0 / (1.0 + current.mse) / counts
-    columns = np.concatenate([rows[..., None], current.jacobian], axis=2)
-    A = np.einsum("n,nmi,nmj->ij", weight, columns, columns)
-    b = np.einsum("n,nmi,nm->i", weight, columns, current.left)
-    prior = np.array([0.0, *(1 / slot.sigma**2 for slot in current.structure.slots)])
-    A = A + np.diag(prior / counts.mean()) * len(counts) / n
-    scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
-    before = float(np.mean(np.log1p(current.mse)))
+    return np.asarray((rows - Q @ (np.swapaxes(Q, 1, 2) @ rows))[..., 0])
+
+
+def _promise(problem: Problem, current: Fit, effect: Effect, response: Array) -> tuple[float, float]:
+    """Fall of the mean log square error by adding an effect at its best size, and that size in guesses."""
+    overlay = _Overlay(problem, current, [response])
     # Beside everything that is free; alone only where the other numbers would have to go too far along a null space.
-    for count in (len(b), 1):
-        own = scale[:count]
-        step = np.linalg.lstsq(A[:count, :count] / np.outer(own, own), b[:count] / own, rcond=1e-9)[0] / own
-        size = float(np.clip(step[0], -100.0 if _signed(effect) else 0.0, 100.0))
-        left = current.left - columns[..., :count] @ np.append(size, np.clip(step[1:], -1, 1))
-        after = np.einsum("nm,nm->n", left, left) / counts
-        promise = before - float(np.mean(np.log1p(after)))
+    for beside in (True, False):
+        promise, (size,) = overlay.promise([0], [effect], beside=beside)
         if size != 0.0 and promise > 0.0:
             return promise, size
     return 0.0, 1.0
+
+
+def pairs(
+    problem: Problem, current: Fit, tried: Sequence[Tried], few: NDArray[np.intp]
+) -> list[tuple[float, Structure]]:
+    """Structures with two of the hypotheses, and what they promise, the most promising first.
+
+    Args:
+        problem: windows to predict.
+        current: fit that the hypotheses were laid over.
+        tried: what screening made of them.
+        few: the windows for which their responses are known.
+    """
+    overlay = _Overlay(problem.pick(few), current.pick(few), [one.response for one in tried])
+    found = []
+    for (i, one), (j, other) in itertools.combinations(enumerate(tried), 2):
+        first, second = one.term, other.term
+        if first.at == second.at and (excludes(first.effect, second.effect) or excludes(second.effect, first.effect)):
+            continue
+        promise, sizes = overlay.promise([i, j], [first.effect, second.effect], beside=True)
+        if 0.0 in sizes:
+            continue
+        structure = current.structure
+        for term, size in zip((first, second), sizes, strict=True):
+            structure = structure.with_term(_scaled(term, size))
+        found.append((promise, structure))
+    return sorted(found, key=lambda pair: -pair[0])
+
+
+class _Overlay:
+    """Responses and a fit's own columns over what the fit leaves, as quadratics of each window."""
+
+    def __init__(self, problem: Problem, current: Fit, responses: Sequence[Array]) -> None:
+        columns = np.concatenate([np.stack(responses, axis=2), current.jacobian], axis=2)
+        flat = np.swapaxes(columns, 1, 2)
+        self.own = list(range(len(responses), columns.shape[2]))
+        self.counts, self.mse = problem.counts, current.mse
+        self.quadratics = Quadratics(flat @ columns, (flat @ current.left[..., None])[..., 0], current.quadratics.c)
+        # A promise is a fall of log errors, and so are these weights: windows at the noise are not given up for others.
+        weight = 1.0 / (1.0 + current.mse) / self.counts
+        self.A = np.einsum("n,nij->ij", weight, self.quadratics.A)
+        self.b = weight @ self.quadratics.b
+        prior = np.array([1 / slot.sigma**2 for slot in current.structure.slots])
+        self.A[self.own, self.own] += prior / self.counts.mean()
+
+    def promise(self, which: Sequence[int], effects: Sequence[Effect], *, beside: bool) -> tuple[float, list[float]]:
+        """Fall of the mean log square error by some of the effects at their best sizes, and these sizes in guesses.
+
+        Args:
+            which: of the responses.
+            effects: whose responses these are.
+            beside: whether the fit's own numbers may move as well.
+        """
+        free = [*which, *(self.own if beside else [])]
+        A, b = self.A[np.ix_(free, free)], self.b[free]
+        scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
+        step = np.linalg.lstsq(A / np.outer(scale, scale), b / scale, rcond=1e-9)[0] / scale
+        count = len(which)
+        least = [-100.0 if _signed(effect) else 0.0 for effect in effects]
+        step = np.append(np.clip(step[:count], least, 100.0), np.clip(step[count:], -1, 1))
+        q = self.quadratics
+        picked = Quadratics(q.A[:, free][:, :, free], q.b[:, free], q.c)
+        after = np.maximum(picked.after(step), 0.0) / self.counts
+        return float(np.mean(np.log1p(self.mse) - np.log1p(after))), step[:count].tolist()
+
+
+def excludes(present: Effect, other: Effect) -> bool:
+    """Whether one effect settles already what another would at that place: two laws of dry friction, two rotors."""
+    return other.id in present.contains or (present.law == other.law != "" and present.id not in other.contains)
 
 
 def _scaled(term: Term, size: float) -> Term:

@@ -19,7 +19,7 @@ from dipc_gym.sim2real.comparison import LARGE, WORTH, Comparison, compare, loss
 from dipc_gym.sim2real.effects.base import Effect, dof
 from dipc_gym.sim2real.evidence import Scene, places
 from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, typical
-from dipc_gym.sim2real.screening import Tried, screen
+from dipc_gym.sim2real.screening import Tried, excludes, pairs, screen
 from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
@@ -32,6 +32,8 @@ MOST = 0.5  # share of the improvement that a plain effect must bring to go befo
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
 AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
 ALIKE = 2.0  # standard errors within which two hypotheses are not told apart
+
+Pair = tuple[float, Fit, Structure]  # what it promises, what it was laid over, and the structure with both effects
 
 
 @dataclass
@@ -51,6 +53,8 @@ class Search:
         few: the windows of `problem` that are sketched on.
         interrupted: whether Ctrl-C ended the search.
         path: the fits that were accepted one after another, the first without effects.
+        screened: hypotheses of the last round, by what they were laid over and how much worse that is than the
+            present fit.
     """
 
     problem: Problem
@@ -64,6 +68,7 @@ class Search:
     rounds: list[list[Tried]] = field(default_factory=list)
     interrupted: bool = False
     path: list[Fit] = field(default_factory=list)
+    screened: list[tuple[Fit, float, list[Tried]]] = field(default_factory=list)
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
 
     def unseen_mse(self, fitted: Fit) -> Array:
@@ -96,14 +101,10 @@ class Search:
         """Every effect at every place it can act, with first guesses."""
         friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in self.joints}
         levels = {joint: level for joint, level in friction.items() if level > 0}
-        taken = {term.key for term in current.structure.terms}
-        covered = {(inner, term.at) for term in current.structure.terms for inner in term.effect.contains}
-        found = []
+        terms, found = current.structure.terms, []
         for effect in self.effects:
             for at in places(effect, current.structure.model, self.joints, scene.recordings[0]):
-                if f"{effect.id}@{at}" in taken or (effect.id, at) in covered:
-                    continue
-                if _clash(current.structure, effect, at):
+                if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):
                     continue
                 evidence = scene.at(effect.place, at, levels)
                 plain = self._plain(current, effect, at)
@@ -153,14 +154,26 @@ class Search:
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
         starts: dict[str, list[tuple[Tried, Fit]]] = {}
-        for base in self._bases(current):
-            for tried in self._ranked(base, current):
-                starts.setdefault(tried.key, []).append((tried, base))
+        self.screened = [self._screen(base, current) for base in self._bases(current)]
+        for base, handicap, hypotheses in self.screened:
+            for tried in hypotheses:
+                starts.setdefault(tried.key, []).append((replace(tried, promise=tried.promise - handicap), base))
         ranked = sorted((max(tries, key=_promise) for tries in starts.values()), key=_promise, reverse=True)
         least = max(WORTH / 2, 0.1 * _promise(ranked[0])) if ranked else 0.0
         sketched: list[tuple[Tried, Fit]] = []
         for finalist, _ in _finalists([pair for pair in ranked if _promise(pair) > least]):
             sketched += self._sketched(sorted(starts[finalist.key], key=_promise, reverse=True), current)
+        self.rounds.append(
+            [t for t, _ in sketched] + [t for t, _ in ranked if t.key not in {s.key for s, _ in sketched}]
+        )
+        near = any(t.sketch is not None and t.sketch.error < AT_FLOOR for t, _ in sketched)
+        duos = [] if near or current.error < AT_FLOOR else self.pairs()
+        # Where two promise far more than any one does, and come down to the noise, one by one would lead astray.
+        early = [pair for pair in duos if pair[0] > _promise(ranked[0]) + LARGE]
+        both = [(base, sketch) for _, base, structure in early if (sketch := self.sketch(base, structure))]
+        chosen = self.together([pair for pair in both if pair[1].error < AT_FLOOR], current)
+        if chosen is not None:
+            return chosen
         done: list[Tried] = []
         for tried, base in self._keeping_up(sketched, current):
             assert tried.sketch is not None
@@ -169,11 +182,13 @@ class Search:
                 done.append(replace(tried, fitted=fitted))
                 self.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
         done = self._scored(done)
-        for more in (sketched, ranked):
-            done += [t for t, _ in more if t.key not in {d.key for d in done}]
-        self.rounds.append(done)
-        chosen = self.choose(current, [t for t in done if t.fitted is not None])
-        return None if chosen is None else self.polish(chosen)
+        self.rounds[-1] = [*done, *(t for t in self.rounds[-1] if t.key not in {d.key for d in done})]
+        chosen = self.choose(current, done)
+        if chosen is not None:
+            return self.polish(chosen)
+        late = duos[len(early) :]
+        both += [(base, sketch) for _, base, structure in late if (sketch := self.sketch(base, structure))]
+        return self.together(both, current)
 
     def _sketched(self, starts: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
         """The best sketch of one hypothesis, if any, from the most promising start on.
@@ -219,11 +234,10 @@ class Search:
             return [current]
         return [current, self.anchor]
 
-    def _ranked(self, base: Fit, current: Fit) -> list[Tried]:
-        """Hypotheses on top of a base; what they promise is counted from `current`, or from a base that is better."""
+    def _screen(self, base: Fit, current: Fit) -> tuple[Fit, float, list[Tried]]:
+        """A base, by how much it is worse than `current`, and what hypotheses promise on top of it."""
         handicap = max(0.0, float(np.mean(np.log1p(base.mse)) - np.mean(np.log1p(current.mse))))
-        ranked = screen(self.problem, base, self.hypotheses(base, self.look(base)), self.few)
-        return [replace(tried, promise=tried.promise - handicap) for tried in ranked]
+        return base, handicap, screen(self.problem, base, self.hypotheses(base, self.look(base)), self.few)
 
     def polish(self, fitted: Fit) -> Fit:
         """Fit on until nothing changes."""
@@ -289,9 +303,7 @@ class Search:
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""
-        difference = self.compare(best, other)
-        gained = self.compare(best, current).gain
-        return difference.gain < max(ALIKE * difference.error, WORTH / 2) and difference.gain < 0.02 * gained + WORTH
+        return _alike(self.compare(best, other), self.compare(best, current).gain)
 
     def run(self, start: Fit, most: int = 6) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
@@ -299,7 +311,7 @@ class Search:
         self.few, self.path = _few(start.mse), [start]
         try:
             for _ in range(most):
-                before, better = current, self.round(current) or self.ahead(current)
+                before, better = current, self.round(current)
                 if better is None:
                     break
                 current, added = better, better.structure.terms[-1].key
@@ -313,17 +325,39 @@ class Search:
             self.tell("interrupted; judging what was found so far (Ctrl-C again stops at once)")
         return current
 
-    def ahead(self, current: Fit) -> Fit | None:
-        """Two effects that need each other: add the best one, clear or not, and see whether a second makes it so."""
-        done = [t for t in self.rounds[-1] if t.fitted is not None]
-        first = self.simplest(done, current).fitted if done else None
-        if first is None or current.error < AT_FLOOR or self.compare(first, current).gain < WORTH:
+    def pairs(self) -> list[Pair]:
+        """Two hypotheses at a time, by what they promise together on top of the bases of this round."""
+        found: dict[frozenset[str], Pair] = {}
+        for base, handicap, tried in self.screened:
+            for promise, structure in pairs(self.problem, base, tried, self.few):
+                key = frozenset(names(structure.terms))
+                if promise - handicap > max(WORTH, found[key][0] if key in found else 0.0):
+                    found[key] = promise - handicap, base, structure
+        return sorted(found.values(), key=lambda pair: -pair[0])[:FINALISTS]
+
+    def together(self, sketched: Sequence[tuple[Fit, Fit]], current: Fit) -> Fit | None:
+        """The simplest of the sketched pairs that predict best, if it is clearly better than `current`.
+
+        Args:
+            sketched: what each pair was laid over, and its sketch.
+            current: the present fit.
+        """
+        if not sketched:
             return None
-        self.tell(f"{first.structure.terms[-1].key} alone does not stand out; with another one?")
-        second = self.round(self.polish(first))
-        if second is None or not (self.earns(second, current) and self.compare(second, current).clear):
-            return None
-        return second if self.confirmed(second, current) else None
+        losses = _losses([sketch.mse for _, sketch in sketched])
+        first, blocks = sketched[int(np.argmin(losses))][1], self.problem.blocks[self.few]
+        gained = compare(first.mse, current.mse[self.few], blocks).gain
+        alike = [pair for pair in sketched if _alike(compare(first.mse, pair[1].mse, blocks), gained)]
+        for base, sketch in sorted(alike, key=lambda pair: _cost(pair[1])):
+            fitted = self.full(base, sketch)
+            if fitted is None or not (self.earns(fitted, current) and self.compare(fitted, current).clear):
+                continue
+            if self.confirmed(fitted, current):
+                pair = [Tried(term, 0.0, sketch, fitted) for term in fitted.structure.terms[-2:]]
+                self.tell(f"{' and '.join(t.key for t in pair)}: error {fitted.error:.3g} x noise")
+                self.rounds.append([*pair, *(t for t in self.rounds[-1] if t.key not in {p.key for p in pair})])
+                return self.polish(fitted)
+        return None
 
     def prune(self, current: Fit) -> Fit:
         """Take out effects that do not earn their place any more; put plainer ones in the place of idle numbers."""
@@ -363,6 +397,10 @@ class Search:
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
 
 
+def _alike(difference: Comparison, gained: float) -> bool:
+    return difference.gain < max(ALIKE * difference.error, WORTH / 2) and difference.gain < 0.02 * gained + WORTH
+
+
 def _promise(pair: tuple[Tried, Fit]) -> float:
     return pair[0].promise
 
@@ -399,14 +437,6 @@ def _cost(fitted: Fit | None) -> tuple[int, int, int, int]:
     effects = [term.effect for term in fitted.structure.terms]
     loaders, elsewhere = sum(e.needs_loader for e in effects), sum(e.place != "joint" for e in effects)
     return len(fitted.z), len(effects), loaders, elsewhere
-
-
-def _clash(structure: Structure, effect: Effect, at: str) -> bool:
-    """Whether another effect settles already what this one would: two laws of dry friction at a joint, two rotors."""
-    return any(
-        effect.law == term.effect.law != "" and term.at == at and term.effect.id not in effect.contains
-        for term in structure.terms
-    )
 
 
 def _as_fitted(fitted: Fit) -> Term:

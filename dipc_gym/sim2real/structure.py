@@ -21,8 +21,6 @@ Array = NDArray[np.float64]
 
 WARM = 0.06  # s that bristles, currents and delays need to reach their state
 FAST = 5e-4  # s, longest step for what moves within milliseconds
-
-
 FARTHEST = 4.0  # standard deviations of its prior by which an own number may move
 
 
@@ -54,6 +52,7 @@ class Slot:
         sigma: standard deviation of the mapped number's prior; infinite for effects.
         centre: mean of that prior.
         fine: relative change that a unit step makes, if `log`.
+        above: key of an earlier number that this one is never smaller than.
     """
 
     key: str
@@ -65,6 +64,7 @@ class Slot:
     sigma: float = math.inf
     centre: float = 0.0
     fine: float = 1.0
+    above: str = ""
 
     def value(self, z: float) -> float:
         """The number itself."""
@@ -106,7 +106,9 @@ class Structure:
             for p in _free(term.effect):
                 guess = term.guess[p.name]
                 scale = abs(guess) if guess else _fallback(p.low, p.high)
-                slots.append(Slot(f"{term.key}.{p.name}", p.unit, p.low, p.high, p.log, scale, fine=p.fine))
+                above = p.above and f"{term.key}.{p.above}"
+                key = f"{term.key}.{p.name}"
+                slots.append(Slot(key, p.unit, p.low, p.high, p.log, scale, fine=p.fine, above=above))
         object.__setattr__(self, "slots", tuple(slots))
 
     @functools.cached_property
@@ -125,6 +127,9 @@ class Structure:
             value = slot.value(z[i])
             if value in (slot.low, slot.high) and (not slot.log or value > 0):
                 out[i] = slot.mapped(value)
+            if slot.above:
+                j = next(j for j, other in enumerate(self.slots) if other.key == slot.above)
+                out[i] = max(out[i], slot.mapped(self.slots[j].value(out[j])))
         return out
 
     def with_term(self, term: Term) -> Structure:

@@ -32,6 +32,7 @@ class Parameter:
         fine: relative change that is already a sizeable one, where `log`: a frequency that is off by a hundredth is out
             of step soon.
         fixed: whether it stays at its guess, as the range that a table covers.
+        above: name of an earlier parameter of the effect that it is never smaller than.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Parameter:
     log: bool = False
     fine: float = 1.0
     fixed: bool = False
+    above: str = ""
 
 
 @dataclass(frozen=True)

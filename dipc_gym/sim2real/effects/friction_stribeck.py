@@ -29,7 +29,7 @@ class Stribeck(Effect):
     law = "dry friction"
     parameters = (
         Parameter("level", "N", 0.0),
-        Parameter("static", "N", 0.0),
+        Parameter("static", "N", 0.0, above="level"),
         Parameter("velocity", "m/s", 1e-5, log=True),
     )
     levels = ("level",)
