@@ -8,6 +8,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
@@ -16,7 +18,7 @@ from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.fit import Fit, correct_starts, evaluate, fit, predict, residual, typical, weights
 from dipc_gym.sim2real.numbers import own_numbers
 from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.screening import screen
+from dipc_gym.sim2real.screening import pairs, screen
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Structure, Term, carry
 from dipc_gym.sim2real.windows import Prepared
@@ -306,3 +308,35 @@ def test_a_good_guess_promises_what_it_brings() -> None:
     brought = float(np.mean(np.log1p(alone.mse) - np.log1p(after.mse)))
     assert after.error < 1.1
     assert tried.promise > 0.5 * brought > 0.5
+
+
+@given(z=st.lists(st.floats(-5, 5), min_size=5, max_size=5))
+def test_static_friction_is_never_below_the_kinetic_level(z: list[float]) -> None:
+    guess = {"level": 2.0, "static": 3.0, "velocity": 0.01, "stiffness": 1e4, "damping": 30.0}
+    structure = Structure(Document(mjcf.from_text(CART)), mjcf.compile(mjcf.from_text(CART)), ("cart",)).with_term(
+        Term(catalogue()["friction.stribeck:presliding"], "cart", guess)
+    )
+    values = structure.term_values(structure.clip(np.array(z)), structure.terms[0])
+    assert values["static"] >= values["level"] * (1 - 1e-12) >= 0.0
+
+
+def test_effects_that_need_each_other_are_seen_together() -> None:
+    """A damping that was refitted without friction does the work of drag; neither effect alone undoes it."""
+    document = Document(mjcf.from_text(CART))
+    catalogue()["drag.quadratic"].edit(document, "cart", {"coefficient": 12.0})
+    catalogue()["friction.coulomb"].edit(document, "cart", {"level": 0.9})
+    S = ready(record(physics.load(document.text()), sweep(6.0), 12.0, noise=NOISE["cart"], integrator=RK4), CART)
+    numbers = tuple(n for n in own_numbers(S.structure.document, S.structure.model) if n.key == "cart.damping")
+    refitted = fit(S.problem, replace(S.structure, numbers=numbers), most=20)
+    guesses = {
+        "drag.quadratic": {"coefficient": 5.0},
+        "friction.coulomb": {"level": 2.0},
+        "load.spring": {"stiffness": 20.0, "rest": 0.0},
+    }
+    few = np.arange(len(S.problem.windows))[::2]
+    tried = screen(S.problem, refitted, [Term(catalogue()[k], "cart", v) for k, v in guesses.items()], few)
+    promise, structure = pairs(S.problem, refitted, tried, few)[0]
+    assert {term.effect.id for term in structure.terms} == {"drag.quadratic", "friction.coulomb"}
+    assert promise > 1.0 + max(one.promise for one in tried)
+    both = fit(S.problem, structure, carry(refitted.structure, refitted.z, structure), refitted.starts)
+    assert both.error < 0.1 * refitted.error

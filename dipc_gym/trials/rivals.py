@@ -67,7 +67,7 @@ class Contest:
 
 
 def compare(
-    out: Path, *, seed: int = 3, count: int | None = None, full: bool = False, jobs: int | None = None,
+    out: Path, *, seed: int, count: int | None = None, full: bool = False, jobs: int | None = None,
     backend: Backend = "local",
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Give the trials of a folder to the rivals, and write `rivals.md` and `rivals.json`.

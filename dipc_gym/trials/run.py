@@ -20,7 +20,7 @@ from dipc_gym.trials.score import score
 
 
 def trial(
-    out: Path, *, seed: int = 3, count: int | None = None, full: bool = False, jobs: int | None = None,
+    out: Path, *, seed: int, count: int | None = None, full: bool = False, jobs: int | None = None,
     backend: Backend = "local", resume: bool = True, patience: float = PATIENCE,
 ) -> dict[str, Any]:  # fmt: skip
     """The blind trial: generate, diagnose, score.
