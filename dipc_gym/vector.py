@@ -108,9 +108,9 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         self._generators: list[np.random.Generator | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
         # The friction of motors without cogging is nothing where nothing has moved, so it need not be computed there.
-        motor, model = mujoco.mjtBias.mjBIAS_DCMOTOR, rig.model
+        kind, numbers = rig.model.actuator_biastype, rig.model.actuator_biasprm
         self._free_at_rest = all(
-            model.actuator_biastype[i] == motor and model.actuator_biasprm[i, 0] == 0 for i, _ in rig._passive
+            kind[i] == mujoco.mjtBias.mjBIAS_DCMOTOR and numbers[i, 0] == 0 for i, _ in rig._passive
         )
         n = self.num_envs
         self._plants = [rig.plant] * n

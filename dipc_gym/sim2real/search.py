@@ -1,8 +1,9 @@
-"""Find the effects that a model lacks, one at a time, by what they do to predictions of windows not fitted.
+"""Find the effects that a model lacks, one or two at a time, by what they do to predictions of windows not fitted.
 
 Screening costs one simulation a hypothesis: its response at a first guess, laid over the residual beside everything
 that is free already. The best few are sketched, that is fitted to a third of the windows, and those that keep up are
-fitted fully. What decides is the error of other windows than those that were fitted, as a mean of logarithms, so that
+fitted fully. Two at a time are tried where together they promise far more than any one does, or where no single one
+stands out. What decides is the error of other windows than those that were fitted, as a mean of logarithms, so that
 each window counts alike and its standard error means something.
 """
 
@@ -15,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.sim2real import screening
 from dipc_gym.sim2real.comparison import LARGE, WORTH, Comparison, compare, loss
 from dipc_gym.sim2real.effects.base import Effect, dof
 from dipc_gym.sim2real.evidence import Scene, places
 from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, typical
-from dipc_gym.sim2real.screening import Tried, excludes, pairs, screen
+from dipc_gym.sim2real.screening import Tried, excludes
 from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
@@ -153,27 +155,21 @@ class Search:
 
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
-        starts: dict[str, list[tuple[Tried, Fit]]] = {}
-        self.screened = [self._screen(base, current) for base in self._bases(current)]
-        for base, handicap, hypotheses in self.screened:
-            for tried in hypotheses:
-                starts.setdefault(tried.key, []).append((replace(tried, promise=tried.promise - handicap), base))
+        starts = self._starts(current)
         ranked = sorted((max(tries, key=_promise) for tries in starts.values()), key=_promise, reverse=True)
-        least = max(WORTH / 2, 0.1 * _promise(ranked[0])) if ranked else 0.0
+        most = _promise(ranked[0]) if ranked else 0.0
         sketched: list[tuple[Tried, Fit]] = []
-        for finalist, _ in _finalists([pair for pair in ranked if _promise(pair) > least]):
+        for finalist, _ in _finalists([start for start in ranked if _promise(start) > max(WORTH / 2, 0.1 * most)]):
             sketched += self._sketched(sorted(starts[finalist.key], key=_promise, reverse=True), current)
-        self.rounds.append(
-            [t for t, _ in sketched] + [t for t, _ in ranked if t.key not in {s.key for s, _ in sketched}]
-        )
-        near = any(t.sketch is not None and t.sketch.error < AT_FLOOR for t, _ in sketched)
-        duos = [] if near or current.error < AT_FLOOR else self.pairs()
+        self.rounds.append(_updated([tried for tried, _ in ranked], [tried for tried, _ in sketched]))
+        at_noise = any(tried.sketch is not None and tried.sketch.error < AT_FLOOR for tried, _ in sketched)
+        pairs = [] if at_noise or current.error < AT_FLOOR else self.pairs()
         # Where two promise far more than any one does, and come down to the noise, one by one would lead astray.
-        early = [pair for pair in duos if pair[0] > _promise(ranked[0]) + LARGE]
-        both = [(base, sketch) for _, base, structure in early if (sketch := self.sketch(base, structure))]
-        chosen = self.together([pair for pair in both if pair[1].error < AT_FLOOR], current)
-        if chosen is not None:
-            return chosen
+        early = [pair for pair in pairs if pair[0] > most + LARGE]
+        both = self._both(early)
+        found = self.together([pair for pair in both if pair[1].error < AT_FLOOR], current)
+        if found is not None:
+            return found
         done: list[Tried] = []
         for tried, base in self._keeping_up(sketched, current):
             assert tried.sketch is not None
@@ -182,13 +178,20 @@ class Search:
                 done.append(replace(tried, fitted=fitted))
                 self.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
         done = self._scored(done)
-        self.rounds[-1] = [*done, *(t for t in self.rounds[-1] if t.key not in {d.key for d in done})]
+        self.rounds[-1] = _updated(self.rounds[-1], done)
         chosen = self.choose(current, done)
         if chosen is not None:
             return self.polish(chosen)
-        late = duos[len(early) :]
-        both += [(base, sketch) for _, base, structure in late if (sketch := self.sketch(base, structure))]
-        return self.together(both, current)
+        return self.together([*both, *self._both(pairs[len(early) :])], current)
+
+    def _starts(self, current: Fit) -> dict[str, list[tuple[Tried, Fit]]]:
+        """Every hypothesis, by key: what it promises over `current` on top of each base, and that base."""
+        self.screened = [self._screen(base, current) for base in self._bases(current)]
+        starts: dict[str, list[tuple[Tried, Fit]]] = {}
+        for base, handicap, hypotheses in self.screened:
+            for tried in hypotheses:
+                starts.setdefault(tried.key, []).append((replace(tried, promise=tried.promise - handicap), base))
+        return starts
 
     def _sketched(self, starts: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
         """The best sketch of one hypothesis, if any, from the most promising start on.
@@ -237,7 +240,7 @@ class Search:
     def _screen(self, base: Fit, current: Fit) -> tuple[Fit, float, list[Tried]]:
         """A base, by how much it is worse than `current`, and what hypotheses promise on top of it."""
         handicap = max(0.0, float(np.mean(np.log1p(base.mse)) - np.mean(np.log1p(current.mse))))
-        return base, handicap, screen(self.problem, base, self.hypotheses(base, self.look(base)), self.few)
+        return base, handicap, screening.screen(self.problem, base, self.hypotheses(base, self.look(base)), self.few)
 
     def polish(self, fitted: Fit) -> Fit:
         """Fit on until nothing changes."""
@@ -329,11 +332,15 @@ class Search:
         """Two hypotheses at a time, by what they promise together on top of the bases of this round."""
         found: dict[frozenset[str], Pair] = {}
         for base, handicap, tried in self.screened:
-            for promise, structure in pairs(self.problem, base, tried, self.few):
+            for promise, structure in screening.pairs(self.problem, base, tried, self.few):
                 key = frozenset(names(structure.terms))
                 if promise - handicap > max(WORTH, found[key][0] if key in found else 0.0):
                     found[key] = promise - handicap, base, structure
         return sorted(found.values(), key=lambda pair: -pair[0])[:FINALISTS]
+
+    def _both(self, pairs: Sequence[Pair]) -> list[tuple[Fit, Fit]]:
+        """What each pair was laid over, and its sketch, of those that can be simulated."""
+        return [(base, sketch) for _, base, structure in pairs if (sketch := self.sketch(base, structure))]
 
     def together(self, sketched: Sequence[tuple[Fit, Fit]], current: Fit) -> Fit | None:
         """The simplest of the sketched pairs that predict best, if it is clearly better than `current`.
@@ -355,7 +362,7 @@ class Search:
             if self.confirmed(fitted, current):
                 pair = [Tried(term, 0.0, sketch, fitted) for term in fitted.structure.terms[-2:]]
                 self.tell(f"{' and '.join(t.key for t in pair)}: error {fitted.error:.3g} x noise")
-                self.rounds.append([*pair, *(t for t in self.rounds[-1] if t.key not in {p.key for p in pair})])
+                self.rounds.append(_updated(self.rounds[-1], pair))
                 return self.polish(fitted)
         return None
 
@@ -399,6 +406,12 @@ class Search:
 
 def _alike(difference: Comparison, gained: float) -> bool:
     return difference.gain < max(ALIKE * difference.error, WORTH / 2) and difference.gain < 0.02 * gained + WORTH
+
+
+def _updated(tried: Sequence[Tried], news: Sequence[Tried]) -> list[Tried]:
+    """What became of hypotheses: the newest of each, the news first."""
+    known = {one.key for one in news}
+    return [*news, *(one for one in tried if one.key not in known)]
 
 
 def _promise(pair: tuple[Tried, Fit]) -> float:
