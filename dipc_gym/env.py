@@ -341,6 +341,9 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._joint_readings = not (
             self._physics.stage("sensor") or self._physics.stage("lag") or np.any(model.sensor_delay > 0)
         )
+        # What hides behind a gap or a spring starts where its joint does.
+        ties = [(model.joint(one), model.joint(leader)) for one, leader in mjcf.followers(model).items()]
+        self._ties = [(int(a.qposadr[0]), int(b.qposadr[0]), int(a.dofadr[0]), int(b.dofadr[0])) for a, b in ties]
         cart = joints[0]
         self._rail = float(abs(model.jnt_range[cart]).min()) if model.jnt_limited[cart] else kernels.RAIL
         self._frictionloss = bool(model.dof_frictionloss[self._dof[0]] > 0 or self._physics.stage("friction"))
@@ -411,6 +414,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             self._qpos[address] = value
         for address, value in zip(self._dof, (v, w1, w2 - w1), strict=True):
             self._qvel[address] = value
+        for qpos, led_by, dof, driven_by in self._ties:
+            self._qpos[qpos], self._qvel[dof] = self._qpos[led_by], self._qvel[driven_by]
         mujoco.mj_forward(self._physics.model, self._data)
         self._lag = self._physics.sensor_memory(self._data.sensordata)
         self._can_fall = abs(theta1) <= kernels.FALL and abs(theta2) <= kernels.FALL

@@ -33,6 +33,7 @@ __all__ = [
     "check_supported",
     "compile",
     "controls",
+    "followers",
     "from_text",
     "quiet_mujoco",
     "read",
@@ -47,6 +48,9 @@ MEMORY_LIMIT = 2 << 30  # bytes of address space for the trial compilation
 
 # A `<text>` in `<custom>` with this prefix names an actuator that stands in for a passive force; its control stays 0.
 PASSIVE = "dipc_gym:passive:"
+
+# One with this prefix names a joint behind a gap or a spring; it says which joint it follows.
+FOLLOWS = "dipc_gym:follows:"
 
 SUPPORTED = (
     "Supported are models with hinge and slide joints and no contacts, with any number of actuators, "
@@ -198,6 +202,11 @@ def passive_actuators(model: mujoco.MjModel) -> list[int]:
     return [
         i for i in range(model.nactuator) if model.actuator_ctrlnum[i] == 0 or model.actuator_ctrladr[i] >= commanded
     ]
+
+
+def followers(model: mujoco.MjModel) -> dict[str, str]:
+    """Joints behind a gap or a spring, and for each the one where it starts."""
+    return {name.removeprefix(FOLLOWS): leader for name, leader in texts(model).items() if name.startswith(FOLLOWS)}
 
 
 def texts(model: mujoco.MjModel) -> dict[str, str]:

@@ -303,6 +303,9 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         joints[:, (2, 5)] -= states[:, (1, 4)]
         fresh = np.repeat(self._new[None], len(rows), axis=0)
         fresh[:, self._joints] = joints
+        first = 1 + self._rig.model.nq
+        for qpos, led_by, dof, driven_by in self._rig._ties:
+            fresh[:, (1 + qpos, first + dof)] = fresh[:, (1 + led_by, first + driven_by)]
         self._sims.state[rows] = fresh
         self._can_fall[rows] = (np.abs(states[:, 1:3]) <= kernels.FALL).all(axis=1)
         self._steps[rows], self._ended[rows] = 0, False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -16,7 +17,7 @@ from dipc_gym.sim2real import evidence, judge, recording
 from dipc_gym.sim2real.comparison import Comparison, compare
 from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Term
 from dipc_gym.sim2real.windows import prepare
@@ -240,9 +241,10 @@ def test_finds_nothing_where_nothing_is_missing(few: list[object]) -> None:
     assert found.improved == NOMINAL
 
 
-def test_an_interrupted_search_keeps_what_it_found(few: list[object]) -> None:
+@pytest.mark.parametrize("when", ["added", "what could stand in"])
+def test_an_interrupted_search_keeps_what_it_found(few: list[object], when: str) -> None:
     def tell(line: str) -> None:
-        if line.startswith("added"):
+        if line.startswith(when):
             raise KeyboardInterrupt
 
     found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], effects=few, tell=tell)  # type: ignore[arg-type]
@@ -274,11 +276,45 @@ def test_a_rig_at_rest_tells_nothing() -> None:
     still = run(4, 10, 0.0)
     rng = np.random.default_rng(0)
     noise = np.round(rng.normal(0, 3e-6, still.sensors.shape) / 2e-6) * 2e-6
-    quiet = Recording("still", still.time, 0 * still.commands, noise, ("motor",), ("cart",))
+    quiet = Recording("still", 1.7e9 + still.time, 0 * still.commands, noise, ("motor",), ("cart",))
     found = diagnose(mjcf.from_text(NOMINAL), [quiet])
     assert found.verdict == "cannot tell"
+    assert any("clock begins at 1700000000 s" in note for note in found.notes)
     assert "moves" in found.sentence
     assert found.to_dict()["fit"] == {}
+
+
+def test_recordings_too_short_to_judge_by_are_named_before_the_search() -> None:
+    lines: list[str] = []
+    with pytest.raises(RecordingError, match=r"brief: too short to judge by.*record longer"):
+        diagnose(
+            mjcf.from_text(NOMINAL), [run(5, 10, 0.0)], [replace(run(6, 0.4, 0.0), name="brief")], tell=lines.append
+        )
+    assert lines == []
+
+
+def test_an_undriven_joint_transmits_no_force_to_compare_with() -> None:
+    """A puck that coasts: relative to no force, no error can be told."""
+    puck = mjcf.from_text(NOMINAL.replace('damping="40"', 'damping="0"').replace('gear="4"', 'gear="0"'))
+    coasting = Recording(
+        "puck", np.arange(500) * 0.01, np.zeros((500, 1)), np.arange(500)[:, None] * 1e-3, ("motor",), ("cart",)
+    )
+    given = physics.from_model(mjcf.compile(puck))
+    prepared = prepare(puck, given, [coasting], Stepping(0.002, mujoco.mjtIntegrator.mjINT_RK4))
+    (error,) = evidence.force_errors(given, [coasting], prepared.motions, (0.0, 1.0))
+    assert math.isnan(error)
+
+
+def test_an_actuator_with_several_inputs_is_no_place_for_an_effect() -> None:
+    text = NOMINAL.replace(
+        '<motor name="motor" joint="cart" gear="4"/>', '<pid name="motor" joint="cart" input="pos vel"/>'
+    )
+    model = mjcf.compile(mjcf.from_text(text))
+    names = tuple(mjcf.controls(model))
+    still = Recording("still", np.arange(50) * 0.01, np.zeros((50, 2)), np.zeros((50, 1)), names, ("cart",))
+    found = {e.id: evidence.places(e, model, ["cart"], still) for e in catalogue().values()}
+    assert found["timing.delay"] == []
+    assert found["friction.coulomb"] == ["cart"]
 
 
 def test_an_unseen_joint_is_named() -> None:

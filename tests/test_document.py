@@ -312,3 +312,25 @@ def test_any_name_survives(name: str) -> None:
     assert loaded.model.joint(2).name == name
     assert loaded.extras[0].at == name
     assert loaded.model.dof_damping[2] == 2
+
+
+@given(st.text(st.sampled_from("-<>!ab "), max_size=12))
+def test_a_comment_stays_one_whatever_is_in_it(words: str) -> None:
+    document = Document(mjcf.from_text(CLASSES))
+    document.comment(words, f"{words}-->")
+    again = ET.fromstring(document.text())
+    assert [e.tag for e in again.iter()] == [e.tag for e in ET.fromstring(CLASSES).iter()]
+
+
+def test_numbers_that_a_refit_cannot_write_are_left_out() -> None:
+    """A carriage without a mass of its own, and what `<replicate>` gives other names."""
+    source = mjcf.from_text(
+        """<mujoco><worldbody>
+          <body name="carriage"><joint name="rail" type="slide" damping="1"/>
+            <body name="load"><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></body>
+          <replicate count="3" offset="1 0 0"><body name="post"><joint name="swing" damping="2"/>
+            <inertial pos="0 0 -1" mass="1" diaginertia="1 1 1"/></body></replicate>
+        </worldbody></mujoco>"""
+    )
+    numbers = own_numbers(Document(source), mjcf.compile(source))
+    assert [number.key for number in numbers] == ["rail.damping"]

@@ -475,3 +475,26 @@ def test_stand_ins_for_passive_forces_are_not_commanded(tmp_path: Path) -> None:
     speed = env.state[3]
     # Dry friction as the motor does not command it: LuGre's Coulomb level and the stand-in's drag.
     assert env.friction == pytest.approx(-8.0 - 5.0 * speed, rel=0.05)
+
+
+def test_a_rotor_behind_a_soft_belt_starts_where_the_cart_does(tmp_path: Path) -> None:
+    """What `improved.xml` adds to a rig has to begin with it, or it is flung across the rail."""
+    from dipc_gym.sim2real.document import Document
+    from dipc_gym.sim2real.effects import catalogue
+
+    document = Document(DoublePendulumEnv().source)
+    belt = {"stiffness": 2e4, "damping": 5.0, "rotor_inertia": 0.2}
+    effect = catalogue()["transmission.compliance"]
+    effect.edit(document, "motor", {p.name: belt[p.name] for p in effect.parameters})
+    model = tmp_path / "improved.xml"
+    model.write_text(document.text(), encoding="utf-8")
+    start = {"state": [0.2, 0.0, 0.0, 0.1, 0.0, 0.0]}
+    single = DoublePendulumEnv(model=model, exact_state=True)
+    many = gymnasium.make_vec(
+        "DIPC-Friction-v0", num_envs=2, vectorization_mode="vector_entry_point", model=model, exact_state=True
+    )
+    single.reset(seed=0, options=start)
+    many.reset(seed=0, options=start)
+    one, all_of_them = single.step([0.0])[0], many.step(np.zeros((2, 1)))[0]
+    assert abs(one[3]) < 0.15
+    assert np.array_equal(all_of_them, [one, one])

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
+from dipc_gym.sim2real import judge
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.fit import Fit, correct_starts, evaluate, fit, predict, residual, typical, weights
@@ -340,3 +341,32 @@ def test_effects_that_need_each_other_are_seen_together() -> None:
     assert promise > 1.0 + max(one.promise for one in tried)
     both = fit(S.problem, structure, carry(refitted.structure, refitted.z, structure), refitted.starts)
     assert both.error < 0.1 * refitted.error
+
+
+def test_one_hypothesis_makes_no_pair() -> None:
+    S = ready(run(seconds=3.0))
+    alone = fit(S.problem, S.structure)
+    few = np.arange(4)
+    tried = screen(S.problem, alone, [Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0})], few)
+    assert len(tried) == 1
+    assert pairs(S.problem, alone, tried, few) == []
+    assert pairs(S.problem, alone, [], few) == []
+
+
+def test_one_second_of_data_gives_no_interval() -> None:
+    S = ready(run(seconds=3.0))
+    first = S.problem.pick(S.problem.windows.start < 1.0)
+    fitted = fit(first, free(S, "cart.damping"))
+    assert np.isinf(judge.intervals(fitted, first)).all()
+
+
+def test_a_model_that_is_to_be_simulated_as_it_is_keeps_its_step() -> None:
+    """A step that is too long for what was added has to show."""
+    S = ready(run(seconds=3.0))
+    term = Term(catalogue()["motor.inductance"], "motor", {"time_constant": 3e-3})
+    coarse = replace(S.problem, stepping=Stepping(0.002, None))
+    physics_of = S.structure.with_term(term)
+    own = predict(coarse, physics_of, [physics_of.first], coarse.starts[None])
+    finer = predict(replace(coarse, finer=4), physics_of, [physics_of.first], coarse.starts[None])
+    exact = predict(replace(S.problem, finer=4), physics_of, [physics_of.first], coarse.starts[None])
+    assert np.abs(own - exact).max() > 2 * np.abs(finer - exact).max() > 0

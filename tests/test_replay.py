@@ -284,6 +284,13 @@ def test_windows_are_shorter_where_an_unstable_rig_amplifies_the_start() -> None
     assert fast.problem.windows.times.max() < fast.length
 
 
+def test_an_unstable_rig_filmed_at_thirty_hertz_gets_no_longer_windows() -> None:
+    run = balancing(0.03)
+    filmed = Recording("film", run.time[::17], run.commands[::17], run.sensors[::17], ("motor",), ("rod",))
+    source = mjcf.from_text(balanced(0.03))
+    assert windows.prepare(source, physics.load(source), [filmed], Stepping(5e-4, None)).length <= windows.LENGTH
+
+
 def test_a_length_that_is_asked_for_is_kept(tmp_path: Path) -> None:
     model, run = files(tmp_path, balanced(0.03), balancing(0.03))
     assert replay(model, run).window < 0.2

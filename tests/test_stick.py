@@ -287,3 +287,18 @@ def test_without_friction_it_is_mujocos_own_step() -> None:
     data.qpos[:], data.qvel[:] = start[:2], start[2:]
     mujoco.mj_step(model, data, 300)
     assert np.array_equal(simulate(CART_POLE, [0.0, 0.0], start, 300)[-1, 0], [*data.qpos, *data.qvel])
+
+
+def test_a_block_under_way_where_friction_begins_is_not_held() -> None:
+    """Friction along the way may be none for a while; the block that comes from there slides on, and slows down."""
+    model = mujoco.MjModel.from_xml_string(block(mass=1.5))
+    sims = batch.Batch(model, 2, 1)
+    dry = DryFriction(sims, np.zeros((2, 1)))
+    sims.qvel[:] = [[0.4], [-0.4]]
+    dry.begin()
+    forces, sensed = np.zeros((2, 1)), sims.bind("sensordata")
+    dry.step(forces, None, sensed)
+    dry.level[:] = 2.0
+    for _ in range(50):
+        dry.step(forces, None, sensed)
+    np.testing.assert_allclose(sims.qvel[:, 0], [0.4 - 2.0 / 1.5 * 0.1, -0.4 + 2.0 / 1.5 * 0.1], rtol=1e-9)

@@ -111,6 +111,7 @@ def diagnose(
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given = physics.load(source)
     mjcf.check_supported(given.model)
+    recordings, held_out = _from_zero(recordings), _from_zero(held_out)
     notes = [note for r in (*recordings, *held_out) for note in (f"{r.name}: {n}" for n in r.notes)]
     provenance = _provenance(source, [*recordings, *held_out], given.model, seed)
     span = (0.0, 1.0) if held_out else (0.0, TRAIN)
@@ -123,6 +124,11 @@ def diagnose(
         kept = _known_past(
             prepare(source, given, judged, stepping, length=prepared.length, span=judged_span, threads=threads)
         )
+        if not len(kept.problem.windows):
+            raise RecordingError(
+                f"{', '.join(str(r.path or r.name) for r in judged)}: too short to judge by; no window of "
+                f"{prepared.length:.3g} s begins later than {PAST:g} s after the start: record longer"
+            )
     except states.Undetermined as error:
         return _cannot_tell(str(error), source, notes, provenance)
     quiet = _quiet(prepared)
@@ -169,21 +175,20 @@ def diagnose(
     force = {joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, forces.T, strict=True)}
     notes += sentences.disagreement(errors, force)
     located = judge.locate(search.look(recalibrated), prepared.structure.base)
-    wide = judge.QUANTILE * judge.intervals(final, problem) + _step_shift(final, problem)
+    wide = judge.intervals(final, problem) + _step_shift(final, problem)
     changed = _changed(final, wide)
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved), _motion(held), len(final.structure.terms), len(changed)
     )
     replaced = {}
     for term in final.structure.terms:
-        tell(f"what could stand in for {term.key}?")
-        replaced[term.key] = [] if search.interrupted else judge.rivals(search, final, term)
+        replaced[term.key] = [] if search.interrupted else _rivals(search, final, term)
     missing = [
         _missing(search, final, term, worst, _rivals_told(replaced[term.key], held, errors), wide, verdict)
         for term in final.structure.terms
     ]
     if search.interrupted:
-        notes.append("The search was interrupted: effects may be lacking, and rivals were not compared.")
+        notes.append("The search was interrupted: effects may be lacking, and not all rivals were compared.")
     if verdict == "consistent":
         changed = []
     missing.sort(key=lambda m: -m.share)
@@ -209,6 +214,20 @@ def diagnose(
         provenance,
         Work(source, tuple(recordings), held, prepared, nominal, recalibrated, final, search, replaced),
     )
+
+
+def _from_zero(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings with their time counted from their first samples: what shakes or pushes the rig has no other clock."""
+    return [
+        r
+        if r.time[0] == 0
+        else replace(
+            r,
+            time=r.time - r.time[0],
+            notes=(*r.notes, f"its clock begins at {r.time[0]:.10g} s; times are counted from there"),
+        )
+        for r in recordings
+    ]
 
 
 def _known_past(prepared: Prepared) -> Prepared:
@@ -317,7 +336,7 @@ def _provenance(
     from importlib.metadata import version
 
     inputs = {str(source.path.name if source.path else "model"): source.sha256}
-    inputs |= {r.path.name if r.path else r.name: r.sha256 for r in recordings}
+    inputs |= {str(r.path or r.name): r.sha256 for r in recordings}
     packages = ("dipc-gym", "mujoco", "numpy", "scipy")
     return {
         "versions": {name: version(name) for name in packages},
@@ -334,17 +353,10 @@ def _changed(final: Fit, wide: Array) -> list[dict[str, Any]]:
         if abs(final.z[i]) < NEGLIGIBLE:
             continue
         value = final.structure.slots[i].value(final.z[i])
-        out.append(
-            {
-                "parameter": number.parameter,
-                "at": number.at,
-                "was": number.value,
-                "value": value,
-                "low": value * math.exp(-wide[i]),
-                "high": value * math.exp(wide[i]),
-                "unit": number.unit,
-            }
-        )
+        entry = {"parameter": number.parameter, "at": number.at, "was": number.value, "value": value}
+        if np.isfinite(wide[i]):
+            entry |= {"low": value * math.exp(-wide[i]), "high": value * math.exp(wide[i])}
+        out.append(entry | {"unit": number.unit})
     return out
 
 
@@ -357,6 +369,17 @@ def _step_shift(final: Fit, problem: Problem) -> Array:
         return np.zeros(0)
     again = fit(replace(problem, finer=2), final.structure, final.z, final.starts, most=1)
     return 2 * np.abs(again.z - final.z)
+
+
+def _rivals(search: Search, final: Fit, term: Term) -> list[judge.Rival]:
+    """What could stand in the place of an effect; nothing if Ctrl-C ends that."""
+    try:
+        search.tell(f"what could stand in for {term.key}?")
+        return judge.rivals(search, final, term)
+    except KeyboardInterrupt:
+        search.interrupted = True
+        search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
+        return []
 
 
 def _rivals_told(replaced: Sequence[judge.Rival], held: Problem, errors: Errors) -> list[dict[str, Any]]:
@@ -393,7 +416,7 @@ def _missing(
         entry: dict[str, Any] = {"value": slot.value(final.z[i]), "unit": units[name]}
         # With structure left, an interval would tell how sure a wrong model is of its number; what happened once
         # leaves no blocks to resample.
-        if verdict == "explained" and not term.effect.once:
+        if verdict == "explained" and not term.effect.once and np.isfinite(wide[i]):
             low, high = slot.value(final.z[i] - wide[i]), slot.value(final.z[i] + wide[i])
             entry |= {"low": min(low, high), "high": max(low, high), "level": 0.9}
         parameters[name] = entry

@@ -17,8 +17,6 @@ from xml.parsers import expat
 from dipc_gym import mjcf
 from dipc_gym.physics import PREFIX
 
-FOLLOWS = f"{PREFIX}:follows:"
-
 # What MuJoCo takes for options that are not written, and the elements that share one default.
 _OPTIONS = {"timestep": "0.002", "gravity": "0 0 -9.81", "iterations": "100", "noslip_iterations": "0"}
 _ACTUATORS = frozenset(
@@ -241,11 +239,11 @@ class Document:
 
     def follows(self, joint: str, leader: str) -> None:
         """Say that an unseen joint starts where another one is."""
-        self.add("custom", "text", name=FOLLOWS + joint, data=leader)
+        self.add("custom", "text", name=mjcf.FOLLOWS + joint, data=leader)
 
     def comment(self, *lines: str) -> None:
         """Put a comment at the top of the file."""
-        words = "\n       ".join(line.replace("--", "- -") for line in lines)
+        words = "\n       ".join(re.sub("-(?=-)", "- ", line) for line in lines)
         note = ET.Comment(f" {words} ")
         note.tail = "\n  "
         self.root.insert(0, note)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics
-from dipc_gym.sim2real.document import FOLLOWS
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Place, joint_of
 from dipc_gym.sim2real.effects.coupling import inertia_at
 from dipc_gym.sim2real.recording import Recording
@@ -59,7 +58,7 @@ class Scene:
         joint, command, reading, gear = name, np.zeros(0), np.zeros(0), 0.0
         if place == "actuator":
             joint = joint_of(self.model, name) or ""
-            joint = mjcf.texts(self.model).get(FOLLOWS + joint, joint)  # a rotor stands for the joint that it drives
+            joint = mjcf.followers(self.model).get(joint, joint)  # a rotor stands for the joint that it drives
             k = self.recordings[0].actuator_names.index(name)
             command = np.concatenate([r.commands[:, k] for r in self.recordings])
             gear = float(self.model.actuator(name).gear[0])
@@ -112,13 +111,20 @@ def scene(
     model = physics.model
     parts = []
     for recording, motion in zip(recordings, motions, strict=True):
-        n = int(until * len(recording))
+        n = _index(recording, until)
         force, load = unexplained_force(physics, recording, motion)
         parts.append((recording.time[:n], motion.position[:n], motion.velocity[:n], force[:n], load[:n]))
     time, position, velocity, force, load = (np.concatenate(part) for part in zip(*parts, strict=True))
     source = np.concatenate([np.full(len(part[0]), i) for i, part in enumerate(parts)])
-    cut = tuple(recording.slice(0, int(until * len(recording))) for recording in recordings)
+    cut = tuple(recording.slice(0, _index(recording, until)) for recording in recordings)
     return Scene(model, cut, time, position, velocity, force, load, source, tuple(odd))
+
+
+def _index(recording: Recording, share: float) -> int:
+    """The first sample at or after a share of a recording's duration; with all of it, one past the last."""
+    if share >= 1.0:
+        return len(recording)
+    return int(np.searchsorted(recording.time, recording.time[0] + share * recording.duration))
 
 
 def force_errors(
@@ -126,8 +132,9 @@ def force_errors(
 ) -> Array:
     """Error of the inverse model at each base joint, relative to the force that the joint transmits, (nb,).
 
-    Identification by inverse dynamics (Janot, Gautier and Brunot 2019 for one) judges itself by this number. Force and
-    error are averaged over stretches of 25 ms first, as its filters do: no acceleration is known faster than that.
+    NaN at a joint that transmits none, as of a puck that coasts. Identification by inverse dynamics (Janot, Gautier
+    and Brunot 2019 for one) judges itself by this number. Force and error are averaged over stretches of 25 ms first,
+    as its filters do: no acceleration is known faster than that.
 
     Args:
         physics: the model.
@@ -139,20 +146,23 @@ def force_errors(
     transmitted: list[Array] = []
     for recording, motion in zip(recordings, motions, strict=True):
         force, load = unexplained_force(physics, recording, motion)
-        low, high = (int(x * len(recording)) for x in span)
+        low, high = (_index(recording, x) for x in span)
         mean = max(1, round(AVERAGED / recording.period))
         count = (high - low) // mean
         for kept, values in ((lacking, force), (transmitted, load)):
-            kept.append(values[low : low + count * mean].reshape(count, mean, -1).mean(axis=1))
+            kept.append(values[low : low + count * mean].reshape(count, mean, values.shape[1]).mean(axis=1))
     size = np.linalg.norm(np.concatenate(transmitted), axis=0)
-    return np.asarray(np.linalg.norm(np.concatenate(lacking), axis=0) / np.maximum(size, 1e-300))
+    return np.asarray(np.linalg.norm(np.concatenate(lacking), axis=0) / np.where(size > 0, size, np.nan))
 
 
 def places(effect: Effect, model: mujoco.MjModel, joints: Sequence[str], recording: Recording) -> list[str]:
     """Names of the places at which an effect may be missing."""
     names: dict[Place, list[str]] = {
         "joint": list(joints),
-        "actuator": list(recording.actuator_names),
+        # One with several inputs is no such place: which of them is late or limited would have to be said as well.
+        "actuator": [
+            n for n in recording.actuator_names if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, n) >= 0
+        ],
         "sensor": list(recording.sensor_names),
         "world": ["world"],
     }

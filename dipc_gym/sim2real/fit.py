@@ -414,5 +414,5 @@ def evaluate(problem: Problem, structure: Structure, z: Array, starts: Array | N
 def _stepping(problem: Problem, structure: Structure) -> Stepping:
     """As fine as the structure needs; a model that is to be simulated as it is keeps its own step."""
     given = problem.stepping
-    own = math.inf if given.integrator is None else structure.own_finest
-    return replace(given, timestep=min(given.timestep, structure.finest, own) / problem.finer)
+    finest = math.inf if given.integrator is None else min(structure.finest, structure.own_finest)
+    return replace(given, timestep=min(given.timestep, finest) / problem.finer)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.comparison import WORTH
@@ -21,7 +22,8 @@ from dipc_gym.sim2real.structure import Structure, Term, names
 
 Array = NDArray[np.float64]
 
-QUANTILE = 1.645  # of the normal distribution, for 90 % intervals
+SURE = 0.95  # quantile to which an interval reaches on either side: 90 % lie within
+FEWEST_BLOCKS = 3  # that tell how much a number depends on which of them there are
 SMALL = 3e-3  # of the motion within a window: a smaller mismatch without a name is not called missing physics
 REFUTED = 1.05  # times the refitted model's error on held-out data, from which effects are not named after all
 STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
@@ -95,11 +97,12 @@ def fewest_numbers(search: Search, fitted: Fit) -> Fit:
 
 
 def intervals(fitted: Fit, problem: Problem) -> Array:
-    """Standard errors of the mapped numbers, (p,), from blocks of a second, whatever the residual looks like.
+    """Half widths of 90 % intervals of the mapped numbers, (p,), from blocks of a second, whatever is left over.
 
     The delete-one jackknife over blocks: correlation within a block is allowed for, a wrong model is not. Where few
     blocks carry most of what is known of a number, it is wider than the sandwich estimator, which is then too narrow
-    (MacKinnon and White 1985). On the windows' quadratics it costs no simulation.
+    (MacKinnon and White 1985). On the windows' quadratics it costs no simulation. Infinite where there are too few
+    blocks.
     """
     q, counts = fitted.quadratics, problem.counts
     if not len(fitted.z):
@@ -108,12 +111,14 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     prior = np.diag([1 / slot.sigma**2 for slot in fitted.structure.slots]) / counts.mean() * w.sum()
     _, block = np.unique(problem.blocks, return_inverse=True)
     count, p = int(block.max()) + 1, len(fitted.z)
+    if count < FEWEST_BLOCKS:
+        return np.full(p, np.inf)
     curvature, slope = np.zeros((count, p, p)), np.zeros((count, p))
     np.add.at(curvature, block, w[:, None, None] * q.A)
     np.add.at(slope, block, w[:, None] * q.b)
     rest = np.linalg.pinv(curvature.sum(axis=0) + prior - curvature, hermitian=True)
     moved = np.einsum("bij,bj->bi", rest, slope)
-    return np.asarray(np.sqrt((count - 1) / count * np.sum(moved**2, axis=0)))
+    return np.asarray(stdtrit(count - 1, SURE) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0)))
 
 
 def share(search: Search, full: Fit, key: str, worst: float) -> float:

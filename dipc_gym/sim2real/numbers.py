@@ -44,6 +44,8 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
     """Every number of the model that a refit may change, those that are zero left out: they are absent structure."""
     found: list[Number] = []
     for name in document.joint_names():
+        if not _exists(model, mujoco.mjtObj.mjOBJ_JOINT, name):
+            continue
         joint = model.joint(name)
         dof = int(joint.dofadr[0])
         turning = model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_HINGE
@@ -60,6 +62,8 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
                 write = _first_of("joint", name, parameter)
                 found.append(Number(parameter, name, float(np.ravel(value)[0]), unit, write, sigma))
     for name in document.actuator_names():
+        if not _exists(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name):
+            continue
         i = model.actuator(name).id
         if is_dcmotor(model, name):
             element = document.actuator(name)
@@ -75,10 +79,17 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
                 found.append(Number("gear", name, gear, "", _first_of("actuator", name, "gear"), 0.3))
     for element in document.root.iterfind(".//worldbody//body"):
         name = element.get("name", "")
-        if name and model.body_dofnum[model.body(name).id]:
-            mass = float(model.body(name).mass[0])
+        if not _exists(model, mujoco.mjtObj.mjOBJ_BODY, name):
+            continue
+        mass = float(model.body(name).mass[0])
+        if model.body_dofnum[model.body(name).id] and mass > 0:
             found.append(Number("mass", name, mass, "kg", _mass(model, name), 0.1))
     return found
+
+
+def _exists(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
+    """Whether the compiled model has it by this name; what `<replicate>` repeats gets others."""
+    return bool(name) and mujoco.mj_name2id(model, kind, name) >= 0
 
 
 def _first_of(kind: str, name: str, attribute: str) -> Callable[[Document, float], None]:

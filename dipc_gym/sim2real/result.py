@@ -128,6 +128,7 @@ class Diagnosis:
                         "improved": round(e.improved, 5),
                     }
                     for at, e in self.force.items()
+                    if np.isfinite(e.nominal)
                 },
             }
         return {

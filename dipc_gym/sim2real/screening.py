@@ -125,6 +125,8 @@ def pairs(
         tried: what screening made of them.
         few: the windows for which their responses are known.
     """
+    if len(tried) < 2:
+        return []
     overlay = _Overlay(problem.pick(few), current.pick(few), [one.response for one in tried])
     found = []
     for (i, one), (j, other) in itertools.combinations(enumerate(tried), 2):

@@ -90,8 +90,7 @@ class Search:
         There are far fewer numbers than windows, so what fitting flatters is little; three times as many windows tell
         more. `confirmed` asks the unseen ones alone.
         """
-        blocks = np.append(self.problem.blocks, self.problem.blocks.max() + 1 + self.unseen.blocks)
-        return compare(self.mse(new), self.mse(old), blocks)
+        return compare(self.mse(new), self.mse(old), self.problem.join(self.unseen).blocks)
 
     def confirmed(self, new: Fit, old: Fit) -> bool:
         """Whether the unseen windows alone are better predicted too."""

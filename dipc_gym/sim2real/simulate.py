@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics, stack
-from dipc_gym.sim2real.document import FOLLOWS
 from dipc_gym.sim2real.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.states import Motion
@@ -383,7 +382,7 @@ def _addresses(model: mujoco.MjModel, base: Sequence[str]) -> tuple[list[int], l
 
     Positions and velocities have the same addresses: all joints are hinges and slides.
     """
-    leaders = {n.removeprefix(FOLLOWS): leader for n, leader in mjcf.texts(model).items() if n.startswith(FOLLOWS)}
+    leaders = mjcf.followers(model)
     hidden = sorted(leaders)
     each = (base, hidden, [leaders[name] for name in hidden])
     at, behind, lead = ([int(model.joint(name).dofadr[0]) for name in names] for names in each)

@@ -19,7 +19,6 @@ from scipy.linalg import solveh_banded
 
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics
-from dipc_gym.sim2real.document import FOLLOWS
 from dipc_gym.sim2real.recording import Recording
 
 Array = NDArray[np.float64]
@@ -71,15 +70,13 @@ def _ties(model: mujoco.MjModel) -> tuple[list[str], dict[str, str]]:
     names = [model.joint(j).name for j in range(model.njnt)]
     if "" in names:
         raise mjcf.MjcfError(f"joint {names.index('')} of the model has no name; reports speak of joints, so name it")
-    leader = {
-        entry.removeprefix(FOLLOWS): text for entry, text in mjcf.texts(model).items() if entry.startswith(FOLLOWS)
-    }
+    leader = mjcf.followers(model)
     base = [name for name in names if name not in leader]
     for follower, led in leader.items():
         for name, known in ((follower, names), (led, base)):
             if name not in known:
                 raise mjcf.MjcfError(
-                    f"<custom> entry '{FOLLOWS}{follower}': no {name!r} among the joints {', '.join(known)}"
+                    f"<custom> entry '{mjcf.FOLLOWS}{follower}': no {name!r} among the joints {', '.join(known)}"
                 )
     return base, leader | {name: name for name in base}
 

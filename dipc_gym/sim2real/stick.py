@@ -56,6 +56,8 @@ class DryFriction:
             sensed: the batch's bound sensor data.
         """
         sims = self.sims
+        # Where there was no friction a while, a joint may be on its way without a direction; what is held has no speed.
+        self.sign = np.where((self.sign == 0) & (self.level > 0), np.sign(sims.qvel), self.sign)
         resting = (self.sign == 0) & (self.level > 0)
         if resting.any():
             self._hold(np.flatnonzero(resting.any(axis=1)), forces)

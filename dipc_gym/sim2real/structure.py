@@ -53,6 +53,7 @@ class Slot:
         centre: mean of that prior.
         fine: relative change that a unit step makes, if `log`.
         above: key of an earlier number that this one is never smaller than.
+        origin: value that the mapped number 0 stands for (unless `log`).
     """
 
     key: str
@@ -65,15 +66,16 @@ class Slot:
     centre: float = 0.0
     fine: float = 1.0
     above: str = ""
+    origin: float = 0.0
 
     def value(self, z: float) -> float:
         """The number itself."""
-        value = self.scale * math.exp(min(z * self.fine, 50.0)) if self.log else self.scale * z
+        value = self.scale * math.exp(min(z * self.fine, 50.0)) if self.log else self.origin + self.scale * z
         return min(max(value, self.low), self.high)
 
     def mapped(self, value: float) -> float:
         """The mapped number of a value."""
-        return math.log(value / self.scale) / self.fine if self.log else value / self.scale
+        return math.log(value / self.scale) / self.fine if self.log else (value - self.origin) / self.scale
 
 
 @dataclass(frozen=True)
@@ -105,10 +107,11 @@ class Structure:
         for term in self.terms:
             for p in _free(term.effect):
                 guess = term.guess[p.name]
-                scale = abs(guess) if guess else _fallback(p.low, p.high)
+                scale = p.step or (abs(guess) if guess else _fallback(p.low, p.high))
+                origin = guess if p.step else 0.0
                 above = p.above and f"{term.key}.{p.above}"
                 key = f"{term.key}.{p.name}"
-                slots.append(Slot(key, p.unit, p.low, p.high, p.log, scale, fine=p.fine, above=above))
+                slots.append(Slot(key, p.unit, p.low, p.high, p.log, scale, fine=p.fine, above=above, origin=origin))
         object.__setattr__(self, "slots", tuple(slots))
 
     @functools.cached_property

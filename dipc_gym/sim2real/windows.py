@@ -149,7 +149,7 @@ def steady_length(problem: Problem, structure: Structure, longest: float) -> flo
     first = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1), beyond.shape[1])
     reached = np.array([t[k] if k < len(t) else math.inf for t, k in zip(windows.times, first, strict=True)])
     limit = float(np.sort(reached)[int((1 - STEADY) * len(reached))])
-    return longest if limit >= longest else max(limit, FEWEST * windows.period)
+    return min(longest, max(limit, FEWEST * windows.period))
 
 
 def growth(problem: Problem, structure: Structure, longest: float) -> Array:
@@ -175,6 +175,7 @@ def _cut(recordings: Sequence[Recording], noise: Array, length: float, span: tup
         longest = max(recordings, key=lambda r: r.duration)
         raise RecordingError(
             f"{longest.path or longest.name}: {longest.duration:.3g} s, sampled every {longest.period:.2g} s, hold no "
-            f"window of {length:g} s; give a window of at least 4 samples that fits"
+            f"window of {length:g} s in the part from {span[0]:.0%} to {span[1]:.0%}: record longer, or give a window "
+            "of at least 4 samples that fits"
         )
     return windows

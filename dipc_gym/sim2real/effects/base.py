@@ -33,6 +33,7 @@ class Parameter:
             of step soon.
         fixed: whether it stays at its guess, as the range that a table covers.
         above: name of an earlier parameter of the effect that it is never smaller than.
+        step: a sizeable change of a number that has no natural zero, as a time; 0 where its own size tells.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Parameter:
     fine: float = 1.0
     fixed: bool = False
     above: str = ""
+    step: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ class Pulse(Effect):
     place = "joint"
     parameters = (
         Parameter("force", "N"),
-        Parameter("start", "s"),
+        Parameter("start", "s", step=0.1),
         Parameter("duration", "s", 1e-3, log=True),
     )
     rivals = ("disturbance.periodic",)
