@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import evidence, improve, judge, sentences, states
+from dipc_gym.sim2real import evidence, improve, judge, selection, sentences, states
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
-from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, typical
+from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit
 from dipc_gym.sim2real.numbers import Number, own_numbers
 from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.result import Diagnosis, Errors, Missing, Work
@@ -29,12 +29,8 @@ from dipc_gym.sim2real.windows import Prepared, prepare
 Array = NDArray[np.float64]
 
 TRAIN = 0.75  # of each recording is fitted where none is held out
-WINDOWS = 72  # fitted and compared on, two thirds and one third; more say little more
-ODD = 6  # windows left aside that are fitted after all
-FAR_OUT = 4.0  # times the usual square error, from which they are
 COARSEST = 2e-3  # s; longest step of the analysis
 NEGLIGIBLE = 2e-3  # a number that moves by less was right
-PAST = 0.05  # s before a window whose commands must be known: they may act late
 STILL = 10.0  # times its noise: a joint that moves less tells nothing
 
 
@@ -111,7 +107,7 @@ def diagnose(
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given = physics.load(source)
     mjcf.check_supported(given.model)
-    recordings, held_out = _from_zero(recordings), _from_zero(held_out)
+    recordings, held_out = selection.from_zero(recordings), selection.from_zero(held_out)
     notes = [note for r in (*recordings, *held_out) for note in (f"{r.name}: {n}" for n in r.notes)]
     provenance = _provenance(source, [*recordings, *held_out], given.model, seed)
     span = (0.0, 1.0) if held_out else (0.0, TRAIN)
@@ -119,15 +115,15 @@ def diagnose(
     stepping = Stepping(step, mujoco.mjtIntegrator.mjINT_RK4)
     numbers = (wishes or Wishes()).apply(own_numbers(Document(source), given.model))
     try:
-        prepared = _known_past(prepare(source, given, recordings, stepping, span=span, threads=threads))
+        prepared = selection.known_past(prepare(source, given, recordings, stepping, span=span, threads=threads))
         judged, judged_span = (held_out, (0.0, 1.0)) if held_out else (recordings, (TRAIN, 1.0))
-        kept = _known_past(
+        kept = selection.known_past(
             prepare(source, given, judged, stepping, length=prepared.length, span=judged_span, threads=threads)
         )
         if not len(kept.problem.windows):
             raise RecordingError(
                 f"{', '.join(str(r.path or r.name) for r in judged)}: too short to judge by; no window of "
-                f"{prepared.length:.3g} s begins later than {PAST:g} s after the start: record longer"
+                f"{prepared.length:.3g} s begins later than {selection.PAST:g} s after the start: record longer"
             )
     except states.Undetermined as error:
         return _cannot_tell(str(error), source, notes, provenance)
@@ -135,12 +131,12 @@ def diagnose(
     if quiet:
         return _cannot_tell(quiet, source, notes, provenance)
     held = replace(kept.problem, windows=replace(kept.problem.windows, noise=prepared.problem.windows.noise))
-    problem, unseen, rest = _split(prepared.problem)
+    problem, unseen, rest = selection.split(prepared.problem)
     tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
 
     nominal = fit(problem, prepared.structure)
     recalibrated = fit(problem, replace(prepared.structure, numbers=tuple(numbers)), starts=nominal.starts, most=20)
-    odd = _odd(rest, recalibrated)
+    odd = selection.odd(rest, recalibrated)
     if len(odd.windows):
         problem = problem.join(odd)
         nominal = fit(problem, prepared.structure)
@@ -152,7 +148,7 @@ def diagnose(
         list(effects if effects is not None else catalogue().values()),
         prepared.structure.base,
         lambda f: evidence.scene(
-            f.structure.physics(f.z), recordings, prepared.motions, span[1], _odd_times(problem, f)
+            f.structure.physics(f.z), recordings, prepared.motions, span[1], selection.odd_times(problem, f)
         ),
         fit(problem, recalibrated.structure, np.zeros(len(numbers)), nominal.starts, most=0),
         tell,
@@ -214,55 +210,6 @@ def diagnose(
         provenance,
         Work(source, tuple(recordings), held, prepared, nominal, recalibrated, final, search, replaced),
     )
-
-
-def _from_zero(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings with their time counted from their first samples: what shakes or pushes the rig has no other clock."""
-    return [
-        r
-        if r.time[0] == 0
-        else replace(
-            r,
-            time=r.time - r.time[0],
-            notes=(*r.notes, f"its clock begins at {r.time[0]:.10g} s; times are counted from there"),
-        )
-        for r in recordings
-    ]
-
-
-def _known_past(prepared: Prepared) -> Prepared:
-    """Without windows at the beginning of a recording: where there is a delay, commands before it matter."""
-    w = prepared.problem.windows
-    began = np.array([recording.time[0] for recording in w.recordings])
-    return replace(prepared, problem=prepared.problem.pick(w.start - began[w.source] > PAST))
-
-
-def _split(problem: Problem) -> tuple[Problem, Problem, Problem]:
-    """Windows to fit, windows to compare on (every third one), spread evenly over the recordings, and the others."""
-    count = len(problem.windows)
-    if count < 9:
-        raise RecordingError(
-            f"the recordings hold {count} windows of {problem.windows.times.max():.3g} s for fitting; at least 9 are "
-            "needed: record longer"
-        )
-    chosen = np.unique(np.linspace(0, count - 1, min(WINDOWS, count)).round().astype(np.intp))
-    others = np.setdiff1d(np.arange(count), chosen)
-    return problem.pick(np.delete(chosen, np.s_[1::3])), problem.pick(chosen[1::3]), problem.pick(others)
-
-
-def _odd_times(problem: Problem, fitted: Fit) -> list[float]:
-    """Times at which fitted windows begin that are far worse than most, the worst first."""
-    worst = np.argsort(-fitted.mse)[:ODD]
-    far = worst[fitted.mse[worst] > FAR_OUT * typical(fitted.mse)]
-    return [float(start) for start in problem.windows.start[far]]
-
-
-def _odd(rest: Problem, recalibrated: Fit) -> Problem:
-    """Windows, of those left aside, in which something happened that the others do not show: a push, a knock."""
-    if not len(rest.windows):
-        return rest
-    mse, _ = evaluate(rest, recalibrated.structure, recalibrated.z)
-    return rest.pick(np.argsort(-mse)[:ODD][np.sort(mse)[::-1][:ODD] > FAR_OUT * typical(recalibrated.mse)])
 
 
 def _error(problem: Problem, fitted: Fit) -> float:
