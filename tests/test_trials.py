@@ -787,6 +787,9 @@ def test_a_run_that_was_stopped_goes_on_and_tries_failures_again(tmp_path, monke
     scores = run.trial(tmp_path, seed=1)
     assert asked[3:] == [plans[1].name]
     assert (scores["summary"]["nulls"], scores["summary"]["false_alarms"]) == (3, 0)
+    contest = tmp_path / "results" / plans[0].name / "rivals.json"
+    contest.write_text("{}")
     run.trial(tmp_path, seed=1, resume=False)
     assert len(asked) == 7
     assert (tmp_path / "report.md").exists()
+    assert contest.read_text() == "{}"

@@ -40,11 +40,10 @@ def known_past(prepared: Prepared) -> Prepared:
 
 def split(problem: Problem) -> tuple[Problem, Problem, Problem]:
     """Windows to fit, windows to compare on (every third one), spread evenly over the recordings, and the others."""
-    count = len(problem.windows)
+    count, length = len(problem.windows), problem.windows.times.max(initial=0.0)
     if count < 9:
         raise RecordingError(
-            f"the recordings hold {count} windows of {problem.windows.times.max(initial=0.0):.3g} s for fitting; at least 9 are "
-            "needed: record longer"
+            f"the recordings hold {count} windows of {length:.3g} s for fitting; at least 9 are needed: record longer"
         )
     chosen = np.unique(np.linspace(0, count - 1, min(WINDOWS, count)).round().astype(np.intp))
     others = np.setdiff1d(np.arange(count), chosen)

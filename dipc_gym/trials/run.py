@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -85,8 +84,10 @@ def _done(result: Path) -> bool:
 
 
 def _keep(texts: Mapping[str, str], result: Path) -> None:
-    """Write what an attempt gave; its note comes last, for it says that all is there."""
-    shutil.rmtree(result, ignore_errors=True)
-    result.mkdir(parents=True)
+    """Write what an attempt gave; its note comes last, for it says that all is there. What rivals gave stays."""
+    result.mkdir(parents=True, exist_ok=True)
+    for old in result.iterdir():
+        if old.name != "rivals.json":
+            old.unlink()
     for name in sorted(texts, key="attempt.json".__eq__):
         write_whole(result / name, texts[name].encode())
