@@ -205,8 +205,20 @@ def passive_actuators(model: mujoco.MjModel) -> list[int]:
 
 
 def followers(model: mujoco.MjModel) -> dict[str, str]:
-    """Joints behind a gap or a spring, and for each the one where it starts."""
-    return {name.removeprefix(FOLLOWS): leader for name, leader in texts(model).items() if name.startswith(FOLLOWS)}
+    """Joints behind a gap or a spring, and for each the one where it starts.
+
+    Raises:
+        MjcfError: an entry names a joint that is not there, or a leader that follows another one itself.
+    """
+    found = {name.removeprefix(FOLLOWS): leader for name, leader in texts(model).items() if name.startswith(FOLLOWS)}
+    names = [model.joint(j).name for j in range(model.njnt)]
+    for follower, leader in found.items():
+        for name, known in ((follower, names), (leader, [name for name in names if name not in found])):
+            if name not in known:
+                raise MjcfError(
+                    f"<custom> entry '{FOLLOWS}{follower}': no {name!r} among the joints {', '.join(known)}"
+                )
+    return found
 
 
 def texts(model: mujoco.MjModel) -> dict[str, str]:

@@ -105,6 +105,8 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         # MuJoCo's state begins with the time, qpos and qvel.
         first = 1 + rig.model.nq
         self._joints = np.array([*(1 + q for q in rig._qpos_address), *(first + dof for dof in rig._dof)])
+        ties = [pair for q, led, dof, driven in rig._ties for pair in ((1 + q, 1 + led), (first + dof, first + driven))]
+        self._followers, self._leaders = np.array(ties, dtype=np.intp).reshape(-1, 2).T
         self._generators: list[np.random.Generator | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
         # The friction of motors without cogging is nothing where nothing has moved, so it need not be computed there.
@@ -303,9 +305,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         joints[:, (2, 5)] -= states[:, (1, 4)]
         fresh = np.repeat(self._new[None], len(rows), axis=0)
         fresh[:, self._joints] = joints
-        first = 1 + self._rig.model.nq
-        for qpos, led_by, dof, driven_by in self._rig._ties:
-            fresh[:, (1 + qpos, first + dof)] = fresh[:, (1 + led_by, first + driven_by)]
+        fresh[:, self._followers] = fresh[:, self._leaders]
         self._sims.state[rows] = fresh
         self._can_fall[rows] = (np.abs(states[:, 1:3]) <= kernels.FALL).all(axis=1)
         self._steps[rows], self._ended[rows] = 0, False

@@ -498,3 +498,12 @@ def test_a_rotor_behind_a_soft_belt_starts_where_the_cart_does(tmp_path: Path) -
     one, all_of_them = single.step([0.0])[0], many.step(np.zeros((2, 1)))[0]
     assert abs(one[3]) < 0.15
     assert np.array_equal(all_of_them, [one, one])
+
+
+def test_a_model_in_which_something_follows_no_joint_is_refused(tmp_path: Path) -> None:
+    text = DoublePendulumEnv().source.text
+    model = tmp_path / "rig.xml"
+    entry = '<custom><text name="dipc_gym:follows:rotor" data="cart"/></custom></mujoco>'
+    model.write_text(text.replace("</mujoco>", entry), encoding="utf-8")
+    with pytest.raises(MjcfError, match="no 'rotor' among the joints"):
+        DoublePendulumEnv(model=model)
