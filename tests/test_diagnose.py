@@ -376,18 +376,22 @@ def test_comparison_needs_more_than_chance() -> None:
 
 
 @pytest.mark.parametrize(
-    ("errors", "motion", "terms", "changed", "expected"),
+    ("errors", "motion", "explained", "terms", "changed", "expected"),
     [
-        ((1.0, 1.0, 1.0), 1e3, 0, 0, "consistent"),
-        ((9.0, 1.1, 1.1), 1e3, 0, 1, "recalibrated"),
-        ((9.0, 8.0, 1.1), 1e3, 1, 0, "explained"),
-        ((90.0, 80.0, 20.0), 1e3, 1, 0, "partly explained"),
-        ((90.0, 80.0, 80.0), 1e3, 0, 1, "unexplained"),
-        ((9.0, 8.5, 8.5), 1e5, 0, 2, "consistent"),
+        ((1.0, 1.0, 1.0), 1e3, 0.0, 0, 0, "consistent"),
+        ((9.0, 1.1, 1.1), 1e3, 0.0, 0, 1, "recalibrated"),
+        ((9.0, 8.0, 1.1), 1e3, 0.3, 1, 0, "explained"),
+        ((90.0, 80.0, 20.0), 1e3, 0.3, 1, 0, "partly explained"),
+        ((90.0, 80.0, 80.0), 1e3, 0.0, 0, 1, "unexplained"),
+        ((9.0, 8.5, 8.5), 1e5, 0.0, 0, 2, "consistent"),
+        ((9.0, 8.5, 8.5), 1e5, 0.3, 0, 2, "unexplained"),
     ],
 )
-def test_verdicts(errors: tuple[float, ...], motion: float, terms: int, changed: int, expected: str) -> None:
-    assert judge.verdict(errors, motion, terms, changed) == expected
+def test_verdicts(
+    errors: tuple[float, ...], motion: float, explained: float, terms: int, changed: int, expected: str
+) -> None:
+    small = judge.negligible(errors[1], motion, judge.Located("cart", 1.0, "somewhere", explained))
+    assert judge.verdict(errors, small, terms, changed) == expected
 
 
 @pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice trials are not beside this checkout")

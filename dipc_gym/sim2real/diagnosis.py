@@ -155,8 +155,13 @@ def diagnose(
     )
     best = search.run(recalibrated)
     worst = judge.unseen_error(search, recalibrated)
-    if best.structure.terms and not judge.credible(worst, judge.unseen_error(search, best), _motion(held)):
-        tell("the mismatch is small beside the motion, and no effect brings it down to the noise")
+    located = judge.locate(search.look(recalibrated), prepared.structure.base)
+    if (
+        best.structure.terms
+        and judge.unseen_error(search, best) > judge.AT_FLOOR
+        and judge.negligible(worst, _motion(held), located[0])
+    ):
+        tell("the mismatch is small beside the motion, without a pattern, and no effect brings it down to the noise")
         best = recalibrated
     final, struck = _upheld(search, held, search.path if best.structure.terms else [recalibrated])
     notes += struck
@@ -170,11 +175,11 @@ def diagnose(
     )
     force = {joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, forces.T, strict=True)}
     notes += sentences.disagreement(errors, force)
-    located = judge.locate(search.look(recalibrated), prepared.structure.base)
     wide = judge.intervals(final, problem) + _step_shift(final, problem)
     changed = _changed(final, wide)
+    small = judge.negligible(errors.recalibrated, _motion(held), located[0])
     verdict = judge.verdict(
-        (errors.nominal, errors.recalibrated, errors.improved), _motion(held), len(final.structure.terms), len(changed)
+        (errors.nominal, errors.recalibrated, errors.improved), small, len(final.structure.terms), len(changed)
     )
     replaced = {}
     for term in final.structure.terms:

@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 
 SURE = 0.95  # quantile to which an interval reaches on either side: 90 % lie within
 FEWEST_BLOCKS = 3  # that tell how much a number depends on which of them there are
-SMALL = 3e-3  # of the motion within a window: a smaller mismatch without a name is not called missing physics
+SMALL = 3e-3  # of the motion within a window: a smaller mismatch is called missing physics only if it has a pattern
+PATTERN = 0.1  # share of the variance of the unexplained force that goes with something, from which it has one
 REFUTED = 1.05  # times the refitted model's error on held-out data, from which effects are not named after all
 STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
 
@@ -204,11 +205,18 @@ class Located:
         at: joint.
         share: of the unexplained force, each joint's measured by what it transmits.
         where: region, in words.
+        explained: share of the variance of its unexplained force that goes with one of velocity, position, load, time.
     """
 
     at: str
     share: float
     where: str
+    explained: float
+
+    @property
+    def has_pattern(self) -> bool:
+        """Whether the unexplained force goes with anything."""
+        return self.explained >= PATTERN
 
 
 def locate(scene: Scene, joints: Sequence[str]) -> list[Located]:
@@ -217,33 +225,33 @@ def locate(scene: Scene, joints: Sequence[str]) -> list[Located]:
     scale = np.sqrt(np.mean(scene.load**2, axis=0)) + 0.05 * np.sqrt(np.mean(scene.load**2, axis=0)).max() + 1e-12
     power = (size / scale) ** 2
     total = float(power.sum()) or 1.0
-    found = [Located(joint, float(power[j] / total), _region(scene, j)) for j, joint in enumerate(joints)]
+    found = [Located(joint, float(power[j] / total), *_region(scene, j)) for j, joint in enumerate(joints)]
     return sorted(found, key=lambda x: -x.share)
 
 
-def _region(scene: Scene, j: int) -> str:
-    """What the unexplained force at a joint goes with: the quantity whose bins explain most of its variance."""
+def _region(scene: Scene, j: int) -> tuple[str, float]:
+    """What the unexplained force at a joint goes with, and how far: the quantity whose bins explain most of it."""
     force = scene.force[:, j]
     if not np.any(force):
-        return "nowhere"
+        return "nowhere", 0.0
     v, q, load, t = scene.velocity[:, j], scene.position[:, j], scene.load[:, j], scene.time
     explained = {
         name: _explained(force, quantity)
         for name, quantity in (("velocity", v), ("position", q), ("load", load), ("time", t))
     }
     best = max(explained, key=lambda name: explained[name])
-    percent = f"{100 * explained[best]:.0f} % of its variance"
-    if explained[best] < 0.1:
-        return "spread over position, velocity, load and time alike"
+    most, percent = explained[best], f"{100 * explained[best]:.0f} % of its variance"
+    if most < PATTERN:
+        return "spread over position, velocity, load and time alike", most
     if best != "velocity":
-        return f"goes with {best} ({percent})"
+        return f"goes with {best} ({percent})", most
     slow = np.abs(v) < 0.2 * np.std(v)
     forward, backward = force[~slow & (v > 0)], force[~slow & (v < 0)]
     step = abs(float(np.mean(forward) - np.mean(backward))) if len(forward) and len(backward) else 0.0
     slope = abs(float(np.polyfit(v, force, 1)[0])) * 2 * float(np.std(v))
     if step > 1.5 * slope or np.mean(np.abs(force[slow])) > 1.3 * np.mean(np.abs(force[~slow])):
-        return f"changes sign with velocity, at reversals ({percent})"
-    return f"grows with velocity ({percent})"
+        return f"changes sign with velocity, at reversals ({percent})", most
+    return f"grows with velocity ({percent})", most
 
 
 def _explained(force: Array, quantity: Array, bins: int = 24) -> float:
@@ -256,13 +264,17 @@ def _explained(force: Array, quantity: Array, bins: int = 24) -> float:
     return float(np.sum(counts * (means - np.mean(force)) ** 2) / len(force) / variance) if variance > 0 else 0.0
 
 
-def credible(recalibrated: float, improved: float, motion: float) -> bool:
-    """Whether effects may be named, from errors on unseen windows and the motion within one, in units of noise.
+def negligible(recalibrated: float, motion: float, located: Located) -> bool:
+    """Whether a mismatch beyond the noise is not worth a name: small beside the motion, and without a pattern.
 
     Real recordings always hold a little structure beyond noise, and the best of dozens of effects takes up some of it.
-    Where the mismatch is small beside the motion, only what comes down to the noise is named.
+
+    Args:
+        recalibrated: error of the refitted model, in units of noise.
+        motion: within a window, in units of noise.
+        located: where the mismatch sits, the joint that carries most of it.
     """
-    return improved <= AT_FLOOR or recalibrated >= SMALL * motion
+    return recalibrated < SMALL * motion and not located.has_pattern
 
 
 def refuted(recalibrated: float, improved: float) -> bool:
@@ -270,12 +282,12 @@ def refuted(recalibrated: float, improved: float) -> bool:
     return improved > AT_FLOOR and improved > REFUTED * recalibrated
 
 
-def verdict(errors: Sequence[float], motion: float, terms: int, changed: int) -> str:
+def verdict(errors: Sequence[float], small: bool, terms: int, changed: int) -> str:
     """The verdict from errors on held-out windows, in units of noise.
 
     Args:
         errors: of the model as given, of the recalibrated and of the improved one.
-        motion: within a window, in units of noise.
+        small: whether what refitted numbers leave is `negligible`.
         terms: how many effects were found.
         changed: how many own numbers had to change.
     """
@@ -284,7 +296,7 @@ def verdict(errors: Sequence[float], motion: float, terms: int, changed: int) ->
         return "explained" if improved <= AT_FLOOR else "partly explained"
     if nominal <= AT_FLOOR:
         return "consistent"
-    if recalibrated <= AT_FLOOR or recalibrated < SMALL * motion:
+    if recalibrated <= AT_FLOOR or small:
         better = nominal - recalibrated > 0.2 * (nominal - 1)
         return "recalibrated" if changed and better else "consistent"
     return "unexplained"

@@ -10,9 +10,10 @@ from dipc_gym.sim2real.effects.base import Evidence
 Array = NDArray[np.float64]
 
 FINE = 0.05  # relative change of a wavelength that is a sizeable one over several waves
-_MOST = 100.0  # waves over the range of position; an axis that turns many times has as many
-_BINS = 4096  # of position, forty to the shortest wave
-_STEP = 0.2  # of the waves counted over the range; two that differ by one are told apart
+_MOST = 1000  # waves over the range of position; an axis that turns many times has hundreds
+_BINS = 16384  # of position, sixteen to the shortest wave
+_FINER = 10  # times as many are tried as the range tells apart
+_RESOLVED = 0.1  # waves that may pass in a sample at the usual speed; of faster ones nothing is left in the force
 
 
 def waves(evidence: Evidence, fewest: float, carrier: Array | None = None, count: int = 3) -> list[dict[str, float]]:
@@ -33,27 +34,44 @@ def waves(evidence: Evidence, fewest: float, carrier: Array | None = None, count
     known = np.stack([v, evidence.direction, np.ones_like(v)], axis=1)
     f = evidence.force - known @ np.linalg.lstsq(known, evidence.force, rcond=None)[0]
     c = np.ones_like(x) if carrier is None else carrier
-    # The force is mostly noise of differentiated encoders, so all of it is needed; by position it is soon summed up.
-    edges = np.linspace(x.min(), x.min() + reach, _BINS + 1)
-    which = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, _BINS - 1)
-    weight, force = np.bincount(which, c * c, _BINS), np.bincount(which, c * f, _BINS)
-    counted = np.arange(fewest, _MOST, _STEP)
-    angles = np.outer(2 * np.pi * counted / reach, (edges[1:] + edges[:-1]) / 2)
-    shapes = np.stack([np.sin(angles), np.cos(angles), np.ones_like(angles)], axis=1)
-    normal = np.einsum("kib,b,kjb->kij", shapes, weight, shapes, optimize=True)
-    cross = shapes @ np.stack([np.bincount(which, c * one, _BINS) for one in known.T], axis=1)
-    normal -= cross @ np.linalg.pinv(known.T @ known, hermitian=True) @ np.swapaxes(cross, 1, 2)
-    right = shapes @ force
+    most = min(_MOST, _RESOLVED * reach / evidence.period / evidence.speed_scale)
+    counted = np.arange(round(fewest * _FINER), max(round(most * _FINER), round(fewest * _FINER)) + 1)
+    # The force is mostly noise of differentiated encoders, so all of it is needed; by position it is soon summed up,
+    # and a Fourier transform then sums each wave.
+    which = np.clip(((x - x.min()) / reach * _BINS).astype(np.intp), 0, _BINS - 1)
+    middle = x.min() / reach + 0.5 / _BINS  # of the first bin, in ranges from zero
+
+    def summed(values: Array, turns: NDArray[np.intp]) -> NDArray[np.complex128]:
+        """Sums of values (n,) times exp(2 pi i turns/_FINER position/reach), (len(turns),)."""
+        spectrum = np.fft.rfft(np.bincount(which, values, _BINS), _FINER * _BINS)[turns].conj()
+        return np.asarray(spectrum * np.exp(2j * np.pi * turns / _FINER * middle))
+
+    once, twice, total = summed(c * c, counted), summed(c * c, 2 * counted), float(np.sum(c * c))
+    normal = np.empty((len(counted), 3, 3))  # of sine, cosine and 1
+    normal[:, 0, 0], normal[:, 1, 1] = (total - twice.real) / 2, (total + twice.real) / 2
+    normal[:, 0, 1] = normal[:, 1, 0] = twice.imag / 2
+    normal[:, 0, 2] = normal[:, 2, 0] = once.imag
+    normal[:, 1, 2] = normal[:, 2, 1] = once.real
+    normal[:, 2, 2] = total
+    along = [c * one for one in (*known.T, f)]
+    sums = [_thirds(summed(values, counted), float(values.sum())) for values in along]
+    *cross, right = (np.stack(three, axis=1) for three in sums)
+    beside = np.stack(cross, axis=2)
+    normal -= beside @ np.linalg.pinv(known.T @ known, hermitian=True) @ np.swapaxes(beside, 1, 2)
     sizes = np.einsum("kij,kj->ki", np.linalg.pinv(normal, rcond=1e-9, hermitian=True), right)
     power = np.einsum("ki,ki->k", sizes, right)
-    near = round(1 / _STEP)
-    peaks = [k for k in range(len(power)) if power[k] >= power[max(0, k - near) : k + near + 1].max()]
+    peaks = [k for k in range(len(power)) if power[k] >= power[max(0, k - _FINER) : k + _FINER + 1].max()]
     small = 0.02 * evidence.force_scale
     return [
         {
             "sine": float(sizes[k, 0]) if abs(sizes[k, 0]) > small else small,
             "cosine": float(sizes[k, 1]) if abs(sizes[k, 1]) > small else small,
-            "wavelength": float(reach / counted[k]),
+            "wavelength": float(reach * _FINER / counted[k]),
         }
         for k in sorted(peaks, key=lambda k: -power[k])[:count]
     ]
+
+
+def _thirds(turned: NDArray[np.complex128], total: float) -> tuple[Array, Array, Array]:
+    """Sums over sine, cosine and 1, each (k,), from those over exp(i angle), (k,), and the plain one."""
+    return turned.imag, turned.real, np.full(len(turned), total)
