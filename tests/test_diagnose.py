@@ -7,13 +7,14 @@ import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
 from dipc_gym import cli, mjcf, physics
-from dipc_gym.sim2real import evidence, judge, recording
+from dipc_gym.sim2real import diagnosis, evidence, judge, recording
 from dipc_gym.sim2real.comparison import Comparison, compare
 from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 from dipc_gym.sim2real.effects import catalogue
@@ -392,6 +393,27 @@ def test_verdicts(
 ) -> None:
     small = judge.negligible(errors[1], motion, judge.Located("cart", 1.0, "somewhere", explained))
     assert judge.verdict(errors, small, terms, changed) == expected
+
+
+def test_a_rival_that_predicts_better_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what the search then adds beside it stays; nothing that is worse does."""
+    search = SimpleNamespace(
+        interrupted=False, tell=lambda line: None, replace_last=lambda fitted: f"{fitted} and more"
+    )
+    term = SimpleNamespace(key="friction.load@cart")
+    asked: list[object] = []
+
+    def rivals(_: object, full: object) -> dict[str, list[judge.Rival]]:
+        asked.append(full)
+        fits = [("worse", False), ("good", True), ("best", True)] if full == "first" else [("worse", False)]
+        return {"one": [judge.Rival(term, fit, False, False, better) for fit, better in fits]}  # type: ignore[arg-type]
+
+    monkeypatch.setattr(diagnosis, "_rivals", rivals)
+    monkeypatch.setattr(judge, "unseen_error", lambda _, fit: {"worse": 3.0, "good": 2.0, "best": 1.0}[fit])
+    settled, left = diagnosis._settled(search, "first")  # type: ignore[arg-type]
+    assert settled == "best and more"
+    assert asked == ["first", "best and more"]
+    assert [rival.better for rival in left["one"]] == [False]
 
 
 @pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice trials are not beside this checkout")

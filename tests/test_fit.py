@@ -311,6 +311,20 @@ def test_a_good_guess_promises_what_it_brings() -> None:
     assert tried.promise > 0.5 * brought > 0.5
 
 
+def test_what_own_numbers_do_for_a_few_windows_is_no_promise_of_an_effect() -> None:
+    """A winding is screened in fine steps, so on eight windows alone, whose waves the rig's own numbers can mimic."""
+    document = Document(mjcf.from_text(HANGING))
+    catalogue()["load.position"].edit(document, "cart", {"sine": 0.1, "cosine": 0.0, "wavelength": 0.13})
+    run = record(physics.load(document.text()), sweep(3.0), 8.0, noise=NOISE["hanging"], integrator=RK4)
+    S = ready(run, HANGING)
+    numbers = tuple(own_numbers(S.structure.document, S.structure.model))
+    fitted = fit(S.problem, replace(S.structure, numbers=numbers), most=8)
+    winding = [Term(catalogue()["motor.inductance"], "motor", {"time_constant": 3e-4})]
+    every = np.arange(len(S.problem.windows))
+    (eight,), (all_,) = (screen(S.problem, fitted, winding, some) for some in (every[::4], every))
+    assert eight.promise == pytest.approx(all_.promise, abs=0.15)
+
+
 @given(z=st.lists(st.floats(-5, 5), min_size=5, max_size=5))
 def test_static_friction_is_never_below_the_kinetic_level(z: list[float]) -> None:
     guess = {"level": 2.0, "static": 3.0, "velocity": 0.01, "stiffness": 1e4, "damping": 30.0}

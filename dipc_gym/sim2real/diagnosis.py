@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 TRAIN = 0.75  # of each recording is fitted where none is held out
 COARSEST = 2e-3  # s; longest step of the analysis
 NEGLIGIBLE = 2e-3  # a number that moves by less was right
+SWAPS = 3  # effects that may give way to rivals after the search
 STILL = 10.0  # times its noise: a joint that moves less tells nothing
 
 
@@ -153,7 +154,7 @@ def diagnose(
         fit(problem, recalibrated.structure, np.zeros(len(numbers)), nominal.starts, most=0),
         tell,
     )
-    best = search.run(recalibrated)
+    best, replaced = _settled(search, search.run(recalibrated))
     worst = judge.unseen_error(search, recalibrated)
     located = judge.locate(search.look(recalibrated), prepared.structure.base)
     if (
@@ -181,9 +182,8 @@ def diagnose(
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved), small, len(final.structure.terms), len(changed)
     )
-    replaced = {}
-    for term in final.structure.terms:
-        replaced[term.key] = [] if search.interrupted else _rivals(search, final, term)
+    if names(final.structure.terms) != names(best.structure.terms):  # some were struck off
+        replaced = _rivals(search, final)
     missing = [
         _missing(search, final, term, worst, _rivals_told(replaced[term.key], held, errors), wide, verdict)
         for term in final.structure.terms
@@ -323,15 +323,36 @@ def _step_shift(final: Fit, problem: Problem) -> Array:
     return 2 * np.abs(again.z - final.z)
 
 
-def _rivals(search: Search, final: Fit, term: Term) -> list[judge.Rival]:
-    """What could stand in the place of an effect; nothing if Ctrl-C ends that."""
-    try:
-        search.tell(f"what could stand in for {term.key}?")
-        return judge.rivals(search, final, term)
-    except KeyboardInterrupt:
-        search.interrupted = True
-        search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
-        return []
+def _settled(search: Search, best: Fit) -> tuple[Fit, dict[str, list[judge.Rival]]]:
+    """What a search comes to once rivals that predict clearly better have taken their places, and the rivals left.
+
+    Which of two effects is there may show only when a third is in place, which was added after one of them.
+    """
+    for _ in range(SWAPS):
+        replaced = _rivals(search, best)
+        better = [rival for rivals in replaced.values() for rival in rivals if rival.better]
+        if not better or search.interrupted:
+            return best, replaced
+        rival = min(better, key=lambda rival: judge.unseen_error(search, rival.fitted))
+        search.tell(f"{rival.term.key} predicts better in its place")
+        best = search.replace_last(rival.fitted)
+    return best, _rivals(search, best)
+
+
+def _rivals(search: Search, full: Fit) -> dict[str, list[judge.Rival]]:
+    """What could stand in the place of each effect; nothing from when Ctrl-C ended that."""
+    found: dict[str, list[judge.Rival]] = {}
+    for term in full.structure.terms:
+        found[term.key] = []
+        if search.interrupted:
+            continue
+        try:
+            search.tell(f"what could stand in for {term.key}?")
+            found[term.key] = judge.rivals(search, full, term)
+        except KeyboardInterrupt:
+            search.interrupted = True
+            search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
+    return found
 
 
 def _rivals_told(replaced: Sequence[judge.Rival], held: Problem, errors: Errors) -> list[dict[str, Any]]:

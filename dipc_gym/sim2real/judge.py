@@ -39,12 +39,14 @@ class Rival:
         fitted: the structure with it; to a few windows only, where that was enough to rule it out.
         same: whether it is the same model here: at the noise, and no window tells the two apart.
         ruled_out: whether it predicts clearly worse.
+        better: whether it predicts clearly better.
     """
 
     term: Term
     fitted: Fit
     same: bool
     ruled_out: bool
+    better: bool = False
 
 
 def unseen_error(search: Search, fitted: Fit) -> float:
@@ -156,8 +158,9 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
         reached = unseen_error(search, swapped)
         close = difference.gain < max(WORTH / 2, ALIKE * difference.error) and difference.gain < 5 * WORTH
         same = close and difference.gain < WORTH and reached < max(AT_FLOOR, 1.02 * error)
+        better = len(others) == 1 and search.compare(swapped, full).clear and search.confirmed(swapped, full)
         if same or len(others) == 1:
-            found += [Rival(other, swapped, same, not close) for other in others]
+            found += [Rival(other, swapped, same, not close, better) for other in others]
     return found
 
 

@@ -63,12 +63,14 @@ def screen(problem: Problem, current: Fit, terms: Sequence[Term], few: NDArray[n
     for term in terms:
         guesses.setdefault(term.key, []).append(term)
     some, currently = problem.pick(few), current.pick(few)
+    luck = _luck(problem, current, few)
     found = []
     for group in guesses.values():
         slow = min(group[0].effect.finest, current.structure.finest) < problem.stepping.timestep
         tried = _best(*((some, currently) if slow else (problem, current)), group)
         if tried is not None:
-            found.append(tried if slow else replace(tried, response=tried.response[few]))
+            here = {"promise": max(tried.promise - luck, 0.0)} if slow else {"response": tried.response[few]}
+            found.append(replace(tried, **here))
     return sorted(found, key=lambda tried: -tried.promise)
 
 
@@ -128,6 +130,7 @@ def pairs(
     if len(tried) < 2:
         return []
     overlay = _Overlay(problem.pick(few), current.pick(few), [one.response for one in tried])
+    luck = _luck(problem, current, few)
     found = []
     for (i, one), (j, other) in itertools.combinations(enumerate(tried), 2):
         first, second = one.term, other.term
@@ -139,15 +142,21 @@ def pairs(
         structure = current.structure
         for term, size in zip((first, second), sizes, strict=True):
             structure = structure.with_term(_scaled(term, size))
-        found.append((promise, structure))
+        found.append((promise - luck, structure))
     return sorted(found, key=lambda pair: -pair[0])
+
+
+def _luck(problem: Problem, current: Fit, few: NDArray[np.intp]) -> float:
+    """What a fit's own numbers alone promise on a few of the windows beyond what they do on all: it is no effect's."""
+    own, here = _Overlay(problem, current, []), _Overlay(problem.pick(few), current.pick(few), [])
+    return max(here.promise([], [], beside=True)[0] - own.promise([], [], beside=True)[0], 0.0)
 
 
 class _Overlay:
     """Responses and a fit's own columns over what the fit leaves, as quadratics of each window."""
 
     def __init__(self, problem: Problem, current: Fit, responses: Sequence[Array]) -> None:
-        columns = np.concatenate([np.stack(responses, axis=2), current.jacobian], axis=2)
+        columns = np.concatenate([*(response[:, :, None] for response in responses), current.jacobian], axis=2)
         flat = np.swapaxes(columns, 1, 2)
         self.own = list(range(len(responses), columns.shape[2]))
         self.counts, self.mse = problem.counts, current.mse

@@ -26,6 +26,7 @@ from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
 
+MOST_EFFECTS = 6  # that are added
 FINALISTS = 6  # hypotheses sketched in a round
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
 FEW = 18  # windows that a sketch has at least
@@ -307,10 +308,17 @@ class Search:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""
         return _alike(self.compare(best, other), self.compare(best, current).gain)
 
-    def run(self, start: Fit, most: int = 6) -> Fit:
+    def run(self, start: Fit, most: int = MOST_EFFECTS) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
-        current = start
         self.few, self.path = _few(start.mse), [start]
+        return self._add(start, most)
+
+    def replace_last(self, better: Fit) -> Fit:
+        """Put a fit in the place of the one that `run` came to, and add what earns its place beside it."""
+        self.path[-1] = self.polish(better)
+        return self._add(self.path[-1], MOST_EFFECTS - len(better.structure.terms))
+
+    def _add(self, current: Fit, most: int) -> Fit:
         try:
             for _ in range(most):
                 before, better = current, self.round(current)
