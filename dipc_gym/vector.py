@@ -117,11 +117,12 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         n = self.num_envs
         self._plants = [rig.plant] * n
         self._numbers: _PlantNumbers | None = None
-        self._counts, self._noise, self._keep, self._gain = np.zeros((n, 3)), np.zeros(n), *np.zeros((2, n, 1))
+        # What is worked out at every step has rows for its last axis, which NumPy walks through faster.
+        self._counts, self._noise, self._keep, self._gain = np.zeros((3, n)), *np.zeros((3, n))
         self._sense_as(np.arange(n), self._plants)
         # Readings of the encoders and velocities worked out from them; what is observed, unless the state is.
-        self._measured = np.zeros((n, 6))
-        self._observed = np.zeros((n, 6)) if exact_state else self._measured
+        self._measured = np.zeros((6, n))
+        self._observed = np.zeros((6, n)) if exact_state else self._measured
         self._friction = np.zeros(n)
         self._can_fall, self._ended, self.began = (np.zeros(n, dtype=bool) for _ in range(3))
         self._steps = np.zeros(n, dtype=np.int64)
@@ -157,7 +158,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         infos |= {key: np.zeros(self.num_envs, dtype=bool) for key in ("clipped", "diverged")}
         self._begin(rows, options, infos)
         self.began = mask
-        return self._observed.copy(), _masked(infos, mask)
+        return self._observations(), _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         """Hold a voltage in every row for one control period.
@@ -194,13 +195,13 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             self.began, self._ended = ended, np.zeros_like(ended)
             if ended.any():
                 rows = np.flatnonzero(ended)
-                final_obs, final_info = _final(self._observed, infos, ended)
+                final_obs, final_info = _final(self._observed.T, infos, ended)
                 self._begin(rows, {}, infos)
                 infos = _masked(infos, everywhere)
                 infos |= {"final_obs": final_obs, "_final_obs": ended.copy()}
                 infos |= {"final_info": final_info, "_final_info": ended.copy()}
-                return self._observed.copy(), rewards, terminated, truncated, infos
-        return self._observed.copy(), rewards, terminated, truncated, _masked(infos, everywhere)
+                return self._observations(), rewards, terminated, truncated, infos
+        return self._observations(), rewards, terminated, truncated, _masked(infos, everywhere)
 
     # ------------------------------------------------------------------------------- what wrappers may ask for
 
@@ -228,19 +229,19 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     @property
     def state(self) -> Array:
         """The simulations' exact states, (num_envs, 6), as the observation orders them."""
-        return _absolute(self._sims.state.take(self._joints, axis=1))
+        return _absolute(self._sims.state.T[self._joints]).T
 
     @property
     def measured_velocity(self) -> Array:
         """Velocities of the carts as last observed, (num_envs,) m/s."""
-        return self._observed[:, 3].copy()
+        return self._observed[3].copy()
 
     @property
     def encoders(self) -> Array:
         """Last readings of the encoders, (num_envs, 3), m and rad; the third is relative to the first pole."""
-        readings = self._measured[:, :3].copy()
-        readings[:, 2] -= readings[:, 1]
-        return readings
+        readings = self._measured[:3].copy()
+        readings[2] -= readings[1]
+        return readings.T
 
     @property
     def time(self) -> Array:
@@ -261,17 +262,17 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         volts = np.minimum(np.maximum(asked, -supply), supply)
         self._ctrl[:, rig._motor] = volts
         self._sims.step(None if going.all() else going, nstep=rig._nstep)
-        joints = self._sims.state.take(self._joints, axis=1)
+        joints = self._sims.state.T[self._joints]
         state = _absolute(joints.copy())
         size = np.abs(state)
-        diverged = ~(size.sum(axis=1) < DIVERGED)
+        diverged = ~(size.sum(axis=0) < DIVERGED)
         fine = going & ~diverged
         if not fine.all():
-            state[~fine] = size[~fine] = 0.0
-        terms = kernels.costs(state[:, 0], state[:, 1], state[:, 2], volts, rail, supply)
-        fell = (size[:, 1] > kernels.FALL) | (size[:, 2] > kernels.FALL)
-        terminated = going & ((size[:, 0] >= rail) | (self._can_fall & fell) | diverged)
-        self._measure(joints[:, :3], state, fine)
+            state[:, ~fine] = size[:, ~fine] = 0.0
+        terms = kernels.costs(state[0], state[1], state[2], volts, rail, supply)
+        fell = (size[1] > kernels.FALL) | (size[2] > kernels.FALL)
+        terminated = going & ((size[0] >= rail) | (self._can_fall & fell) | diverged)
+        self._measure(joints[:3], state, fine)
         self._steps += going
         limit = self.max_episode_steps
         truncated = np.zeros_like(going) if limit is None else going & (self._steps >= limit)
@@ -312,10 +313,10 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         joints = joints[:, :3]
         if self._noisy:
             joints += self._encoder_noise(rows)
-        self._measured[rows, :3] = _readings(joints, self._counts[rows])
-        self._measured[rows, 3:] = states[:, 3:]
+        self._measured[:3, rows] = _readings(joints.T, self._counts[:, rows])
+        self._measured[3:, rows] = states[:, 3:].T
         if self.exact_state:
-            self._observed[rows] = states
+            self._observed[:, rows] = states.T
         for value in infos.values():
             value[rows] = 0
         infos["reward_survive"][rows] = 1.0
@@ -326,16 +327,20 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             infos["friction"][rows] = self._friction[rows]
 
     def _measure(self, joints: Array, state: Array, which: Mask) -> None:
-        """Read the encoders of joints (n, 3) in rows, update their velocity filters, and note what is observed."""
+        """Read the encoders of joints (3, n), update their velocity filters, and note what is observed of some rows."""
         if self._noisy:
             rows = np.flatnonzero(which)
-            joints[rows] += self._encoder_noise(rows)
-        before, measured, fine = self._measured, np.empty_like(self._measured), which[:, None]
-        measured[:, :3] = _readings(joints, self._counts)
-        measured[:, 3:] = kernels.velocity(measured[:, :3], before[:, :3], before[:, 3:], self._keep, self._gain)
-        np.copyto(self._measured, measured, where=fine)
+            joints[:, rows] += self._encoder_noise(rows).T
+        before, measured = self._measured, np.empty_like(self._measured)
+        measured[:3] = _readings(joints, self._counts)
+        measured[3:] = kernels.velocity(measured[:3], before[:3], before[3:], self._keep, self._gain)
+        np.copyto(self._measured, measured, where=which)
         if self.exact_state:
-            np.copyto(self._observed, state, where=fine)
+            np.copyto(self._observed, state, where=which)
+
+    def _observations(self) -> Array:
+        """What is observed now, (num_envs, 6), as an array of its own."""
+        return self._observed.T.copy()
 
     def _read_friction(self) -> Array:
         force = np.zeros(self.num_envs)
@@ -348,7 +353,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         noise = np.zeros((len(rows), 3))
         for k in np.flatnonzero(self._noise[rows] > 0):
             i = int(rows[k])
-            noise[k] = self._noise[i] * self._counts[i] * self._generator(i).standard_normal(3)
+            noise[k] = self._noise[i] * self._counts[:, i] * self._generator(i).standard_normal(3)
         return noise
 
     # ------------------------------------------------------------------------------------------------ plants
@@ -369,7 +374,12 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
 
     def _become(self, rows: NDArray[np.intp], plants: list[Plant]) -> None:
         """Give plants to rows."""
-        changed = [k for k, i in enumerate(rows.tolist()) if self._plants[i] != plants[k]]
+        # Without distributions all share one plant; comparing it field by field would be most of a reset.
+        changed = [
+            k
+            for k, i in enumerate(rows.tolist())
+            if self._plants[i] is not plants[k] and self._plants[i] != plants[k]
+        ]
         if not changed:
             return
         rows, plants = rows[changed], [plants[k] for k in changed]
@@ -383,7 +393,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     def _sense_as(self, rows: NDArray[np.intp], plants: list[Plant]) -> None:
         for i, plant in zip(rows, plants, strict=True):
             encoders = plant.encoders
-            self._counts[i], self._noise[i] = (encoders.cart, encoders.pole, encoders.pole), encoders.noise
+            self._counts[:, i], self._noise[i] = (encoders.cart, encoders.pole, encoders.pole), encoders.noise
             self._keep[i], self._gain[i] = kernels.velocity_gains(encoders.velocity_filter, plant.control_period)
         self._noisy = bool(self._noise.any())
 
@@ -463,16 +473,16 @@ def _actuators(plant: Plant) -> tuple[bool, bool | None]:
 
 
 def _absolute(joints: Array) -> Array:
-    """Positions and velocities of joints, (rows, 6), with those of the second pole made absolute in place."""
-    joints[:, 2] += joints[:, 1]
-    joints[:, 5] += joints[:, 4]
+    """Positions and velocities of joints, (6, rows), with those of the second pole made absolute in place."""
+    joints[2] += joints[1]
+    joints[5] += joints[4]
     return joints
 
 
 def _readings(joints: Array, counts: Array) -> Array:
-    """What encoders with these counts say of joints, (rows, 3); the second angle is absolute, as the first is."""
+    """What encoders with these counts say of joints, (3, rows); the second angle is absolute, as the first is."""
     readings = kernels.quantise(joints, counts)
-    readings[:, 2] += readings[:, 1]
+    readings[2] += readings[1]
     return readings
 
 
