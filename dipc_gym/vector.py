@@ -376,9 +376,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         """Give plants to rows."""
         # Without distributions all share one plant; comparing it field by field would be most of a reset.
         changed = [
-            k
-            for k, i in enumerate(rows.tolist())
-            if self._plants[i] is not plants[k] and self._plants[i] != plants[k]
+            k for k, i in enumerate(rows.tolist()) if self._plants[i] is not plants[k] and self._plants[i] != plants[k]
         ]
         if not changed:
             return
