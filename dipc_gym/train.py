@@ -53,6 +53,9 @@ class Recipe:
         stage: control periods of one rig between two checkpoints; 12,000 are 60 s.
         hold: control periods that a command lasts while it learns; the policy then commands anew in each. SAC learns
             from what a single command does to the value; in 5 ms that probably drowns in the error of the value.
+        exact_state: learn from the simulation's state instead of encoder readings, on which the policy then acts. A
+            command that lasts has nothing to average the steps of an encoder, and the rates worked out from these are
+            mostly steps.
         rate: learning rate at the start; it falls linearly to a twentieth.
         gamma: discount of a control period.
         reward: factor on the environment's reward, which keeps the value near 1.
@@ -73,6 +76,7 @@ class Recipe:
     rigs: int = 32
     stage: int = 12_000
     hold: int = 1
+    exact_state: bool = False
     rate: float = 5e-4
     gamma: float = 0.995
     reward: float = 0.02
@@ -98,10 +102,11 @@ class Recipe:
 RECIPES: dict[str, Recipe] = {
     "ppo": Recipe(),
     "sac": Recipe(
-        steps=512_000,
+        steps=256_000,
         rigs=16,
         stage=8_000,
         hold=8,
+        exact_state=True,
         rate=1e-3,
         gamma=0.9975,
         reward=0.05,
@@ -195,7 +200,7 @@ class Rig:
             training.model,
         )
 
-    def many(self, count: int, steps: int | None) -> Any:
+    def many(self, count: int, steps: int | None, *, exact_state: bool = False) -> Any:
         """So many of them, reset as soon as they end."""
         from dipc_gym.wrappers import VectorForceCommand
 
@@ -205,6 +210,7 @@ class Rig:
             vectorization_mode="vector_entry_point",
             plant=self.plant,
             model=self.model,
+            exact_state=exact_state,
             max_episode_steps=steps,
             autoreset_mode="SameStep",
             threads=1,  # the other core is for another training

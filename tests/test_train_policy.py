@@ -97,6 +97,25 @@ def test_the_file_acts_as_the_model_does(algorithm: str) -> None:
     np.testing.assert_allclose(policy.command(observations), policy.limit * theirs[:, 0], atol=1e-4 * policy.limit)
 
 
+def test_who_learns_from_the_state_is_judged_on_readings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[bool] = []
+    many = Rig.many
+
+    def spy(rig: Rig, count: int, steps: int | None, *, exact_state: bool = False) -> Any:
+        envs = many(rig, count, steps, exact_state=exact_state)
+        observations, _ = envs.reset(seed=1)
+        assert np.array_equal(observations, envs.unwrapped.state) == exact_state
+        made.append(exact_state)
+        return envs
+
+    monkeypatch.setattr(Rig, "many", spy)
+    training = short("sac")
+    train.run(dataclasses.replace(training, recipe=dataclasses.replace(training.recipe, exact_state=True)), tmp_path)
+    assert made[0]
+    assert len(made) > 2
+    assert not any(made[1:])
+
+
 def test_a_held_command_is_one_given_again_and_again() -> None:
     rig = Rig.of(short())
     one, held = (ScaledRigs(DIPCFrictionVecEnv(rig.many(3, 150)), 24.0, 0.5, hold) for hold in (1, 6))

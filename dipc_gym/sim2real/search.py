@@ -9,6 +9,7 @@ each window counts alike and its standard error means something.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -91,7 +92,12 @@ class Search:
         There are far fewer numbers than windows, so what fitting flatters is little; three times as many windows tell
         more. `confirmed` asks the unseen ones alone.
         """
-        return compare(self.mse(new), self.mse(old), self.problem.join(self.unseen).blocks)
+        return compare(self.mse(new), self.mse(old), self._blocks)
+
+    @functools.cached_property
+    def _blocks(self) -> NDArray[np.intp]:
+        """Of the fitted windows, then of the unseen ones; windows of both within one second share a block."""
+        return self.problem.join(self.unseen).blocks
 
     def confirmed(self, new: Fit, old: Fit) -> bool:
         """Whether the unseen windows alone are better predicted too."""
