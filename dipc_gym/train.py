@@ -102,7 +102,7 @@ class Recipe:
 RECIPES: dict[str, Recipe] = {
     "ppo": Recipe(),
     "sac": Recipe(
-        steps=256_000,
+        steps=192_000,
         rigs=16,
         stage=8_000,
         hold=8,
