@@ -303,7 +303,8 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             states[k] = start_state(generator, start, state)
         self._become(rows, plants)
         joints = states.copy()
-        joints[:, (2, 5)] -= states[:, (1, 4)]
+        joints[:, 2] -= states[:, 1]
+        joints[:, 5] -= states[:, 4]
         fresh = np.repeat(self._new[None], len(rows), axis=0)
         fresh[:, self._joints] = joints
         fresh[:, self._followers] = fresh[:, self._leaders]
