@@ -25,8 +25,8 @@ class Trial:
 
     out: Path
     """folder for trials, sealed answers, results and the table"""
-    seed: int = 4
-    """determines every trial; 4 is that of the published table"""
+    seed: int = 6
+    """determines every trial; 6 is that of the published table"""
     count: int | None = None
     """number of trials; without it 42, or 430 with --full"""
     full: bool = False
