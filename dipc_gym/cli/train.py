@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from dipc_gym.cli.options import free
 
@@ -110,7 +110,8 @@ class TrainPolicy:
         """Train, try, and say how it did."""
         from dipc_gym import train
 
-        changes = {key: value for key, value in (("steps", self.steps), ("rigs", self.rigs)) if value is not None}
+        given = {"steps": self.steps, "rigs": self.rigs}
+        changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         training = train.Training(
             algorithm=self.algo,
             compensator=self.compensator,
