@@ -7,7 +7,7 @@ import json
 import re
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -67,6 +67,7 @@ class Policy:
         squash: whether a tanh follows the last layer and is scaled to the limits; else the output is clipped to them.
         low: smallest force, N.
         high: largest force, N.
+        normalised: what is made of an observation before the network sees it; by default nothing.
     """
 
     name: str
@@ -75,10 +76,11 @@ class Policy:
     squash: bool
     low: float
     high: float
+    normalised: Callable[[Array], Array] | None = None
 
     def force(self, observation: Array) -> float:
         """The network's action, in newtons as it was trained with `ForceCommand`."""
-        x = observation
+        x = observation if self.normalised is None else self.normalised(observation)
         for weight, bias in self.layers[:-1]:
             x = self.activation(weight @ x + bias)
         weight, bias = self.layers[-1]
@@ -116,11 +118,11 @@ def read_policy(path: str | Path) -> Policy:
     Such a file also holds pickled objects, which run code when loaded; they are left alone. Weights are read by
     `torch.load(weights_only=True)`, everything else from the readable part of the JSON. That suffices for the
     `MlpPolicy` of PPO, A2C, SAC, TD3 and DDPG with tanh, ReLU, ELU or SiLU, trained on this environment's observations
-    behind `ForceCommand`. Not supported: state-dependent exploration, feature extractors, and observations normalised
-    by `VecNormalize`, whose statistics are not in the file.
+    behind `ForceCommand`. One that was trained with `VecNormalize` needs its statistics: `sb3.save_statistics` puts
+    them beside the file, where they are found. Not supported: state-dependent exploration and feature extractors.
 
     Raises:
-        ControllerError: not such a file, or of a kind that is not supported.
+        ControllerError: not such a file, or of a kind that is not supported; or the statistics beside it are broken.
         ImportError: torch is not installed.
     """
     path = Path(path)
@@ -136,7 +138,12 @@ def read_policy(path: str | Path) -> Policy:
         raise ControllerError(f"{path}: not a policy saved by stable-baselines3 ({error})") from None
     if not isinstance(description, dict):
         raise ControllerError(f"{path}, data: not a JSON object")
-    return _policy(path, description, _tensors(path, weights))
+    policy = _policy(path, description, _tensors(path, weights))
+    from dipc_gym import statistics  # which needs this module's errors
+
+    if not statistics.place(path).exists():
+        return policy
+    return replace(policy, normalised=statistics.Statistics.load(path).normalised)
 
 
 def _policy(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Array]) -> Policy:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
+from dipc_gym.statistics import Statistics
 from dipc_gym.vector import DIPCFrictionVectorEnv
 
 Array = NDArray[np.float64]
@@ -126,3 +129,56 @@ class DIPCFrictionVecEnv(VecEnv):
         chosen: Iterable[int] | Sequence[int] = self._get_indices(indices)
         if sorted(chosen) != list(range(self.num_envs)):
             raise ValueError(f"{name} belongs to the whole batch; leave out indices")
+
+
+def save_statistics(envs: VecNormalize, policy: str | Path) -> Path:
+    """Keep what observations are normalised with beside a saved policy, as plain JSON: `VecNormalize.save` pickles.
+
+    Args:
+        envs: that the policy was trained with.
+        policy: its file, as given to `model.save`, with its ending.
+
+    Returns:
+        The file, `NAME.statistics.json`; `compare --controller NAME.zip` finds it there.
+
+    Raises:
+        ValueError: observations are not normalised, or are not those of this environment.
+        OSError: it cannot be written.
+    """
+    seen = envs.obs_rms if envs.norm_obs else None
+    if not isinstance(seen, RunningMeanStd) or seen.mean.shape != (6,):
+        raise ValueError("these environments normalise no observations of DIPC-Friction-v0: nothing to save")
+    return Statistics(seen.mean, seen.var, float(seen.count), envs.epsilon, envs.clip_obs).save(policy)
+
+
+def load_statistics(envs: VecEnv, policy: str | Path) -> VecNormalize:
+    """Normalise observations as those of a saved policy were, without executing anything in its files.
+
+    Args:
+        envs: without `VecNormalize`.
+        policy: file of the policy, beside which `save_statistics` has put them.
+
+    Returns:
+        The environments, ready to evaluate in: statistics stay as they are, rewards are not normalised. To go on
+        training, set `training` and `norm_reward`.
+
+    Raises:
+        ControllerError: the statistics are absent or broken.
+
+    Example:
+        >>> import gymnasium, tempfile, dipc_gym
+        >>> rigs = gymnasium.make_vec(
+        ...     "DIPC-Friction-v0", num_envs=4, vectorization_mode="vector_entry_point", autoreset_mode="SameStep"
+        ... )
+        >>> envs = VecNormalize(DIPCFrictionVecEnv(rigs))
+        >>> _ = envs.reset()
+        >>> file = save_statistics(envs, Path(tempfile.mkdtemp(), "policy.zip"))
+        >>> again = load_statistics(DIPCFrictionVecEnv(rigs), file.with_name("policy.zip"))
+        >>> bool((again.obs_rms.mean == envs.obs_rms.mean).all())
+        True
+    """
+    kept = Statistics.load(policy)
+    wrapped = VecNormalize(envs, training=False, norm_reward=False, clip_obs=kept.clip, epsilon=kept.epsilon)
+    wrapped.obs_rms = RunningMeanStd(shape=kept.mean.shape)
+    wrapped.obs_rms.mean, wrapped.obs_rms.var, wrapped.obs_rms.count = kept.mean, kept.variance, kept.count
+    return wrapped

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import dipc_gym
+from dipc_gym import controllers
 from dipc_gym.compensators import StaticGain
 from dipc_gym.wrappers import VectorForceCommand
 
@@ -19,7 +20,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
-from dipc_gym.sb3 import DIPCFrictionVecEnv
+from dipc_gym.sb3 import DIPCFrictionVecEnv, load_statistics, save_statistics
 
 N = 4
 
@@ -95,6 +96,24 @@ def test_trains_saves_and_evaluates_with_statistics(algorithm: Any, settings: di
     )
     reward, _ = evaluate_policy(again, env, n_eval_episodes=N, warn=False)
     assert 0 < reward <= 50
+
+    file = save_statistics(env, tmp_path / "policy.zip")
+    plain = DIPCFrictionVecEnv(VectorForceCommand(batch(max_episode_steps=50), compensator))
+    restored = load_statistics(plain, tmp_path / "policy.zip")
+    raw = np.random.default_rng(0).normal(0.0, 0.3, (50, 6))
+    np.testing.assert_array_equal(restored.normalize_obs(raw), env.normalize_obs(raw))
+    assert not restored.training
+    brain = controllers.load(str(tmp_path / "policy.zip"))
+    theirs, _ = again.predict(env.normalize_obs(raw).astype(np.float32), deterministic=True)
+    np.testing.assert_allclose([brain.force(row) for row in raw], theirs[:, 0], rtol=1e-4, atol=1e-3)
+
+    text = file.read_text()
+    for broken, says in (("[1]", "top level"), (text.replace('"count"', '"cuont"'), "cuont"), (text[:40], "not JSON")):
+        file.write_text(broken)
+        with pytest.raises(controllers.ControllerError, match=says):
+            controllers.load(str(tmp_path / "policy.zip"))
+    with pytest.raises(ValueError, match="nothing to save"):
+        save_statistics(VecNormalize(plain, norm_obs=False), tmp_path / "policy.zip")
 
 
 def test_attributes_and_methods() -> None:
