@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,24 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import evidence, improve, judge, selection, sentences, states
+from dipc_gym.sim2real import evidence, findings, improve, judge, selection, sentences, states
+from dipc_gym.sim2real.conclusion import conclude, held_out_error
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
-from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit
+from dipc_gym.sim2real.fit import Problem, fit
 from dipc_gym.sim2real.numbers import Number, own_numbers
 from dipc_gym.sim2real.recording import Recording, RecordingError
-from dipc_gym.sim2real.result import Diagnosis, Errors, Missing, Work
+from dipc_gym.sim2real.result import Diagnosis, Errors, Work
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.structure import Term, names
 from dipc_gym.sim2real.windows import Prepared, prepare
 
 Array = NDArray[np.float64]
 
 TRAIN = 0.75  # of each recording is fitted where none is held out
 COARSEST = 2e-3  # s; longest step of the analysis
-NEGLIGIBLE = 2e-3  # a number that moves by less was right
-SWAPS = 3  # effects that may give way to rivals after the search
 STILL = 10.0  # times its noise: a joint that moves less tells nothing
 
 
@@ -154,20 +151,22 @@ def diagnose(
         fit(problem, recalibrated.structure, np.zeros(len(numbers)), nominal.starts, most=0),
         tell,
     )
-    best, replaced = _settled(search, search.run(recalibrated))
+    best = search.run(recalibrated)
     worst = judge.unseen_error(search, recalibrated)
     located = judge.locate(search.look(recalibrated), prepared.structure.base)
+    motion = _motion(held)
     if (
         best.structure.terms
         and judge.unseen_error(search, best) > judge.AT_FLOOR
-        and judge.negligible(worst, _motion(held), located[0])
+        and judge.negligible(worst, motion, located[0])
     ):
         tell("the mismatch is small beside the motion, without a pattern, and no effect brings it down to the noise")
-        best = recalibrated
-    final, struck = _upheld(search, held, search.path if best.structure.terms else [recalibrated])
-    notes += struck
+        search.path = [recalibrated]
+    found = conclude(search, held)
+    final = found.fitted
+    notes += found.notes
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
-    errors = Errors(*(_error(held, f) for f in (nominal, recalibrated, final)))
+    errors = Errors(*(held_out_error(held, f) for f in (nominal, recalibrated, final)))
     forces = np.stack(
         [
             evidence.force_errors(f.structure.physics(f.z), judged, kept.motions, judged_span)
@@ -176,25 +175,19 @@ def diagnose(
     )
     force = {joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, forces.T, strict=True)}
     notes += sentences.disagreement(errors, force)
-    wide = judge.intervals(final, problem) + _step_shift(final, problem)
-    changed = _changed(final, wide)
-    small = judge.negligible(errors.recalibrated, _motion(held), located[0])
+    wide = judge.intervals(final, problem) + findings.step_shift(final, problem)
+    changed = findings.changed_numbers(final, wide)
+    small = judge.negligible(errors.recalibrated, motion, located[0])
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved), small, len(final.structure.terms), len(changed)
     )
-    if names(final.structure.terms) != names(best.structure.terms):  # some were struck off
-        replaced = _rivals(search, final)
-    missing = [
-        _missing(search, final, term, worst, _rivals_told(replaced[term.key], held, errors), wide, verdict)
-        for term in final.structure.terms
-    ]
+    missing = findings.missing_effects(search, found, held, errors, verdict, wide)
     if search.interrupted:
         notes.append("The search was interrupted: effects may be lacking, and not all rivals were compared.")
     if verdict == "consistent":
         changed = []
-    missing.sort(key=lambda m: -m.share)
     if verdict in ("partly explained", "unexplained"):
-        missing = _with_unknown(missing, errors, search, final, prepared)
+        missing = findings.with_unknown(missing, errors, search, final, prepared.structure.base)
     improved = source.text
     if verdict != "consistent":
         improved, step_note = improve.improved_model(source, given, prepared, final, errors)
@@ -213,41 +206,8 @@ def diagnose(
         improved,
         tuple(notes),
         provenance,
-        Work(source, tuple(recordings), held, prepared, nominal, recalibrated, final, search, replaced),
+        Work(source, tuple(recordings), held, prepared, nominal, recalibrated, final, search, found.rivals),
     )
-
-
-def _error(problem: Problem, fitted: Fit) -> float:
-    mse, _ = evaluate(problem, fitted.structure, fitted.z)
-    return float(np.sqrt(np.mean(mse)))
-
-
-def _upheld(search: Search, held: Problem, path: Sequence[Fit]) -> tuple[Fit, list[str]]:
-    """The last of the accepted fits that held-out data do not speak against, and notes on what they strike off.
-
-    What the best of dozens of effects takes up of structure that no catalogue has need not be there the next time.
-    Held-out data may strike an effect off; they never add one.
-
-    Args:
-        search: that accepted them.
-        held: held-out windows.
-        path: fits, each with an effect more than the one before; the first one without any.
-    """
-    notes: list[str] = []
-    fewest = judge.fewest_numbers(search, path[-1])
-    error = _error(held, fewest)
-    for k in range(len(path) - 1, 0, -1):
-        if error <= judge.AT_FLOOR:
-            break
-        simpler = judge.fewest_numbers(search, path[k - 1])
-        before = _error(held, simpler)
-        if not judge.refuted(before, error):
-            break
-        kept = names(simpler.structure.terms)
-        added = [term for term in fewest.structure.terms if term.key not in kept]
-        notes.append(sentences.refutation(added or fewest.structure.terms, before, error))
-        fewest, error = simpler, before
-    return fewest, notes
 
 
 def _motion(problem: Problem) -> float:
@@ -296,125 +256,3 @@ def _provenance(
         "inputs": inputs,
         "seed": seed,
     }
-
-
-def _changed(final: Fit, wide: Array) -> list[dict[str, Any]]:
-    """Own numbers that had to change, as diagnosis.json lists them, with intervals of +- `wide` mapped numbers (p,)."""
-    out = []
-    for i, number in enumerate(final.structure.numbers):
-        if abs(final.z[i]) < NEGLIGIBLE:
-            continue
-        value = final.structure.slots[i].value(final.z[i])
-        entry = {"parameter": number.parameter, "at": number.at, "was": number.value, "value": value}
-        if np.isfinite(wide[i]):
-            entry |= {"low": value * math.exp(-wide[i]), "high": value * math.exp(wide[i])}
-        out.append(entry | {"unit": number.unit})
-    return out
-
-
-def _step_shift(final: Fit, problem: Problem) -> Array:
-    """How far each mapped number is off because steps have a length, (p,).
-
-    Twice what it moves by when they are halved, as errors of first order do; bristles have such. One Newton step.
-    """
-    if not len(final.z):
-        return np.zeros(0)
-    again = fit(replace(problem, finer=2), final.structure, final.z, final.starts, most=1)
-    return 2 * np.abs(again.z - final.z)
-
-
-def _settled(search: Search, best: Fit) -> tuple[Fit, dict[str, list[judge.Rival]]]:
-    """What a search comes to once rivals that predict clearly better have taken their places, and the rivals left.
-
-    Which of two effects is there may show only when a third is in place, which was added after one of them.
-    """
-    for _ in range(SWAPS):
-        replaced = _rivals(search, best)
-        better = [rival for rivals in replaced.values() for rival in rivals if rival.better]
-        if not better or search.interrupted:
-            return best, replaced
-        rival = min(better, key=lambda rival: judge.unseen_error(search, rival.fitted))
-        search.tell(f"{rival.term.key} predicts better in its place")
-        best = search.replace_last(rival.fitted)
-    return best, _rivals(search, best)
-
-
-def _rivals(search: Search, full: Fit) -> dict[str, list[judge.Rival]]:
-    """What could stand in the place of each effect; nothing from when Ctrl-C ended that."""
-    found: dict[str, list[judge.Rival]] = {}
-    for term in full.structure.terms:
-        found[term.key] = []
-        if search.interrupted:
-            continue
-        try:
-            search.tell(f"what could stand in for {term.key}?")
-            found[term.key] = judge.rivals(search, full, term)
-        except KeyboardInterrupt:
-            search.interrupted = True
-            search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
-    return found
-
-
-def _rivals_told(replaced: Sequence[judge.Rival], held: Problem, errors: Errors) -> list[dict[str, Any]]:
-    """Rivals as diagnosis.json lists them, and whether they are the same model here."""
-    return [
-        {
-            "effect": r.term.effect.name,
-            "at": r.term.at,
-            "held_out": round(_error(held, r.fitted) / max(errors.nominal, 1e-12), 6),
-            "ruled_out": r.ruled_out,
-            "same": r.same,
-        }
-        for r in replaced
-    ]
-
-
-def _missing(
-    search: Search,
-    final: Fit,
-    term: Term,
-    worst: float,
-    replaced: Sequence[dict[str, Any]],
-    wide: Array,
-    verdict: str,
-) -> Missing:
-    units = improve.place_units(final.structure, term)
-    values = final.structure.term_values(final.z, term)
-    parameters: dict[str, dict[str, Any]] = {}
-    for i, slot in enumerate(final.structure.slots):
-        prefix = f"{term.key}."
-        if not slot.key.startswith(prefix):
-            continue
-        name = slot.key.removeprefix(prefix)
-        entry: dict[str, Any] = {"value": slot.value(final.z[i]), "unit": units[name]}
-        # With structure left, an interval would tell how sure a wrong model is of its number; what happened once
-        # leaves no blocks to resample.
-        if verdict == "explained" and not term.effect.once and np.isfinite(wide[i]):
-            low, high = slot.value(final.z[i] - wide[i]), slot.value(final.z[i] + wide[i])
-            entry |= {"low": min(low, high), "high": max(low, high), "level": 0.9}
-        parameters[name] = entry
-    return Missing(
-        term.effect.name,
-        term.at,
-        term.effect.sentence(term.at, values, units),
-        judge.share(search, final, term.key, worst),
-        parameters,
-        tuple({"effect": r["effect"], "at": r["at"]} for r in replaced if r["same"]),
-        tuple({name: value for name, value in r.items() if name != "same"} for r in replaced),
-        term.effect.needs_loader,
-    )
-
-
-def _with_unknown(
-    missing: list[Missing], errors: Errors, search: Search, final: Fit, prepared: Prepared
-) -> list[Missing]:
-    """Add what no effect of the catalogue explains; first, if what was found merely stands in for it."""
-    left = max(errors.improved - 1, 0.0) / max(errors.recalibrated - 1, 1e-9)
-    place = judge.locate(search.look(final), prepared.structure.base)[0]
-    unknown = Missing(
-        "unknown",
-        place.at,
-        f"Something acts at {place.at} that no effect in the catalogue accounts for; it {sentences.verb(place.where)}.",
-        float(np.clip(left, 0, 1)),
-    )
-    return [unknown, *missing] if not missing or left > judge.STANDS_IN else [*missing, unknown]

@@ -124,11 +124,11 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     return np.asarray(stdtrit(count - 1, SURE) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0)))
 
 
-def share(search: Search, full: Fit, key: str, worst: float) -> float:
+def share(search: Search, full: Fit, key: str) -> float:
     """How much of the improvement over the recalibrated model is lost without one effect, all else refitted."""
-    best = unseen_error(search, full)
     if len(full.structure.terms) == 1:
         return 1.0
+    best, worst = unseen_error(search, full), unseen_error(search, search.path[0])
     without = unseen_error(search, search.without(full, key))
     return float(np.clip((without - best) / max(worst - best, 1e-9), 0.0, 1.0))
 

@@ -1,0 +1,97 @@
+"""What a search comes to: effects that held-out data do not speak against, each beside what could stand in for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dipc_gym.sim2real import judge, sentences
+from dipc_gym.sim2real.fit import Fit, Problem, evaluate
+from dipc_gym.sim2real.search import Search
+from dipc_gym.sim2real.structure import names
+
+SWAPS = 3  # effects that may give way to rivals after the search
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """What is left of a search.
+
+    Attributes:
+        fitted: with the fewest own numbers changed.
+        rivals: of each of its effects, by key; none from when Ctrl-C ended the comparison.
+        notes: effects that held-out data strike off, in words.
+    """
+
+    fitted: Fit
+    rivals: dict[str, list[judge.Rival]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def conclude(search: Search, held: Problem) -> Conclusion:
+    """Judge the effects that a search accepted; rivals that predict clearly better take their places.
+
+    Which of two effects is there may show only when a third is in place, which was added after one of them. What
+    held-out data strike off ends that: the search would only add it again.
+
+    Args:
+        search: that has run.
+        held: held-out windows.
+    """
+    for swaps in range(SWAPS + 1):
+        upheld, fewest, notes = _upheld(search, held)
+        rivals = _rivals(search, upheld)
+        better = [rival for group in rivals.values() for rival in group if rival.better]
+        if notes or not better or search.interrupted or swaps == SWAPS:
+            break
+        rival = min(better, key=lambda rival: judge.unseen_error(search, rival.fitted))
+        search.tell(f"{rival.term.key} predicts better in its place")
+        search.replace_last(rival.fitted)
+    return Conclusion(fewest, rivals, notes)
+
+
+def held_out_error(held: Problem, fitted: Fit) -> float:
+    """Root mean square error on held-out windows, in units of noise."""
+    mse, _ = evaluate(held, fitted.structure, fitted.z)
+    return float(np.sqrt(np.mean(mse)))
+
+
+def _upheld(search: Search, held: Problem) -> tuple[Fit, Fit, list[str]]:
+    """The last accepted fit that held-out data do not speak against, also with the fewest own numbers changed, and
+    notes on what they strike off.
+
+    What the best of dozens of effects takes up of structure that no catalogue has need not be there the next time.
+    Held-out data may strike an effect off; they never add one.
+    """
+    path, notes = search.path, list[str]()
+    upheld, fewest = path[-1], judge.fewest_numbers(search, path[-1])
+    error = held_out_error(held, fewest)
+    for before in reversed(path[:-1]):
+        if error <= judge.AT_FLOOR:
+            break
+        simpler = judge.fewest_numbers(search, before)
+        without = held_out_error(held, simpler)
+        if not judge.refuted(without, error):
+            break
+        kept = names(simpler.structure.terms)
+        added = [term for term in fewest.structure.terms if term.key not in kept]
+        notes.append(sentences.refutation(added or fewest.structure.terms, without, error))
+        upheld, fewest, error = before, simpler, without
+    return upheld, fewest, notes
+
+
+def _rivals(search: Search, full: Fit) -> dict[str, list[judge.Rival]]:
+    """What could stand in the place of each effect; nothing from when Ctrl-C ended that."""
+    found: dict[str, list[judge.Rival]] = {}
+    for term in full.structure.terms:
+        found[term.key] = []
+        if search.interrupted:
+            continue
+        try:
+            search.tell(f"what could stand in for {term.key}?")
+            found[term.key] = judge.rivals(search, full, term)
+        except KeyboardInterrupt:
+            search.interrupted = True
+            search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
+    return found

@@ -1,0 +1,123 @@
+"""What was found, as diagnosis.json lists it: effects with sizes, intervals and rivals; own numbers that changed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real import improve, judge, sentences
+from dipc_gym.sim2real.conclusion import Conclusion, held_out_error
+from dipc_gym.sim2real.fit import Fit, Problem, fit
+from dipc_gym.sim2real.result import Errors, Missing
+from dipc_gym.sim2real.search import Search
+from dipc_gym.sim2real.structure import Term
+
+Array = NDArray[np.float64]
+
+NEGLIGIBLE = 2e-3  # a number that moves by less was right
+
+
+def changed_numbers(final: Fit, wide: Array) -> list[dict[str, Any]]:
+    """Own numbers that had to change, as diagnosis.json lists them, with intervals of +- `wide` mapped numbers (p,)."""
+    out = []
+    for i, number in enumerate(final.structure.numbers):
+        if abs(final.z[i]) < NEGLIGIBLE:
+            continue
+        value = final.structure.slots[i].value(final.z[i])
+        entry = {"parameter": number.parameter, "at": number.at, "was": number.value, "value": value}
+        if np.isfinite(wide[i]):
+            entry |= {"low": value * math.exp(-wide[i]), "high": value * math.exp(wide[i])}
+        out.append(entry | {"unit": number.unit})
+    return out
+
+
+def step_shift(final: Fit, problem: Problem) -> Array:
+    """How far each mapped number is off because steps have a length, (p,).
+
+    Twice what it moves by when they are halved, as errors of first order do; bristles have such. One Newton step.
+    """
+    if not len(final.z):
+        return np.zeros(0)
+    again = fit(replace(problem, finer=2), final.structure, final.z, final.starts, most=1)
+    return 2 * np.abs(again.z - final.z)
+
+
+def missing_effects(
+    search: Search, found: Conclusion, held: Problem, errors: Errors, verdict: str, wide: Array
+) -> list[Missing]:
+    """The effects that a search came to, the strongest first.
+
+    Args:
+        search: that has run.
+        found: what it came to.
+        held: held-out windows.
+        errors: on them.
+        verdict: see `judge.verdict`.
+        wide: half widths of the intervals of the mapped numbers, (p,).
+    """
+    final = found.fitted
+    missing = []
+    for term in final.structure.terms:
+        units = improve.place_units(final.structure, term)
+        sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
+        # With structure left, an interval would tell how sure a wrong model is of its number; what happened once
+        # leaves no blocks to resample.
+        known = wide if verdict == "explained" and not term.effect.once else np.full(len(final.z), np.inf)
+        rivals = found.rivals[term.key]
+        missing.append(
+            Missing(
+                term.effect.name,
+                term.at,
+                sentence,
+                judge.share(search, final, term.key),
+                _parameters(final, term, units, known),
+                tuple({"effect": r.term.effect.name, "at": r.term.at} for r in rivals if r.same),
+                tuple(_rival(rival, held, errors) for rival in rivals),
+                term.effect.needs_loader,
+            )
+        )
+    return sorted(missing, key=lambda one: -one.share)
+
+
+def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[str, dict[str, Any]]:
+    """Numbers of an effect with units and 90 % intervals of +- `wide` mapped numbers (p,), where that is finite."""
+    parameters: dict[str, dict[str, Any]] = {}
+    for slot, z, half in zip(final.structure.slots, final.z, wide, strict=True):
+        if not slot.key.startswith(f"{term.key}."):
+            continue
+        name = slot.key.removeprefix(f"{term.key}.")
+        parameters[name] = {"value": slot.value(z), "unit": units[name]}
+        if np.isfinite(half):
+            low, high = sorted((slot.value(z - half), slot.value(z + half)))
+            parameters[name] |= {"low": low, "high": high, "level": 0.9}
+    return parameters
+
+
+def _rival(rival: judge.Rival, held: Problem, errors: Errors) -> dict[str, Any]:
+    """One of the other effects that were tried, with its error on held-out data relative to the nominal model's."""
+    return {
+        "effect": rival.term.effect.name,
+        "at": rival.term.at,
+        "held_out": round(held_out_error(held, rival.fitted) / max(errors.nominal, 1e-12), 6),
+        "ruled_out": rival.ruled_out,
+    }
+
+
+def with_unknown(
+    missing: list[Missing], errors: Errors, search: Search, final: Fit, joints: Sequence[str]
+) -> list[Missing]:
+    """Add what no effect of the catalogue explains; first, if what was found merely stands in for it."""
+    left = max(errors.improved - 1, 0.0) / max(errors.recalibrated - 1, 1e-9)
+    place = judge.locate(search.look(final), joints)[0]
+    unknown = Missing(
+        "unknown",
+        place.at,
+        f"Something acts at {place.at} that no effect in the catalogue accounts for; it {sentences.verb(place.where)}.",
+        float(np.clip(left, 0, 1)),
+    )
+    return [unknown, *missing] if not missing or left > judge.STANDS_IN else [*missing, unknown]
