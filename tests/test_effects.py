@@ -21,7 +21,7 @@ from dipc_gym.sim2real import evidence
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.waves import waves
-from dipc_gym.sim2real.fit import predict
+from dipc_gym.sim2real.problem import predict
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Structure, Term
@@ -265,7 +265,7 @@ def test_the_sentence_says_what_where_and_how_much(rig: str, effect: str, at: st
 
 
 def _fine(base: Structure, armature: float = 0.0) -> Structure:
-    """A structure whose file has a step of 0.25 ms, for which play is bounded as hard as can be; inertia on request."""
+    """A structure whose file has a step of 0.25 ms, for which play is bounded as hard as can be; with armature."""
     document = base.document.copy()
     document.option(timestep=2.5e-4)
     document.set(document.joint(base.base[0]), armature=armature)
@@ -274,7 +274,8 @@ def _fine(base: Structure, armature: float = 0.0) -> Structure:
 
 @pytest.mark.parametrize(("rig", "at"), [("cart", "motor"), ("hanging", "motor"), ("torque", "drive")])
 @pytest.mark.parametrize("effect", sorted(ROTORS))
-def test_a_stiff_coupling_is_the_rotors_inertia(rig: str, at: str, effect: str) -> None:
+def test_a_stiff_coupling_changes_nothing(rig: str, at: str, effect: str) -> None:
+    """The rotor was part of what the joint moves; held fast, it is again."""
     known = catalogue()[effect]
     base, inertia = ready(rig).structure, guesses(known, rig, at)[0]["rotor_inertia"]
     values = {"rotor_inertia": inertia}
@@ -284,8 +285,8 @@ def test_a_stiff_coupling_is_the_rotors_inertia(rig: str, at: str, effect: str) 
         else {"stiffness": inertia * 4e6, "damping": inertia * 400}
     )
     stiff = predicted(rig, _fine(base).with_term(Term(known, at, values | play)))
-    rigid, without = predicted(rig, _fine(base, inertia)), predicted(rig, _fine(base))
-    assert np.abs(stiff - rigid).max() < 0.05 * np.abs(without - rigid).max()
+    rigid, heavier = predicted(rig, _fine(base)), predicted(rig, _fine(base, inertia))
+    assert np.abs(stiff - rigid).max() < 0.05 * np.abs(heavier - rigid).max()
 
 
 def test_play_lets_the_load_be_for_as_long_as_it_lasts() -> None:
@@ -495,4 +496,4 @@ def test_a_blow_at_the_end_of_play_takes_the_energy_that_its_damping_says(dampin
     pushing = rate**2 * way + 2 * damping * rate * pace > 0
     kept = -pace[np.flatnonzero(pushing)[-1]]
     assert (data.qvel[load] - data.qvel[rotor]) / speed == pytest.approx(kept, abs=0.02)
-    assert 0.3 * data.qvel[rotor] + 1.5 * data.qvel[load] == pytest.approx(0.3 * speed, rel=1e-9)
+    assert 0.3 * data.qvel[rotor] + 1.2 * data.qvel[load] == pytest.approx(0.3 * speed, rel=1e-9)

@@ -16,10 +16,12 @@ from dipc_gym import mjcf, physics
 from dipc_gym.sim2real import judge
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.fit import Fit, correct_starts, evaluate, fit, predict, residual, typical, weights
+from dipc_gym.sim2real.fit import Fit, correct_starts, evaluate, fit, weights
 from dipc_gym.sim2real.numbers import own_numbers
+from dipc_gym.sim2real.problem import predict, residual
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.screening import pairs, screen
+from dipc_gym.sim2real.shooting import typical
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Structure, Term, carry
 from dipc_gym.sim2real.windows import Prepared

@@ -17,8 +17,8 @@ from sim2real_rigs import CART, HANGING, NOISE, RK4, TORQUE, prepared, record, s
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.fit import predict
 from dipc_gym.sim2real.heat import heating_motors, winding_temperatures
+from dipc_gym.sim2real.problem import predict
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.simulate import Stepping, cut, grid_step, simulate
 from dipc_gym.sim2real.structure import Structure, Term

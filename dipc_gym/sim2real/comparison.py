@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
-from dipc_gym.sim2real.fit import typical
+from dipc_gym.sim2real.shooting import typical
 
 Array = NDArray[np.float64]
 
 CLEAR = 2.5  # standard errors by which an improvement must stand out
 MANY = 40  # blocks of a second: a recording of the usual length
 LARGE = 0.5  # improvement of the mean log square error (an error one fifth smaller) that no chance brings about
+ALIKE = 2.0  # standard errors within which two fits are not told apart
 WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
 
 
@@ -35,6 +36,11 @@ class Comparison:
     def clear(self) -> bool:
         """Better beyond chance, and by enough to matter; a large gain need not be as even over the windows."""
         return self.gain > WORTH and self.gain > (CLEAR if self.gain < LARGE else 1.0) * self.error
+
+    @property
+    def alike(self) -> bool:
+        """Not told from the other, or hardly better than it."""
+        return self.gain < max(WORTH / 2, ALIKE * self.error)
 
 
 def loss(mse: Array, usual: float) -> Array:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dipc_gym.sim2real import judge, sentences
-from dipc_gym.sim2real.fit import Fit, Problem, evaluate
+from dipc_gym.sim2real.fit import Fit, evaluate
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import names
 

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from dipc_gym.sim2real import states
 from dipc_gym.sim2real.effects.base import is_dcmotor
-from dipc_gym.sim2real.fit import Problem, fit
+from dipc_gym.sim2real.fit import fit
 from dipc_gym.sim2real.numbers import own_numbers
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.simulate import Windows, cut, simulate
 from dipc_gym.sim2real.states import Motion

@@ -17,8 +17,9 @@ from dipc_gym.sim2real import evidence, findings, improve, judge, selection, sen
 from dipc_gym.sim2real.conclusion import conclude, held_out_error
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
-from dipc_gym.sim2real.fit import Problem, fit
+from dipc_gym.sim2real.fit import fit
 from dipc_gym.sim2real.numbers import Number, own_numbers
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.result import Diagnosis, Errors, Work
 from dipc_gym.sim2real.search import Search

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from dipc_gym.sim2real import improve, judge, sentences
 from dipc_gym.sim2real.conclusion import Conclusion, held_out_error
-from dipc_gym.sim2real.fit import Fit, Problem, fit
+from dipc_gym.sim2real.fit import Fit, fit
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import Term

@@ -15,9 +15,10 @@ from scipy.special import stdtrit
 from dipc_gym import mjcf
 from dipc_gym.sim2real.comparison import WORTH
 from dipc_gym.sim2real.evidence import Scene
-from dipc_gym.sim2real.fit import Fit, Problem, fit, weights
+from dipc_gym.sim2real.fit import Fit, fit, weights
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.screening import Tried, excludes
-from dipc_gym.sim2real.search import ALIKE, AT_FLOOR, Search
+from dipc_gym.sim2real.search import AT_FLOOR, Search
 from dipc_gym.sim2real.structure import Structure, Term, names
 
 Array = NDArray[np.float64]
@@ -93,9 +94,10 @@ def fewest_numbers(search: Search, fitted: Fit) -> Fit:
 
     def suffices(count: int) -> bool:
         sparse = with_first(count)
-        return sparse is not None and search.compare(fitted, sparse).gain < WORTH / 2
+        return sparse is not None and search.compare(fitted, sparse).alike
 
-    fewest = bisect.bisect_left(range(k), True, key=suffices)
+    # Mostly none had to change.
+    fewest = 0 if suffices(0) else bisect.bisect_left(range(k), True, lo=1, key=suffices)
     return fitted if fewest == k else with_first(fewest) or fitted
 
 
@@ -156,7 +158,7 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
             continue
         difference = search.compare(full, swapped)
         reached = unseen_error(search, swapped)
-        close = difference.gain < max(WORTH / 2, ALIKE * difference.error) and difference.gain < 5 * WORTH
+        close = difference.alike and difference.gain < 5 * WORTH
         same = close and difference.gain < WORTH and reached < max(AT_FLOOR, 1.02 * error)
         better = len(others) == 1 and search.compare(swapped, full).clear and search.confirmed(swapped, full)
         if same or len(others) == 1:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real import report
 from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.fit import Fit, Problem, correct_starts, fit
+from dipc_gym.sim2real.fit import Fit, correct_starts, fit
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.result import Diagnosis, Work
 from dipc_gym.sim2real.units import of_sensor
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real import judge
-from dipc_gym.sim2real.fit import Fit, Problem
+from dipc_gym.sim2real.fit import Fit
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import Structure

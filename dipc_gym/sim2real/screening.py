@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect
-from dipc_gym.sim2real.fit import Fit, Problem, Quadratics, predict_with, residual
+from dipc_gym.sim2real.fit import Fit, Quadratics
+from dipc_gym.sim2real.problem import Problem, predict_with, residual
 from dipc_gym.sim2real.structure import Structure, Term, carry
 
 Array = NDArray[np.float64]

@@ -10,6 +10,7 @@ each window counts alike and its standard error means something.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -21,21 +22,25 @@ from dipc_gym.sim2real import screening
 from dipc_gym.sim2real.comparison import LARGE, WORTH, Comparison, compare, loss
 from dipc_gym.sim2real.effects.base import Effect, dof
 from dipc_gym.sim2real.evidence import Scene, places
-from dipc_gym.sim2real.fit import Fit, Problem, evaluate, fit, typical
+from dipc_gym.sim2real.fit import Fit, evaluate, fit
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.screening import Tried, excludes
+from dipc_gym.sim2real.shooting import typical
 from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
 
 MOST_EFFECTS = 6  # that are added
 FINALISTS = 6  # hypotheses sketched in a round
+FULLY = 3  # of them that are fitted to all windows, beside the plainer ones that they elaborate
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
 FEW = 18  # windows that a sketch has at least
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
+AT_NOISE = 1.05  # times the noise: nothing is left that would tell an elaboration from what it elaborates
 AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
-ALIKE = 2.0  # standard errors within which two hypotheses are not told apart
+LAWS = 0.02  # of what effects brought, that their laws may leave
 
 Pair = tuple[float, Fit, Structure]  # what it promises, what it was laid over, and the structure with both effects
 
@@ -164,9 +169,15 @@ class Search:
         starts = self._starts(current)
         ranked = sorted((max(tries, key=_promise) for tries in starts.values()), key=_promise, reverse=True)
         most = _promise(ranked[0]) if ranked else 0.0
+        first = _finalists(
+            [start for start in ranked if _promise(start) > max(WORTH / 2, 0.1 * most)],
+            FINALISTS if current.error > AT_NOISE else FINALISTS // 2,
+        )
         sketched: list[tuple[Tried, Fit]] = []
-        for finalist, _ in _finalists([start for start in ranked if _promise(start) > max(WORTH / 2, 0.1 * most)]):
-            sketched += self._sketched(sorted(starts[finalist.key], key=_promise, reverse=True), current)
+        for finalist, base in sorted(first, key=lambda start: len(start[0].term.effect.parameters)):
+            structure = base.structure.with_term(finalist.term)
+            if not _idle(structure, [tried.sketch for tried, _ in sketched if tried.sketch]):
+                sketched += self._sketched(sorted(starts[finalist.key], key=_promise, reverse=True), current)
         self.rounds.append(_updated([tried for tried, _ in ranked], [tried for tried, _ in sketched]))
         at_noise = any(tried.sketch is not None and tried.sketch.error < AT_FLOOR for tried, _ in sketched)
         pairs = [] if at_noise or current.error < AT_FLOOR else self.pairs()
@@ -227,9 +238,9 @@ class Search:
         least = max(KEEPS_UP * most, WORTH / 2)
         if any(t.sketch is not None and t.sketch.error < AT_FLOOR for t, _ in sketched):
             return [pair for pair in sketched if gains[pair[0].key] > max(least, most - LARGE)]
-        near = [t for t, _ in sketched if gains[t.key] > least]
-        plain = {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
-        return [pair for pair in sketched if pair[0].key in plain or gains[pair[0].key] > least]
+        near = sorted((t for t, _ in sketched if gains[t.key] > least), key=lambda t: -gains[t.key])[:FULLY]
+        wanted = {t.key for t in near} | {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
+        return [pair for pair in sketched if pair[0].key in wanted]
 
     def _scored(self, done: Sequence[Tried]) -> list[Tried]:
         """Fitted hypotheses with their scores, the best first."""
@@ -310,6 +321,15 @@ class Search:
         now, then = (float(np.sqrt(np.mean(self.mse(f)))) for f in (current, fitted))
         return then < AT_FLOOR or now - then > EARNS * (now - 1)
 
+    def enough(self, current: Fit) -> bool:
+        """Whether what is left at the noise is so little beside what effects took away that their laws may leave it.
+
+        No law is exact to the last percent: a contact is not a spring and a damper, a bristle not a bristle.
+        """
+        brought = math.sqrt(max(self.path[0].error ** 2 - current.error**2, 0.0))
+        left = math.sqrt(max(current.error**2 - 1.0, 0.0))
+        return bool(current.structure.terms) and current.error < AT_FLOOR and left < LAWS * brought
+
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""
         return _alike(self.compare(best, other), self.compare(best, current).gain)
@@ -327,6 +347,8 @@ class Search:
     def _add(self, current: Fit, most: int) -> Fit:
         try:
             for _ in range(most):
+                if self.enough(current):
+                    break
                 before, better = current, self.round(current)
                 if better is None:
                     break
@@ -352,8 +374,14 @@ class Search:
         return sorted(found.values(), key=lambda pair: -pair[0])[:FINALISTS]
 
     def _both(self, pairs: Sequence[Pair]) -> list[tuple[Fit, Fit]]:
-        """What each pair was laid over, and its sketch, of those that can be simulated."""
-        return [(base, sketch) for _, base, structure in pairs if (sketch := self.sketch(base, structure))]
+        """What each pair was laid over, and its sketch, of those that can be simulated and may be needed."""
+        found: list[tuple[Fit, Fit]] = []
+        for _, base, structure in sorted(pairs, key=lambda pair: len(pair[2].slots)):
+            if _idle(structure, [sketch for _, sketch in found]):
+                continue
+            if (sketch := self.sketch(base, structure)) is not None:
+                found.append((base, sketch))
+        return found
 
     def together(self, sketched: Sequence[tuple[Fit, Fit]], current: Fit) -> Fit | None:
         """The simplest of the sketched pairs that predict best, if it is clearly better than `current`.
@@ -368,7 +396,7 @@ class Search:
         first, blocks = sketched[int(np.argmin(losses))][1], self.problem.blocks[self.few]
         gained = compare(first.mse, current.mse[self.few], blocks).gain
         alike = [pair for pair in sketched if _alike(compare(first.mse, pair[1].mse, blocks), gained)]
-        for base, sketch in sorted(alike, key=lambda pair: _cost(pair[1])):
+        for base, sketch in sorted(alike, key=lambda pair: _cost(pair[1]))[:FULLY]:
             fitted = self.full(base, sketch)
             if fitted is None or not (self.earns(fitted, current) and self.compare(fitted, current).clear):
                 continue
@@ -390,7 +418,7 @@ class Search:
                 idle = (
                     any(other is fitted for fitted in less) and not term.effect.once and not self.earns(current, other)
                 )
-                if idle or not (lost.gain > WORTH / 2 and lost.gain > ALIKE * lost.error):
+                if idle or lost.alike:
                     self.tell(f"{term.key} is more than is needed")
                     return self.prune(other)
         return current
@@ -418,7 +446,7 @@ class Search:
 
 
 def _alike(difference: Comparison, gained: float) -> bool:
-    return difference.gain < max(ALIKE * difference.error, WORTH / 2) and difference.gain < 0.02 * gained + WORTH
+    return difference.alike and difference.gain < 0.02 * gained + WORTH
 
 
 def _updated(tried: Sequence[Tried], news: Sequence[Tried]) -> list[Tried]:
@@ -437,11 +465,16 @@ def _losses(errors: Sequence[Array]) -> list[float]:
     return [float(np.mean(loss(mse, usual))) for mse in errors]
 
 
-def _finalists(ranked: Sequence[tuple[Tried, Fit]]) -> list[tuple[Tried, Fit]]:
+def _finalists(ranked: Sequence[tuple[Tried, Fit]], count: int) -> list[tuple[Tried, Fit]]:
     """The most promising hypotheses, and the plainer ones that these elaborate."""
-    first = ranked[:FINALISTS]
+    first = ranked[:count]
     plain = {f"{inner}@{tried.term.at}" for tried, _ in first for inner in tried.term.effect.contains}
-    return [*first, *(pair for pair in ranked[FINALISTS:] if pair[0].key in plain)]
+    return [*first, *(pair for pair in ranked[count:] if pair[0].key in plain)]
+
+
+def _idle(structure: Structure, sketches: Sequence[Fit]) -> bool:
+    """Whether a structure elaborates one of several that leave nothing to it."""
+    return any(sketch.error < AT_NOISE and structure.elaborates(sketch.structure) for sketch in sketches)
 
 
 def _few(mse: Array) -> NDArray[np.intp]:

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from dipc_gym.sim2real.fit import Fit, Problem, evaluate, typical
+from dipc_gym.sim2real.fit import Fit, evaluate
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording, RecordingError
+from dipc_gym.sim2real.shooting import typical
 from dipc_gym.sim2real.windows import Prepared
 
 WINDOWS = 72  # fitted and compared on, two thirds and one third; more say little more

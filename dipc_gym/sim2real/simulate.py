@@ -236,6 +236,8 @@ class _Runs:
                 model.dof_frictionloss[:] = 0
         which = np.repeat(np.arange(len(variants)), len(windows))
         self.physics = stack(variants, which)
+        for model in models:
+            _leave_out_idle(model, dry=bool(self.physics.stage("friction")) and not located)
         # More simulations than this at a time fall out of the cache and win nothing.
         self.sims = mjbatch.Batch(models[0], len(which), threads)
         _spread(self.sims, models, which)
@@ -323,6 +325,21 @@ def _take_sensor_delays(model: mujoco.MjModel) -> Array:
     delays = mjcf.sensor_delays(model)
     model.sensor_delay[:] = 0
     return delays
+
+
+def _leave_out_idle(model: mujoco.MjModel, *, dry: bool) -> None:
+    """Switch off what takes time in every step and has nothing to do.
+
+    Contacts, of which supported models have none, and constraints where there is no limit, equality or friction.
+
+    Args:
+        model: to change.
+        dry: whether friction may be written into it later.
+    """
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    limited = model.neq or model.jnt_limited.any() or model.tendon_limited.any()
+    if not (limited or dry or model.dof_frictionloss.any() or model.tendon_frictionloss.any()):
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
 
 
 def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArray[np.intp]) -> None:

@@ -36,6 +36,7 @@ class DryFriction:
         self.step_size = float(model.opt.timestep)
         self.timestep = sims.expand("opt.timestep").reshape(sims.nsim, -1)
         self.address = np.array([int(model.jnt_qposadr[model.dof_jntid[d]]) for d in range(model.nv)])
+        self.qpos, self.qvel, self.applied = sims.bind("qpos"), sims.bind("qvel"), sims.bind("qfrc_applied")
         self.inertia = sims.bind("M")
         self.acceleration = sims.bind("qacc_smooth")
         self.dense = _dense_map(model)
@@ -45,7 +46,7 @@ class DryFriction:
 
     def begin(self) -> None:
         """Take the present velocities for the directions of sliding; joints at rest are asked whether they stick."""
-        self.sign = np.where(self.level > 0, np.sign(self.sims.qvel), 0.0)
+        self.sign = np.where(self.level > 0, np.sign(self.qvel), 0.0)
 
     def step(self, forces: Array, readings: Array | None, sensed: Array) -> None:
         """Advance every simulation by one step.
@@ -57,20 +58,20 @@ class DryFriction:
         """
         sims = self.sims
         # Where there was no friction a while, a joint may be on its way without a direction; what is held has no speed.
-        self.sign = np.where((self.sign == 0) & (self.level > 0), np.sign(sims.qvel), self.sign)
+        self.sign = np.where((self.sign == 0) & (self.level > 0), np.sign(self.qvel), self.sign)
         resting = (self.sign == 0) & (self.level > 0)
         if resting.any():
             self._hold(np.flatnonzero(resting.any(axis=1)), forces)
         stuck = (self.sign == 0) & (self.level > 0)
         sliding = np.where(stuck, self._force, -self.sign * self.level)
         before = sims.state.copy()
-        speed, place = sims.qvel.copy(), sims.qpos.copy()
-        sims.qfrc_applied[:] = forces + sliding
+        speed, place = self.qvel.copy(), self.qpos.copy()
+        self.applied[:] = forces + sliding
         sims.step()
         if readings is not None:
             readings[:] = sensed
         self._keep(stuck, place)
-        crossed = self.sign * sims.qvel < 0
+        crossed = self.sign * self.qvel < 0
         if crossed.any():
             self._events(np.flatnonzero(crossed.any(axis=1)), before, speed, forces)
 
@@ -79,7 +80,7 @@ class DryFriction:
         sims = self.sims
         left = np.full(sims.nsim, self.step_size)
         for _ in range(_EVENTS):
-            after = sims.qvel[ids]
+            after = self.qvel[ids]
             start = speed[ids]
             crossed = self.sign[ids] * after < 0
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -91,11 +92,11 @@ class DryFriction:
             self._advance(ids, until, forces)
             # Velocity is no straight line; once more through its start and where this came to.
             with np.errstate(divide="ignore", invalid="ignore"):
-                better = until * start[each, first] / (start[each, first] - sims.qvel[ids, first])
+                better = until * start[each, first] / (start[each, first] - self.qvel[ids, first])
             until = np.where(np.isfinite(better), np.clip(better, 1e-6 * left[ids], left[ids]), until)
             sims.state[ids] = before[ids]
             self._advance(ids, until, forces)
-            sims.qvel[ids, first] = 0.0
+            self.qvel[ids, first] = 0.0
             self.sign[ids, first] = 0.0
             left[ids] -= until
             self._hold(ids, forces)
@@ -103,9 +104,9 @@ class DryFriction:
             if not len(ids):
                 break
             before[ids] = sims.state[ids]
-            speed[ids] = sims.qvel[ids]
+            speed[ids] = self.qvel[ids]
             self._advance(ids, left[ids], forces)
-            ids = ids[(self.sign[ids] * sims.qvel[ids] < 0).any(axis=1)]
+            ids = ids[(self.sign[ids] * self.qvel[ids] < 0).any(axis=1)]
             if not len(ids):
                 break
         self.timestep[:] = self.step_size
@@ -113,8 +114,8 @@ class DryFriction:
     def _advance(self, ids: NDArray[np.intp], duration: Array, forces: Array) -> None:
         sims = self.sims
         stuck = (self.sign[ids] == 0) & (self.level[ids] > 0)
-        place = sims.qpos.copy()
-        sims.qfrc_applied[ids] = forces[ids] + np.where(stuck, self._force[ids], -self.sign[ids] * self.level[ids])
+        place = self.qpos.copy()
+        self.applied[ids] = forces[ids] + np.where(stuck, self._force[ids], -self.sign[ids] * self.level[ids])
         self.timestep[ids] = duration[:, None]
         sims.step(ids)
         mask = np.zeros(self.sign.shape, dtype=bool)
@@ -129,19 +130,19 @@ class DryFriction:
         """
         if not stuck.any():
             return
-        sims, ids = self.sims, np.flatnonzero(stuck.any(axis=1))
+        ids = np.flatnonzero(stuck.any(axis=1))
         rows, dofs = np.nonzero(stuck)
         if stuck.shape[1] > 1:
             held = stuck[ids]
             inverse = self._inverse[ids]
             system = np.where(held[:, :, None] & held[:, None, :], inverse, np.eye(held.shape[1]))
-            moved = (sims.qpos[ids] - place[ids])[:, self.address]
-            excess = np.where(held[..., None], np.stack([sims.qvel[ids], moved], axis=2), 0.0)
+            moved = (self.qpos[ids] - place[ids])[:, self.address]
+            excess = np.where(held[..., None], np.stack([self.qvel[ids], moved], axis=2), 0.0)
             felt = inverse @ np.linalg.solve(system, excess)
-            sims.qvel[ids] -= felt[..., 0]
-            sims.qpos[ids[:, None], self.address] -= felt[..., 1]
-        sims.qvel[rows, dofs] = 0.0
-        sims.qpos[rows, self.address[dofs]] = place[rows, self.address[dofs]]
+            self.qvel[ids] -= felt[..., 0]
+            self.qpos[ids[:, None], self.address] -= felt[..., 1]
+        self.qvel[rows, dofs] = 0.0
+        self.qpos[rows, self.address[dofs]] = place[rows, self.address[dofs]]
 
     def _hold(self, ids: NDArray[np.intp], forces: Array) -> None:
         """Find the forces that keep resting joints still; those that need more than friction gives begin to slide."""
@@ -150,19 +151,24 @@ class DryFriction:
             resting = (self.sign[ids] == 0) & (self.level[ids] > 0)
             if not resting.any():
                 return
-            sims.qfrc_applied[ids] = forces[ids] - self.sign[ids] * self.level[ids]
+            self.applied[ids] = forces[ids] - self.sign[ids] * self.level[ids]
             sims.forward(ids)
             padded = np.concatenate([self.inertia[ids], np.zeros((len(ids), 1))], axis=1)
-            self._inverse[ids] = inverse = np.linalg.inv(padded[:, self.dense])
+            self._inverse[ids] = inverse = _inverse(padded[:, self.dense])
             both = resting[:, :, None] & resting[:, None, :]
             system = np.where(both, inverse, np.eye(resting.shape[1]))
             wanted = np.where(resting, -self.acceleration[ids], 0.0)
-            force = np.linalg.solve(system, wanted[..., None])[..., 0]
+            force = (_inverse(system) @ wanted[..., None])[..., 0]
             released = resting & (np.abs(force) > self.level[ids])
             self._force[ids] = np.where(resting, force, 0.0)
             if not released.any():
                 return
             self.sign[ids] = np.where(released, -np.sign(force), self.sign[ids])
+
+
+def _inverse(matrices: Array) -> Array:
+    """Inverses of matrices (n, k, k); LAPACK takes ten times as long for single numbers."""
+    return 1.0 / matrices if matrices.shape[-1] == 1 else np.linalg.inv(matrices)
 
 
 def _dense_map(model: mujoco.MjModel) -> NDArray[np.intp]:

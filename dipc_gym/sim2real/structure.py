@@ -144,6 +144,16 @@ class Structure:
         """This structure less one effect."""
         return replace(self, terms=tuple(t for t in self.terms if t.key != key))
 
+    def elaborates(self, other: Structure) -> bool:
+        """Whether this is another structure with effects in the place of plainer ones that they contain."""
+
+        def plainer(term: Term) -> bool:
+            return any(
+                term.key == t.key or (term.at == t.at and t.effect.id in term.effect.contains) for t in other.terms
+            )
+
+        return len(self.terms) == len(other.terms) and all(plainer(term) for term in self.terms)
+
     def values(self, z: Array) -> dict[str, float]:
         """Every free number by key."""
         return {slot.key: slot.value(x) for slot, x in zip(self.slots, z, strict=True)}

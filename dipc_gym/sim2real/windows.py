@@ -17,7 +17,7 @@ from dipc_gym import mjcf
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real import recording, states
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.fit import Problem, predict
+from dipc_gym.sim2real.problem import Problem, predict
 from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.simulate import Stepping, Windows, cut
 from dipc_gym.sim2real.states import Motion

@@ -37,7 +37,10 @@ def rotor_guesses(evidence: Evidence, shares: Sequence[float]) -> list[float]:
 
 
 def split(document: Document, actuator: str, inertia: float) -> tuple[str, str]:
-    """Give the motor a rotor beside the body it drives; an armature at the joint was that rotor, and goes.
+    """Give the motor a rotor beside the body it drives, and take its inertia from that of the joint.
+
+    The model held both as one, as an armature or as part of the body: what the two weigh together stays, so that a
+    refit has nothing to make up for. Where the joint has no armature, a negative one takes the rotor out of the body.
 
     Args:
         document: to edit.
@@ -68,8 +71,7 @@ def split(document: Document, actuator: str, inertia: float) -> tuple[str, str]:
     own = document.add(rotor, "joint", name=name, type=kind, axis=axis, pos=place)
     document.plain(own, damping="0 0 0", stiffness="0 0 0", frictionloss="0", armature="0", springdamper="0 0")
     document.plain(own, limited="auto", range="0 0")
-    if armature := float(document.effective(joint, "armature", "0")):
-        document.set(joint, armature=max(armature - inertia, 0.0))
+    document.set(joint, armature=float(document.effective(joint, "armature", "0")) - inertia)
     document.set(element, joint=name)
     document.follows(name, joint.get("name", ""))
     return name, joint.get("name", "")

@@ -1,0 +1,155 @@
+"""The linearised problem of multiple shooting: what the numbers and the start of each window change.
+
+Every window has a start state of its own, so a fit has many unknowns; they are eliminated window by window (variable
+projection, Golub and Pereyra 1973), which leaves a small problem in the structure's numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.problem import Problem, predict, residual
+from dipc_gym.sim2real.structure import Structure
+
+Array = NDArray[np.float64]
+
+LAG = 0.02  # of the mean log square error that starts could still explain, from which they are corrected
+_PROBE = 0.02  # finite difference of a mapped number; smaller ones drown in the kinks of dry friction
+
+
+class Shooting:
+    """A structure laid over windows.
+
+    Args:
+        problem: windows and estimated starts.
+        structure: of the model.
+    """
+
+    def __init__(self, problem: Problem, structure: Structure) -> None:
+        self.problem, self.structure = problem, structure
+        self.nb2 = problem.starts.shape[1]
+        self.nudge = np.maximum(problem.spread, 1e-7)
+        # A sensor with a bias or a lag tells a state only through the model.
+        self.spread = problem.spread * (1e3 if structure.moves_readings else 1.0)
+
+    def residuals(self, Z: Sequence[Array], starts: Array) -> Array:
+        """Of several sets of numbers or starts (variants or 1, n, 2 nb), in units of noise, (variants, n, m, ns)."""
+        readings = predict(self.problem, self.structure, Z, starts)
+        return np.stack([residual(self.problem, one) for one in readings])
+
+    def rows(self, starts: Array, rest: Array) -> Array:
+        """Residuals (n, m, ns) and how far starts are from their estimates, (n, m ns + 2 nb)."""
+        return np.concatenate([rest.reshape(len(starts), -1), (self.problem.starts - starts) / self.spread], axis=1)
+
+    def mse(self, rows: Array) -> Array:
+        """Mean square of each window's rows, (n,)."""
+        return np.einsum("nm,nm->n", rows, rows) / self.problem.counts
+
+    def best_starts(self, tries: Array, rests: Array) -> tuple[Array, Array]:
+        """For each window the start of several (tries, n, 2 nb) that leaves least, and its residual (n, m, ns)."""
+        mse = [self.mse(self.rows(start, rest)) for start, rest in zip(tries, rests, strict=True)]
+        best, each = np.argmin(mse, axis=0), np.arange(tries.shape[1])
+        return tries[best, each], rests[best, each]
+
+    def corrected(
+        self, z: Array, starts: Array, rest: Array, S: Array, others: Sequence[Array] = ()
+    ) -> tuple[Array, Array]:
+        """Starts after a Gauss-Newton step where that is better, and their residual.
+
+        Args:
+            z: mapped numbers, (p,).
+            starts: (n, 2 nb).
+            rest: their residual, (n, m, ns).
+            S: sensitivity to the starts.
+            others: starts to try beside.
+        """
+        ahead = self.nudge * project(S, self.rows(starts, rest)[..., None])[1][..., 0]
+        # A rig at rest needs no other start than the one it has.
+        new = [one for one in (starts + ahead, starts + ahead / 3, *others) if not np.array_equal(one, starts)]
+        if not new:
+            return starts, rest
+        tries = np.stack(new)
+        return self.best_starts(
+            np.append(tries, starts[None], axis=0), np.append(self.residuals([z] * len(new), tries), rest[None], axis=0)
+        )
+
+    def settled(self, z: Array, starts: Array) -> tuple[Array, Array, Array]:
+        """Corrected starts, their residual, and its sensitivity to them.
+
+        A joint that sticks may as well start at rest, and the estimate is asked again. Where a straight line did not
+        tell where to start, a second one is drawn from there.
+        """
+        estimate, half = self.problem.starts, self.nb2 // 2
+        still = estimate.copy()
+        still[np.abs(still) < 2 * self.problem.spread * (np.arange(self.nb2) >= half)] = 0.0
+        rest = self.residuals([z], starts[None])[0]
+        S = self.sensitivity(z, starts, rest)
+        starts, rest = self.corrected(z, starts, rest, S, [still, estimate])
+        S = self.sensitivity(z, starts, rest)
+        if self.lags(starts, rest, S):
+            starts, rest = self.corrected(z, starts, rest, S)
+            S = self.sensitivity(z, starts, rest)
+        return starts, rest, S
+
+    def left(self, starts: Array, rest: Array, S: Array) -> Array:
+        """Rows (n, M) less what a further correction of the starts would explain."""
+        return project(S, self.rows(starts, rest)[..., None])[0][..., 0]
+
+    def lags(self, starts: Array, rest: Array, S: Array) -> bool:
+        """Whether a further correction of the starts would explain much."""
+        left, mse = self.mse(self.left(starts, rest, S)), self.mse(self.rows(starts, rest))
+        scale = typical(left)
+        return mean_loss(mse, scale) - mean_loss(left, scale) > LAG
+
+    def sensitivity(self, z: Array, starts: Array, rest: Array) -> Array:
+        """Of the scaled readings to the starts, prior rows appended: (n, m ns + 2 nb, 2 nb)."""
+        moved = np.stack([starts + self.nudge * unit for unit in np.eye(self.nb2)])
+        n = len(starts)
+        change = (rest[None] - self.residuals([z] * self.nb2, moved)).reshape(self.nb2, n, -1)
+        S = np.moveaxis(change, 0, -1)  # per nudge, so that columns are of order one
+        prior = np.broadcast_to(np.diag(self.nudge / self.spread), (n, self.nb2, self.nb2))
+        return np.concatenate([S, prior], axis=1)
+
+    def columns(self, z: Array, starts: Array, rest: Array) -> Array:
+        """Change of the scaled readings per unit of each mapped number, zeros for the prior appended: (n, M, p)."""
+        p, n = len(z), len(starts)
+        if not p:
+            return np.zeros((n, rest[0].size + self.nb2, 0))
+        logs = np.array([slot.log for slot in self.structure.slots], dtype=bool)
+        steps = _PROBE * np.maximum(1.0, np.abs(z) * ~logs)
+        Z = []
+        for i in range(p):
+            up = self.structure.clip(z + steps[i] * np.eye(p)[i])
+            if abs(up[i] - z[i]) < steps[i] / 2:
+                up = self.structure.clip(z - steps[i] * np.eye(p)[i])
+            steps[i] = up[i] - z[i]
+            Z.append(up)
+        change = (rest[None] - self.residuals(Z, starts[None])).reshape(p, n, -1)
+        steps[np.abs(steps) < 1e-12] = np.inf
+        columns = np.moveaxis(change / steps[:, None, None], 0, -1)
+        return np.concatenate([columns, np.zeros((n, self.nb2, p))], axis=1)
+
+
+def typical(mse: Array) -> float:
+    """Mean square error that all but a fifth of the windows stay below, at least the noise.
+
+    Errors are compared on this scale: below it they add up as squares do, above it as logarithms, so that a few
+    windows in which something else happened decide nothing. Where no structure comes down to the noise, a median in
+    its place would let a structure win on the quiet half of the windows that fails wherever the motion is fast.
+    """
+    return max(1.0, float(np.quantile(mse, 0.8)))
+
+
+def mean_loss(mse: Array, scale: float) -> float:
+    """Mean of the logarithms of mean square errors (n,) that are far above a scale, and of shares of it below."""
+    return float(np.mean(np.log1p(mse / scale)))
+
+
+def project(S: Array, rows: Array) -> tuple[Array, Array]:
+    """Remove from rows (n, M, k) what the starts can explain; also the start steps (n, 2 nb, k) that do so."""
+    Q, R = np.linalg.qr(S)
+    inside = np.swapaxes(Q, 1, 2) @ rows
+    return rows - Q @ inside, np.linalg.solve(R, inside)
