@@ -399,6 +399,7 @@ class _Searched:
     """A search that has run, its fits told apart by names alone."""
 
     interrupted = False
+    held = None
 
     def __init__(self, *path: str) -> None:
         self.path = [_fitted(name) for name in path]
@@ -431,7 +432,7 @@ def _conclude(
     monkeypatch.setattr(judge, "fewest_numbers", lambda _, fit: fit)
     monkeypatch.setattr(judge, "unseen_error", lambda _, fit: errors[fit.name])
     monkeypatch.setattr(conclusion, "held_out_error", lambda _, fit: errors[fit.name])
-    return conclusion.conclude(search, None), asked  # type: ignore[arg-type]
+    return conclusion.conclude(search), asked  # type: ignore[arg-type]
 
 
 def test_a_rival_that_predicts_better_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:

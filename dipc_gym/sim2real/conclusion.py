@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from dipc_gym.sim2real import judge, sentences
-from dipc_gym.sim2real.fit import Fit, evaluate
-from dipc_gym.sim2real.problem import Problem
-from dipc_gym.sim2real.search import Search
+from dipc_gym.sim2real.fit import Fit
+from dipc_gym.sim2real.search import Search, held_out_error, refuted
 from dipc_gym.sim2real.structure import names
 
 SWAPS = 3  # effects that may give way to rivals after the search
@@ -30,7 +27,7 @@ class Conclusion:
     notes: list[str] = field(default_factory=list)
 
 
-def conclude(search: Search, held: Problem) -> Conclusion:
+def conclude(search: Search) -> Conclusion:
     """Judge the effects that a search accepted; rivals that predict clearly better take their places.
 
     Which of two effects is there may show only when a third is in place, which was added after one of them. What
@@ -38,10 +35,9 @@ def conclude(search: Search, held: Problem) -> Conclusion:
 
     Args:
         search: that has run.
-        held: held-out windows.
     """
     for swaps in range(SWAPS + 1):
-        upheld, fewest, notes = _upheld(search, held)
+        upheld, fewest, notes = _upheld(search)
         rivals = _rivals(search, upheld)
         better = [rival for group in rivals.values() for rival in group if rival.better]
         if notes or not better or search.interrupted or swaps == SWAPS:
@@ -52,13 +48,7 @@ def conclude(search: Search, held: Problem) -> Conclusion:
     return Conclusion(fewest, rivals, notes)
 
 
-def held_out_error(held: Problem, fitted: Fit) -> float:
-    """Root mean square error on held-out windows, in units of noise."""
-    mse, _ = evaluate(held, fitted.structure, fitted.z)
-    return float(np.sqrt(np.mean(mse)))
-
-
-def _upheld(search: Search, held: Problem) -> tuple[Fit, Fit, list[str]]:
+def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
     """The last accepted fit that held-out data do not speak against, also with the fewest own numbers changed, and
     notes on what they strike off.
 
@@ -67,13 +57,13 @@ def _upheld(search: Search, held: Problem) -> tuple[Fit, Fit, list[str]]:
     """
     path, notes = search.path, list[str]()
     upheld, fewest = path[-1], judge.fewest_numbers(search, path[-1])
-    error = held_out_error(held, fewest)
+    error = held_out_error(search.held, fewest)
     for before in reversed(path[:-1]):
         if error <= judge.AT_FLOOR:
             break
         simpler = judge.fewest_numbers(search, before)
-        without = held_out_error(held, simpler)
-        if not judge.refuted(without, error):
+        without = held_out_error(search.held, simpler)
+        if not refuted(without, error):
             break
         kept = names(simpler.structure.terms)
         added = [term for term in fewest.structure.terms if term.key not in kept]

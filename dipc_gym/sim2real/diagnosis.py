@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real import evidence, findings, improve, judge, selection, sentences, states
-from dipc_gym.sim2real.conclusion import conclude, held_out_error
+from dipc_gym.sim2real.conclusion import conclude
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.fit import fit
@@ -22,7 +22,7 @@ from dipc_gym.sim2real.numbers import Number, own_numbers
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.result import Diagnosis, Errors, Work
-from dipc_gym.sim2real.search import Search
+from dipc_gym.sim2real.search import Search, held_out_error
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.windows import Prepared, prepare
 
@@ -144,6 +144,7 @@ def diagnose(
     search = Search(
         problem,
         unseen,
+        held,
         list(effects if effects is not None else catalogue().values()),
         prepared.structure.base,
         lambda f: evidence.scene(
@@ -163,7 +164,7 @@ def diagnose(
     ):
         tell("the mismatch is small beside the motion, without a pattern, and no effect brings it down to the noise")
         search.path = [recalibrated]
-    found = conclude(search, held)
+    found = conclude(search)
     final = found.fitted
     notes += found.notes
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
@@ -182,7 +183,7 @@ def diagnose(
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved), small, len(final.structure.terms), len(changed)
     )
-    missing = findings.missing_effects(search, found, held, errors, verdict, wide)
+    missing = findings.missing_effects(search, found, errors, verdict, wide)
     if search.interrupted:
         notes.append("The search was interrupted: effects may be lacking, and not all rivals were compared.")
     if verdict == "consistent":

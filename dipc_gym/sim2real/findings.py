@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real import improve, judge, sentences
-from dipc_gym.sim2real.conclusion import Conclusion, held_out_error
-from dipc_gym.sim2real.fit import Fit, fit
-from dipc_gym.sim2real.problem import Problem
+from dipc_gym.sim2real.conclusion import Conclusion
+from dipc_gym.sim2real.fit import Fit
+from dipc_gym.sim2real.problem import Problem, predict, residual
 from dipc_gym.sim2real.result import Errors, Missing
-from dipc_gym.sim2real.search import Search
+from dipc_gym.sim2real.search import Search, held_out_error
+from dipc_gym.sim2real.shooting import typical
 from dipc_gym.sim2real.structure import Term
 
 Array = NDArray[np.float64]
@@ -40,24 +41,27 @@ def changed_numbers(final: Fit, wide: Array) -> list[dict[str, Any]]:
 def step_shift(final: Fit, problem: Problem) -> Array:
     """How far each mapped number is off because steps have a length, (p,).
 
-    Twice what it moves by when they are halved, as errors of first order do; bristles have such. One Newton step.
+    Twice what it would move by if they were halved, as errors of first order do; bristles and contacts have such. It
+    is told from what halved steps change in the predictions.
     """
-    if not len(final.z):
-        return np.zeros(0)
-    again = fit(replace(problem, finer=2), final.structure, final.z, final.starts, most=1)
-    return 2 * np.abs(again.z - final.z)
+    fine = replace(problem, finer=2)
+    change = final.raw - residual(fine, predict(fine, final.structure, [final.z], final.starts[None])[0])
+    change = change.reshape(len(change), -1)
+    w = 1.0 / (typical(final.mse) + final.mse + np.sum(change**2, axis=1) / problem.counts) / problem.counts
+    prior = np.diag([1 / slot.sigma**2 for slot in final.structure.slots]) / problem.counts.mean() * w.sum()
+    curvature = np.einsum("n,nij->ij", w, final.quadratics.A) + prior
+    # A Jacobian that starts have been eliminated from leaves out of the change what they could explain.
+    slope = np.einsum("n,nmk,nm->k", w, final.jacobian[:, : change.shape[1]], change)
+    return np.asarray(2 * np.abs(np.linalg.pinv(curvature, hermitian=True) @ slope))
 
 
-def missing_effects(
-    search: Search, found: Conclusion, held: Problem, errors: Errors, verdict: str, wide: Array
-) -> list[Missing]:
+def missing_effects(search: Search, found: Conclusion, errors: Errors, verdict: str, wide: Array) -> list[Missing]:
     """The effects that a search came to, the strongest first.
 
     Args:
         search: that has run.
         found: what it came to.
-        held: held-out windows.
-        errors: on them.
+        errors: on held-out windows.
         verdict: see `judge.verdict`.
         wide: half widths of the intervals of the mapped numbers, (p,).
     """
@@ -78,7 +82,7 @@ def missing_effects(
                 judge.share(search, final, term.key),
                 _parameters(final, term, units, known),
                 tuple({"effect": r.term.effect.name, "at": r.term.at} for r in rivals if r.same),
-                tuple(_rival(rival, held, errors) for rival in rivals),
+                tuple(_rival(rival, search.held, errors) for rival in rivals),
                 term.effect.needs_loader,
             )
         )

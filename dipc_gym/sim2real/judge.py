@@ -27,7 +27,6 @@ SURE = 0.95  # quantile to which an interval reaches on either side: 90 % lie wi
 FEWEST_BLOCKS = 3  # that tell how much a number depends on which of them there are
 SMALL = 3e-3  # of the motion within a window: a smaller mismatch is called missing physics only if it has a pattern
 PATTERN = 0.1  # share of the variance of the unexplained force that goes with something, from which it has one
-REFUTED = 1.05  # times the refitted model's error on held-out data, from which effects are not named after all
 STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
 
 
@@ -280,11 +279,6 @@ def negligible(recalibrated: float, motion: float, located: Located) -> bool:
         located: where the mismatch sits, the joint that carries most of it.
     """
     return recalibrated < SMALL * motion and not located.has_pattern
-
-
-def refuted(recalibrated: float, improved: float) -> bool:
-    """Whether held-out data speak against effects: they predict it clearly worse than refitted numbers alone do."""
-    return improved > AT_FLOOR and improved > REFUTED * recalibrated
 
 
 def verdict(errors: Sequence[float], small: bool, terms: int, changed: int) -> str:

@@ -33,12 +33,14 @@ Array = NDArray[np.float64]
 MOST_EFFECTS = 6  # that are added
 FINALISTS = 6  # hypotheses sketched in a round
 FULLY = 3  # of them that are fitted to all windows, beside the plainer ones that they elaborate
+ENOUGH = 2  # pairs that predict alike and are fitted to all windows
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
 FEW = 18  # windows that a sketch has at least
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
 AT_NOISE = 1.05  # times the noise: nothing is left that would tell an elaboration from what it elaborates
+REFUTED = 1.05  # times the error on held-out data without an effect, from which it is not named after all
 AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
 LAWS = 0.02  # of what effects brought, that their laws may leave
 
@@ -52,6 +54,7 @@ class Search:
     Attributes:
         problem: windows to fit.
         unseen: windows to compare on, between those.
+        held: held-out windows, for judging what the search comes to.
         effects: the catalogue.
         joints: base joints.
         look: gives the evidence for a structure.
@@ -68,6 +71,7 @@ class Search:
 
     problem: Problem
     unseen: Problem
+    held: Problem
     effects: Sequence[Effect]
     joints: tuple[str, ...]
     look: Callable[[Fit], Scene]
@@ -170,7 +174,7 @@ class Search:
         ranked = sorted((max(tries, key=_promise) for tries in starts.values()), key=_promise, reverse=True)
         most = _promise(ranked[0]) if ranked else 0.0
         first = _finalists(
-            [start for start in ranked if _promise(start) > max(WORTH / 2, 0.1 * most)],
+            [start for start in ranked if _promise(start) > max(WORTH / 2, self._least(start[0].term) * most)],
             FINALISTS if current.error > AT_NOISE else FINALISTS // 2,
         )
         sketched: list[tuple[Tried, Fit]] = []
@@ -200,6 +204,10 @@ class Search:
         if chosen is not None:
             return self.polish(chosen)
         return self.together([*both, *self._both(pairs[len(early) :])], current)
+
+    def _least(self, term: Term) -> float:
+        """Share of the largest promise from which a hypothesis is sketched; what takes fine steps must promise more."""
+        return 0.1 if term.effect.finest >= self.problem.stepping.timestep else KEEPS_UP
 
     def _starts(self, current: Fit) -> dict[str, list[tuple[Tried, Fit]]]:
         """Every hypothesis, by key: what it promises over `current` on top of each base, and that base."""
@@ -396,7 +404,7 @@ class Search:
         first, blocks = sketched[int(np.argmin(losses))][1], self.problem.blocks[self.few]
         gained = compare(first.mse, current.mse[self.few], blocks).gain
         alike = [pair for pair in sketched if _alike(compare(first.mse, pair[1].mse, blocks), gained)]
-        for base, sketch in sorted(alike, key=lambda pair: _cost(pair[1]))[:FULLY]:
+        for base, sketch in sorted(alike, key=lambda pair: _cost(pair[1]))[:ENOUGH]:
             fitted = self.full(base, sketch)
             if fitted is None or not (self.earns(fitted, current) and self.compare(fitted, current).clear):
                 continue
@@ -443,6 +451,17 @@ class Search:
         """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
+
+
+def refuted(without: float, error: float) -> bool:
+    """Whether held-out data speak against an effect: they are predicted clearly worse than without it."""
+    return error > AT_FLOOR and error > REFUTED * without
+
+
+def held_out_error(held: Problem, fitted: Fit) -> float:
+    """Root mean square error on held-out windows, in units of noise."""
+    mse, _ = evaluate(held, fitted.structure, fitted.z)
+    return float(np.sqrt(np.mean(mse)))
 
 
 def _alike(difference: Comparison, gained: float) -> bool:

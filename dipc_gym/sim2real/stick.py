@@ -168,7 +168,7 @@ class DryFriction:
 
 def _inverse(matrices: Array) -> Array:
     """Inverses of matrices (n, k, k); LAPACK takes ten times as long for single numbers."""
-    return 1.0 / matrices if matrices.shape[-1] == 1 else np.linalg.inv(matrices)
+    return np.asarray(1.0 / matrices if matrices.shape[-1] == 1 else np.linalg.inv(matrices))
 
 
 def _dense_map(model: mujoco.MjModel) -> NDArray[np.intp]:
