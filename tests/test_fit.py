@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import judge
+from dipc_gym.sim2real import findings, judge
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.fit import Fit, correct_starts, evaluate, fit, weights
@@ -63,6 +63,29 @@ def dry_run(damping: float, friction: float, volts: float, seconds: float, seed:
     return Recording("dry", table[:, 0], table[:, 1:2], table[:, 2:], ["motor"], ["cart"])
 
 
+@functools.cache
+def gap_run(gap: float, rotor: float, seconds: float = 5.0) -> Recording:
+    """Play between a rotor and a cart that weigh together what the model says, by the equations themselves."""
+    k, r, drag, h = 78.74 * 0.06, 1.2, 21.4, 2e-5
+    load, stiffness, damping = 1.26 - rotor, 1e5, 60.0
+    command, rng = sweep(4.0), np.random.default_rng(3)
+    x = v = y = w = 0.0  # cart, rotor
+    rows = []
+    for i in range(round(seconds / 0.002)):
+        u = command(i * 0.002)
+        rows.append((i * 0.002, u, x + rng.normal() * NOISY))
+        for _ in range(round(0.002 / h)):
+            apart = y - x
+            deep = apart - gap / 2 if apart > gap / 2 else apart + gap / 2 if apart < -gap / 2 else 0.0
+            push = stiffness * deep + damping * (w - v) if deep else 0.0
+            push = push if push * deep > 0 else 0.0  # what has let go does not pull
+            v += h * (push - drag * v) / load
+            w += h * (k / r * (u - k * w) - push) / rotor
+            x, y = x + h * v, y + h * w
+    table = np.array(rows)
+    return Recording("play", table[:, 0], table[:, 1:2], table[:, 2:], ["motor"], ["cart"])
+
+
 def ready(recording: Recording, text: str = CART, **more: object) -> Prepared:
     return prepared(text, [recording], stepping=Stepping(0.002, RK4), **more)  # type: ignore[arg-type]
 
@@ -103,6 +126,17 @@ def test_a_known_friction_comes_back(friction: float) -> None:
     assert values["friction.coulomb@cart.level"] == pytest.approx(friction, rel=5e-3)
     assert values["cart.damping"] == pytest.approx(21.4, rel=5e-3)
     assert fitted.error < 1.1
+
+
+@pytest.mark.parametrize("rotor", [0.12, 0.3])
+def test_a_known_gap_and_rotor_come_back(rotor: float) -> None:
+    """From guesses that are far off, though no straight line foretells how a window has to start behind a gap."""
+    P = ready(gap_run(3.5e-3, 0.22))
+    guess = {"gap": 3e-3, "rotor_inertia": rotor, "contact_rate": 1e3, "contact_damping": 0.3}
+    fitted = fit(P.problem, P.structure.with_term(Term(catalogue()["transmission.backlash"], "motor", guess)), most=20)
+    values = {key.rpartition(".")[2]: value for key, value in fitted.structure.values(fitted.z).items()}
+    assert values["gap"] == pytest.approx(3.5e-3, rel=0.02)
+    assert values["rotor_inertia"] == pytest.approx(0.22, rel=0.05)
 
 
 def test_intervals_cover_as_often_as_they_say() -> None:
@@ -274,6 +308,25 @@ def test_a_fit_carries_over_to_a_larger_structure() -> None:
     assert [t.effect.id for t in wider.terms] == ["friction.stribeck"]
 
 
+def test_what_elaborates_what() -> None:
+    """Effects in the place of plainer ones that they contain, one for one."""
+    base = ready(run(seconds=3.0)).structure
+
+    def of(*effects: str) -> Structure:
+        terms = tuple(
+            Term(effect, "cart", dict.fromkeys((p.name for p in effect.parameters), 1.0))
+            for effect in (catalogue()[name] for name in effects)
+        )
+        return replace(base, terms=terms)
+
+    assert of("friction.stribeck").elaborates(of("friction.coulomb"))
+    assert of("friction.stribeck", "load.spring").elaborates(of("load.spring", "friction.coulomb"))
+    assert of("friction.coulomb").elaborates(of("friction.coulomb"))
+    assert not of("friction.coulomb").elaborates(of("friction.stribeck"))
+    assert not of("friction.stribeck", "load.spring").elaborates(of("friction.coulomb"))
+    assert not of("friction.viscous").elaborates(of("friction.coulomb"))
+
+
 def test_bounds_hold() -> None:
     P = ready(run(seconds=3.0))
     structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.0}))
@@ -367,6 +420,16 @@ def test_one_hypothesis_makes_no_pair() -> None:
     assert len(tried) == 1
     assert pairs(S.problem, alone, tried, few) == []
     assert pairs(S.problem, alone, [], few) == []
+
+
+def test_what_the_length_of_a_step_does_to_a_number() -> None:
+    """Told from one simulation with halved steps, as twice what a refit with these moves it by."""
+    P = prepared(CART, [run()], stepping=Stepping(0.002, mujoco.mjtIntegrator.mjINT_EULER))
+    coarse = fit(P.problem, free(P, "cart.damping", "cart.mass"))
+    halved = fit(replace(P.problem, finer=2), coarse.structure, coarse.z, coarse.starts)
+    assert findings.step_shift(coarse, P.problem) == pytest.approx(2 * np.abs(halved.z - coarse.z), rel=0.1)
+    exact = ready(run())
+    assert findings.step_shift(fit(exact.problem, coarse.structure), exact.problem).max() < 1e-6
 
 
 def test_one_second_of_data_gives_no_interval() -> None:
