@@ -432,7 +432,7 @@ def _conclude(
     monkeypatch.setattr(judge, "rivals", rivals)
     monkeypatch.setattr(judge, "fewest_numbers", lambda _, fit: fit)
     monkeypatch.setattr(judge, "unseen_error", lambda _, fit: errors[fit.name])
-    monkeypatch.setattr(conclusion, "held_out_error", lambda _, fit: errors[fit.name])
+    monkeypatch.setattr(judge, "held_out_error", lambda _, fit: errors[fit.name])
     return conclusion.conclude(search), asked  # type: ignore[arg-type]
 
 

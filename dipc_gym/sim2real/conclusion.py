@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from dipc_gym.sim2real import judge, sentences
 from dipc_gym.sim2real.fit import Fit
-from dipc_gym.sim2real.search import Search, held_out_error, refuted
+from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import names
 
 SWAPS = 3  # effects that may give way to rivals after the search
@@ -57,13 +57,13 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
     """
     path, notes = search.path, list[str]()
     upheld, fewest = path[-1], judge.fewest_numbers(search, path[-1])
-    error = held_out_error(search.held, fewest)
+    error = judge.held_out_error(search.held, fewest)
     for before in reversed(path[:-1]):
         if error <= judge.AT_FLOOR:
             break
         simpler = judge.fewest_numbers(search, before)
-        without = held_out_error(search.held, simpler)
-        if not refuted(without, error):
+        without = judge.held_out_error(search.held, simpler)
+        if not judge.refuted(without, error):
             break
         kept = names(simpler.structure.terms)
         added = [term for term in fewest.structure.terms if term.key not in kept]

@@ -22,7 +22,7 @@ from dipc_gym.sim2real.numbers import Number, own_numbers
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.result import Diagnosis, Errors, Work
-from dipc_gym.sim2real.search import Search, held_out_error
+from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.windows import Prepared, prepare
 
@@ -168,7 +168,7 @@ def diagnose(
     final = found.fitted
     notes += found.notes
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
-    errors = Errors(*(held_out_error(held, f) for f in (nominal, recalibrated, final)))
+    errors = Errors(*(judge.held_out_error(held, f) for f in (nominal, recalibrated, final)))
     forces = np.stack(
         [
             evidence.force_errors(f.structure.physics(f.z), judged, kept.motions, judged_span)

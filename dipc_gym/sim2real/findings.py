@@ -15,7 +15,7 @@ from dipc_gym.sim2real.conclusion import Conclusion
 from dipc_gym.sim2real.fit import Fit
 from dipc_gym.sim2real.problem import Problem, predict, residual
 from dipc_gym.sim2real.result import Errors, Missing
-from dipc_gym.sim2real.search import Search, held_out_error
+from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.shooting import typical
 from dipc_gym.sim2real.structure import Term
 
@@ -108,7 +108,7 @@ def _rival(rival: judge.Rival, held: Problem, errors: Errors) -> dict[str, Any]:
     return {
         "effect": rival.term.effect.name,
         "at": rival.term.at,
-        "held_out": round(held_out_error(held, rival.fitted) / max(errors.nominal, 1e-12), 6),
+        "held_out": round(judge.held_out_error(held, rival.fitted) / max(errors.nominal, 1e-12), 6),
         "ruled_out": rival.ruled_out,
     }
 

@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 from dipc_gym import mjcf
 from dipc_gym.sim2real.comparison import WORTH
 from dipc_gym.sim2real.evidence import Scene
-from dipc_gym.sim2real.fit import Fit, fit, weights
+from dipc_gym.sim2real.fit import Fit, evaluate, fit, weights
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.screening import Tried, excludes
 from dipc_gym.sim2real.search import AT_FLOOR, Search
@@ -27,6 +27,7 @@ SURE = 0.95  # quantile to which an interval reaches on either side: 90 % lie wi
 FEWEST_BLOCKS = 3  # that tell how much a number depends on which of them there are
 SMALL = 3e-3  # of the motion within a window: a smaller mismatch is called missing physics only if it has a pattern
 PATTERN = 0.1  # share of the variance of the unexplained force that goes with something, from which it has one
+REFUTED = 1.05  # times the error on held-out data without an effect, from which it is not named after all
 STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
 
 
@@ -279,6 +280,17 @@ def negligible(recalibrated: float, motion: float, located: Located) -> bool:
         located: where the mismatch sits, the joint that carries most of it.
     """
     return recalibrated < SMALL * motion and not located.has_pattern
+
+
+def refuted(without: float, error: float) -> bool:
+    """Whether held-out data speak against an effect: they are predicted clearly worse than without it."""
+    return error > AT_FLOOR and error > REFUTED * without
+
+
+def held_out_error(held: Problem, fitted: Fit) -> float:
+    """Root mean square error on held-out windows, in units of noise."""
+    mse, _ = evaluate(held, fitted.structure, fitted.z)
+    return float(np.sqrt(np.mean(mse)))
 
 
 def verdict(errors: Sequence[float], small: bool, terms: int, changed: int) -> str:

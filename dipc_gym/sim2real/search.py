@@ -18,14 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real import screening
-from dipc_gym.sim2real.comparison import LARGE, WORTH, Comparison, compare, loss
+from dipc_gym.sim2real import ranking, screening
+from dipc_gym.sim2real.comparison import LARGE, WORTH, Comparison, compare
 from dipc_gym.sim2real.effects.base import Effect, dof
 from dipc_gym.sim2real.evidence import Scene, places
 from dipc_gym.sim2real.fit import Fit, evaluate, fit
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.screening import Tried, excludes
-from dipc_gym.sim2real.shooting import typical
 from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
@@ -35,12 +34,9 @@ FINALISTS = 6  # hypotheses sketched in a round
 FULLY = 3  # of them that are fitted to all windows, beside the plainer ones that they elaborate
 ENOUGH = 2  # pairs that predict alike and are fitted to all windows
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
-FEW = 18  # windows that a sketch has at least
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
-AT_NOISE = 1.05  # times the noise: nothing is left that would tell an elaboration from what it elaborates
-REFUTED = 1.05  # times the error on held-out data without an effect, from which it is not named after all
 AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
 LAWS = 0.02  # of what effects brought, that their laws may leave
 
@@ -171,18 +167,20 @@ class Search:
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
         starts = self._starts(current)
-        ranked = sorted((max(tries, key=_promise) for tries in starts.values()), key=_promise, reverse=True)
-        most = _promise(ranked[0]) if ranked else 0.0
-        first = _finalists(
-            [start for start in ranked if _promise(start) > max(WORTH / 2, self._least(start[0].term) * most)],
-            FINALISTS if current.error > AT_NOISE else FINALISTS // 2,
+        ranked = sorted(
+            (max(tries, key=ranking.promise) for tries in starts.values()), key=ranking.promise, reverse=True
+        )
+        most = ranking.promise(ranked[0]) if ranked else 0.0
+        first = ranking.finalists(
+            [start for start in ranked if ranking.promise(start) > max(WORTH / 2, self._least(start[0].term) * most)],
+            FINALISTS if current.error > ranking.AT_NOISE else FINALISTS // 2,
         )
         sketched: list[tuple[Tried, Fit]] = []
         for finalist, base in sorted(first, key=lambda start: len(start[0].term.effect.parameters)):
             structure = base.structure.with_term(finalist.term)
-            if not _idle(structure, [tried.sketch for tried, _ in sketched if tried.sketch]):
-                sketched += self._sketched(sorted(starts[finalist.key], key=_promise, reverse=True), current)
-        self.rounds.append(_updated([tried for tried, _ in ranked], [tried for tried, _ in sketched]))
+            if not ranking.idle(structure, [tried.sketch for tried, _ in sketched if tried.sketch]):
+                sketched += self._sketched(sorted(starts[finalist.key], key=ranking.promise, reverse=True), current)
+        self.rounds.append(ranking.updated([tried for tried, _ in ranked], [tried for tried, _ in sketched]))
         at_noise = any(tried.sketch is not None and tried.sketch.error < AT_FLOOR for tried, _ in sketched)
         pairs = [] if at_noise or current.error < AT_FLOOR else self.pairs()
         # Where two promise far more than any one does, and come down to the noise, one by one would lead astray.
@@ -199,7 +197,7 @@ class Search:
                 done.append(replace(tried, fitted=fitted))
                 self.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
         done = self._scored(done)
-        self.rounds[-1] = _updated(self.rounds[-1], done)
+        self.rounds[-1] = ranking.updated(self.rounds[-1], done)
         chosen = self.choose(current, done)
         if chosen is not None:
             return self.polish(chosen)
@@ -229,10 +227,10 @@ class Search:
             sketch = self.sketch(base, base.structure.with_term(tried.term))
             if sketch is None:
                 continue
-            sketches.append((replace(tried, term=_as_fitted(sketch), sketch=sketch), base))
+            sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch), base))
             if before - float(np.mean(np.log1p(sketch.mse))) > max(tried.promise, WORTH / 2):
                 break
-        losses = _losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
+        losses = ranking.losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
         return [sketches[int(np.argmin(losses))]] if sketches else []
 
     def _keeping_up(self, sketched: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
@@ -240,7 +238,7 @@ class Search:
 
         Where the best is at the noise, what is far from it needs no more fitting, and nothing plainer goes first.
         """
-        losses = _losses([current.mse[self.few], *(t.sketch.mse for t, _ in sketched if t.sketch is not None)])
+        losses = ranking.losses([current.mse[self.few], *(t.sketch.mse for t, _ in sketched if t.sketch is not None)])
         gains = {t.key: losses[0] - after for (t, _), after in zip(sketched, losses[1:], strict=True)}
         most = max(gains.values(), default=0.0)
         least = max(KEEPS_UP * most, WORTH / 2)
@@ -252,7 +250,7 @@ class Search:
 
     def _scored(self, done: Sequence[Tried]) -> list[Tried]:
         """Fitted hypotheses with their scores, the best first."""
-        losses = _losses([self.mse(tried.fitted) for tried in done if tried.fitted is not None])
+        losses = ranking.losses([self.mse(tried.fitted) for tried in done if tried.fitted is not None])
         scored = [replace(tried, score=after) for tried, after in zip(done, losses, strict=True)]
         return sorted(scored, key=lambda tried: tried.score)
 
@@ -285,7 +283,7 @@ class Search:
         best = done[0].fitted
         assert best is not None
         alike = [t for t in done if t.fitted is not None and self.alike(best, t.fitted, current)]
-        return min(alike, key=lambda t: (*_cost(t.fitted), t.score))
+        return min(alike, key=lambda t: (*ranking.cost(t.fitted), t.score))
 
     def core(self, chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
         """The plainer effect that a chosen one elaborates, where it alone brings most of the improvement.
@@ -340,11 +338,11 @@ class Search:
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""
-        return _alike(self.compare(best, other), self.compare(best, current).gain)
+        return ranking.alike(self.compare(best, other), self.compare(best, current).gain)
 
     def run(self, start: Fit, most: int = MOST_EFFECTS) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
-        self.few, self.path = _few(start.mse), [start]
+        self.few, self.path = ranking.few(start.mse), [start]
         return self._add(start, most)
 
     def replace_last(self, better: Fit) -> Fit:
@@ -385,7 +383,7 @@ class Search:
         """What each pair was laid over, and its sketch, of those that can be simulated and may be needed."""
         found: list[tuple[Fit, Fit]] = []
         for _, base, structure in sorted(pairs, key=lambda pair: len(pair[2].slots)):
-            if _idle(structure, [sketch for _, sketch in found]):
+            if ranking.idle(structure, [sketch for _, sketch in found]):
                 continue
             if (sketch := self.sketch(base, structure)) is not None:
                 found.append((base, sketch))
@@ -400,18 +398,18 @@ class Search:
         """
         if not sketched:
             return None
-        losses = _losses([sketch.mse for _, sketch in sketched])
+        losses = ranking.losses([sketch.mse for _, sketch in sketched])
         first, blocks = sketched[int(np.argmin(losses))][1], self.problem.blocks[self.few]
         gained = compare(first.mse, current.mse[self.few], blocks).gain
-        alike = [pair for pair in sketched if _alike(compare(first.mse, pair[1].mse, blocks), gained)]
-        for base, sketch in sorted(alike, key=lambda pair: _cost(pair[1]))[:ENOUGH]:
+        alike = [pair for pair in sketched if ranking.alike(compare(first.mse, pair[1].mse, blocks), gained)]
+        for base, sketch in sorted(alike, key=lambda pair: ranking.cost(pair[1]))[:ENOUGH]:
             fitted = self.full(base, sketch)
             if fitted is None or not (self.earns(fitted, current) and self.compare(fitted, current).clear):
                 continue
             if self.confirmed(fitted, current):
                 pair = [Tried(term, 0.0, sketch, fitted) for term in fitted.structure.terms[-2:]]
                 self.tell(f"{' and '.join(t.key for t in pair)}: error {fitted.error:.3g} x noise")
-                self.rounds.append(_updated(self.rounds[-1], pair))
+                self.rounds.append(ranking.updated(self.rounds[-1], pair))
                 return self.polish(fitted)
         return None
 
@@ -451,73 +449,3 @@ class Search:
         """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
-
-
-def refuted(without: float, error: float) -> bool:
-    """Whether held-out data speak against an effect: they are predicted clearly worse than without it."""
-    return error > AT_FLOOR and error > REFUTED * without
-
-
-def held_out_error(held: Problem, fitted: Fit) -> float:
-    """Root mean square error on held-out windows, in units of noise."""
-    mse, _ = evaluate(held, fitted.structure, fitted.z)
-    return float(np.sqrt(np.mean(mse)))
-
-
-def _alike(difference: Comparison, gained: float) -> bool:
-    return difference.alike and difference.gain < 0.02 * gained + WORTH
-
-
-def _updated(tried: Sequence[Tried], news: Sequence[Tried]) -> list[Tried]:
-    """What became of hypotheses: the newest of each, the news first."""
-    known = {one.key for one in news}
-    return [*news, *(one for one in tried if one.key not in known)]
-
-
-def _promise(pair: tuple[Tried, Fit]) -> float:
-    return pair[0].promise
-
-
-def _losses(errors: Sequence[Array]) -> list[float]:
-    """Mean loss of each of several fits' mean square errors (n,), on the scale of the best of them."""
-    usual = min(map(typical, errors), default=1.0)
-    return [float(np.mean(loss(mse, usual))) for mse in errors]
-
-
-def _finalists(ranked: Sequence[tuple[Tried, Fit]], count: int) -> list[tuple[Tried, Fit]]:
-    """The most promising hypotheses, and the plainer ones that these elaborate."""
-    first = ranked[:count]
-    plain = {f"{inner}@{tried.term.at}" for tried, _ in first for inner in tried.term.effect.contains}
-    return [*first, *(pair for pair in ranked[count:] if pair[0].key in plain)]
-
-
-def _idle(structure: Structure, sketches: Sequence[Fit]) -> bool:
-    """Whether a structure elaborates one of several that leave nothing to it."""
-    return any(sketch.error < AT_NOISE and structure.elaborates(sketch.structure) for sketch in sketches)
-
-
-def _few(mse: Array) -> NDArray[np.intp]:
-    """A third of the windows, those with the largest errors (n,) among them."""
-    count = len(mse)
-    if count <= FEW:
-        return np.arange(count)
-    return np.unique(
-        np.append(np.linspace(0, count - 1, max(count // 3, FEW)).round(), np.argsort(-mse)[: FEW // 4])
-    ).astype(np.intp)
-
-
-def _cost(fitted: Fit | None) -> tuple[int, int, int, int]:
-    """What the simpler of two structures has less of: numbers, effects, and effects that stock MuJoCo lacks.
-
-    Of names for one and the same model, what acts at a joint goes before what a motor or a sensor would have to do.
-    """
-    assert fitted is not None
-    effects = [term.effect for term in fitted.structure.terms]
-    loaders, elsewhere = sum(e.needs_loader for e in effects), sum(e.place != "joint" for e in effects)
-    return len(fitted.z), len(effects), loaders, elsewhere
-
-
-def _as_fitted(fitted: Fit) -> Term:
-    """The last effect of a structure with its fitted numbers for guesses."""
-    term = fitted.structure.terms[-1]
-    return replace(term, guess=fitted.structure.term_values(fitted.z, term))

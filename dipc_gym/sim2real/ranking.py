@@ -1,0 +1,81 @@
+"""Which hypotheses a search goes on with: by promise, by what they leave, and by what they cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.comparison import WORTH, Comparison, loss
+from dipc_gym.sim2real.fit import Fit
+from dipc_gym.sim2real.screening import Tried
+from dipc_gym.sim2real.shooting import typical
+from dipc_gym.sim2real.structure import Structure, Term
+
+Array = NDArray[np.float64]
+
+FEW = 18  # windows that a sketch has at least
+AT_NOISE = 1.05  # times the noise: nothing is left that would tell an elaboration from what it elaborates
+
+
+def alike(difference: Comparison, gained: float) -> bool:
+    """Whether a fit predicts as well as the best: by the standard error, or within a fiftieth of its gain."""
+    return difference.alike and difference.gain < 0.02 * gained + WORTH
+
+
+def updated(tried: Sequence[Tried], news: Sequence[Tried]) -> list[Tried]:
+    """What became of hypotheses: the newest of each, the news first."""
+    known = {one.key for one in news}
+    return [*news, *(one for one in tried if one.key not in known)]
+
+
+def promise(pair: tuple[Tried, Fit]) -> float:
+    """What screening foretold of a hypothesis."""
+    return pair[0].promise
+
+
+def losses(errors: Sequence[Array]) -> list[float]:
+    """Mean loss of each of several fits' mean square errors (n,), on the scale of the best of them."""
+    usual = min(map(typical, errors), default=1.0)
+    return [float(np.mean(loss(mse, usual))) for mse in errors]
+
+
+def finalists(ranked: Sequence[tuple[Tried, Fit]], count: int) -> list[tuple[Tried, Fit]]:
+    """The most promising hypotheses, and the plainer ones that these elaborate."""
+    first = ranked[:count]
+    plain = {f"{inner}@{tried.term.at}" for tried, _ in first for inner in tried.term.effect.contains}
+    return [*first, *(pair for pair in ranked[count:] if pair[0].key in plain)]
+
+
+def idle(structure: Structure, sketches: Sequence[Fit]) -> bool:
+    """Whether a structure elaborates one of several that leave nothing to it."""
+    return any(sketch.error < AT_NOISE and structure.elaborates(sketch.structure) for sketch in sketches)
+
+
+def few(mse: Array) -> NDArray[np.intp]:
+    """A third of the windows, those with the largest errors (n,) among them."""
+    count = len(mse)
+    if count <= FEW:
+        return np.arange(count)
+    return np.unique(
+        np.append(np.linspace(0, count - 1, max(count // 3, FEW)).round(), np.argsort(-mse)[: FEW // 4])
+    ).astype(np.intp)
+
+
+def cost(fitted: Fit | None) -> tuple[int, int, int, int]:
+    """What the simpler of two structures has less of: numbers, effects, and effects that stock MuJoCo lacks.
+
+    Of names for one and the same model, what acts at a joint goes before what a motor or a sensor would have to do.
+    """
+    assert fitted is not None
+    effects = [term.effect for term in fitted.structure.terms]
+    loaders, elsewhere = sum(e.needs_loader for e in effects), sum(e.place != "joint" for e in effects)
+    return len(fitted.z), len(effects), loaders, elsewhere
+
+
+def as_fitted(fitted: Fit) -> Term:
+    """The last effect of a structure with its fitted numbers for guesses."""
+    term = fitted.structure.terms[-1]
+    return replace(term, guess=fitted.structure.term_values(fitted.z, term))
