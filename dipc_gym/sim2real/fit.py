@@ -139,10 +139,9 @@ def fit(
         g = w @ quadratics.b / len(w) - prior * (z - centre)
         now, accepted = objective(r, z, scale), False
         for _ in range(TRIES):
-            step = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
             # No number may do more than double, or change by a factor of e.
             reach = np.maximum(1.0, np.abs(z) * ~logs)
-            trial = structure.clip(z + np.clip(step, -reach, reach))
+            trial = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, reach)
             ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
             tries = np.stack([s + ahead, s + ahead / 3, s, problem.starts])
             moved, after = shooting.best_starts(tries, shooting.residuals([trial] * len(tries), tries))
@@ -165,6 +164,22 @@ def fit(
         if lagged or steps % 2 == 0 or converged:
             S = shooting.sensitivity(z, s, rest)
     return Fit(structure, z, s, rest, r, mse, S, quadratics, J, steps, converged)
+
+
+def _stepped(structure: Structure, z: Array, curvature: Array, slope: Array, reach: Array) -> Array:
+    """Mapped numbers after a Newton step of `reach` at most, (p,).
+
+    Numbers that stand at a bound and would go beyond it stay; the others must not make up for where those cannot go.
+    """
+    free = np.ones(len(z), dtype=bool)
+    while True:
+        step = np.zeros(len(z))
+        step[free] = np.linalg.solve(curvature[np.ix_(free, free)], slope[free])
+        trial = structure.clip(z + np.clip(step, -reach, reach))
+        held = free & (step != 0) & (np.abs(trial - z) < 1e-9 * np.abs(step))
+        if not held.any():
+            return trial
+        free &= ~held
 
 
 def correct_starts(problem: Problem, fitted: Fit, rounds: int = 3) -> tuple[Array, Array]:

@@ -107,7 +107,7 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     The delete-one jackknife over blocks: correlation within a block is allowed for, a wrong model is not. Where few
     blocks carry most of what is known of a number, it is wider than the sandwich estimator, which is then too narrow
     (MacKinnon and White 1985). On the windows' quadratics it costs no simulation. Infinite where there are too few
-    blocks.
+    blocks, or where no reading depends on a number.
     """
     q, counts = fitted.quadratics, problem.counts
     if not len(fitted.z):
@@ -123,7 +123,9 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     np.add.at(slope, block, w[:, None] * q.b)
     rest = np.linalg.pinv(curvature.sum(axis=0) + prior - curvature, hermitian=True)
     moved = np.einsum("bij,bj->bi", rest, slope)
-    return np.asarray(stdtrit(count - 1, SURE) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0)))
+    half = stdtrit(count - 1, SURE) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0))
+    told = np.einsum("nii->i", q.A) > 1.0  # else doubling a number would change less than the noise of one reading
+    return np.where(told, half, np.inf)
 
 
 def share(search: Search, full: Fit, key: str) -> float:

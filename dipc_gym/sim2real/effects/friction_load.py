@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import mujoco
 import numpy as np
 
 from dipc_gym.sim2real.document import Document
@@ -39,9 +40,10 @@ class UnderLoad(Effect):
         loaded = -evidence.direction * np.abs(evidence.load)
         seen, more, _ = evidence.along(loaded, -evidence.direction, -evidence.velocity)
         seen, more = float(np.clip(seen, 0.02, 0.5)), max((evidence.level or 0.0) + float(more), 0.1 * level)
+        weighs = _weighs(evidence.model, evidence.at)
         return [
-            {"level": (1 - share) * level, "by_drive": part, "by_weight": part},
-            {"level": more, "by_drive": seen, "by_weight": seen},
+            {"level": (1 - share) * level, "by_drive": part, "by_weight": weighs * part},
+            {"level": more, "by_drive": seen, "by_weight": weighs * seen},
         ]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
@@ -51,8 +53,21 @@ class UnderLoad(Effect):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        level = f"{values['level']:.3g} {unit['level']}, " if values["level"] > 0 else ""
-        return (
-            f"Friction at {at} that grows with load: {level}"
-            f"{100 * values['by_drive']:.3g} % of the drive and {100 * values['by_weight']:.3g} % of the weight."
-        )
+        parts = [f"{values['level']:.3g} {unit['level']}"] if values["level"] > 0 else []
+        parts += [
+            f"{100 * values[name]:.3g} % of the {what}"
+            for name, what in (("by_drive", "drive"), ("by_weight", "weight"))
+            if values[name] > 0
+        ]
+        return f"Friction at {at} that grows with load: {' and '.join(parts) or 'nothing'}."
+
+
+def _weighs(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether anything but a drive loads a joint: gravity, or what hangs on it."""
+    data, dof = mujoco.MjData(model), int(model.joint(joint).dofadr[0])
+    loads = []
+    for position in (0.0, 0.7, 2.0):
+        data.qpos[:], data.qvel[:] = position, 1.0
+        mujoco.mj_forward(model, data)
+        loads.append(abs(float(data.qfrc_bias[dof])))
+    return max(loads) > 1e-9
