@@ -16,7 +16,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.sim2real import findings, judge
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.fit import Fit, correct_starts, evaluate, fit, weights
+from dipc_gym.sim2real.fit import Fit, _stepped, correct_starts, evaluate, fit, weights
 from dipc_gym.sim2real.numbers import own_numbers
 from dipc_gym.sim2real.problem import predict, residual
 from dipc_gym.sim2real.recording import Recording
@@ -430,6 +430,38 @@ def test_what_the_length_of_a_step_does_to_a_number() -> None:
     assert findings.step_shift(coarse, P.problem) == pytest.approx(2 * np.abs(halved.z - coarse.z), rel=0.1)
     exact = ready(run())
     assert findings.step_shift(fit(exact.problem, coarse.structure), exact.problem).max() < 1e-6
+
+
+def test_what_no_reading_depends_on_has_no_interval() -> None:
+    """Nothing weighs on a cart that goes level."""
+    P = ready(run(friction=2.0, seconds=4.0))
+    term = Term(catalogue()["friction.load"], "cart", {"level": 2.0, "by_drive": 0.02, "by_weight": 0.05})
+    fitted = fit(P.problem, P.structure.with_term(term))
+    assert np.isfinite(judge.intervals(fitted, P.problem)).tolist() == [True, True, False]
+
+
+def test_friction_under_load_knows_the_drive_of_its_own_step() -> None:
+    """A step late, it would pass for a delay: at 2 ms the error was 0.8 % of what the friction does."""
+    P = ready(run(seconds=3.0))
+    base = P.structure
+    loaded = base.with_term(
+        Term(catalogue()["friction.load"], "cart", {"level": 0.5, "by_drive": 0.1, "by_weight": 0.0})
+    )
+    at = P.problem.starts[None]
+    coarse = predict(P.problem, loaded, [loaded.first], at)
+    fine = predict(replace(P.problem, finer=32), loaded, [loaded.first], at)
+    without = predict(P.problem, base, [base.first], at)
+    assert np.abs(coarse - fine).max() < 4e-3 * np.abs(without - fine).max()
+
+
+def test_a_number_at_its_bound_does_not_hold_the_others_back() -> None:
+    """The others go to the least that is left for them, not to where they would make up for it."""
+    P = ready(run(seconds=3.0))
+    structure = free(P, "cart.damping").with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.0}))
+    z = structure.clip(np.array([0.0, -5.0]))
+    curvature, slope = np.array([[2.0, 1.8], [1.8, 2.0]]), np.array([0.2, -4.0])
+    reached = _stepped(structure, z, curvature, slope, np.ones(2))
+    assert reached == pytest.approx([0.1, z[1]])
 
 
 def test_one_second_of_data_gives_no_interval() -> None:
