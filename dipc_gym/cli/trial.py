@@ -25,7 +25,7 @@ class Trial:
 
     out: Path
     """folder for trials, sealed answers, results and the table"""
-    seed: int = 6
+    seed: int = 8
     """determines every trial; 6 is that of the published table"""
     count: int | None = None
     """number of trials; without it 42, or 430 with --full"""
