@@ -31,7 +31,6 @@ class Problem:
         stepping: of the simulation.
         threads: 0 for all cores.
         finer: how many times shorter the steps are than structures need, to see what the step costs.
-        rough: whether a sketch is all that is wanted, for which longer steps will do.
     """
 
     windows: Windows
@@ -40,7 +39,6 @@ class Problem:
     stepping: Stepping
     threads: int = 0
     finer: int = 1
-    rough: bool = False
 
     def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Problem:
         """Some of the windows."""
@@ -100,6 +98,5 @@ def residual(problem: Problem, readings: Array) -> Array:
 def _stepping(problem: Problem, structure: Structure) -> Stepping:
     """As fine as the structure needs; a model that is to be simulated as it is keeps its own step."""
     given = problem.stepping
-    needed = structure.rough if problem.rough else structure.finest
-    finest = math.inf if given.integrator is None else min(needed, structure.own_finest)
+    finest = math.inf if given.integrator is None else min(structure.finest, structure.own_finest)
     return replace(given, timestep=min(given.timestep, finest) / problem.finer)

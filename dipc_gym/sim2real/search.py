@@ -134,16 +134,11 @@ class Search:
                 shared |= {p.name: values[p.name] for p in effect.parameters if p.name in values}
         return shared
 
-    @property
-    def _sketched_on(self) -> Problem:
-        """The few windows, in steps that will do for them."""
-        return replace(self.problem.pick(self.few), rough=True)
-
     def sketch(self, base: Fit, structure: Structure) -> Fit | None:
         """Fit a structure to a few of the windows, from the numbers of `base`; None where it cannot be simulated."""
         z = carry(base.structure, base.z, structure)
         try:
-            return fit(self._sketched_on, structure, z, base.starts[self.few], most=5, tolerance=5e-3)
+            return fit(self.problem.pick(self.few), structure, z, base.starts[self.few], most=5, tolerance=5e-3)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
@@ -155,7 +150,7 @@ class Search:
         """
         try:
             if not sketch.converged:
-                sketch = fit(self._sketched_on, sketch.structure, sketch.z, sketch.starts, most=15)
+                sketch = fit(self.problem.pick(self.few), sketch.structure, sketch.z, sketch.starts, most=15)
             return fit(self.problem, sketch.structure, sketch.z, base.starts, most=8)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None

@@ -206,11 +206,6 @@ class Structure:
         """Longest step at which every effect can be simulated, s."""
         return min((term.effect.finest for term in self.terms), default=math.inf)
 
-    @property
-    def rough(self) -> float:
-        """Longest step that will do for a sketch, s."""
-        return min((max(term.effect.finest, term.effect.rough) for term in self.terms), default=math.inf)
-
     @functools.cached_property
     def own_finest(self) -> float:
         """Longest step that the model's own currents, bristles and rotors bear under explicit integration, s."""

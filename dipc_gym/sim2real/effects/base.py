@@ -131,7 +131,6 @@ class Effect(ABC):
         contains: ids of effects that are this one with a number at its limit; adding this one replaces them.
         law: what it settles at its place: two effects that settle the same exclude each other.
         finest: longest step at which it can be simulated, s.
-        rough: longest step that will do for a sketch, s; `finest` where that is longer.
         warm: s of simulation before a window, so that hidden states settle.
         needs_loader: whether stock MuJoCo leaves it out.
         moves_readings: whether it changes what sensors say of a state, so that estimated starts mean little.
@@ -147,7 +146,6 @@ class Effect(ABC):
     contains: ClassVar[tuple[str, ...]] = ()
     law: ClassVar[str] = ""
     finest: ClassVar[float] = math.inf
-    rough: ClassVar[float] = 0.0
     warm: ClassVar[float] = 0.0
     needs_loader: ClassVar[bool] = False
     moves_readings: ClassVar[bool] = False
