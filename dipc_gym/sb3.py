@@ -13,7 +13,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from dipc_gym.statistics import Statistics
+from dipc_gym.statistics import SIZE, Statistics
 from dipc_gym.vector import DIPCFrictionVectorEnv
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ def save_statistics(envs: VecNormalize, policy: str | Path) -> Path:
         OSError: it cannot be written.
     """
     seen = envs.obs_rms if envs.norm_obs else None
-    if not isinstance(seen, RunningMeanStd) or seen.mean.shape != (6,):
+    if not isinstance(seen, RunningMeanStd) or seen.mean.shape != (SIZE,):
         raise ValueError("these environments normalise no observations of DIPC-Friction-v0: nothing to save")
     return Statistics(seen.mean, seen.var, float(seen.count), envs.epsilon, envs.clip_obs).save(policy)
 

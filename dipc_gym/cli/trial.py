@@ -26,7 +26,7 @@ class Trial:
     out: Path
     """folder for trials, sealed answers, results and the table"""
     seed: int = 8
-    """determines every trial; 6 is that of the published table"""
+    """determines every trial; 8 is that of the published table"""
     count: int | None = None
     """number of trials; without it 42, or 430 with --full"""
     full: bool = False

@@ -44,6 +44,8 @@ def step_shift(final: Fit, problem: Problem) -> Array:
     Twice what it would move by if they were halved, as errors of first order do; bristles and contacts have such. It
     is told from what halved steps change in the predictions.
     """
+    if not len(final.z):
+        return np.zeros(0)
     fine = replace(problem, finer=2)
     change = final.raw - residual(fine, predict(fine, final.structure, [final.z], final.starts[None])[0])
     change = change.reshape(len(change), -1)

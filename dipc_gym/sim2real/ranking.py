@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.comparison import WORTH, Comparison, loss
+from dipc_gym.sim2real.comparison import WORTH, Comparison
 from dipc_gym.sim2real.fit import Fit
 from dipc_gym.sim2real.screening import Tried
-from dipc_gym.sim2real.shooting import typical
+from dipc_gym.sim2real.shooting import mean_loss, typical
 from dipc_gym.sim2real.structure import Structure, Term
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ def promise(pair: tuple[Tried, Fit]) -> float:
 def losses(errors: Sequence[Array]) -> list[float]:
     """Mean loss of each of several fits' mean square errors (n,), on the scale of the best of them."""
     usual = min(map(typical, errors), default=1.0)
-    return [float(np.mean(loss(mse, usual))) for mse in errors]
+    return [mean_loss(mse, usual) for mse in errors]
 
 
 def finalists(ranked: Sequence[tuple[Tried, Fit]], count: int) -> list[tuple[Tried, Fit]]:
