@@ -497,3 +497,23 @@ def test_a_blow_at_the_end_of_play_takes_the_energy_that_its_damping_says(dampin
     kept = -pace[np.flatnonzero(pushing)[-1]]
     assert (data.qvel[load] - data.qvel[rotor]) / speed == pytest.approx(kept, abs=0.02)
     assert 0.3 * data.qvel[rotor] + 1.2 * data.qvel[load] == pytest.approx(0.3 * speed, rel=1e-9)
+
+
+def test_the_end_of_play_gives_way_to_what_presses_on_it() -> None:
+    """Rotor and load under a constant force go as one, the contact between them pressed in as a spring is.
+
+    The load feels F M / (m + M) through a stiffness of rate^2 m M / (m + M), so the rotor is F / (rate^2 m) ahead.
+    """
+    xml = """<mujoco><option timestep="1e-4" gravity="0 0 0"/>
+      <worldbody><body><inertial pos="0 0 0" mass="1.5" diaginertia="1 1 1"/><joint name="load" type="slide"/>
+      </body></worldbody>
+      <actuator><motor name="drive" joint="load"/></actuator><sensor><jointpos joint="load"/></sensor></mujoco>"""
+    document, force, gap, rotor, rate = Document(mjcf.from_text(xml)), 20.0, 1e-4, 0.3, 700.0
+    values = {"gap": gap, "rotor_inertia": rotor, "contact_rate": rate, "contact_damping": 1.0}
+    catalogue()["transmission.backlash"].edit(document, "drive", values)
+    model = mujoco.MjModel.from_xml_string(document.text())
+    data = mujoco.MjData(model)
+    data.ctrl[0] = force
+    mujoco.mj_step(model, data, 2000)
+    ahead = data.qpos[int(model.joint("drive_rotor").qposadr[0])] - data.qpos[int(model.joint("load").qposadr[0])]
+    assert ahead - gap / 2 == pytest.approx(force / (rate**2 * rotor), rel=1e-3)

@@ -18,6 +18,7 @@ from dipc_gym.sim2real.structure import Structure
 Array = NDArray[np.float64]
 
 TRIES = 5  # of a step, each more damped than the one before
+TRUSTED = 0.5  # share of the fall that derivatives foretold, from which they are good for another step
 
 
 @dataclass(frozen=True)
@@ -118,16 +119,16 @@ def fit(
     prior = np.array([1 / slot.sigma**2 for slot in structure.slots]) / problem.counts.mean()
     centre = np.array([slot.centre for slot in structure.slots])
     logs = np.array([slot.log for slot in structure.slots], dtype=bool)
-    damping, steps, converged = 1e-3, 0, False
+    damping, steps, converged, exact = 1e-3, 0, False, True
 
-    def objective(left: Array, z: Array, scale: float) -> float:
-        return mean_loss(shooting.mse(left), scale) + float(prior @ (z - centre) ** 2)
+    def penalised(mse: Array, z: Array, scale: float) -> float:
+        return mean_loss(mse, scale) + float(prior @ (z - centre) ** 2)
 
     # The starts first: against wrong starts, every column would be judged wrongly.
     s, rest, S = shooting.settled(z, problem.starts if starts is None else starts)
+    columns = shooting.columns(z, s, rest)
     while True:
-        rows, J = shooting.rows(s, rest), shooting.columns(z, s, rest)
-        both, moves = project(S, np.concatenate([rows[..., None], J], axis=2))
+        both, moves = project(S, np.concatenate([shooting.rows(s, rest)[..., None], columns], axis=2))
         r, J = both[..., 0], both[..., 1:]
         quadratics = Quadratics(np.swapaxes(J, 1, 2) @ J, np.einsum("nmk,nm->nk", J, r), np.einsum("nm,nm->n", r, r))
         mse = shooting.mse(r)
@@ -137,7 +138,7 @@ def fit(
         w = 1.0 / (scale + mse) / problem.counts
         H = np.einsum("n,nij->ij", w, quadratics.A) / len(w) + np.diag(prior)
         g = w @ quadratics.b / len(w) - prior * (z - centre)
-        now, accepted = objective(r, z, scale), False
+        now, accepted = penalised(mse, z, scale), False
         for _ in range(TRIES):
             # No number may do more than double, or change by a factor of e.
             reach = np.maximum(1.0, np.abs(z) * ~logs)
@@ -150,19 +151,26 @@ def fit(
             lagged = shooting.lags(moved, after, S)
             if lagged:
                 moved, after = shooting.corrected(trial, moved, after, S)
-            then = objective(shooting.left(moved, after, S), trial, scale)
+            then = penalised(shooting.mse(shooting.left(moved, after, S)), trial, scale)
             if then < now:
                 accepted = True
                 break
             damping = max(damping * 8, 1e-3)
-        if not accepted:
-            converged = True
-            break
-        converged = now - then < tolerance * max(now, 1e-9) or bool(np.abs(trial - z).max() < 1e-4)
-        z, s, rest = trial, moved, after
-        damping, steps = max(damping / 8, 1e-7), steps + 1
-        if lagged or steps % 2 == 0 or converged:
-            S = shooting.sensitivity(z, s, rest)
+        small = astray = True
+        if accepted:
+            small = now - then < tolerance * max(now, 1e-9) or bool(np.abs(trial - z).max() < 1e-4)
+            foretold = now - penalised(quadratics.after(trial - z) / problem.counts, trial, scale)
+            astray = lagged or now - then < TRUSTED * foretold
+            columns, S = shooting.secant(columns, S, trial - z, moved - s, rest - after)
+            z, s, rest = trial, moved, after
+            damping, steps = max(damping / 8, 1e-7), steps + 1
+        else:
+            damping = 1e-3
+        converged = small and exact
+        # Derivatives are carried along from step to step, and worked out anew where they did not foretell one.
+        exact = not converged and (small or astray)
+        if exact:
+            columns, S = shooting.columns(z, s, rest), shooting.sensitivity(z, s, rest)
     return Fit(structure, z, s, rest, r, mse, S, quadratics, J, steps, converged)
 
 

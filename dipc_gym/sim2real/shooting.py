@@ -132,6 +132,23 @@ class Shooting:
         columns = np.moveaxis(change / steps[:, None, None], 0, -1)
         return np.concatenate([columns, np.zeros((n, self.nb2, p))], axis=1)
 
+    def secant(self, columns: Array, S: Array, step: Array, moved: Array, change: Array) -> tuple[Array, Array]:
+        """`columns` and `sensitivity`, corrected by what a step really changed (Broyden 1965), without a simulation.
+
+        Args:
+            columns: before the step, (n, M, p).
+            S: before the step, (n, M, 2 nb).
+            step: of the mapped numbers, (p,).
+            moved: of the starts, (n, 2 nb).
+            change: of the residual with opposite sign, (n, m, ns).
+        """
+        both = np.concatenate([columns, S], axis=2)
+        u = np.concatenate([np.broadcast_to(step, (len(moved), len(step))), moved / self.nudge], axis=1)
+        rows = change[0].size
+        wrong = change.reshape(len(u), -1) - np.einsum("nmk,nk->nm", both[:, :rows], u)
+        both[:, :rows] += np.einsum("nm,nk->nmk", wrong, u / np.maximum(np.einsum("nk,nk->n", u, u), 1e-12)[:, None])
+        return both[..., : len(step)], both[..., len(step) :]
+
 
 def typical(mse: Array) -> float:
     """Mean square error that all but a fifth of the windows stay below, at least the noise.

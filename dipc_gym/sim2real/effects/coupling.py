@@ -11,7 +11,9 @@ import numpy as np
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Evidence, dof, joint_of
 
-IMPEDANCE = 0.9999  # of a contact: the largest that MuJoCo allows, which makes its limit a spring and a damper
+# Of a contact: the smallest that MuJoCo allows. Whatever presses on the contact keeps all but this share of its effect,
+# so the limit is a spring and a damper that only push. A large one holds a load without giving way.
+IMPEDANCE = 1e-4
 SETTLE = 0.15  # s of simulation until a rotor is where it would be, whatever it was given to start with
 
 
