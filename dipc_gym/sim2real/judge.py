@@ -98,7 +98,7 @@ def fewest_numbers(search: Search, fitted: Fit) -> Fit:
 
     # Mostly none had to change.
     fewest = 0 if suffices(0) else bisect.bisect_left(range(k), True, lo=1, key=suffices)
-    return fitted if fewest == k else with_first(fewest) or fitted
+    return with_first(fewest) or fitted
 
 
 def intervals(fitted: Fit, problem: Problem) -> Array:

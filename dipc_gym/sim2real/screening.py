@@ -23,6 +23,8 @@ from dipc_gym.sim2real.structure import Structure, Term, carry
 
 Array = NDArray[np.float64]
 
+TWIN = 0.999  # cosine between the responses to two hypotheses from which they are one and the same
+
 
 @dataclass(frozen=True)
 class Tried:
@@ -128,6 +130,7 @@ def pairs(
         tried: what screening made of them.
         few: the windows for which their responses are known.
     """
+    tried = _distinct(tried)
     if len(tried) < 2:
         return []
     overlay = _Overlay(problem.pick(few), current.pick(few), [one.response for one in tried])
@@ -145,6 +148,16 @@ def pairs(
             structure = structure.with_term(_scaled(term, size))
         found.append((promise - luck, structure))
     return sorted(found, key=lambda pair: -pair[0])
+
+
+def _distinct(tried: Sequence[Tried]) -> list[Tried]:
+    """Of hypotheses that do one and the same to the predictions the plainest; in pairs they would only repeat it."""
+    kept: list[tuple[Tried, Array]] = []
+    for one in sorted(tried, key=lambda one: (len(one.term.effect.parameters), one.term.effect.needs_loader)):
+        direction = one.response.ravel() / max(float(np.linalg.norm(one.response)), 1e-12)
+        if all(abs(direction @ other) < TWIN for _, other in kept):
+            kept.append((one, direction))
+    return sorted((one for one, _ in kept), key=lambda one: -one.promise)
 
 
 def _luck(problem: Problem, current: Fit, few: NDArray[np.intp]) -> float:

@@ -29,6 +29,7 @@ from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
 
+ROUGH = 5e-3  # share of its objective by which a step must lower it where fits only compete
 MOST_EFFECTS = 6  # that are added
 FINALISTS = 6  # hypotheses sketched in a round
 FULLY = 3  # of them that are fitted to all windows, beside the plainer ones that they elaborate
@@ -138,20 +139,20 @@ class Search:
         """Fit a structure to a few of the windows, from the numbers of `base`; None where it cannot be simulated."""
         z = carry(base.structure, base.z, structure)
         try:
-            return fit(self.problem.pick(self.few), structure, z, base.starts[self.few], most=5, tolerance=5e-3)
+            return fit(self.problem.pick(self.few), structure, z, base.starts[self.few], most=5, tolerance=ROUGH)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
     def full(self, base: Fit, sketch: Fit) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.
 
-        A sketch that was still on its way goes on first: a step on a few windows costs a third, and on all of them a
-        gap or a contact far from its place holds a fit fast.
+        A sketch that was still on its way, and not at the noise, goes on first: a step on a few windows costs a third,
+        and on all of them a gap or a contact far from its place holds a fit fast.
         """
         try:
-            if not sketch.converged:
+            if not sketch.converged and sketch.error > AT_FLOOR:
                 sketch = fit(self.problem.pick(self.few), sketch.structure, sketch.z, sketch.starts, most=15)
-            return fit(self.problem, sketch.structure, sketch.z, base.starts, most=8)
+            return fit(self.problem, sketch.structure, sketch.z, base.starts, most=8, tolerance=ROUGH)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
@@ -205,7 +206,11 @@ class Search:
 
     def _least(self, term: Term) -> float:
         """Share of the largest promise from which a hypothesis is sketched; what takes fine steps must promise more."""
-        return 0.1 if term.effect.finest >= self.problem.stepping.timestep else KEEPS_UP
+        return KEEPS_UP if self._slow(term) else 0.1
+
+    def _slow(self, term: Term) -> bool:
+        """Whether an effect has to be simulated in finer steps than the others."""
+        return term.effect.finest < self.problem.stepping.timestep
 
     def _starts(self, current: Fit) -> dict[str, list[tuple[Tried, Fit]]]:
         """Every hypothesis, by key: what it promises over `current` on top of each base, and that base."""
@@ -236,7 +241,8 @@ class Search:
     def _keeping_up(self, sketched: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
         """Those whose sketches come near the best one, and the plainer ones that these elaborate.
 
-        Where the best is at the noise, what is far from it needs no more fitting, and nothing plainer goes first.
+        What takes fine steps has to come nearer. Where the best is at the noise, what is far from it needs no more
+        fitting, and nothing plainer goes first.
         """
         losses = ranking.losses([current.mse[self.few], *(t.sketch.mse for t, _ in sketched if t.sketch is not None)])
         gains = {t.key: losses[0] - after for (t, _), after in zip(sketched, losses[1:], strict=True)}
@@ -244,7 +250,8 @@ class Search:
         least = max(KEEPS_UP * most, WORTH / 2)
         if any(t.sketch is not None and t.sketch.error < AT_FLOOR for t, _ in sketched):
             return [pair for pair in sketched if gains[pair[0].key] > max(least, most - LARGE)]
-        near = sorted((t for t, _ in sketched if gains[t.key] > least), key=lambda t: -gains[t.key])[:FULLY]
+        close = [t for t, _ in sketched if gains[t.key] > (max(least, most - LARGE) if self._slow(t.term) else least)]
+        near = sorted(close, key=lambda t: -gains[t.key])[:FULLY]
         wanted = {t.key for t in near} | {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
         return [pair for pair in sketched if pair[0].key in wanted]
 

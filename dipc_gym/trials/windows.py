@@ -239,10 +239,12 @@ def fit(
     logarithmic = np.array([number.kind == "log" for number in added], dtype=bool)
     begin = np.asarray(start, dtype=float)
     scale = np.where(logarithmic, 1.0, np.where([n.kind == "uniform" for n in added], 0.3, np.abs(begin) + 1e-12))
-    # A fit may go below the sizes that are drawn, except where that makes the simulation stiff and slow.
-    least = [n.low if n.place == index("inductance") else n.low / 5 for n in added]
+    # A fit may leave the sizes that are drawn, except where that makes the simulation stiff and slow, and the more so
+    # where it begins beyond them: a force along the way may repeat as often as the cogging that it is to stand for.
+    least = [n.low if n.place == index("inductance") else min(n.low, x) / 5 for n, x in zip(added, begin, strict=True)]
     low = np.array([np.log(value) if n.kind == "log" else 0.0 for n, value in zip(added, least, strict=True)])
-    high = np.array([np.log(n.high * 4) if n.kind == "log" else 0.0 for n in added])
+    most = [max(n.high, x) * 4 for n, x in zip(added, begin, strict=True)]
+    high = np.array([np.log(value) if n.kind == "log" else 0.0 for n, value in zip(added, most, strict=True)])
     neutral = np.where(logarithmic, np.log(np.where(logarithmic, begin, 1.0)), begin) / scale
     x0 = np.concatenate([np.zeros(len(own)), neutral]) if onward is None else onward.end
 
