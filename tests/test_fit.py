@@ -8,7 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
@@ -21,7 +21,7 @@ from dipc_gym.sim2real.numbers import own_numbers
 from dipc_gym.sim2real.problem import predict, residual
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.screening import pairs, screen
-from dipc_gym.sim2real.shooting import typical
+from dipc_gym.sim2real.shooting import Shooting, typical
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Structure, Term, carry
 from dipc_gym.sim2real.windows import Prepared
@@ -481,3 +481,43 @@ def test_a_model_that_is_to_be_simulated_as_it_is_keeps_its_step() -> None:
     finer = predict(replace(coarse, finer=4), physics_of, [physics_of.first], coarse.starts[None])
     exact = predict(replace(S.problem, finer=4), physics_of, [physics_of.first], coarse.starts[None])
     assert np.abs(own - exact).max() > 2 * np.abs(finer - exact).max() > 0
+
+
+@functools.cache
+def shot() -> Shooting:
+    S = ready(run())
+    return Shooting(S.problem, S.structure)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_derivatives_carried_along_tell_the_step_that_was_made(seed: int) -> None:
+    """And say of every direction at right angles to it what they said before."""
+    shooting, rng = shot(), np.random.default_rng(seed)
+    n, m = shooting.problem.windows.times.shape
+    rows, two = m + shooting.nb2, shooting.nb2
+    columns, sensitivity = rng.normal(size=(n, rows, 3)), rng.normal(size=(n, rows, two))
+    step, moved, change = rng.normal(size=3), rng.normal(size=(n, two)) * shooting.nudge, rng.normal(size=(n, m, 1))
+    after, then = shooting.secant(columns, sensitivity, step, moved, change)
+    told = after @ step + np.einsum("nmk,nk->nm", then, moved / shooting.nudge)
+    assert np.allclose(told[:, :m], change[..., 0], atol=1e-9)
+    across = np.cross(step, rng.normal(size=3))
+    assert np.allclose(after @ across, columns @ across, atol=1e-9)
+    assert np.array_equal(after[:, m:], columns[:, m:])
+    assert np.array_equal(then[:, m:], sensitivity[:, m:])
+
+
+def test_a_pair_is_not_tried_again_under_another_name() -> None:
+    """What answers to another name, and does the same, would only be fitted twice."""
+    S, known = ready(run(friction=3.0)), catalogue()
+    alone = fit(S.problem, S.structure)
+    few = np.arange(len(S.problem.windows))
+    terms = [
+        Term(known[name], "cart", {key: 1.0})
+        for name, key in (("friction.coulomb", "level"), ("drag.quadratic", "coefficient"))
+    ]
+    one, other = screen(S.problem, alone, terms, few)
+    again = replace(other, term=replace(other.term, at="elsewhere"))
+    promises = [promise for promise, _ in pairs(S.problem, alone, [one, other], few)]
+    assert len(promises) == 1
+    assert [promise for promise, _ in pairs(S.problem, alone, [one, other, again], few)] == promises
