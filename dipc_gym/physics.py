@@ -194,6 +194,12 @@ class Physics:
         """Whether friction or forces have to be written at each step."""
         return any(extra.stage in ("friction", "force") for extra in self.extras)
 
+    @property
+    def pressed(self) -> bool:
+        """Whether dry friction may depend on the forces at its joint, and not on where it is alone."""
+        alone = (friction_along, friction_wave)
+        return any(extra.stage == "friction" and _rules[extra.effect][1] not in alone for extra in self.extras)
+
     def command(self, ctrl: Array, time: Array | float = 0.0) -> Array:
         """The command that the model sees for a command (..., nu) sent to the rig."""
         changed = ctrl

@@ -22,7 +22,7 @@ from dipc_gym.sim2real.states import Motion, spread_out
 
 Array = NDArray[np.float64]
 
-_BLOCK = 0.01  # s over which heating is averaged; 0.05 biases a time constant of 5 s by 0.4 %, five times its spread
+_BLOCK = 0.01  # s over which heating is averaged
 
 
 def heating_motors(model: mujoco.MjModel) -> list[int]:
@@ -60,12 +60,17 @@ class _Winding:
 
     def rise(self, drive: Array) -> Array:
         """Temperature above ambient at the borders of blocks with mean square drives (V - K w)^2 (variants, blocks)."""
-        decay = np.exp(-_BLOCK / self.time)
         out = np.zeros((drive.shape[0], drive.shape[1] + 1))
         for k in range(drive.shape[1]):
-            resistance = self.resistance * (1 + self.coefficient * (out[:, k] + self.offset))
-            out[:, k + 1] = decay * out[:, k] + (1 - decay) * self.thermal * drive[:, k] / resistance
+            middle = self._after(_BLOCK / 2, out[:, k], out[:, k], drive[:, k])
+            out[:, k + 1] = self._after(_BLOCK, out[:, k], middle, drive[:, k])
         return out
+
+    def _after(self, time: float, rise: Array, usual: Array, drive: Array) -> Array:
+        """What a rise becomes in some seconds, the resistance that of a usual rise meanwhile; arrays (variants,)."""
+        decay = np.exp(-time / self.time)
+        resistance = self.resistance * (1 + self.coefficient * (usual + self.offset))
+        return decay * rise + (1 - decay) * self.thermal * drive / resistance
 
 
 def _winding(variants: Sequence[Physics], motor: int) -> _Winding:

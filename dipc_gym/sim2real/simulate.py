@@ -285,15 +285,15 @@ class _Runs:
         sensed = sims.bind("sensordata")
         forces = np.zeros((sims.nsim, sims.model.nv))
         level = sims.expand("dof_frictionloss") if dry is None else dry.level
-        loaded = bool(physics.stage("friction"))
-        if loaded:
-            sims.bind("qfrc_actuator"), sims.bind("qfrc_bias")
+        if physics.stage("friction"):
+            sims.bind("qfrc_actuator"), sims.bind("qfrc_bias"), sims.bind("qacc")
+        pressed = physics.pressed
         if dry is not None:
             dry.begin()
         for k in range(nstep):
             sims.ctrl[:] = ctrl[:, k]
-            if loaded:  # the last step knows the drive of its own beginning only; a step late, it passes for a delay
-                sims.forward()
+            if pressed:
+                _forward_to_the_middle(sims, self.step)
             physics.act(sims, level, forces, self.step)
             now = None if readings is None else readings[k]
             if dry is not None:
@@ -304,6 +304,20 @@ class _Runs:
             if now is not None:
                 now[:] = sensed
         return None if readings is None else readings.swapaxes(0, 1)
+
+
+def _forward_to_the_middle(sims: mjbatch.Batch, step: float) -> None:
+    """Leave in a batch the forces of the middle of the step that begins now, and its state as it is.
+
+    The friction that they press on is held over the step. The drive of the step before would make it late, which passes
+    for a delay; the drive of its beginning is off by what the motor's speed changes until its middle.
+    """
+    sims.forward()
+    place, speed = sims.qpos.copy(), sims.qvel.copy()
+    sims.qpos[:] += step / 2 * speed
+    sims.qvel[:] += step / 2 * sims.qacc
+    sims.forward()
+    sims.qpos[:], sims.qvel[:] = place, speed
 
 
 def _copy(model: mujoco.MjModel) -> mujoco.MjModel:
