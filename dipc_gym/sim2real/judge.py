@@ -59,7 +59,7 @@ def fewest_numbers(search: Search, fitted: Fit) -> Fit:
     """Put back to nominal every own number whose change was not needed, and refit the rest.
 
     Numbers such as mass, damping and motor gain have a null space: many changes predict alike. The fewest changes are
-    the ones worth reporting; none that does no more than make up for what an effect's law leaves.
+    the ones worth reporting.
     """
     numbers = fitted.structure.numbers
     k, p = len(numbers), len(fitted.z)
@@ -94,7 +94,7 @@ def fewest_numbers(search: Search, fitted: Fit) -> Fit:
 
     def suffices(count: int) -> bool:
         sparse = with_first(count)
-        return sparse is not None and (search.compare(fitted, sparse).alike or search.enough(sparse, fitted.error))
+        return sparse is not None and search.compare(fitted, sparse).alike
 
     # Mostly none had to change.
     fewest = 0 if suffices(0) else bisect.bisect_left(range(k), True, lo=1, key=suffices)

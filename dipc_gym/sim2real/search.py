@@ -334,17 +334,13 @@ class Search:
         now, then = (float(np.sqrt(np.mean(self.mse(f)))) for f in (current, fitted))
         return then < AT_FLOOR or now - then > EARNS * (now - 1)
 
-    def enough(self, current: Fit, floor: float = 1.0) -> bool:
+    def enough(self, current: Fit) -> bool:
         """Whether what is left at the noise is so little beside what effects took away that their laws may leave it.
 
         No law is exact to the last percent: a contact is not a spring and a damper, a bristle not a bristle.
-
-        Args:
-            current: a fit.
-            floor: error, in units of noise, at which nothing would be left.
         """
         brought = math.sqrt(max(self.path[0].error ** 2 - current.error**2, 0.0))
-        left = math.sqrt(max(current.error**2 - floor**2, 0.0))
+        left = math.sqrt(max(current.error**2 - 1.0, 0.0))
         return bool(current.structure.terms) and current.error < AT_FLOOR and left < LAWS * brought
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
