@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
-from dipc_gym.sim2real.shooting import typical
+from dipc_gym.sim2real.shooting import loss, typical
 
 Array = NDArray[np.float64]
 
@@ -41,11 +41,6 @@ class Comparison:
     def alike(self) -> bool:
         """Not told from the other, or hardly better than it."""
         return self.gain < max(WORTH / 2, ALIKE * self.error)
-
-
-def loss(mse: Array, usual: float) -> Array:
-    """Log of the mean square error of windows, (n,); errors far below the usual one count alike."""
-    return np.log1p(mse / usual)
 
 
 def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:

@@ -150,22 +150,21 @@ def diagnose(
         lambda f: evidence.scene(
             f.structure.physics(f.z), recordings, prepared.motions, span[1], selection.odd_times(problem, f)
         ),
-        fit(problem, recalibrated.structure, np.zeros(len(numbers)), nominal.starts, most=0),
-        tell,
+        anchor=fit(problem, recalibrated.structure, np.zeros(len(numbers)), nominal.starts, most=0),
+        tell=tell,
     )
-    best = search.run(recalibrated)
     worst = judge.unseen_error(search, recalibrated)
     located = judge.locate(search.look(recalibrated), prepared.structure.base)
     motion = _motion(held)
-    if (
-        best.structure.terms
-        and judge.unseen_error(search, best) > judge.AT_FLOOR
-        and judge.negligible(worst, motion, located[0])
-    ):
-        tell("the mismatch is small beside the motion, without a pattern, and no effect brings it down to the noise")
-        search.path = [recalibrated]
+    search.small = worst > judge.AT_FLOOR and judge.negligible(worst, motion, located[0])
+    if search.small:
+        tell("the mismatch is small beside the motion, and without a pattern: only what explains all of it will count")
+    search.run(recalibrated)
     found = conclude(search)
-    final = found.fitted
+    # The search compares; what it came to is fitted at half the step, and its numbers are reported.
+    fine, chosen = replace(problem, finer=2), found.fitted
+    final = fit(fine, chosen.structure, chosen.z, chosen.starts, most=20)
+    found = replace(found, fitted=final)
     notes += found.notes
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
     errors = Errors(*(judge.held_out_error(held, f) for f in (nominal, recalibrated, final)))
@@ -177,7 +176,7 @@ def diagnose(
     )
     force = {joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, forces.T, strict=True)}
     notes += sentences.disagreement(errors, force)
-    wide = judge.intervals(final, problem) + findings.step_shift(final, problem)
+    wide = judge.intervals(final, fine) + findings.step_shift(final, fine)
     changed = findings.changed_numbers(final, wide)
     small = judge.negligible(errors.recalibrated, motion, located[0])
     verdict = judge.verdict(

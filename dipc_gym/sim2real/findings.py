@@ -46,7 +46,7 @@ def step_shift(final: Fit, problem: Problem) -> Array:
     """
     if not len(final.z):
         return np.zeros(0)
-    fine = replace(problem, finer=2)
+    fine = replace(problem, finer=2 * problem.finer)
     change = final.raw - residual(fine, predict(fine, final.structure, [final.z], final.starts[None])[0])
     change = change.reshape(len(change), -1)
     w = 1.0 / (typical(final.mse) + final.mse + np.sum(change**2, axis=1) / problem.counts) / problem.counts

@@ -18,6 +18,7 @@ from dipc_gym.sim2real.structure import Structure
 Array = NDArray[np.float64]
 
 TRIES = 5  # of a step, each more damped than the one before
+NEAR = 2.0  # usual square error up to which a fit is near the noise
 TRUSTED = 0.5  # share of the fall that derivatives foretold, from which they are good for another step
 
 
@@ -143,6 +144,7 @@ def fit(
             # No number may do more than double, or change by a factor of e.
             reach = np.maximum(1.0, np.abs(z) * ~logs)
             trial = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, reach)
+            foretold = now - penalised(quadratics.after(trial - z) / problem.counts, trial, scale)
             ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
             tries = np.stack([s + ahead, s + ahead / 3, s, problem.starts])
             moved, after = shooting.best_starts(tries, shooting.residuals([trial] * len(tries), tries))
@@ -155,11 +157,13 @@ def fit(
             if then < now:
                 accepted = True
                 break
+            # Near the noise derivatives tell what a shorter step would gain: less still.
+            if scale < NEAR and foretold < tolerance * now:
+                break
             damping = max(damping * 8, 1e-3)
         small = astray = True
         if accepted:
             small = now - then < tolerance * max(now, 1e-9) or bool(np.abs(trial - z).max() < 1e-4)
-            foretold = now - penalised(quadratics.after(trial - z) / problem.counts, trial, scale)
             astray = lagged or now - then < TRUSTED * foretold
             columns, S = shooting.secant(columns, S, trial - z, moved - s, rest - after)
             z, s, rest = trial, moved, after

@@ -59,18 +59,19 @@ class _Winding:
     lever: Array
 
     def rise(self, drive: Array) -> Array:
-        """Temperature above ambient at the borders of blocks with mean square drives (V - K w)^2 (variants, blocks)."""
-        out = np.zeros((drive.shape[0], drive.shape[1] + 1))
-        for k in range(drive.shape[1]):
-            middle = self._after(_BLOCK / 2, out[:, k], out[:, k], drive[:, k])
-            out[:, k + 1] = self._after(_BLOCK, out[:, k], middle, drive[:, k])
-        return out
+        """Temperature above ambient at the borders of blocks with mean square drives (V - K w)^2 (variants, blocks).
 
-    def _after(self, time: float, rise: Array, usual: Array, drive: Array) -> Array:
-        """What a rise becomes in some seconds, the resistance that of a usual rise meanwhile; arrays (variants,)."""
-        decay = np.exp(-time / self.time)
-        resistance = self.resistance * (1 + self.coefficient * (usual + self.offset))
-        return decay * rise + (1 - decay) * self.thermal * drive / resistance
+        Over half a block, then over all of it with the resistance of its middle.
+        """
+        out = np.zeros((drive.shape[1] + 1, drive.shape[0]))
+        half, whole = np.exp(-_BLOCK / 2 / self.time), np.exp(-_BLOCK / self.time)
+        heating = self.thermal * drive.T / self.resistance
+        towards_half, towards = (1 - half) * heating, (1 - whole) * heating
+        cold = 1 + self.coefficient * self.offset
+        for k in range(drive.shape[1]):
+            middle = half * out[k] + towards_half[k] / (cold + self.coefficient * out[k])
+            out[k + 1] = whole * out[k] + towards[k] / (cold + self.coefficient * middle)
+        return out.T
 
 
 def _winding(variants: Sequence[Physics], motor: int) -> _Winding:

@@ -18,7 +18,7 @@ from dipc_gym.sim2real.evidence import Scene
 from dipc_gym.sim2real.fit import Fit, evaluate, fit, weights
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.screening import Tried, excludes
-from dipc_gym.sim2real.search import AT_FLOOR, Search
+from dipc_gym.sim2real.search import AT_FLOOR, ROUGH, Search
 from dipc_gym.sim2real.structure import Structure, Term, names
 
 Array = NDArray[np.float64]
@@ -88,7 +88,8 @@ def fewest_numbers(search: Search, fitted: Fit) -> Fit:
         free = sorted(order[:count])
         structure = replace(fitted.structure, numbers=tuple(numbers[i] for i in free))
         try:
-            return fit(search.problem, structure, loss(free)[1][[*free, *range(k, p)]], fitted.starts, most=20)
+            z = loss(free)[1][[*free, *range(k, p)]]
+            return fit(search.problem, structure, z, fitted.starts, most=20, tolerance=ROUGH)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 

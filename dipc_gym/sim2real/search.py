@@ -36,7 +36,9 @@ FULLY = 3  # of them that are fitted to all windows, beside the plainer ones tha
 ENOUGH = 2  # pairs that predict alike and are fitted to all windows
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
+QUIET = 1.5  # usual square error up to which such an event is looked for
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
+IN_REACH = 3.0  # times the noise, from which a sketch may yet come down to it
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
 AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
 LAWS = 0.02  # of what effects brought, that their laws may leave
@@ -56,6 +58,7 @@ class Search:
         joints: base joints.
         look: gives the evidence for a structure.
         rounds: hypotheses of each round, the best first.
+        small: whether the mismatch is so small and shapeless that only what explains all of it counts.
         anchor: the model with its own numbers free but at their nominal values. Refitted without an effect that
             matters they can be far off, and an effect tried on top of such numbers looks worse than it is.
         tell: called with a line about progress.
@@ -72,6 +75,7 @@ class Search:
     effects: Sequence[Effect]
     joints: tuple[str, ...]
     look: Callable[[Fit], Scene]
+    small: bool = False
     anchor: Fit | None = None
     tell: Callable[[str], None] = lambda line: None
     few: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
@@ -116,7 +120,10 @@ class Search:
         friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in self.joints}
         levels = {joint: level for joint, level in friction.items() if level > 0}
         terms, found = current.structure.terms, []
+        quiet = float(np.median(current.mse)) < QUIET
         for effect in self.effects:
+            if effect.once and not quiet:
+                continue
             for at in places(effect, current.structure.model, self.joints, scene.recordings[0]):
                 if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):
                     continue
@@ -143,15 +150,18 @@ class Search:
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
-    def full(self, base: Fit, sketch: Fit) -> Fit | None:
+    def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.
 
         A sketch that was still on its way, and not at the noise, goes on first: a step on a few windows costs a third,
-        and on all of them a gap or a contact far from its place holds a fit fast.
+        and on all of them a gap or a contact far from its place holds a fit fast. None as well where it then does not
+        earn its place beside `current` even on the few windows.
         """
         try:
             if not sketch.converged and sketch.error > AT_FLOOR:
                 sketch = fit(self.problem.pick(self.few), sketch.structure, sketch.z, sketch.starts, most=15)
+            if current is not None and not self._earned(sketch.mse, current.mse[self.few]):
+                return None
             return fit(self.problem, sketch.structure, sketch.z, base.starts, most=8, tolerance=ROUGH)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
@@ -193,7 +203,7 @@ class Search:
         done: list[Tried] = []
         for tried, base in self._keeping_up(sketched, current):
             assert tried.sketch is not None
-            fitted = self.full(base, tried.sketch)
+            fitted = self.full(base, tried.sketch, None if tried.term.effect.once else current)
             if fitted is not None:
                 done.append(replace(tried, fitted=fitted))
                 self.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
@@ -248,12 +258,25 @@ class Search:
         gains = {t.key: losses[0] - after for (t, _), after in zip(sketched, losses[1:], strict=True)}
         most = max(gains.values(), default=0.0)
         least = max(KEEPS_UP * most, WORTH / 2)
+        closely = max(least, most - LARGE)
         if any(t.sketch is not None and t.sketch.error < AT_FLOOR for t, _ in sketched):
-            return [pair for pair in sketched if gains[pair[0].key] > max(least, most - LARGE)]
-        close = [t for t, _ in sketched if gains[t.key] > (max(least, most - LARGE) if self._slow(t.term) else least)]
+            return [pair for pair in sketched if gains[pair[0].key] > closely]
+        close = [t for t, _ in sketched if gains[t.key] > (closely if self._slow(t.term) else least)]
         near = sorted(close, key=lambda t: -gains[t.key])[:FULLY]
         wanted = {t.key for t in near} | {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
-        return [pair for pair in sketched if pair[0].key in wanted]
+        return self._plain_first([pair for pair in sketched if pair[0].key in wanted], current)
+
+    def _plain_first(self, sketched: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
+        """Without those far from the noise that elaborate one which would go before them (`core`)."""
+        before = float(np.sqrt(np.mean(current.mse[self.few])))
+        brought = {tried.key: before - tried.sketch.error for tried, _ in sketched if tried.sketch is not None}
+
+        def waits(tried: Tried) -> bool:
+            plain = [brought.get(f"{inner}@{tried.term.at}", 0.0) for inner in tried.term.effect.contains]
+            far = tried.sketch is not None and tried.sketch.error > IN_REACH
+            return far and max(plain, default=0.0) > MOST * brought[tried.key]
+
+        return [pair for pair in sketched if not waits(pair[0])]
 
     def _scored(self, done: Sequence[Tried]) -> list[Tried]:
         """Fitted hypotheses with their scores, the best first."""
@@ -321,9 +344,8 @@ class Search:
             return (
                 self.earns(fitted, current) and self.compare(fitted, current).clear and self.confirmed(fitted, current)
             )
-        usual = float(np.median(current.mse))
         fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
-        return usual < 1.5 and float(np.sum(fall)) > ONCE
+        return float(np.median(current.mse)) < QUIET and float(np.sum(fall)) > ONCE
 
     def earns(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit comes down to the noise, or takes a good part of what is left.
@@ -331,8 +353,11 @@ class Search:
         Real recordings hold structure that no catalogue has, and the best of dozens of effects always takes up a
         little of it.
         """
-        now, then = (float(np.sqrt(np.mean(self.mse(f)))) for f in (current, fitted))
-        return then < AT_FLOOR or now - then > EARNS * (now - 1)
+        return self._earned(self.mse(fitted), self.mse(current))
+
+    def _earned(self, after: Array, before: Array) -> bool:
+        now, then = (float(np.sqrt(np.mean(mse))) for mse in (before, after))
+        return then < AT_FLOOR or (not self.small and now - then > EARNS * (now - 1))
 
     def enough(self, current: Fit) -> bool:
         """Whether what is left at the noise is so little beside what effects took away that their laws may leave it.
@@ -384,7 +409,9 @@ class Search:
                 key = frozenset(names(structure.terms))
                 if promise - handicap > max(WORTH, found[key][0] if key in found else 0.0):
                     found[key] = promise - handicap, base, structure
-        return sorted(found.values(), key=lambda pair: -pair[0])[:FINALISTS]
+        most = max((promise for promise, _, _ in found.values()), default=0.0)
+        worth = [pair for pair in found.values() if pair[0] > max(map(self._least, pair[2].terms[-2:])) * most]
+        return sorted(worth, key=lambda pair: -pair[0])[:FINALISTS]
 
     def _both(self, pairs: Sequence[Pair]) -> list[tuple[Fit, Fit]]:
         """What each pair was laid over, and its sketch, of those that can be simulated and may be needed."""
@@ -410,7 +437,7 @@ class Search:
         gained = compare(first.mse, current.mse[self.few], blocks).gain
         alike = [pair for pair in sketched if ranking.alike(compare(first.mse, pair[1].mse, blocks), gained)]
         for base, sketch in sorted(alike, key=lambda pair: ranking.cost(pair[1]))[:ENOUGH]:
-            fitted = self.full(base, sketch)
+            fitted = self.full(base, sketch, current)
             if fitted is None or not (self.earns(fitted, current) and self.compare(fitted, current).clear):
                 continue
             if self.confirmed(fitted, current):
@@ -424,13 +451,12 @@ class Search:
         """Take out effects that do not earn their place any more; put plainer ones in the place of idle numbers."""
         for term in current.structure.terms:
             rest = current.structure.without(term.key)
-            less = [self.without(current, term.key)] if rest.terms and self.near(current, rest) else []
+            sketch = self.near(current, rest) if rest.terms else None
+            less = self.full(current, sketch) if sketch else None
             plainer = [self.swap(current, term, inner) for inner in term.effect.contains]
-            for other in [*less, *(fitted for fitted in plainer if fitted is not None)]:
+            for other in [fitted for fitted in (less, *plainer) if fitted is not None]:
                 lost = self.compare(current, other)
-                idle = (
-                    any(other is fitted for fitted in less) and not term.effect.once and not self.earns(current, other)
-                )
+                idle = other is less and not term.effect.once and not self.earns(current, other)
                 if idle or lost.alike:
                     self.tell(f"{term.key} is more than is needed")
                     return self.prune(other)

@@ -160,9 +160,14 @@ def typical(mse: Array) -> float:
     return max(1.0, float(np.quantile(mse, 0.8)))
 
 
+def loss(mse: Array, scale: float) -> Array:
+    """Log of the mean square error of windows, (n,), far above a scale, and a share of it below."""
+    return np.log1p(mse / scale)
+
+
 def mean_loss(mse: Array, scale: float) -> float:
-    """Mean of the logarithms of mean square errors (n,) that are far above a scale, and of shares of it below."""
-    return float(np.mean(np.log1p(mse / scale)))
+    """Mean of the losses of windows with these mean square errors (n,)."""
+    return float(np.mean(loss(mse, scale)))
 
 
 def project(S: Array, rows: Array) -> tuple[Array, Array]:
