@@ -161,9 +161,8 @@ def diagnose(
         tell("the mismatch is small beside the motion, and without a pattern: only what explains all of it will count")
     search.run(recalibrated)
     found = conclude(search)
-    # The search compares; what it came to is fitted at half the step, and its numbers are reported.
-    fine, chosen = replace(problem, finer=2), found.fitted
-    final = fit(fine, chosen.structure, chosen.z, chosen.starts, most=20)
+    # The search compares; what it came to is fitted, judged and reported at half the step.
+    final, held = search.refine(found.fitted), replace(held, finer=2)
     found = replace(found, fitted=final)
     notes += found.notes
     train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
@@ -176,7 +175,7 @@ def diagnose(
     )
     force = {joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, forces.T, strict=True)}
     notes += sentences.disagreement(errors, force)
-    wide = judge.intervals(final, fine) + findings.step_shift(final, fine)
+    wide = judge.intervals(final, search.problem) + findings.step_shift(final, search.problem)
     changed = findings.changed_numbers(final, wide)
     small = judge.negligible(errors.recalibrated, motion, located[0])
     verdict = judge.verdict(

@@ -478,6 +478,12 @@ class Search:
         sketch = self.near(current, structure)
         return None if sketch is None else self.full(current, sketch)
 
+    def refine(self, fitted: Fit) -> Fit:
+        """Halve the steps, from here on, and fit a structure once more: what takes fine steps is off at any."""
+        self.problem, self.unseen = replace(self.problem, finer=2), replace(self.unseen, finer=2)
+        self._known.clear()
+        return fit(self.problem, fitted.structure, fitted.z, fitted.starts, most=20)
+
     def without(self, current: Fit, key: str) -> Fit:
         """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)
