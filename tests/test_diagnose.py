@@ -19,7 +19,6 @@ from dipc_gym.sim2real.comparison import Comparison, compare
 from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.recording import Recording, RecordingError
-from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Term
 from dipc_gym.sim2real.windows import prepare
@@ -464,24 +463,6 @@ def test_effects_that_held_out_data_strike_off_altogether(monkeypatch: pytest.Mo
     assert found.fitted.name == ""
     assert asked == []
     assert len(found.notes) == 2
-
-
-@pytest.mark.parametrize(
-    ("before", "now", "terms", "enough"),
-    [
-        (300.0, 1.1, 1, True),  # a third of a percent may be owed to the law of friction
-        (10.0, 1.1, 1, False),  # a twentieth may not
-        (300.0, 1.3, 1, False),  # not at the noise
-        (1.02, 1.02, 0, False),  # nothing was found yet
-        (5.0, 0.99, 2, True),
-    ],
-)
-def test_a_search_ends_where_laws_may_leave_what_is_left(before: float, now: float, terms: int, enough: bool) -> None:
-    def fitted(error: float, count: int) -> SimpleNamespace:
-        return SimpleNamespace(error=error, structure=SimpleNamespace(terms=("friction",) * count))
-
-    search = SimpleNamespace(path=[fitted(before, 0)])
-    assert Search.enough(search, fitted(now, terms)) is enough  # type: ignore[arg-type]
 
 
 @pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice trials are not beside this checkout")
