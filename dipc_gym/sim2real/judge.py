@@ -17,8 +17,9 @@ from dipc_gym.sim2real.comparison import WORTH
 from dipc_gym.sim2real.evidence import Scene
 from dipc_gym.sim2real.fit import Fit, evaluate, fit, weights
 from dipc_gym.sim2real.problem import Problem
+from dipc_gym.sim2real.ranking import AT_FLOOR
 from dipc_gym.sim2real.screening import Tried, excludes
-from dipc_gym.sim2real.search import AT_FLOOR, ROUGH, Search
+from dipc_gym.sim2real.search import ROUGH, Search
 from dipc_gym.sim2real.structure import Structure, Term, names
 
 Array = NDArray[np.float64]

@@ -16,7 +16,9 @@ from dipc_gym.sim2real.structure import Structure, Term
 
 Array = NDArray[np.float64]
 
+FINALISTS = 6  # hypotheses, or pairs, sketched in a round
 FEW = 18  # windows that a sketch has at least
+AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
 AT_NOISE = 1.05  # times the noise: nothing is left that would tell an elaboration from what it elaborates
 
 

@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real import ranking, screening
+from dipc_gym.sim2real import pairing, ranking, screening
 from dipc_gym.sim2real.comparison import LARGE, WORTH, Comparison, compare
 from dipc_gym.sim2real.effects.base import Effect, dof
 from dipc_gym.sim2real.evidence import Scene, places
 from dipc_gym.sim2real.fit import Fit, evaluate, fit
 from dipc_gym.sim2real.problem import Problem
+from dipc_gym.sim2real.pruning import prune
+from dipc_gym.sim2real.ranking import AT_FLOOR, FINALISTS
 from dipc_gym.sim2real.screening import Tried, excludes
 from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
@@ -31,19 +33,14 @@ Array = NDArray[np.float64]
 
 ROUGH = 5e-3  # share of its objective by which a step must lower it where fits only compete
 MOST_EFFECTS = 6  # that are added
-FINALISTS = 6  # hypotheses sketched in a round
-FULLY = 3  # of them that are fitted to all windows, beside the plainer ones that they elaborate
-ENOUGH = 2  # pairs that predict alike and are fitted to all windows
+FULLY = 3  # sketches that are fitted to all windows, beside the plainer ones that they elaborate
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 QUIET = 1.5  # usual square error up to which such an event is looked for
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 IN_REACH = 3.0  # times the noise, from which a sketch may yet come down to it
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
-AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
 LAWS = 0.02  # of what effects brought, that their laws may leave
-
-Pair = tuple[float, Fit, Structure]  # what it promises, what it was laid over, and the structure with both effects
 
 
 @dataclass
@@ -183,7 +180,7 @@ class Search:
         )
         most = ranking.promise(ranked[0]) if ranked else 0.0
         first = ranking.finalists(
-            [start for start in ranked if ranking.promise(start) > max(WORTH / 2, self._least(start[0].term) * most)],
+            [start for start in ranked if ranking.promise(start) > max(WORTH / 2, self.least(start[0].term) * most)],
             FINALISTS if current.error > ranking.AT_NOISE else FINALISTS // 2,
         )
         sketched: list[tuple[Tried, Fit]] = []
@@ -193,11 +190,11 @@ class Search:
                 sketched += self._sketched(sorted(starts[finalist.key], key=ranking.promise, reverse=True), current)
         self.rounds.append(ranking.updated([tried for tried, _ in ranked], [tried for tried, _ in sketched]))
         at_noise = any(tried.sketch is not None and tried.sketch.error < AT_FLOOR for tried, _ in sketched)
-        pairs = [] if at_noise or current.error < AT_FLOOR else self.pairs()
+        pairs = [] if at_noise or current.error < AT_FLOOR else pairing.promising(self)
         # Where two promise far more than any one does, and come down to the noise, one by one would lead astray.
         early = [pair for pair in pairs if pair[0] > most + LARGE]
-        both = self._both(early)
-        found = self.together([pair for pair in both if pair[1].error < AT_FLOOR], current)
+        both = pairing.sketched(self, early)
+        found = pairing.best(self, [pair for pair in both if pair[1].error < AT_FLOOR], current)
         if found is not None:
             return found
         done: list[Tried] = []
@@ -212,9 +209,9 @@ class Search:
         chosen = self.choose(current, done)
         if chosen is not None:
             return self.polish(chosen)
-        return self.together([*both, *self._both(pairs[len(early) :])], current)
+        return pairing.best(self, [*both, *pairing.sketched(self, pairs[len(early) :])], current)
 
-    def _least(self, term: Term) -> float:
+    def least(self, term: Term) -> float:
         """Share of the largest promise from which a hypothesis is sketched; what takes fine steps must promise more."""
         return KEEPS_UP if self._slow(term) else 0.1
 
@@ -393,90 +390,13 @@ class Search:
                 current, added = better, better.structure.terms[-1].key
                 self.path.append(current)
                 self.tell(f"added {', '.join(names(better.structure.terms[len(before.structure.terms) :])) or added}")
-                current = self.path[-1] = self.prune(better)
+                current = self.path[-1] = prune(self, better)
                 if added not in names(current.structure.terms) and not self.compare(current, before).clear:
                     break
         except KeyboardInterrupt:
             self.interrupted = True
             self.tell("interrupted; judging what was found so far (Ctrl-C again stops at once)")
         return current
-
-    def pairs(self) -> list[Pair]:
-        """Two hypotheses at a time, by what they promise together on top of the bases of this round."""
-        found: dict[frozenset[str], Pair] = {}
-        for base, handicap, tried in self.screened:
-            for promise, structure in screening.pairs(self.problem, base, tried, self.few):
-                key = frozenset(names(structure.terms))
-                if promise - handicap > max(WORTH, found[key][0] if key in found else 0.0):
-                    found[key] = promise - handicap, base, structure
-        most = max((promise for promise, _, _ in found.values()), default=0.0)
-        worth = [pair for pair in found.values() if pair[0] > max(map(self._least, pair[2].terms[-2:])) * most]
-        return sorted(worth, key=lambda pair: -pair[0])[:FINALISTS]
-
-    def _both(self, pairs: Sequence[Pair]) -> list[tuple[Fit, Fit]]:
-        """What each pair was laid over, and its sketch, of those that can be simulated and may be needed."""
-        found: list[tuple[Fit, Fit]] = []
-        for _, base, structure in sorted(pairs, key=lambda pair: len(pair[2].slots)):
-            if ranking.idle(structure, [sketch for _, sketch in found]):
-                continue
-            if (sketch := self.sketch(base, structure)) is not None:
-                found.append((base, sketch))
-        return found
-
-    def together(self, sketched: Sequence[tuple[Fit, Fit]], current: Fit) -> Fit | None:
-        """The simplest of the sketched pairs that predict best, if it is clearly better than `current`.
-
-        Args:
-            sketched: what each pair was laid over, and its sketch.
-            current: the present fit.
-        """
-        if not sketched:
-            return None
-        losses = ranking.losses([sketch.mse for _, sketch in sketched])
-        first, blocks = sketched[int(np.argmin(losses))][1], self.problem.blocks[self.few]
-        gained = compare(first.mse, current.mse[self.few], blocks).gain
-        alike = [pair for pair in sketched if ranking.alike(compare(first.mse, pair[1].mse, blocks), gained)]
-        for base, sketch in sorted(alike, key=lambda pair: ranking.cost(pair[1]))[:ENOUGH]:
-            fitted = self.full(base, sketch, current)
-            if fitted is None or not (self.earns(fitted, current) and self.compare(fitted, current).clear):
-                continue
-            if self.confirmed(fitted, current):
-                pair = [Tried(term, 0.0, sketch, fitted) for term in fitted.structure.terms[-2:]]
-                self.tell(f"{' and '.join(t.key for t in pair)}: error {fitted.error:.3g} x noise")
-                self.rounds.append(ranking.updated(self.rounds[-1], pair))
-                return self.polish(fitted)
-        return None
-
-    def prune(self, current: Fit) -> Fit:
-        """Take out effects that do not earn their place any more; put plainer ones in the place of idle numbers."""
-        for term in current.structure.terms:
-            rest = current.structure.without(term.key)
-            sketch = self.near(current, rest) if rest.terms else None
-            less = self.full(current, sketch) if sketch else None
-            plainer = [self.swap(current, term, inner) for inner in term.effect.contains]
-            for other in [fitted for fitted in (less, *plainer) if fitted is not None]:
-                lost = self.compare(current, other)
-                idle = other is less and not term.effect.once and not self.earns(current, other)
-                if idle or lost.alike:
-                    self.tell(f"{term.key} is more than is needed")
-                    return self.prune(other)
-        return current
-
-    def swap(self, current: Fit, term: Term, effect: str) -> Fit | None:
-        """Refit with another effect in the place of one; None where it cannot act."""
-        other = next((e for e in self.effects if e.id == effect), None)
-        rest = current.structure.without(term.key)
-        if other is None or any(t.key == f"{effect}@{term.at}" for t in rest.terms):
-            return None
-        scene = self.look(current)
-        if term.at not in places(other, current.structure.model, self.joints, scene.recordings[0]):
-            return None
-        values = current.structure.term_values(current.z, term)
-        levels = [values[name] for name in term.effect.levels]
-        evidence = scene.at(other.place, term.at, {term.at: float(np.mean(levels))} if levels else {})
-        structure = rest.with_term(Term(other, term.at, dict(other.guesses(evidence)[0])))
-        sketch = self.near(current, structure)
-        return None if sketch is None else self.full(current, sketch)
 
     def refine(self, fitted: Fit) -> Fit:
         """Halve the steps, from here on, and fit a structure once more: what takes fine steps is off at any."""

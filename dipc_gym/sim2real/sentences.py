@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from dipc_gym.sim2real import search
+from dipc_gym.sim2real import ranking
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.structure import Term
 
@@ -21,7 +21,7 @@ def in_one_sentence(verdict: str, missing: Sequence[Missing], changed: Sequence[
     fall = f"On held-out data the error {goes} from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
     known = " ".join(m.sentence for m in missing if m.effect != "unknown")
     rest = ""
-    if errors.improved > search.AT_FLOOR:
+    if errors.improved > ranking.AT_FLOOR:
         rest = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
     if verdict == "consistent":
         return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.3g} times the noise.{rest}"
