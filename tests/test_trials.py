@@ -403,6 +403,17 @@ def test_a_force_along_the_way_may_repeat_as_often_as_cogging_does(tmp_path):
     assert answer["equivalents"]["motor.cogging@motor"] == [{"effect": "load.position", "at": plan.rig}]
 
 
+def test_an_unknown_may_show_nothing_but_the_known_that_it_includes(tmp_path):
+    """Friction that grows while a joint rests is plain friction on a rig that balances and never rests."""
+    plan = next(p for p in generate.plans(10) if p.kind == "unknown")
+    assert plan.rig == "upright"
+    (tmp_path / "sealed").mkdir()
+    generate.make_trial(tmp_path, plan, 10)
+    answer = answer_of(tmp_path, plan)
+    assert "at rest" in answer["missing"][0]["kind"]
+    assert {"effect": "friction.coulomb", "at": "cart"} in answer["equivalents"]["unknown@cart"]
+
+
 def test_a_trial_is_the_same_every_time(made, tmp_path):
     out, plans = made
     (tmp_path / "sealed").mkdir()
@@ -600,6 +611,10 @@ def test_false_alarms_wrong_numbers_and_the_unknown():
         assert (judged.unknown, judged.misnamed) == (True, False)
     judged = judge.judge(unknown, said(one("friction.load")), FINE)
     assert (judged.unknown, judged.misnamed, judged.reached) == (False, True, None)
+    part = said(one("friction.coulomb"))
+    assert judge.judge(unknown, part, FINE).unknown is False
+    whole = unknown | {"equivalents": {"unknown@cart": [{"effect": "friction.coulomb", "at": "cart"}]}}
+    assert judge.judge(whole, part, FINE).unknown is True
 
 
 def test_a_failed_diagnosis_is_a_wrong_one():

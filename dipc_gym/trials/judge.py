@@ -212,12 +212,10 @@ def _collapsed(answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> 
 
 def _judge_unknown(result: Judgement, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> None:
     """Unknown physics: say so; a part of it, or a name that explains it just as well, is no mistake."""
-    fine = {"unknown", *answer["includes"]}
-    for others in answer["equivalents"].values():
-        fine |= {other["effect"] for other in others}
-    explained = bool(said) and said[0]["effect"] in fine - {"unknown", *answer["includes"]}
+    equal = {other["effect"] for others in answer["equivalents"].values() for other in others}
+    explained = bool(said) and said[0]["effect"] in equal
     result.unknown = "unknown" in result.said or result.verdict in STRUCTURE_LEFT or explained
-    result.misnamed = any(name not in fine for name in result.said)
+    result.misnamed = any(name not in equal | {"unknown", *answer["includes"]} for name in result.said)
     at = {place for m in answer["missing"] for place in (m["at"], *m["also_at"])}
     if said:
         result.place = said[0]["at"] in at

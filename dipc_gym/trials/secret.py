@@ -251,7 +251,8 @@ class Secret:
         limit = SAME * min(1.0, scale)
         kept = [value for h in others for value in h.values]
         found: list[dict[str, str]] = []
-        names = RIVALS.get(hidden.effect.name, ())
+        # What an unknown includes may be all of it that shows: friction that grows at rest, on a rig that never rests.
+        names = (*RIVALS.get(hidden.effect.name, ()), *hidden.effect.includes)
         for rival in effects(self.rig):
             entry = {"effect": rival.name, "at": rival.at}
             itself = (rival.name, rival.at) == (hidden.effect.name, hidden.effect.at)
