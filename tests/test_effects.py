@@ -20,6 +20,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.sim2real import evidence
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
+from dipc_gym.sim2real.effects.base import Evidence
 from dipc_gym.sim2real.effects.waves import waves
 from dipc_gym.sim2real.problem import predict
 from dipc_gym.sim2real.recording import Recording
@@ -517,3 +518,30 @@ def test_the_end_of_play_gives_way_to_what_presses_on_it() -> None:
     mujoco.mj_step(model, data, 2000)
     ahead = data.qpos[int(model.joint("drive_rotor").qposadr[0])] - data.qpos[int(model.joint("load").qposadr[0])]
     assert ahead - gap / 2 == pytest.approx(force / (rate**2 * rotor), rel=1e-3)
+
+
+@pytest.mark.parametrize("swings", [True, False])
+def test_the_frequency_of_a_disturbance_that_a_controller_answers(swings: bool) -> None:
+    """Where all motion is what the rig makes of the disturbance, the force goes with motion as friction does."""
+    t = np.arange(0, 20, 0.002)
+    angle = 2 * np.pi * 3.4 * t - 1.0
+    other = 2 * np.pi * 0.7 * t
+    noise = np.random.default_rng(0).standard_normal((4, len(t)))
+    shaken = (np.sin(angle - 0.4), np.cos(angle - 0.4)) if swings else (np.sin(other), np.cos(other))
+    seen = Evidence(
+        model=mujoco.MjModel.from_xml_string(CART),
+        force=0.3 * np.sin(angle) + 0.2 * noise[0] - 2.0 * shaken[1] * (not swings),
+        velocity=0.1 * shaken[1] + 1e-3 * noise[1],
+        position=0.005 * shaken[0] + 1e-5 * noise[2],
+        load=shaken[0] + 0.01 * noise[3],
+        time=t,
+        command=np.zeros(0),
+        reading=np.zeros(0),
+        gear=0.0,
+        inertia=1.0,
+        period=0.002,
+    )
+    guesses = catalogue()["disturbance.periodic"].guesses(seen)
+    near = [g for g in guesses if abs(g["frequency"] - 3.4) < 0.02]
+    assert near
+    assert max(math.hypot(g["sine"], g["cosine"]) for g in near) == pytest.approx(0.3, rel=0.1)

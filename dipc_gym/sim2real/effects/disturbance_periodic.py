@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dipc_gym.sim2real.document import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
 
 
 class Periodic(Effect):
@@ -32,33 +32,23 @@ class Periodic(Effect):
         n = int(back[0]) + 1 if len(back) else len(evidence.time)
         t = np.arange(evidence.time[0], evidence.time[n - 1], step)
         f = np.interp(t, evidence.time[:n], evidence.force[:n])
-        # What goes with the motion is no disturbance: friction, and own numbers that are off.
+        # What goes with the motion may be friction, or own numbers that are off; or the motion is what the rig makes of
+        # the disturbance, as where it is balanced.
         v, load, q = (
             np.interp(t, evidence.time[:n], x[:n]) for x in (evidence.velocity, evidence.load, evidence.position)
         )
         known = np.stack([v, np.tanh(v / (0.05 * evidence.speed_scale)), load, q, np.ones_like(v)], axis=1)
-        f = f - known @ np.linalg.lstsq(known, f, rcond=None)[0]
-        size = 8 * len(f)
-        spectrum = np.fft.rfft(f * np.hanning(len(f)), size)
-        frequency = np.fft.rfftfreq(size, step)
-        spectrum[frequency > min(50.0, 0.2 / step)] = 0
-        found = []
-        for _ in range(2):
-            k = int(np.argmax(np.abs(spectrum)))
-            if not frequency[k]:
-                break
-            shape = np.stack([np.sin(2 * np.pi * frequency[k] * t), np.cos(2 * np.pi * frequency[k] * t)], axis=1)
-            a, b = np.linalg.lstsq(shape, f, rcond=None)[0]
-            small = 0.02 * evidence.force_scale
-            found.append(
-                {
-                    "sine": float(a) if abs(a) > small else small,
-                    "cosine": float(b) if abs(b) > small else small,
-                    "frequency": float(frequency[k]),
-                }
-            )
-            spectrum[max(0, k - 24) : k + 25] = 0
-        return found
+        beside = f - known @ np.linalg.lstsq(known, f, rcond=None)[0]
+        small = 0.02 * evidence.force_scale
+        lines = {**_lines(t, f - f.mean(), step), **_lines(t, beside, step)}
+        return [
+            {
+                "sine": a if abs(a) > small else small,
+                "cosine": b if abs(b) > small else small,
+                "frequency": frequency,
+            }
+            for frequency, (a, b) in lines.items()
+        ]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader: amplitude, frequency, phase."""
@@ -69,3 +59,21 @@ class Periodic(Effect):
         """In words."""
         size = float(np.hypot(values["sine"], values["cosine"]))
         return f"A force of {size:.3g} {unit['sine']} at {values['frequency']:.3g} Hz shakes {at}."
+
+
+def _lines(t: Array, force: Array, step: float) -> dict[float, tuple[float, float]]:
+    """Weights of sine and cosine, by frequency in Hz, of the two strongest lines of a force (n,) at times t (n,)."""
+    size = 8 * len(force)
+    spectrum = np.fft.rfft(force * np.hanning(len(force)), size)
+    frequency = np.fft.rfftfreq(size, step)
+    spectrum[frequency > min(50.0, 0.2 / step)] = 0
+    found = {}
+    for _ in range(2):
+        k = int(np.argmax(np.abs(spectrum)))
+        if not frequency[k]:
+            break
+        angle = 2 * np.pi * frequency[k] * t
+        a, b = np.linalg.lstsq(np.stack([np.sin(angle), np.cos(angle)], axis=1), force, rcond=None)[0]
+        found[float(frequency[k])] = float(a), float(b)
+        spectrum[max(0, k - 24) : k + 25] = 0
+    return found
