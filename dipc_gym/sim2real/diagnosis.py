@@ -140,6 +140,9 @@ def diagnose(
         problem = problem.join(odd)
         nominal = fit(problem, prepared.structure)
         recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.starts)
+    fitted, compared = selection.without_echoes(problem, unseen, recalibrated)
+    problem, unseen = problem.pick(fitted), unseen.pick(compared)
+    nominal, recalibrated = nominal.pick(fitted), recalibrated.pick(fitted)
     tell(f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}")
     search = Search(
         problem,

@@ -113,7 +113,7 @@ class Search:
     # -------------------------------------------------------------------------------------------- one round
 
     def hypotheses(self, current: Fit, scene: Scene) -> list[Term]:
-        """Every effect at every place it can act, with first guesses."""
+        """Every effect at every place it can act, with first guesses; what happens once only where all is quiet."""
         friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in self.joints}
         levels = {joint: level for joint, level in friction.items() if level > 0}
         terms, found = current.structure.terms, []
@@ -353,6 +353,7 @@ class Search:
         return self._earned(self.mse(fitted), self.mse(current))
 
     def _earned(self, after: Array, before: Array) -> bool:
+        """The same of mean square errors of the same windows, (n,)."""
         now, then = (float(np.sqrt(np.mean(mse))) for mse in (before, after))
         return then < AT_FLOOR or (not self.small and now - then > EARNS * (now - 1))
 

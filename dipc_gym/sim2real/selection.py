@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym.sim2real.fit import Fit, evaluate
 from dipc_gym.sim2real.problem import Problem
@@ -58,6 +59,29 @@ def odd(rest: Problem, recalibrated: Fit) -> Problem:
         return rest
     mse, _ = evaluate(rest, recalibrated.structure, recalibrated.z)
     return rest.pick(np.argsort(-mse)[:ODD][np.sort(mse)[::-1][:ODD] > FAR_OUT * typical(recalibrated.mse)])
+
+
+def without_echoes(problem: Problem, unseen: Problem, recalibrated: Fit) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Which windows to keep, of either kind: all but those of other recordings at the time of odd ones.
+
+    Each recording has a clock of its own. What happened once happened in one of them, and an effect that has a time
+    would be held against the others.
+
+    Args:
+        problem: windows that are fitted.
+        unseen: windows that are compared on.
+        recalibrated: fitted to `problem`; told apart by it.
+    """
+    mse = np.append(recalibrated.mse, evaluate(unseen, recalibrated.structure, recalibrated.z)[0])
+    far = mse > FAR_OUT * typical(recalibrated.mse)
+    windows = problem.windows.join(unseen.windows)
+    close = np.abs(windows.start[:, None] - windows.start[far]) < windows.times.max() + PAST
+    elsewhere = windows.source[:, None] != windows.source[far]
+    keep = far | ~(close & elsewhere).any(axis=1)
+    if far.sum() > ODD:  # no event
+        keep[:] = True
+    count = len(problem.windows)
+    return np.flatnonzero(keep[:count]), np.flatnonzero(keep[count:])
 
 
 def odd_times(problem: Problem, fitted: Fit) -> list[float]:
