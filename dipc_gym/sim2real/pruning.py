@@ -18,8 +18,7 @@ def prune(search: Search, current: Fit) -> Fit:
     """Take out effects that do not earn their place any more; put plainer ones in the place of idle numbers."""
     for term in current.structure.terms:
         rest = current.structure.without(term.key)
-        sketch = search.near(current, rest) if rest.terms else None
-        less = search.full(current, sketch) if sketch else None
+        less = search.near(current, rest) if rest.terms else None
         plainer = [_swap(search, current, term, inner) for inner in term.effect.contains]
         for other in [fitted for fitted in (less, *plainer) if fitted is not None]:
             lost = search.compare(current, other)
@@ -42,6 +41,4 @@ def _swap(search: Search, current: Fit, term: Term, effect: str) -> Fit | None:
     values = current.structure.term_values(current.z, term)
     levels = [values[name] for name in term.effect.levels]
     evidence = scene.at(other.place, term.at, {term.at: float(np.mean(levels))} if levels else {})
-    structure = rest.with_term(Term(other, term.at, dict(other.guesses(evidence)[0])))
-    sketch = search.near(current, structure)
-    return None if sketch is None else search.full(current, sketch)
+    return search.near(current, rest.with_term(Term(other, term.at, dict(other.guesses(evidence)[0]))))

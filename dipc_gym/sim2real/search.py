@@ -27,6 +27,7 @@ from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.pruning import prune
 from dipc_gym.sim2real.ranking import AT_FLOOR, FINALISTS
 from dipc_gym.sim2real.screening import Tried, excludes
+from dipc_gym.sim2real.shooting import mean_loss
 from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
@@ -117,9 +118,8 @@ class Search:
         friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in self.joints}
         levels = {joint: level for joint, level in friction.items() if level > 0}
         terms, found = current.structure.terms, []
-        quiet = float(np.median(current.mse)) < QUIET
         for effect in self.effects:
-            if effect.once and not quiet:
+            if effect.once and not _quiet(current):
                 continue
             for at in places(effect, current.structure.model, self.joints, scene.recordings[0]):
                 if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):
@@ -168,9 +168,9 @@ class Search:
         return compare(fitted.mse[self.few], sketch.mse, self.problem.blocks[self.few]).gain > LARGE
 
     def near(self, current: Fit, structure: Structure) -> Fit | None:
-        """A sketch of a structure, if that does not tell already that it is far from predicting as `current` does."""
+        """A full fit of a structure, unless its sketch tells that it is far from predicting as `current` does."""
         sketch = self.sketch(current, structure)
-        return None if sketch is None or self.behind(sketch, current) else sketch
+        return None if sketch is None or self.behind(sketch, current) else self.full(current, sketch)
 
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
@@ -233,14 +233,14 @@ class Search:
 
         A fit that brings less than screening foretold is stuck; then the next start is tried as well.
         """
-        before = float(np.mean(np.log1p(current.mse[self.few])))
+        before = mean_loss(current.mse[self.few], 1.0)
         sketches: list[tuple[Tried, Fit]] = []
         for tried, base in starts:
             sketch = self.sketch(base, base.structure.with_term(tried.term))
             if sketch is None:
                 continue
             sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch), base))
-            if before - float(np.mean(np.log1p(sketch.mse))) > max(tried.promise, WORTH / 2):
+            if before - mean_loss(sketch.mse, 1.0) > max(tried.promise, WORTH / 2):
                 break
         losses = ranking.losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
         return [sketches[int(np.argmin(losses))]] if sketches else []
@@ -289,7 +289,7 @@ class Search:
 
     def _screen(self, base: Fit, current: Fit) -> tuple[Fit, float, list[Tried]]:
         """A base, by how much it is worse than `current`, and what hypotheses promise on top of it."""
-        handicap = max(0.0, float(np.mean(np.log1p(base.mse)) - np.mean(np.log1p(current.mse))))
+        handicap = max(0.0, mean_loss(base.mse, 1.0) - mean_loss(current.mse, 1.0))
         return base, handicap, screening.screen(self.problem, base, self.hypotheses(base, self.look(base)), self.few)
 
     def polish(self, fitted: Fit) -> Fit:
@@ -342,7 +342,7 @@ class Search:
                 self.earns(fitted, current) and self.compare(fitted, current).clear and self.confirmed(fitted, current)
             )
         fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
-        return float(np.median(current.mse)) < QUIET and float(np.sum(fall)) > ONCE
+        return _quiet(current) and float(np.sum(fall)) > ONCE
 
     def earns(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit comes down to the noise, or takes a good part of what is left.
@@ -409,3 +409,8 @@ class Search:
         """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
+
+
+def _quiet(fitted: Fit) -> bool:
+    """Whether most windows are at the noise, so that one in which something happened stands out."""
+    return float(np.median(fitted.mse)) < QUIET

@@ -40,7 +40,7 @@ class Periodic(Effect):
         known = np.stack([v, np.tanh(v / (0.05 * evidence.speed_scale)), load, q, np.ones_like(v)], axis=1)
         beside = f - known @ np.linalg.lstsq(known, f, rcond=None)[0]
         small = 0.02 * evidence.force_scale
-        lines = {**_lines(t, f - f.mean(), step), **_lines(t, beside, step)}
+        lines = _lines(t, f - f.mean(), step) | _lines(t, beside, step)
         return [
             {
                 "sine": a if abs(a) > small else small,
