@@ -230,6 +230,15 @@ def test_a_knock_in_a_window_left_aside_is_found(size: tuple[float, float], when
     assert found.missing[0].parameters["start"]["value"] == pytest.approx(when, abs=0.03)
 
 
+def test_a_knock_hidden_under_friction_is_found() -> None:
+    """It stands out once friction explains the rest, and the other recording does not speak against it then either."""
+    runs = [run(7, 20, 5.0, knock=(6.0, 14.05, 0.08)), run(8, 20, 5.0)]
+    names = ("disturbance.pulse", "load.constant", "friction.coulomb")
+    found = diagnose(mjcf.from_text(NOMINAL), runs, effects=[catalogue()[n] for n in names])
+    assert [m.effect for m in found.missing] == ["friction.coulomb", "disturbance.pulse"], found.sentence
+    assert found.missing[1].parameters["start"]["value"] == pytest.approx(14.05, abs=0.03)
+
+
 def test_forces_are_judged_beside_predictions(few: list[object]) -> None:
     found = diagnose(mjcf.from_text(NOMINAL), [run(1, 20, 3.0)], effects=few)  # type: ignore[arg-type]
     force = found.to_dict()["fit"]["held_out_force"]["cart"]

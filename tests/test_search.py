@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from dipc_gym.sim2real import selection
+from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.screening import Tried
 from dipc_gym.sim2real.search import Search
@@ -41,11 +43,14 @@ def test_a_search_ends_where_laws_may_leave_what_is_left(before: float, now: flo
         (False, 1.3, 1.1, True),
     ],
 )
-def test_what_earns_its_place(small: bool, before: float, after: float, earned: bool) -> None:
-    """Errors in units of noise."""
+@pytest.mark.parametrize("pushed", [0, 1])
+def test_what_earns_its_place(small: bool, before: float, after: float, earned: bool, pushed: int) -> None:
+    """Errors in units of noise; a push in one window, not yet found, does not decide it."""
     search = SimpleNamespace(small=small)
-    windows = np.ones(9)
-    assert Search._earned(search, after**2 * windows, before**2 * windows) is earned  # type: ignore[arg-type]
+    windows = np.ones(40)
+    then, now = before**2 * windows, after**2 * windows
+    then[:pushed] = now[:pushed] = 60.0**2
+    assert Search._earned(search, now, then) is earned  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -82,3 +87,56 @@ def test_what_happened_once_is_looked_for_at_the_noise(
     current = SimpleNamespace(mse=np.full(9, error**2), structure=SimpleNamespace(terms=(), model=model))
     monkeypatch.setattr(type(push), "guesses", lambda *_: [{}])
     assert bool(Search.hypotheses(search, current, scene)) is tried  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("scale", "worse", "better", "shows"),
+    [
+        (1.0, 3, 0, True),
+        (1.0, 2, 0, False),  # may be chance
+        (1.0, 3, 1, False),  # they contradict each other
+        (9.0, 3, 0, False),  # away from the noise errors differ for many reasons
+    ],
+)
+def test_a_few_windows_tell_at_the_noise(scale: float, worse: int, better: int, shows: bool) -> None:
+    """An effect that acts in three of eighty windows, as break-away does, is there: ten times the error without it."""
+    new, old = np.full(80, scale), np.full(80, scale)
+    old[:worse] *= 100.0
+    new[worse : worse + better] *= 100.0
+    difference = compare(new, old, np.arange(80))
+    assert difference.shows is shows
+    assert difference.clear is shows
+    assert difference.alike is not shows
+
+
+def test_windows_of_other_recordings_at_the_time_of_an_odd_one_are_left_aside() -> None:
+    windows = SimpleNamespace(
+        start=np.array([0.0, 1.0, 2.0, 3.0] * 2), source=np.repeat([0, 1], 4), times=np.linspace(0, 0.25, 5)[None]
+    )
+    mse = np.ones(8)
+    assert selection.without_echoes(windows, mse).all()  # type: ignore[arg-type]
+    mse[2] = 1000.0
+    assert np.flatnonzero(~selection.without_echoes(windows, mse)).tolist() == [6]  # type: ignore[arg-type]
+
+
+def test_sketches_know_windows_that_stood_out_before_them() -> None:
+    """What stands out later is added at the end, and older sketches are compared on what they know."""
+    search = SimpleNamespace(few=np.array([4, 7, 9, 2]))
+    old = SimpleNamespace(mse=np.ones(3))
+    assert Search.known_to(search, old).tolist() == [4, 7, 9]  # type: ignore[arg-type]
+
+
+def test_windows_beside_an_odd_one_are_taken_in() -> None:
+    """They tell when it began and ended; those of another recording do not."""
+    fitted = SimpleNamespace(start=np.arange(9) / 2, source=np.zeros(9, dtype=int))
+
+    class Rest(SimpleNamespace):
+        def __len__(self) -> int:
+            return len(self.start)
+
+    start, source = np.array([0.25, 0.75, 1.5, 0.25]), np.array([0, 0, 0, 1])
+    rest = Rest(start=start, source=source, times=np.linspace(0, 0.25, 5)[None])
+    found = selection.eventful(fitted, np.where(fitted.start == 0.5, 90.0, 1.0), rest, np.ones(4))  # type: ignore[arg-type]
+    assert found.tolist() == [True, True, False, False]
+    found = selection.eventful(fitted, np.ones(9), rest, np.array([1.0, 1.0, 90.0, 1.0]))  # type: ignore[arg-type]
+    assert found.tolist() == [False, False, True, False]

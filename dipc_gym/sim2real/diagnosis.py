@@ -136,23 +136,19 @@ def diagnose(
     nominal = fit(problem, prepared.structure)
     recalibrated = fit(problem, replace(prepared.structure, numbers=tuple(numbers)), starts=nominal.starts, most=20)
     odd = selection.odd(rest, recalibrated)
-    if len(odd.windows):
-        problem = problem.join(odd)
+    if len(odd):
+        problem, rest = problem.join(rest.pick(odd)), rest.pick(np.delete(np.arange(len(rest.windows)), odd))
         nominal = fit(problem, prepared.structure)
         recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.starts)
-    fitted, compared = selection.without_echoes(problem, unseen, recalibrated)
-    problem, unseen = problem.pick(fitted), unseen.pick(compared)
-    nominal, recalibrated = nominal.pick(fitted), recalibrated.pick(fitted)
     tell(f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}")
     search = Search(
         problem,
         unseen,
+        rest,
         held,
         list(effects if effects is not None else catalogue().values()),
         prepared.structure.base,
-        lambda f: evidence.scene(
-            f.structure.physics(f.z), recordings, prepared.motions, span[1], selection.odd_times(problem, f)
-        ),
+        lambda f, odd=(): evidence.scene(f.structure.physics(f.z), recordings, prepared.motions, span[1], odd),
         anchor=fit(problem, recalibrated.structure, np.zeros(len(numbers)), nominal.starts, most=0),
         tell=tell,
     )
@@ -168,7 +164,7 @@ def diagnose(
     final, held = search.refine(found.fitted), replace(held, finer=2)
     found = replace(found, fitted=final)
     notes += found.notes
-    train = Errors(judge.unseen_error(search, nominal), worst, judge.unseen_error(search, final))
+    train = Errors(*(judge.unseen_error(search, f) for f in (nominal, recalibrated, final)))
     errors = Errors(*(judge.held_out_error(held, f) for f in (nominal, recalibrated, final)))
     forces = np.stack(
         [

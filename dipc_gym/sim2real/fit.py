@@ -90,6 +90,20 @@ class Fit:
             jacobian=self.jacobian[which],
         )
 
+    def join(self, other: Fit) -> Fit:
+        """What the same numbers say of these windows and of others."""
+        q, o = self.quadratics, other.quadratics
+        return replace(
+            self,
+            starts=np.append(self.starts, other.starts, 0),
+            raw=np.append(self.raw, other.raw, 0),
+            left=np.append(self.left, other.left, 0),
+            mse=np.append(self.mse, other.mse),
+            sensitivity=np.append(self.sensitivity, other.sensitivity, 0),
+            quadratics=Quadratics(np.append(q.A, o.A, 0), np.append(q.b, o.b, 0), np.append(q.c, o.c)),
+            jacobian=np.append(self.jacobian, other.jacobian, 0),
+        )
+
 
 def weights(mse: Array) -> Array:
     """Weight of each window: those that are far off count less, so that a few cannot decide a fit."""

@@ -177,7 +177,7 @@ def _candidates(work: Work) -> list[report.Candidate]:
         for r in rs
     }
     rows: dict[str, report.Candidate] = {}
-    baseline, few = work.recalibrated, search.few
+    baseline = search.path[0]
     for tried in [t for r in reversed(search.rounds) for t in r]:
         if tried.key in rows and (rows[tried.key].error is not None or tried.sketch is None):
             continue
@@ -189,6 +189,7 @@ def _candidates(work: Work) -> list[report.Candidate]:
             error = tried.fitted.error
             gain = compare(search.unseen_mse(tried.fitted), search.unseen_mse(baseline), search.unseen.blocks)
         else:  # the windows of a sketch are among the worse ones
+            few = search.known_to(tried.sketch)
             error = tried.sketch.error * baseline.error / float(np.sqrt(np.mean(baseline.mse[few])))
             gain = compare(tried.sketch.mse, baseline.mse[few], search.problem.blocks[few])
         rows[tried.key] = report.Candidate(

@@ -22,8 +22,9 @@ def prune(search: Search, current: Fit) -> Fit:
         plainer = [_swap(search, current, term, inner) for inner in term.effect.contains]
         for other in [fitted for fitted in (less, *plainer) if fitted is not None]:
             lost = search.compare(current, other)
-            idle = other is less and not term.effect.once and not search.earns(current, other)
-            if idle or lost.alike:
+            idle = other is less and not search.earns(current, other)
+            happened = other is less and term.effect.once and search.stands_out(term, current, other)
+            if (idle or lost.alike) and not happened:
                 search.tell(f"{term.key} is more than is needed")
                 return prune(search, other)
     return current

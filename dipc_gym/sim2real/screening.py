@@ -37,7 +37,7 @@ class Tried:
         fitted: the full fit, or None if the sketch did not keep up.
         score: mean log square error of all windows; infinite if not fitted.
         response: what the effect adds to the predictions of a few windows at these numbers, less what their starts
-            could explain, in units of noise, (n, M).
+            could explain, in units of noise, (n, M); for the round in which it was screened.
     """
 
     term: Term
@@ -51,6 +51,11 @@ class Tried:
     def key(self) -> str:
         """`effect@place`."""
         return self.term.key
+
+    def pick(self, which: NDArray[np.intp], few: NDArray[np.intp]) -> Tried:
+        """What its fits say of some of the windows, and of some of the few that were sketched on."""
+        sketch = self.sketch and self.sketch.pick(few[few < len(self.sketch.mse)])
+        return replace(self, sketch=sketch, fitted=self.fitted and self.fitted.pick(which))
 
 
 def screen(problem: Problem, current: Fit, terms: Sequence[Term], few: NDArray[np.intp]) -> list[Tried]:

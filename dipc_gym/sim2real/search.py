@@ -9,7 +9,6 @@ each window counts alike and its standard error means something.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real import pairing, ranking, screening
+from dipc_gym.sim2real import pairing, ranking, screening, selection
+from dipc_gym.sim2real.attention import attend, quiet
 from dipc_gym.sim2real.comparison import LARGE, WORTH, Comparison, compare
 from dipc_gym.sim2real.effects.base import Effect, dof
 from dipc_gym.sim2real.evidence import Scene, places
@@ -27,7 +27,7 @@ from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.pruning import prune
 from dipc_gym.sim2real.ranking import AT_FLOOR, FINALISTS
 from dipc_gym.sim2real.screening import Tried, excludes
-from dipc_gym.sim2real.shooting import mean_loss
+from dipc_gym.sim2real.shooting import common_error, mean_loss, typical
 from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
@@ -37,7 +37,6 @@ MOST_EFFECTS = 6  # that are added
 FULLY = 3  # sketches that are fitted to all windows, beside the plainer ones that they elaborate
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
-QUIET = 1.5  # usual square error up to which such an event is looked for
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 IN_REACH = 3.0  # times the noise, from which a sketch may yet come down to it
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
@@ -51,16 +50,18 @@ class Search:
     Attributes:
         problem: windows to fit.
         unseen: windows to compare on, between those.
+        rest: windows left aside; `attend` takes in those that matter later.
         held: held-out windows, for judging what the search comes to.
         effects: the catalogue.
         joints: base joints.
-        look: gives the evidence for a structure.
+        look: gives the evidence for a fit, and with it the times, s, at which windows begin that are odd.
         rounds: hypotheses of each round, the best first.
         small: whether the mismatch is so small and shapeless that only what explains all of it counts.
         anchor: the model with its own numbers free but at their nominal values. Refitted without an effect that
             matters they can be far off, and an effect tried on top of such numbers looks worse than it is.
         tell: called with a line about progress.
-        few: the windows of `problem` that are sketched on.
+        few: the windows of `problem` that are sketched on; what stands out later comes at the end, and older sketches
+            know only those before.
         interrupted: whether Ctrl-C ended the search.
         path: the fits that were accepted one after another, the first without effects.
         screened: hypotheses of the last round, by what they were laid over and how much worse that is than the
@@ -69,10 +70,11 @@ class Search:
 
     problem: Problem
     unseen: Problem
+    rest: Problem
     held: Problem
     effects: Sequence[Effect]
     joints: tuple[str, ...]
-    look: Callable[[Fit], Scene]
+    look: Callable[..., Scene]
     small: bool = False
     anchor: Fit | None = None
     tell: Callable[[str], None] = lambda line: None
@@ -102,7 +104,7 @@ class Search:
         """
         return compare(self.mse(new), self.mse(old), self._blocks)
 
-    @functools.cached_property
+    @property
     def _blocks(self) -> NDArray[np.intp]:
         """Of the fitted windows, then of the unseen ones; windows of both within one second share a block."""
         return self.problem.join(self.unseen).blocks
@@ -119,7 +121,7 @@ class Search:
         levels = {joint: level for joint, level in friction.items() if level > 0}
         terms, found = current.structure.terms, []
         for effect in self.effects:
-            if effect.once and not _quiet(current):
+            if effect.once and not quiet(current):
                 continue
             for at in places(effect, current.structure.model, self.joints, scene.recordings[0]):
                 if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):
@@ -155,9 +157,10 @@ class Search:
         earn its place beside `current` even on the few windows.
         """
         try:
+            few = self.known_to(sketch)
             if not sketch.converged and sketch.error > AT_FLOOR:
-                sketch = fit(self.problem.pick(self.few), sketch.structure, sketch.z, sketch.starts, most=15)
-            if current is not None and not self._earned(sketch.mse, current.mse[self.few]):
+                sketch = fit(self.problem.pick(few), sketch.structure, sketch.z, sketch.starts, most=15)
+            if current is not None and not self._earned(sketch.mse, current.mse[few]):
                 return None
             return fit(self.problem, sketch.structure, sketch.z, base.starts, most=8, tolerance=ROUGH)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
@@ -165,7 +168,12 @@ class Search:
 
     def behind(self, sketch: Fit, fitted: Fit) -> bool:
         """Whether a sketch is so much worse than a full fit that fitting on would not bring it close."""
-        return compare(fitted.mse[self.few], sketch.mse, self.problem.blocks[self.few]).gain > LARGE
+        few = self.known_to(sketch)
+        return compare(fitted.mse[few], sketch.mse, self.problem.blocks[few]).gain > LARGE
+
+    def known_to(self, sketch: Fit) -> NDArray[np.intp]:
+        """The windows that a sketch was fitted to."""
+        return self.few[: len(sketch.mse)]
 
     def near(self, current: Fit, structure: Structure) -> Fit | None:
         """A full fit of a structure, unless its sketch tells that it is far from predicting as `current` does."""
@@ -290,7 +298,9 @@ class Search:
     def _screen(self, base: Fit, current: Fit) -> tuple[Fit, float, list[Tried]]:
         """A base, by how much it is worse than `current`, and what hypotheses promise on top of it."""
         handicap = max(0.0, mean_loss(base.mse, 1.0) - mean_loss(current.mse, 1.0))
-        return base, handicap, screening.screen(self.problem, base, self.hypotheses(base, self.look(base)), self.few)
+        odd = self.problem.windows.start[selection.odd_windows(base.mse, typical(base.mse))]
+        hypotheses = self.hypotheses(base, self.look(base, odd))
+        return base, handicap, screening.screen(self.problem, base, hypotheses, self.few)
 
     def polish(self, fitted: Fit) -> Fit:
         """Fit on until nothing changes."""
@@ -319,7 +329,7 @@ class Search:
         friction is asked again when the rest is in place.
         """
         assert chosen.fitted is not None
-        if chosen.fitted.error < AT_FLOOR:
+        if common_error(chosen.fitted.mse) < AT_FLOOR:
             return chosen
         most = current.error - MOST * (current.error - chosen.fitted.error)
         plain = [
@@ -342,7 +352,7 @@ class Search:
                 self.earns(fitted, current) and self.compare(fitted, current).clear and self.confirmed(fitted, current)
             )
         fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
-        return _quiet(current) and float(np.sum(fall)) > ONCE
+        return quiet(current) and float(np.sum(fall)) > ONCE
 
     def earns(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit comes down to the noise, or takes a good part of what is left.
@@ -354,7 +364,7 @@ class Search:
 
     def _earned(self, after: Array, before: Array) -> bool:
         """The same of mean square errors of the same windows, (n,)."""
-        now, then = (float(np.sqrt(np.mean(mse))) for mse in (before, after))
+        now, then = common_error(before), common_error(after)
         return then < AT_FLOOR or (not self.small and now - then > EARNS * (now - 1))
 
     def enough(self, current: Fit) -> bool:
@@ -373,31 +383,32 @@ class Search:
     def run(self, start: Fit, most: int = MOST_EFFECTS) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
         self.few, self.path = ranking.few(start.mse), [start]
-        return self._add(start, most)
+        return self._add(most)
 
     def replace_last(self, better: Fit) -> Fit:
         """Put a fit in the place of the one that `run` came to, and add what earns its place beside it."""
         self.path[-1] = self.polish(better)
-        return self._add(self.path[-1], MOST_EFFECTS - len(better.structure.terms))
+        return self._add(MOST_EFFECTS - len(better.structure.terms))
 
-    def _add(self, current: Fit, most: int) -> Fit:
+    def _add(self, most: int) -> Fit:
         try:
             for _ in range(most):
+                current = attend(self)
                 if self.enough(current):
                     break
-                before, better = current, self.round(current)
+                better = self.round(current)
                 if better is None:
                     break
-                current, added = better, better.structure.terms[-1].key
-                self.path.append(current)
-                self.tell(f"added {', '.join(names(better.structure.terms[len(before.structure.terms) :])) or added}")
-                current = self.path[-1] = prune(self, better)
-                if added not in names(current.structure.terms) and not self.compare(current, before).clear:
+                added = better.structure.terms[-1].key
+                self.path.append(better)
+                self.tell(f"added {', '.join(names(better.structure.terms[len(current.structure.terms) :])) or added}")
+                better = self.path[-1] = prune(self, better)
+                if added not in names(better.structure.terms) and not self.compare(better, current).clear:
                     break
         except KeyboardInterrupt:
             self.interrupted = True
             self.tell("interrupted; judging what was found so far (Ctrl-C again stops at once)")
-        return current
+        return self.path[-1]
 
     def refine(self, fitted: Fit) -> Fit:
         """Halve the steps, from here on, and fit a structure once more: what takes fine steps is off at any."""
@@ -409,8 +420,3 @@ class Search:
         """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
-
-
-def _quiet(fitted: Fit) -> bool:
-    """Whether most windows are at the noise, so that one in which something happened stands out."""
-    return float(np.median(fitted.mse)) < QUIET

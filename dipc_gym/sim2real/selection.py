@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real.fit import Fit, evaluate
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording, RecordingError
-from dipc_gym.sim2real.shooting import typical
+from dipc_gym.sim2real.shooting import FAR_OUT, typical
+from dipc_gym.sim2real.simulate import Windows
 from dipc_gym.sim2real.windows import Prepared
 
+Array = NDArray[np.float64]
+
 WINDOWS = 72  # fitted and compared on, two thirds and one third; more say little more
-ODD = 6  # windows left aside that are fitted after all
-FAR_OUT = 4.0  # times the usual square error, from which they are
+ODD = 6  # windows in which something else happened, at most
 PAST = 0.05  # s before a window whose commands must be known: they may act late
 
 
@@ -53,39 +55,51 @@ def split(problem: Problem) -> tuple[Problem, Problem, Problem]:
     return problem.pick(np.delete(chosen, np.s_[1::3])), problem.pick(chosen[1::3]), problem.pick(others)
 
 
-def odd(rest: Problem, recalibrated: Fit) -> Problem:
+def odd_windows(mse: Array, usual: float) -> NDArray[np.intp]:
+    """Windows that are predicted far worse than usual, by their mean square errors (n,), the worst first."""
+    worst = np.argsort(-mse)[:ODD]
+    return worst[mse[worst] > FAR_OUT * usual]
+
+
+def odd(rest: Problem, recalibrated: Fit) -> NDArray[np.intp]:
     """Windows, of those left aside, in which something happened that the others do not show: a push, a knock."""
     if not len(rest.windows):
-        return rest
+        return np.zeros(0, dtype=np.intp)
     mse, _ = evaluate(rest, recalibrated.structure, recalibrated.z)
-    return rest.pick(np.argsort(-mse)[:ODD][np.sort(mse)[::-1][:ODD] > FAR_OUT * typical(recalibrated.mse)])
+    return odd_windows(mse, typical(recalibrated.mse))
 
 
-def without_echoes(problem: Problem, unseen: Problem, recalibrated: Fit) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Which windows to keep, of either kind: all but those of other recordings at the time of odd ones.
+def eventful(windows: Windows, mse: Array, rest: Windows, rest_mse: Array) -> NDArray[np.bool_]:
+    """Which windows of those left aside are odd or beside one that is, (n,); those tell when it began and ended.
+
+    Args:
+        windows: that are fitted.
+        mse: how well they are predicted.
+        rest: windows left aside.
+        rest_mse: how well these are predicted, (n,).
+    """
+    fitted, aside = odd_windows(mse, typical(mse)), odd_windows(rest_mse, typical(mse))
+    if not 0 < len(fitted) + len(aside) <= ODD:
+        return np.zeros(len(rest), dtype=bool)
+    start = np.append(windows.start[fitted], rest.start[aside])
+    source = np.append(windows.source[fitted], rest.source[aside])
+    close = np.abs(rest.start[:, None] - start) < rest.times.max() + PAST
+    return np.asarray((close & (rest.source[:, None] == source)).any(axis=1))
+
+
+def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
+    """Which windows to keep, (n,): all but those of other recordings at the time of odd ones.
 
     Each recording has a clock of its own. What happened once happened in one of them, and an effect that has a time
     would be held against the others.
 
     Args:
-        problem: windows that are fitted.
-        unseen: windows that are compared on.
-        recalibrated: fitted to `problem`; told apart by it.
+        windows: of all recordings.
+        mse: how well they are predicted, (n,); the odd ones are told by it.
     """
-    mse = np.append(recalibrated.mse, evaluate(unseen, recalibrated.structure, recalibrated.z)[0])
-    far = mse > FAR_OUT * typical(recalibrated.mse)
-    windows = problem.windows.join(unseen.windows)
+    far = mse > FAR_OUT * typical(mse)
+    if far.sum() > ODD:  # no event
+        return np.ones(len(mse), dtype=bool)
     close = np.abs(windows.start[:, None] - windows.start[far]) < windows.times.max() + PAST
     elsewhere = windows.source[:, None] != windows.source[far]
-    keep = far | ~(close & elsewhere).any(axis=1)
-    if far.sum() > ODD:  # no event
-        keep[:] = True
-    count = len(problem.windows)
-    return np.flatnonzero(keep[:count]), np.flatnonzero(keep[count:])
-
-
-def odd_times(problem: Problem, fitted: Fit) -> list[float]:
-    """Times at which fitted windows begin that are far worse than most, the worst first."""
-    worst = np.argsort(-fitted.mse)[:ODD]
-    far = worst[fitted.mse[worst] > FAR_OUT * typical(fitted.mse)]
-    return [float(start) for start in problem.windows.start[far]]
+    return far | ~(close & elsewhere).any(axis=1)

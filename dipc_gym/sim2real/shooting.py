@@ -17,6 +17,7 @@ from dipc_gym.sim2real.structure import Structure
 Array = NDArray[np.float64]
 
 LAG = 0.02  # of the mean log square error that starts could still explain, from which they are corrected
+FAR_OUT = 4.0  # times the usual square error, from which something else happened in a window
 _PROBE = 0.02  # finite difference of a mapped number; smaller ones drown in the kinks of dry friction
 
 
@@ -158,6 +159,11 @@ def typical(mse: Array) -> float:
     its place would let a structure win on the quiet half of the windows that fails wherever the motion is fast.
     """
     return max(1.0, float(np.quantile(mse, 0.8)))
+
+
+def common_error(mse: Array) -> float:
+    """Root mean square error of windows (n,) in which nothing else happened: a push not yet found counts little."""
+    return float(np.sqrt(np.mean(np.minimum(mse, FAR_OUT * typical(mse)))))
 
 
 def loss(mse: Array, scale: float) -> Array:
