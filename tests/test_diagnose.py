@@ -399,6 +399,7 @@ def test_comparison_needs_more_than_chance() -> None:
         ((90.0, 80.0, 80.0), 1e3, 0.0, 0, 1, "unexplained"),
         ((9.0, 8.5, 8.5), 1e5, 0.0, 0, 2, "consistent"),
         ((9.0, 8.5, 8.5), 1e5, 0.3, 0, 2, "unexplained"),
+        ((213.0, 53.0, 53.0), 2.5e4, 0.04, 0, 2, "unexplained"),  # of the motion two thousandths
     ],
 )
 def test_verdicts(

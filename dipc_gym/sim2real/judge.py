@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 SURE = 0.95  # quantile to which an interval reaches on either side: 90 % lie within
 FEWEST_BLOCKS = 3  # that tell how much a number depends on which of them there are
-SMALL = 3e-3  # of the motion within a window: a smaller mismatch is called missing physics only if it has a pattern
+SMALL = 1e-3  # of the motion within a window: a smaller mismatch is called missing physics only if it has a pattern
 PATTERN = 0.1  # share of the variance of the unexplained force that goes with something, from which it has one
 REFUTED = 1.05  # times the error on held-out data without an effect, from which it is not named after all
 STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
