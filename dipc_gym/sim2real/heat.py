@@ -22,7 +22,7 @@ from dipc_gym.sim2real.states import Motion, spread_out
 
 Array = NDArray[np.float64]
 
-_BLOCK = 0.01  # s over which heating is averaged
+_BLOCK = 0.02  # s over which heating is averaged
 
 
 def heating_motors(model: mujoco.MjModel) -> list[int]:

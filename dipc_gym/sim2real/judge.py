@@ -98,8 +98,11 @@ def fewest_numbers(search: Search, fitted: Fit) -> Fit:
         sparse = with_first(count)
         return sparse is not None and search.compare(fitted, sparse).alike
 
-    # Mostly none had to change.
-    fewest = 0 if suffices(0) else bisect.bisect_left(range(k), True, lo=1, key=suffices)
+    # Mostly none had to change, or few.
+    low, high = 0, 0
+    while high < k and not suffices(high):
+        low, high = high + 1, max(2 * high, 1)
+    fewest = bisect.bisect_left(range(k), True, lo=low, hi=min(high, k), key=suffices)
     return with_first(fewest) or fitted
 
 

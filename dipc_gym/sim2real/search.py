@@ -364,8 +364,8 @@ class Search:
 
     def _earned(self, after: Array, before: Array) -> bool:
         """The same of mean square errors of the same windows, (n,)."""
-        now, then = common_error(before), common_error(after)
-        return then < AT_FLOOR or (not self.small and now - then > EARNS * (now - 1))
+        now, then = (float(np.sqrt(np.mean(mse))) for mse in (before, after))
+        return common_error(after) < AT_FLOOR or (not self.small and now - then > EARNS * (now - 1))
 
     def enough(self, current: Fit) -> bool:
         """Whether what is left at the noise is so little beside what effects took away that their laws may leave it.
