@@ -65,7 +65,8 @@ def _leave_aside(search: Search, keep: NDArray[np.bool_]) -> None:
         return
     count = len(search.problem.windows)
     which, few = np.flatnonzero(keep[:count]), np.flatnonzero(keep[search.few])
-    search.problem, search.unseen = search.problem.pick(which), search.unseen.pick(keep[count:])
+    search.problem = search.problem.pick(which)
+    search.compare_on(search.unseen.pick(keep[count:]))
     search.path = [fitted.pick(which) for fitted in search.path]
     search.anchor = search.anchor and search.anchor.pick(which)
     search.rounds = [[tried.pick(which, few) for tried in hypotheses] for hypotheses in search.rounds]

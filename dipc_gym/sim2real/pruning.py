@@ -21,10 +21,12 @@ def prune(search: Search, current: Fit) -> Fit:
         less = search.near(current, rest) if rest.terms else None
         plainer = [_swap(search, current, term, inner) for inner in term.effect.contains]
         for other in [fitted for fitted in (less, *plainer) if fitted is not None]:
-            lost = search.compare(current, other)
-            idle = other is less and not search.earns(current, other)
-            happened = other is less and term.effect.once and search.stands_out(term, current, other)
-            if (idle or lost.alike) and not happened:
+            if other is less and term.effect.once:
+                needed = search.stands_out(term, current, other)
+            else:
+                lost = search.compare(current, other)
+                needed = not lost.alike and (other is not less or search.earns(current, other))
+            if not needed:
                 search.tell(f"{term.key} is more than is needed")
                 return prune(search, other)
     return current

@@ -85,6 +85,11 @@ class Search:
     screened: list[tuple[Fit, float, list[Tried]]] = field(default_factory=list)
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
 
+    def compare_on(self, unseen: Problem) -> None:
+        """Compare on other windows from here on, or on the same in other steps."""
+        self.unseen = unseen
+        self._known.clear()
+
     def unseen_mse(self, fitted: Fit) -> Array:
         """Mean square error of each unseen window, in units of noise, (n,)."""
         if id(fitted) not in self._known:
@@ -412,8 +417,8 @@ class Search:
 
     def refine(self, fitted: Fit) -> Fit:
         """Halve the steps, from here on, and fit a structure once more: what takes fine steps is off at any."""
-        self.problem, self.unseen = replace(self.problem, finer=2), replace(self.unseen, finer=2)
-        self._known.clear()
+        self.problem = replace(self.problem, finer=2)
+        self.compare_on(replace(self.unseen, finer=2))
         return fit(self.problem, fitted.structure, fitted.z, fitted.starts, most=20)
 
     def without(self, current: Fit, key: str) -> Fit:
