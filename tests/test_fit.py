@@ -237,6 +237,20 @@ def test_unseen_windows_are_judged_without_being_fitted() -> None:
     assert np.sqrt(nominal.mean()) > 20
 
 
+def test_what_numbers_say_of_windows_does_not_depend_on_those_beside_them() -> None:
+    """A fit learns of more windows by being joined with what its numbers say of those."""
+    P = ready(run(friction=2.0), span=(0.0, 1.0))
+    structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.5}))
+    z = structure.first
+    together = fit(P.problem.pick(np.arange(9)), structure, z, most=0)
+    parts = [fit(P.problem.pick(np.arange(*span)), structure, z, most=0) for span in ((0, 5), (5, 9))]
+    joined = parts[0].join(parts[1])
+    np.testing.assert_allclose(joined.mse, together.mse)
+    np.testing.assert_allclose(joined.jacobian, together.jacobian, atol=1e-9)
+    np.testing.assert_allclose(joined.quadratics.A, together.quadratics.A, rtol=1e-9)
+    np.testing.assert_array_equal(joined.pick(np.arange(5)).starts, parts[0].starts)
+
+
 def test_a_rig_that_rests_needs_no_start_corrected() -> None:
     """Held-out stretches may hold nothing but zeros, of which every start that is tried is the same."""
     problem, structure = ready(run()).problem, ready(run()).structure
