@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from dataclasses import replace
 
 import mujoco
@@ -245,6 +246,40 @@ def test_every_variant_has_its_own_fields() -> None:
 
 
 # What windows remember
+
+
+def test_a_lagging_sensor_remembers_the_motion_before_its_window() -> None:
+    """A cart under a force that switches at every sample, against the closed form of what its filter says."""
+    tau, period, mass = 0.003, 0.002, 1.26
+    gear = 4.0
+    driven = '<motor name="motor" joint="cart" gear="4"/>'
+    bare = re.sub("<dcmotor[^>]*>", driven, CART.replace('damping="21.4"', 'damping="0"'))
+    time = period * np.arange(300)
+    volts = np.random.default_rng(3).uniform(-10, 10, len(time))
+    x = v = y = 0.0
+    said, states = np.empty(len(time)), np.empty((len(time), 2))
+    for k, a in enumerate(gear * volts / mass):
+        said[k], states[k] = y, (x, v)
+        # y' = (x - y) / tau is met by x - tau v + tau^2 a, and what is lacking from that decays.
+        ahead = x + v * period + a * period**2 / 2
+        settled = x - tau * v + tau**2 * a
+        x, v = ahead, v + a * period
+        y = x - tau * v + tau**2 * a + (y - settled) * float(np.exp(-period / tau))
+    run = Recording("shaken", time, volts[:, None], said[:, None], ["motor"], ["cart"])
+    windows = cut([run], np.ones(1), 0.25, (0.0, 1.0)).pick(np.array([1]))
+    begin = round(windows.start[0] / period)
+    late = rig(bare, "timing.sensor_lag", "cart", time_constant=tau)
+    readings = simulate(
+        [late],
+        windows,
+        states[None, None, begin],
+        Stepping(5e-4, RK4),
+        base=["cart"],
+        warm=0.06,
+        warm_starts=states[None, begin - 30],
+    )[0, 0, :, 0]
+    bend = gear * 10 / mass * period**2  # by how much a step bends, with the largest force
+    np.testing.assert_allclose(readings, windows.observed[0, :, 0], atol=5e-3 * bend)
 
 
 def test_currents_follow_voltages_with_their_time_constant() -> None:

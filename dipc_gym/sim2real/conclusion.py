@@ -56,13 +56,12 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
     Held-out data may strike an effect off; they never add one.
     """
     path, notes = search.path, list[str]()
-    upheld, fewest = path[-1], judge.fewest_numbers(search, path[-1])
-    error = judge.held_out_error(search.held, fewest)
+    upheld = path[-1]
+    fewest, error = _with_fewest_numbers(search, upheld)
     for before in reversed(path[:-1]):
         if error <= judge.AT_FLOOR:
             break
-        simpler = judge.fewest_numbers(search, before)
-        without = judge.held_out_error(search.held, simpler)
+        simpler, without = _with_fewest_numbers(search, before)
         if not judge.refuted(without, error):
             break
         kept = names(simpler.structure.terms)
@@ -70,6 +69,18 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
         notes.append(sentences.refutation(added or fewest.structure.terms, without, error))
         upheld, fewest, error = before, simpler, without
     return upheld, fewest, notes
+
+
+def _with_fewest_numbers(search: Search, fitted: Fit) -> tuple[Fit, float]:
+    """A fit with the fewest own numbers changed, as long as held-out data do not speak for the others; its error there.
+
+    Where few windows tell a number, the others may not miss it.
+    """
+    fewest = judge.fewest_numbers(search, fitted)
+    error = judge.held_out_error(search.held, fewest)
+    if error > judge.AT_FLOOR and judge.refuted(with_all := judge.held_out_error(search.held, fitted), error):
+        return fitted, with_all
+    return fewest, error
 
 
 def _rivals(search: Search, full: Fit) -> dict[str, list[judge.Rival]]:

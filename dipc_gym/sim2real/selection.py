@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.sim2real.effects.coupling import SWING
 from dipc_gym.sim2real.fit import Fit, evaluate
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording, RecordingError
@@ -19,7 +20,7 @@ Array = NDArray[np.float64]
 
 WINDOWS = 72  # fitted and compared on, two thirds and one third; more say little more
 ODD = 6  # windows in which something else happened, at most
-PAST = 0.05  # s before a window whose commands must be known: they may act late
+APART = 0.05  # s from one window to another that is not beside it
 
 
 def from_zero(recordings: Sequence[Recording]) -> list[Recording]:
@@ -37,10 +38,10 @@ def from_zero(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def known_past(prepared: Prepared) -> Prepared:
-    """Without windows at the beginning of a recording: where there is a delay, commands before it matter."""
+    """Without windows at the beginning of a recording: a late command, or a rotor that swings, is of before it."""
     w = prepared.problem.windows
     began = np.array([recording.time[0] for recording in w.recordings])
-    return replace(prepared, problem=prepared.problem.pick(w.start - began[w.source] > PAST))
+    return replace(prepared, problem=prepared.problem.pick(w.start - began[w.source] > SWING))
 
 
 def split(problem: Problem) -> tuple[Problem, Problem, Problem]:
@@ -83,7 +84,7 @@ def eventful(windows: Windows, mse: Array, rest: Windows, rest_mse: Array) -> ND
         return np.zeros(len(rest), dtype=bool)
     start = np.append(windows.start[fitted], rest.start[aside])
     source = np.append(windows.source[fitted], rest.source[aside])
-    close = np.abs(rest.start[:, None] - start) < rest.times.max() + PAST
+    close = np.abs(rest.start[:, None] - start) < rest.times.max() + APART
     return np.asarray((close & (rest.source[:, None] == source)).any(axis=1))
 
 
@@ -100,6 +101,6 @@ def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
     far = mse > FAR_OUT * typical(mse)
     if far.sum() > ODD:  # no event
         return np.ones(len(mse), dtype=bool)
-    close = np.abs(windows.start[:, None] - windows.start[far]) < windows.times.max() + PAST
+    close = np.abs(windows.start[:, None] - windows.start[far]) < windows.times.max() + APART
     elsewhere = windows.source[:, None] != windows.source[far]
     return far | ~(close & elsewhere).any(axis=1)

@@ -192,6 +192,8 @@ def simulate(
         approach = runs if len(distinct) == count else _Runs(distinct, windows, stepping, base, threads)
         approach.begin(-before, np.broadcast_to(warm_starts, (len(distinct), *starts.shape[1:])))
         track = approach.run(-before, before, record=bool(runs.physics.stage("lag")))
+        if track is not None:
+            track = np.append(track, approach.readings()[:, None], axis=1)
         if approach is not runs:
             which = np.array([next(i for i, one in enumerate(distinct) if one is variant) for variant in variants])
             rows = (which[:, None] * n + np.arange(n)).ravel()
@@ -268,6 +270,12 @@ class _Runs:
         flat = starts.reshape(-1, 2 * nb)
         qpos[:, self._base], qvel[:, self._base] = flat[:, :nb], flat[:, nb:]
         qpos[:, self._hidden], qvel[:, self._hidden] = qpos[:, self._leaders], qvel[:, self._leaders]
+
+    def readings(self) -> Array:
+        """What the model's sensors say now, (sims, nsensordata)."""
+        sensed = self.sims.bind("sensordata")
+        self.sims.forward()
+        return np.array(sensed)
 
     def run(self, first: int, nstep: int, *, record: bool) -> Array | None:
         """Advance under the recorded commands, from the `first` step after each window's start on.
@@ -438,16 +446,21 @@ def _warm_windings(sims: mjbatch.Batch, variants: Sequence[Physics], delays: Arr
 
 
 def _sense(physics: Physics, readings: Array, track: Array | None, step: float) -> Array:
-    """Apply what the sensors do to the model's readings (sims, nstep, nsensordata)."""
+    """Apply what the sensors do to the model's readings (sims, nstep, nsensordata).
+
+    Args:
+        physics: what they do.
+        readings: of the model, from each window's start on.
+        track: readings before that, where sensors remember them; the last are of the start, as it was approached.
+        step: between readings, s.
+    """
     if not physics.stage("lag"):
         return physics.sense(readings.swapaxes(0, 1)).swapaxes(0, 1)
     if track is None:
         whole = readings
     else:
         # The joints were put back to where the window starts; what a sensor remembers moves along.
-        last = track[:, -2:]
-        shift = readings[:, :1] - (2 * last[:, -1:] - last[:, :1])
-        whole = np.concatenate([track + shift, readings], axis=1)
+        whole = np.concatenate([track[:, :-1] + readings[:, :1] - track[:, -1:], readings], axis=1)
     out = np.empty_like(whole)
     memory = physics.sensor_memory(whole[:, 0])
     for k in range(whole.shape[1]):

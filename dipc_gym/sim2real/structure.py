@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Parameter
-from dipc_gym.sim2real.effects.coupling import SETTLE
+from dipc_gym.sim2real.effects.coupling import SWING
 from dipc_gym.sim2real.numbers import Number
 
 Array = NDArray[np.float64]
@@ -191,15 +191,20 @@ class Structure:
     @functools.cached_property
     def _own_warm(self) -> float:
         """S that the nominal model needs: windings, bristles, lagging sensors and joints behind a gap remember."""
-        own = physics.from_model(self.model)
         if len(self.base) < self.model.njnt:
-            return SETTLE
-        return WARM if self.model.na > 0 or own.stage("lag") else 0.0
+            return SWING
+        return WARM if self.model.na > 0 or self._own_lag else 0.0
+
+    @functools.cached_property
+    def _own_lag(self) -> bool:
+        """Whether a sensor of the nominal model lags."""
+        return bool(physics.from_model(self.model).stage("lag"))
 
     @property
     def moves_readings(self) -> bool:
         """Whether an effect, or a late sensor of the model's own, changes what sensors say of a state."""
-        return any(term.effect.moves_readings for term in self.terms) or bool(np.any(self.model.sensor_delay > 0))
+        own = self._own_lag or bool(np.any(self.model.sensor_delay > 0))
+        return own or any(term.effect.moves_readings for term in self.terms)
 
     @property
     def finest(self) -> float:
@@ -208,9 +213,9 @@ class Structure:
 
     @functools.cached_property
     def own_finest(self) -> float:
-        """Longest step that the model's own currents, bristles and rotors bear under explicit integration, s."""
+        """Longest step that the model's own currents, bristles, rotors and lags bear under explicit integration, s."""
         model, kind = self.model, mujoco.mjtDyn
-        finest = FAST if len(self.base) < model.njnt else math.inf
+        finest = FAST if len(self.base) < model.njnt or self._own_lag else math.inf
         for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
             if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:
                 finest = min(finest, FAST, numbers[0])
