@@ -122,7 +122,7 @@ def diagnose(
         if not len(kept.problem.windows):
             raise RecordingError(
                 f"{', '.join(str(r.path or r.name) for r in judged)}: too short to judge by; no window of "
-                f"{prepared.length:.3g} s begins later than {selection.SWING:g} s after the start: record longer"
+                f"{prepared.length:.3g} s begins later than {selection.LATE:g} s after the start: record longer"
             )
     except states.Undetermined as error:
         return _cannot_tell(str(error), source, notes, provenance)

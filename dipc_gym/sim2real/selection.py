@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 WINDOWS = 72  # fitted and compared on, two thirds and one third; more say little more
 ODD = 6  # windows in which something else happened, at most
+PLENTY = 36  # windows from which the first ones can be spared
+LATE = 0.05  # s before a window whose commands must be known: they may act late
 APART = 0.05  # s from one window to another that is not beside it
 
 
@@ -38,10 +40,14 @@ def from_zero(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def known_past(prepared: Prepared) -> Prepared:
-    """Without windows at the beginning of a recording: a late command, or a rotor that swings, is of before it."""
+    """Without windows at the beginning of a recording: a late command, or a rotor that swings, is of before it.
+
+    Of a short recording, windows that a swinging rotor would need are kept.
+    """
     w = prepared.problem.windows
-    began = np.array([recording.time[0] for recording in w.recordings])
-    return replace(prepared, problem=prepared.problem.pick(w.start - began[w.source] > SWING))
+    since = w.start - np.array([recording.time[0] for recording in w.recordings])[w.source]
+    settled = since > SWING
+    return replace(prepared, problem=prepared.problem.pick(settled if settled.sum() >= PLENTY else since > LATE))
 
 
 def split(problem: Problem) -> tuple[Problem, Problem, Problem]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Parameter
-from dipc_gym.sim2real.effects.coupling import SWING
+from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
 from dipc_gym.sim2real.numbers import Number
 
 Array = NDArray[np.float64]
@@ -192,7 +192,7 @@ class Structure:
     def _own_warm(self) -> float:
         """S that the nominal model needs: windings, bristles, lagging sensors and joints behind a gap remember."""
         if len(self.base) < self.model.njnt:
-            return SWING
+            return SWING if np.any(self.model.tendon_stiffness > 0) else SETTLE
         return WARM if self.model.na > 0 or self._own_lag else 0.0
 
     @functools.cached_property
