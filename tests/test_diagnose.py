@@ -7,14 +7,13 @@ import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
 from dipc_gym import cli, mjcf, physics
-from dipc_gym.sim2real import conclusion, evidence, judge, recording
+from dipc_gym.sim2real import evidence, judge, recording
 from dipc_gym.sim2real.comparison import Comparison, compare
 from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 from dipc_gym.sim2real.effects import catalogue
@@ -407,76 +406,6 @@ def test_verdicts(
 ) -> None:
     small = judge.negligible(errors[1], motion, judge.Located("cart", 1.0, "somewhere", explained))
     assert judge.verdict(errors, small, terms, changed) == expected
-
-
-class _Searched:
-    """A search that has run, its fits told apart by names alone."""
-
-    interrupted = False
-    held = None
-
-    def __init__(self, *path: str) -> None:
-        self.path = [_fitted(name) for name in path]
-
-    def tell(self, line: str) -> None:
-        """Nobody listens."""
-
-    def replace_last(self, better: SimpleNamespace) -> None:
-        """Another search found nothing to add."""
-        self.path[-1] = better
-
-
-def _fitted(name: str) -> SimpleNamespace:
-    terms = [SimpleNamespace(key=key) for key in name.split()]
-    return SimpleNamespace(name=name, structure=SimpleNamespace(terms=terms))
-
-
-def _conclude(
-    monkeypatch: pytest.MonkeyPatch, search: _Searched, errors: dict[str, float], better: dict[str, list[str]]
-) -> tuple[conclusion.Conclusion, list[str]]:
-    """Conclude a search given errors on held-out data and the better rivals of each effect; also what was asked."""
-    asked: list[str] = []
-
-    def rivals(_: object, full: SimpleNamespace, term: SimpleNamespace) -> list[judge.Rival]:
-        asked.append(f"{term.key} in {full.name}")
-        found = [("worse", False), *((name, True) for name in better.get(term.key, []))]
-        return [judge.Rival(_fitted(name).structure.terms[0], _fitted(name), False, False, ok) for name, ok in found]
-
-    monkeypatch.setattr(judge, "rivals", rivals)
-    monkeypatch.setattr(judge, "fewest_numbers", lambda _, fit: fit)
-    monkeypatch.setattr(judge, "unseen_error", lambda _, fit: errors[fit.name])
-    monkeypatch.setattr(judge, "held_out_error", lambda _, fit: errors[fit.name])
-    return conclusion.conclude(search), asked  # type: ignore[arg-type]
-
-
-def test_a_rival_that_predicts_better_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The best of them does, and is asked in its turn what could stand in for it."""
-    errors = {"": 9.0, "first": 4.0, "good": 3.0, "best": 2.0}
-    found, asked = _conclude(monkeypatch, _Searched("", "first"), errors, {"first": ["good", "best"]})
-    assert found.fitted.name == "best"  # type: ignore[attr-defined]
-    assert asked == ["first in first", "best in best"]
-    assert [rival.better for rival in found.rivals["best"]] == [False]
-    assert found.notes == []
-
-
-def test_what_held_out_data_strike_off_is_not_asked_for_rivals(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither is it added again, though a rival of what is left would predict better."""
-    errors = {"": 9.0, "first": 4.0, "first second": 5.0, "best": 2.0}
-    search = _Searched("", "first", "first second")
-    found, asked = _conclude(monkeypatch, search, errors, {"first": ["best"]})
-    assert found.fitted.name == "first"  # type: ignore[attr-defined]
-    assert asked == ["first in first"]
-    assert len(found.notes) == 1
-    assert found.notes[0].startswith("second would explain")
-
-
-def test_effects_that_held_out_data_strike_off_altogether(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Then nothing is named."""
-    errors = {"": 4.0, "first": 5.0, "first second": 6.0}
-    found, asked = _conclude(monkeypatch, _Searched("", "first", "first second"), errors, {})
-    assert found.fitted.name == ""
-    assert asked == []
-    assert len(found.notes) == 2
 
 
 @pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice trials are not beside this checkout")

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real import selection
 from dipc_gym.sim2real.comparison import QUIET
 from dipc_gym.sim2real.fit import Fit, evaluate, fit
-from dipc_gym.sim2real.shooting import typical
 
 if TYPE_CHECKING:
     from dipc_gym.sim2real.search import Search
@@ -36,8 +35,7 @@ def attend(search: Search) -> Fit:
     _leave_aside(search, selection.without_echoes(windows, search.mse(search.path[-1])))
     current = search.path[-1]
     if quiet(current):
-        odd = selection.odd_windows(current.mse, typical(current.mse))
-        search.few = np.append(search.few, np.setdiff1d(odd, search.few))
+        search.few = np.append(search.few, np.setdiff1d(selection.odd_windows(current.mse), search.few))
     return current
 
 

@@ -56,10 +56,10 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
     sizes = np.bincount(blocks)
     sums, sizes = sums[sizes > 0], sizes[sizes > 0]
     mean = float(np.sum(sums) / np.sum(sizes))
-    each = sums / sizes
-    shows = usual < QUIET and int(np.sum(each > LARGE)) >= FEW and not np.any(each < -LARGE)
     if len(sums) < 3:
         return Comparison(mean, math.inf)
+    each = sums / sizes
+    shows = usual < QUIET and int(np.sum(each > LARGE)) >= FEW and not np.any(each < -LARGE)
     spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
     return Comparison(mean, float(spread) * _few_blocks(len(sums)), shows)
 

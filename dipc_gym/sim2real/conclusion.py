@@ -28,7 +28,7 @@ class Conclusion:
 
 
 def conclude(search: Search) -> Conclusion:
-    """Judge the effects that a search accepted; rivals that predict clearly better take their places.
+    """Judge the effects that a search accepted; rivals that predict clearly better, or need less, take their places.
 
     Which of two effects is there may show only when a third is in place, which was added after one of them. What
     held-out data strike off ends that: the search would only add it again.
@@ -39,13 +39,27 @@ def conclude(search: Search) -> Conclusion:
     for swaps in range(SWAPS + 1):
         upheld, fewest, notes = _upheld(search)
         rivals = _rivals(search, upheld)
-        better = [rival for group in rivals.values() for rival in group if rival.better]
-        if notes or not better or search.interrupted or swaps == SWAPS:
+        rival = _successor(search, upheld, [rival for group in rivals.values() for rival in group])
+        if notes or rival is None or search.interrupted or swaps == SWAPS:
             break
-        rival = min(better, key=lambda rival: judge.unseen_error(search, rival.fitted))
-        search.tell(f"{rival.term.key} predicts better in its place")
+        search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer numbers'}")
         search.replace_last(rival.fitted)
     return Conclusion(fewest, rivals, notes)
+
+
+def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.Rival | None:
+    """The rival that predicts clearly better, or is the same model here with fewer numbers: a pair of effects that was
+    accepted together was never compared with plainer ones.
+    """
+    better = [rival for rival in rivals if rival.better]
+    plainer = [rival for rival in rivals if rival.same and len(rival.fitted.z) < len(upheld.z)]
+    if better:
+        return min(better, key=lambda rival: judge.unseen_error(search, rival.fitted))
+    return min(
+        plainer,
+        key=lambda rival: (len(rival.fitted.z), judge.unseen_error(search, rival.fitted)),
+        default=None,
+    )
 
 
 def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
@@ -68,6 +82,12 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
         added = [term for term in fewest.structure.terms if term.key not in kept]
         notes.append(sentences.refutation(added or fewest.structure.terms, without, error))
         upheld, fewest, error = before, simpler, without
+    # What happened once is told from what the model lacks only where nothing else is left.
+    for term in upheld.structure.terms:
+        if term.effect.once and error > judge.AT_FLOOR:
+            notes.append(sentences.not_alone(term, error))
+            upheld = search.without(upheld, term.key)
+            fewest, error = _with_fewest_numbers(search, upheld)
     return upheld, fewest, notes
 
 
@@ -78,9 +98,10 @@ def _with_fewest_numbers(search: Search, fitted: Fit) -> tuple[Fit, float]:
     """
     fewest = judge.fewest_numbers(search, fitted)
     error = judge.held_out_error(search.held, fewest)
-    if error > judge.AT_FLOOR and judge.refuted(with_all := judge.held_out_error(search.held, fitted), error):
-        return fitted, with_all
-    return fewest, error
+    if error <= judge.AT_FLOOR:
+        return fewest, error
+    with_all = judge.held_out_error(search.held, fitted)
+    return (fitted, with_all) if judge.refuted(with_all, error) else (fewest, error)
 
 
 def _rivals(search: Search, full: Fit) -> dict[str, list[judge.Rival]]:

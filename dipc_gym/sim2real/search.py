@@ -27,7 +27,7 @@ from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.pruning import prune
 from dipc_gym.sim2real.ranking import AT_FLOOR, FINALISTS
 from dipc_gym.sim2real.screening import Tried, excludes
-from dipc_gym.sim2real.shooting import common_error, mean_loss, typical
+from dipc_gym.sim2real.shooting import common_error, mean_loss
 from dipc_gym.sim2real.structure import Structure, Term, carry, names
 
 Array = NDArray[np.float64]
@@ -303,7 +303,7 @@ class Search:
     def _screen(self, base: Fit, current: Fit) -> tuple[Fit, float, list[Tried]]:
         """A base, by how much it is worse than `current`, and what hypotheses promise on top of it."""
         handicap = max(0.0, mean_loss(base.mse, 1.0) - mean_loss(current.mse, 1.0))
-        odd = self.problem.windows.start[selection.odd_windows(base.mse, typical(base.mse))]
+        odd = self.problem.windows.start[selection.odd_windows(base.mse)]
         hypotheses = self.hypotheses(base, self.look(base, odd))
         return base, handicap, screening.screen(self.problem, base, hypotheses, self.few)
 

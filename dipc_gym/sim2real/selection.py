@@ -62,10 +62,10 @@ def split(problem: Problem) -> tuple[Problem, Problem, Problem]:
     return problem.pick(np.delete(chosen, np.s_[1::3])), problem.pick(chosen[1::3]), problem.pick(others)
 
 
-def odd_windows(mse: Array, usual: float) -> NDArray[np.intp]:
-    """Windows that are predicted far worse than usual, by their mean square errors (n,), the worst first."""
+def odd_windows(mse: Array, others: Array | None = None) -> NDArray[np.intp]:
+    """Windows that are predicted far worse than most (of others, if given), by mean square errors, the worst first."""
     worst = np.argsort(-mse)[:ODD]
-    return worst[mse[worst] > FAR_OUT * usual]
+    return worst[mse[worst] > FAR_OUT * typical(mse if others is None else others)]
 
 
 def odd(rest: Problem, recalibrated: Fit) -> NDArray[np.intp]:
@@ -73,7 +73,7 @@ def odd(rest: Problem, recalibrated: Fit) -> NDArray[np.intp]:
     if not len(rest.windows):
         return np.zeros(0, dtype=np.intp)
     mse, _ = evaluate(rest, recalibrated.structure, recalibrated.z)
-    return odd_windows(mse, typical(recalibrated.mse))
+    return odd_windows(mse, recalibrated.mse)
 
 
 def eventful(windows: Windows, mse: Array, rest: Windows, rest_mse: Array) -> NDArray[np.bool_]:
@@ -85,13 +85,12 @@ def eventful(windows: Windows, mse: Array, rest: Windows, rest_mse: Array) -> ND
         rest: windows left aside.
         rest_mse: how well these are predicted, (n,).
     """
-    fitted, aside = odd_windows(mse, typical(mse)), odd_windows(rest_mse, typical(mse))
+    fitted, aside = odd_windows(mse), odd_windows(rest_mse, mse)
     if not 0 < len(fitted) + len(aside) <= ODD:
         return np.zeros(len(rest), dtype=bool)
     start = np.append(windows.start[fitted], rest.start[aside])
     source = np.append(windows.source[fitted], rest.source[aside])
-    close = np.abs(rest.start[:, None] - start) < rest.times.max() + APART
-    return np.asarray((close & (rest.source[:, None] == source)).any(axis=1))
+    return np.asarray((_beside(rest, start) & (rest.source[:, None] == source)).any(axis=1))
 
 
 def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
@@ -107,6 +106,10 @@ def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
     far = mse > FAR_OUT * typical(mse)
     if far.sum() > ODD:  # no event
         return np.ones(len(mse), dtype=bool)
-    close = np.abs(windows.start[:, None] - windows.start[far]) < windows.times.max() + APART
     elsewhere = windows.source[:, None] != windows.source[far]
-    return far | ~(close & elsewhere).any(axis=1)
+    return far | ~(_beside(windows, windows.start[far]) & elsewhere).any(axis=1)
+
+
+def _beside(windows: Windows, start: Array) -> NDArray[np.bool_]:
+    """Which windows are at, or next to, those that begin at `start` (k,) on whichever clock, (n, k)."""
+    return np.asarray(np.abs(windows.start[:, None] - start) < windows.times.max() + APART)

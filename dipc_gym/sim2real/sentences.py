@@ -85,3 +85,11 @@ def refutation(terms: Sequence[Term], before: float, after: float) -> str:
         f"speak against it (the error rises from {before:.3g} to {after:.3g} times the noise), "
         "so it is not named."
     )
+
+
+def not_alone(term: Term, left: float) -> str:
+    """Note on what would explain one event where others are left; the error on held-out data, in units of noise."""
+    return (
+        f"{term.key} would explain something that happened once, but held-out data hold what it does not explain "
+        f"({left:.3g} times the noise); that may have the same cause, so it is not named."
+    )

@@ -1,0 +1,123 @@
+"""What a search comes to: what held-out data strike off, and what takes the place of what was found."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dipc_gym.sim2real import conclusion, judge
+
+
+class _Searched:
+    """A search that has run, its fits told apart by names alone."""
+
+    interrupted = False
+    held = None
+
+    def __init__(self, *path: str) -> None:
+        self.path = [_fitted(name) for name in path]
+
+    def tell(self, line: str) -> None:
+        """Nobody listens."""
+
+    def replace_last(self, better: SimpleNamespace) -> None:
+        """Another search found nothing to add."""
+        self.path[-1] = better
+
+    def without(self, fitted: SimpleNamespace, key: str) -> SimpleNamespace:
+        """A fit with one effect less."""
+        return _fitted(" ".join(term.key for term in fitted.structure.terms if term.key != key))
+
+
+def _fitted(name: str) -> SimpleNamespace:
+    """A push happens once; what is plain has one number, everything else two."""
+    terms = [SimpleNamespace(key=key, effect=SimpleNamespace(once=key == "push")) for key in name.split()]
+    numbers = sum(1 if term.key == "plain" else 2 for term in terms)
+    return SimpleNamespace(name=name, structure=SimpleNamespace(terms=terms), z=np.zeros(numbers))
+
+
+def _conclude(
+    monkeypatch: pytest.MonkeyPatch,
+    search: _Searched,
+    errors: dict[str, float],
+    better: dict[str, list[str]],
+    same: dict[str, list[str]] | None = None,
+) -> tuple[conclusion.Conclusion, list[str]]:
+    """Conclude a search given errors on held-out data, and the rivals of each effect that predict better or that are
+    the same model; also what was asked.
+    """
+    asked: list[str] = []
+
+    def rivals(_: object, full: SimpleNamespace, term: SimpleNamespace) -> list[judge.Rival]:
+        asked.append(f"{term.key} in {full.name}")
+        alike, ahead = (same or {}).get(term.key, []), better.get(term.key, [])
+        return [
+            judge.Rival(_fitted(name).structure.terms[0], _fitted(name), name in alike, False, name in ahead)
+            for name in ("worse", *alike, *ahead)
+        ]
+
+    monkeypatch.setattr(judge, "rivals", rivals)
+    monkeypatch.setattr(judge, "fewest_numbers", lambda _, fit: fit)
+    monkeypatch.setattr(judge, "unseen_error", lambda _, fit: errors[fit.name])
+    monkeypatch.setattr(judge, "held_out_error", lambda _, fit: errors[fit.name])
+    return conclusion.conclude(search), asked  # type: ignore[arg-type]
+
+
+def test_a_rival_that_predicts_better_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best of them does, and is asked in its turn what could stand in for it."""
+    errors = {"": 9.0, "first": 4.0, "good": 3.0, "best": 2.0}
+    found, asked = _conclude(monkeypatch, _Searched("", "first"), errors, {"first": ["good", "best"]})
+    assert found.fitted.name == "best"  # type: ignore[attr-defined]
+    assert asked == ["first in first", "best in best"]
+    assert [rival.better for rival in found.rivals["best"]] == [False]
+    assert found.notes == []
+
+
+def test_what_held_out_data_strike_off_is_not_asked_for_rivals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither is it added again, though a rival of what is left would predict better."""
+    errors = {"": 9.0, "first": 4.0, "first second": 5.0, "best": 2.0}
+    search = _Searched("", "first", "first second")
+    found, asked = _conclude(monkeypatch, search, errors, {"first": ["best"]})
+    assert found.fitted.name == "first"  # type: ignore[attr-defined]
+    assert asked == ["first in first"]
+    assert len(found.notes) == 1
+    assert found.notes[0].startswith("second would explain")
+
+
+def test_effects_that_held_out_data_strike_off_altogether(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then nothing is named."""
+    errors = {"": 4.0, "first": 5.0, "first second": 6.0}
+    found, asked = _conclude(monkeypatch, _Searched("", "first", "first second"), errors, {})
+    assert found.fitted.name == ""
+    assert asked == []
+    assert len(found.notes) == 2
+
+
+@pytest.mark.parametrize(
+    ("chosen", "same", "stays"),
+    [
+        ("first", ["second", "plain"], "plain"),  # one number for two
+        ("first", ["second"], "first"),  # as many numbers: nothing says which
+        ("plain", ["first"], "plain"),
+    ],
+)
+def test_of_names_for_one_model_the_plainer_one_stays(
+    monkeypatch: pytest.MonkeyPatch, chosen: str, same: list[str], stays: str
+) -> None:
+    """What was accepted as one of a pair was never compared with what would do in its place."""
+    errors = dict.fromkeys(("first", "second", "plain"), 1.0) | {"": 9.0}
+    found, _ = _conclude(monkeypatch, _Searched("", chosen), errors, {}, {chosen: same})
+    assert found.fitted.name == stays  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("left", "named"), [(1.1, "first push"), (1.5, "first")])
+def test_a_push_is_named_only_where_nothing_else_is_left(
+    monkeypatch: pytest.MonkeyPatch, left: float, named: str
+) -> None:
+    """One of several windows that stand out could always be a push."""
+    errors = {"": 9.0, "first": 1.6, "first push": left}
+    found, _ = _conclude(monkeypatch, _Searched("", "first", "first push"), errors, {})
+    assert found.fitted.name == named  # type: ignore[attr-defined]
+    assert [note.split()[0] for note in found.notes] == ([] if named == "first push" else ["push"])
