@@ -409,7 +409,7 @@ def test_verdicts(
 
 
 @pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice trials are not beside this checkout")
-@pytest.mark.parametrize("trial", ["p01_cart", "p02_cart"])
+@pytest.mark.parametrize("trial", ["p01_cart", "p02_cart", "p05_cart"])
 def test_practice(trial: str, tmp_path: Path) -> None:
     folder = tmp_path / trial
     shutil.copytree(PRACTICE / trial, folder)

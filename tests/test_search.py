@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dipc_gym.sim2real import selection
+from dipc_gym.sim2real import screening, selection
 from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.screening import Tried
@@ -145,3 +145,28 @@ def test_windows_beside_an_odd_one_are_taken_in() -> None:
     assert found.tolist() == [True, True, False, False]
     found = selection.eventful(fitted, np.ones(9), rest, np.array([1.0, 1.0, 90.0, 1.0]))  # type: ignore[arg-type]
     assert found.tolist() == [False, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("everywhere", "among_few", "luck"),
+    [
+        (0.0, 0.1, 0.1),
+        (0.2, 0.5, 0.3),
+        (0.2, 0.1, 0.0),
+        (-4.2, 0.1, 0.1),  # a step cut short along a null space does harm; numbers may as well stay where they are
+    ],
+)
+def test_what_own_numbers_promise_on_a_few_windows_by_chance(
+    monkeypatch: pytest.MonkeyPatch, everywhere: float, among_few: float, luck: float
+) -> None:
+    promises = {9: everywhere, 3: among_few}
+
+    class Windows(int):
+        def pick(self, few: np.ndarray) -> Windows:
+            return Windows(len(few))
+
+    monkeypatch.setattr(
+        screening, "_Overlay", lambda count, *_: SimpleNamespace(promise=lambda *_, beside: (promises[count], []))
+    )
+    found = screening._luck(Windows(9), Windows(9), np.arange(3))  # type: ignore[arg-type]
+    assert found == pytest.approx(luck)

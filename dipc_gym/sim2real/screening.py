@@ -116,12 +116,13 @@ def _response(problem: Problem, current: Fit, readings: Array) -> Array:
 def _promise(problem: Problem, current: Fit, effect: Effect, response: Array) -> tuple[float, float]:
     """Fall of the mean log square error by adding an effect at its best size, and that size in guesses."""
     overlay = _Overlay(problem, current, [response])
-    # Beside everything that is free; alone only where the other numbers would have to go too far along a null space.
+    # Beside everything that is free, or alone where the other numbers would have to go too far along a null space.
+    found = [(0.0, 1.0)]
     for beside in (True, False):
         promise, (size,) = overlay.promise([0], [effect], beside=beside)
-        if size != 0.0 and promise > 0.0:
-            return promise, size
-    return 0.0, 1.0
+        if size != 0.0:
+            found.append((promise, size))
+    return max(found, key=lambda each: each[0])
 
 
 def pairs(
@@ -166,9 +167,13 @@ def _distinct(tried: Sequence[Tried]) -> list[Tried]:
 
 
 def _luck(problem: Problem, current: Fit, few: NDArray[np.intp]) -> float:
-    """What a fit's own numbers alone promise on a few of the windows beyond what they do on all: it is no effect's."""
+    """What a fit's own numbers alone promise on a few of the windows beyond what they do on all: it is no effect's.
+
+    On all windows a fit that has converged promises nothing, and less where a step along a null space is cut short.
+    """
     own, here = _Overlay(problem, current, []), _Overlay(problem.pick(few), current.pick(few), [])
-    return max(here.promise([], [], beside=True)[0] - own.promise([], [], beside=True)[0], 0.0)
+    everywhere, among_few = (overlay.promise([], [], beside=True)[0] for overlay in (own, here))
+    return max(among_few - max(everywhere, 0.0), 0.0)
 
 
 class _Overlay:
