@@ -60,6 +60,7 @@ def _conclude(
 
     monkeypatch.setattr(judge, "rivals", rivals)
     monkeypatch.setattr(judge, "fewest_numbers", lambda _, fit: fit)
+    monkeypatch.setattr(judge, "other_numbers", lambda *_: [])
     monkeypatch.setattr(judge, "unseen_error", lambda _, fit: errors[fit.name])
     monkeypatch.setattr(judge, "held_out_error", lambda _, fit: errors[fit.name])
     return conclusion.conclude(search), asked  # type: ignore[arg-type]
@@ -121,3 +122,14 @@ def test_a_push_is_named_only_where_nothing_else_is_left(
     found, _ = _conclude(monkeypatch, _Searched("", "first", "first push"), errors, {})
     assert found.fitted.name == named  # type: ignore[attr-defined]
     assert [note.split()[0] for note in found.notes] == ([] if named == "first push" else ["push"])
+
+
+@pytest.mark.parametrize(("left", "named"), [(4.0, "first second"), (7.0, "")])
+def test_effects_that_leave_most_of_the_mismatch_are_not_named(
+    monkeypatch: pytest.MonkeyPatch, left: float, named: str
+) -> None:
+    """They stand in for what no catalogue has; the error is 9 times the noise without them."""
+    errors = {"": 9.0, "first": 7.5, "first second": left}
+    found, _ = _conclude(monkeypatch, _Searched("", "first", "first second"), errors, {})
+    assert found.fitted.name == named  # type: ignore[attr-defined]
+    assert [note[:22] for note in found.notes] == ([] if named else ["first and second would"])

@@ -285,6 +285,19 @@ def test_a_wrong_number_is_no_missing_physics(few: list[object]) -> None:
     assert found.recalibrated[0]["value"] == pytest.approx(46.0, rel=0.01)
 
 
+def test_which_numbers_were_wrong_is_left_open_where_it_is(few: list[object]) -> None:
+    """Drive and drag were; with a heavier cart and either of them forces scale, and motion is the same."""
+    found = diagnose(
+        mjcf.from_text(NOMINAL.replace('gear="4"', 'gear="3.6"')), [run(3, 20, 4.0, drag=46.0)], effects=few
+    )
+    assert [m.effect for m in found.missing] == ["friction.coulomb"], found.sentence
+    assert len(found.recalibrated) == 2
+    level = found.missing[0].parameters["level"]
+    assert level["low"] < 4.0 < level["high"]
+    (note,) = (note for note in found.notes if "do not tell whether" in note)
+    assert all(name in note for name in ("damping of cart", "mass of cart", "gear of motor"))
+
+
 def test_a_rig_at_rest_tells_nothing() -> None:
     still = run(4, 10, 0.0)
     rng = np.random.default_rng(0)

@@ -10,6 +10,7 @@ from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import names
 
 SWAPS = 3  # effects that may give way to rivals after the search
+MOSTLY = 0.5  # share of the excess error that effects may leave and be named
 
 
 @dataclass(frozen=True)
@@ -20,11 +21,13 @@ class Conclusion:
         fitted: with the fewest own numbers changed.
         rivals: of each of its effects, by key; none from when Ctrl-C ended the comparison.
         notes: effects that held-out data strike off, in words.
+        others: with other own numbers changed, as many, that predict as well.
     """
 
     fitted: Fit
     rivals: dict[str, list[judge.Rival]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    others: list[Fit] = field(default_factory=list)
 
 
 def conclude(search: Search) -> Conclusion:
@@ -44,7 +47,7 @@ def conclude(search: Search) -> Conclusion:
             break
         search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer numbers'}")
         search.replace_last(rival.fitted)
-    return Conclusion(fewest, rivals, notes)
+    return Conclusion(fewest, rivals, notes, _others(search, upheld, fewest))
 
 
 def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.Rival | None:
@@ -82,13 +85,25 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
         added = [term for term in fewest.structure.terms if term.key not in kept]
         notes.append(sentences.refutation(added or fewest.structure.terms, without, error))
         upheld, fewest, error = before, simpler, without
-    # What happened once is told from what the model lacks only where nothing else is left.
-    for term in upheld.structure.terms:
-        if term.effect.once and error > judge.AT_FLOOR:
-            notes.append(sentences.not_alone(term, error))
-            upheld = search.without(upheld, term.key)
-            fewest, error = _with_fewest_numbers(search, upheld)
-    return upheld, fewest, notes
+    if error <= judge.AT_FLOOR:
+        return upheld, fewest, notes
+    named, why = _believable(search, upheld, error)
+    return named, fewest if named is upheld else _with_fewest_numbers(search, named)[0], notes + why
+
+
+def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[str]]:
+    """A fit without effects that only stand in for what is left beside them, and notes on those.
+
+    What happened once is told from what the model lacks only where nothing is left, and what takes away less than half
+    of a mismatch may have nothing to do with it.
+    """
+    recalibrated = judge.held_out_error(search.held, search.path[0])
+    if upheld.structure.terms and error - 1 > MOSTLY * (recalibrated - 1):
+        return search.path[0], [sentences.too_little(upheld.structure.terms, recalibrated, error)]
+    once = [term for term in upheld.structure.terms if term.effect.once]
+    for term in once:
+        upheld = search.without(upheld, term.key)
+    return upheld, [sentences.not_alone(term, error) for term in once]
 
 
 def _with_fewest_numbers(search: Search, fitted: Fit) -> tuple[Fit, float]:
@@ -104,6 +119,22 @@ def _with_fewest_numbers(search: Search, fitted: Fit) -> tuple[Fit, float]:
     return (fitted, with_all) if judge.refuted(with_all, error) else (fewest, error)
 
 
+def _others(search: Search, upheld: Fit, fewest: Fit) -> list[Fit]:
+    """With other own numbers changed; none if Ctrl-C ended the comparison."""
+    if search.interrupted:
+        return []
+    try:
+        return judge.other_numbers(search, upheld, fewest)
+    except KeyboardInterrupt:
+        _interrupted(search)
+        return []
+
+
+def _interrupted(search: Search) -> None:
+    search.interrupted = True
+    search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
+
+
 def _rivals(search: Search, full: Fit) -> dict[str, list[judge.Rival]]:
     """What could stand in the place of each effect; nothing from when Ctrl-C ended that."""
     found: dict[str, list[judge.Rival]] = {}
@@ -115,6 +146,5 @@ def _rivals(search: Search, full: Fit) -> dict[str, list[judge.Rival]]:
             search.tell(f"what could stand in for {term.key}?")
             found[term.key] = judge.rivals(search, full, term)
         except KeyboardInterrupt:
-            search.interrupted = True
-            search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
+            _interrupted(search)
     return found

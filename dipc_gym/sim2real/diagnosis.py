@@ -160,6 +160,7 @@ def diagnose(
         tell("the mismatch is small beside the motion, and without a pattern: only what explains all of it will count")
     search.run(recalibrated)
     found = conclude(search)
+    open_choice = findings.choice_shift(found.fitted, found.others)
     # The search compares; what it came to is fitted, judged and reported at half the step.
     final, held = search.refine(found.fitted), replace(held, finer=2)
     found = replace(found, fitted=final)
@@ -174,12 +175,13 @@ def diagnose(
     )
     force = {joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, forces.T, strict=True)}
     notes += sentences.disagreement(errors, force)
-    wide = judge.intervals(final, search.problem) + findings.step_shift(final, search.problem)
+    wide = judge.intervals(final, search.problem) + findings.step_shift(final, search.problem) + open_choice
     changed = findings.changed_numbers(final, wide)
     small = judge.negligible(errors.recalibrated, motion, located[0])
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved), small, len(final.structure.terms), len(changed)
     )
+    notes += sentences.other_numbers(changed, [other.structure.numbers for other in found.others])
     missing = findings.missing_effects(search, found, errors, verdict, wide)
     if search.interrupted:
         notes.append("The search was interrupted: effects may be lacking, and not all rivals were compared.")

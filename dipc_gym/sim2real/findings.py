@@ -57,6 +57,20 @@ def step_shift(final: Fit, problem: Problem) -> Array:
     return np.asarray(2 * np.abs(np.linalg.pinv(curvature, hermitian=True) @ slope))
 
 
+def choice_shift(fitted: Fit, others: Sequence[Fit]) -> Array:
+    """How far each mapped number of an effect moves if other own numbers were wrong than those that changed, (p,).
+
+    Args:
+        fitted: with the fewest own numbers changed.
+        others: with as many others changed, that predict as well.
+    """
+    count = len(fitted.structure.numbers)
+    shift = np.zeros(len(fitted.z))
+    for other in others:
+        shift[count:] = np.maximum(shift[count:], np.abs(other.z[count:] - fitted.z[count:]))
+    return shift
+
+
 def missing_effects(search: Search, found: Conclusion, errors: Errors, verdict: str, wide: Array) -> list[Missing]:
     """The effects that a search came to, the strongest first.
 

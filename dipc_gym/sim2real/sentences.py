@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from dipc_gym.sim2real import ranking
+from dipc_gym.sim2real.numbers import Number
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.structure import Term
 
@@ -78,6 +79,18 @@ def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
     return notes
 
 
+def other_numbers(changed: Sequence[dict[str, Any]], others: Sequence[Sequence[Number]]) -> list[str]:
+    """Note on own numbers that may have been wrong in place of those that were changed."""
+    if not changed or not others:
+        return []
+    names = " and ".join(f"{one['parameter']} of {one['at']}" for one in changed)
+    instead = "; ".join(" and ".join(f"{number.parameter} of {number.at}" for number in other) for other in others)
+    return [
+        f"These recordings do not tell whether {names} had to change, or others that predict as well: {instead}. Weigh "
+        "or measure one of them and say so with --fix."
+    ]
+
+
 def refutation(terms: Sequence[Term], before: float, after: float) -> str:
     """Note on effects that fit the recordings and fail on held-out data, with the errors there, in units of noise."""
     return (
@@ -92,4 +105,13 @@ def not_alone(term: Term, left: float) -> str:
     return (
         f"{term.key} would explain something that happened once, but held-out data hold what it does not explain "
         f"({left:.3g} times the noise); that may have the same cause, so it is not named."
+    )
+
+
+def too_little(terms: Sequence[Term], before: float, after: float) -> str:
+    """Note on effects that leave most of the mismatch, with the errors on held-out data, in units of noise."""
+    return (
+        f"{' and '.join(term.key for term in terms)} would take up part of the mismatch (the error on held-out data "
+        f"falls from {before:.3g} to {after:.3g} times the noise), but most of it is left; what causes that may cause "
+        "this part too, so it is not named."
     )
