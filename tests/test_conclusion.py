@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dipc_gym.sim2real import conclusion, judge
+from dipc_gym.sim2real import conclusion, judge, sparse
 
 
 class _Searched:
@@ -59,8 +59,8 @@ def _conclude(
         ]
 
     monkeypatch.setattr(judge, "rivals", rivals)
-    monkeypatch.setattr(judge, "fewest_numbers", lambda _, fit: fit)
-    monkeypatch.setattr(judge, "other_numbers", lambda *_: [])
+    monkeypatch.setattr(sparse, "fewest_numbers", lambda _, fit: fit)
+    monkeypatch.setattr(sparse, "other_numbers", lambda *_: [])
     monkeypatch.setattr(judge, "unseen_error", lambda _, fit: errors[fit.name])
     monkeypatch.setattr(judge, "held_out_error", lambda _, fit: errors[fit.name])
     return conclusion.conclude(search), asked  # type: ignore[arg-type]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from dipc_gym.sim2real import judge, sentences
+from dipc_gym.sim2real import judge, sentences, sparse
 from dipc_gym.sim2real.fit import Fit
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import names
@@ -111,7 +111,7 @@ def _with_fewest_numbers(search: Search, fitted: Fit) -> tuple[Fit, float]:
 
     Where few windows tell a number, the others may not miss it.
     """
-    fewest = judge.fewest_numbers(search, fitted)
+    fewest = sparse.fewest_numbers(search, fitted)
     error = judge.held_out_error(search.held, fewest)
     if error <= judge.AT_FLOOR:
         return fewest, error
@@ -124,7 +124,7 @@ def _others(search: Search, upheld: Fit, fewest: Fit) -> list[Fit]:
     if search.interrupted:
         return []
     try:
-        return judge.other_numbers(search, upheld, fewest)
+        return sparse.other_numbers(search, upheld, fewest)
     except KeyboardInterrupt:
         _interrupted(search)
         return []

@@ -58,16 +58,17 @@ def step_shift(final: Fit, problem: Problem) -> Array:
 
 
 def choice_shift(fitted: Fit, others: Sequence[Fit]) -> Array:
-    """How far each mapped number of an effect moves if other own numbers were wrong than those that changed, (p,).
+    """How far each mapped number moves if other own numbers were wrong than those that changed, (p,).
 
     Args:
         fitted: with the fewest own numbers changed.
         others: with as many others changed, that predict as well.
     """
-    count = len(fitted.structure.numbers)
     shift = np.zeros(len(fitted.z))
     for other in others:
-        shift[count:] = np.maximum(shift[count:], np.abs(other.z[count:] - fitted.z[count:]))
+        known = {slot.key: z for slot, z in zip(other.structure.slots, other.z, strict=True)}
+        there = np.array([known.get(slot.key, 0.0) for slot in fitted.structure.slots])  # nominal numbers map to zero
+        shift = np.maximum(shift, np.abs(there - fitted.z))
     return shift
 
 
