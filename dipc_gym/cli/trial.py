@@ -25,8 +25,8 @@ class Trial:
 
     out: Path
     """folder for trials, sealed answers, results and the table"""
-    seed: int = 12
-    """determines every trial; 12 is that of the published table"""
+    seed: int = 13
+    """determines every trial; 13 is that of the published table"""
     count: int | None = None
     """number of trials; without it 42, or 430 with --full"""
     full: bool = False
