@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from dipc_gym import cli, mjcf, physics
-from dipc_gym.sim2real import evidence, judge, recording
+from dipc_gym.sim2real import evidence, judge, recording, sentences
 from dipc_gym.sim2real.comparison import Comparison, compare
 from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.recording import Recording, RecordingError
+from dipc_gym.sim2real.result import Errors
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Term
 from dipc_gym.sim2real.windows import prepare
@@ -296,6 +297,14 @@ def test_which_numbers_were_wrong_is_left_open_where_it_is(few: list[object]) ->
     assert level["low"] < 4.0 < level["high"]
     (note,) = (note for note in found.notes if "do not tell whether" in note)
     assert all(name in note for name in ("damping of cart", "mass of cart", "gear of motor"))
+    right = {"damping": 46.0, "mass": 1.26, "gear": 4.0}
+    assert all(number["low"] < right[number["parameter"]] < number["high"] for number in found.recalibrated)
+
+
+@pytest.mark.parametrize(("others", "said"), [(False, "mass of cart. On"), (True, "mass of cart (or others")])
+def test_a_sentence_on_numbers_says_whether_others_would_do(others: bool, said: str) -> None:
+    errors, changed = Errors(9.0, 1.0, 1.0), [{"parameter": "mass", "at": "cart"}]
+    assert said in sentences.in_one_sentence("recalibrated", [], changed, errors, others=others)
 
 
 def test_a_rig_at_rest_tells_nothing() -> None:

@@ -196,7 +196,7 @@ def diagnose(
     provenance["seconds"] = round(time.monotonic() - began, 1)
     return Diagnosis(
         verdict,
-        sentences.in_one_sentence(verdict, missing, changed, errors),
+        sentences.in_one_sentence(verdict, missing, changed, errors, others=bool(found.others)),
         tuple(located),
         tuple(missing),
         tuple(changed),

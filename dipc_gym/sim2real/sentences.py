@@ -16,8 +16,18 @@ def verb(where: str) -> str:
     return where if where.startswith(("goes", "grows", "changes")) else f"is {where}"
 
 
-def in_one_sentence(verdict: str, missing: Sequence[Missing], changed: Sequence[dict[str, Any]], errors: Errors) -> str:
-    """What happened, in words that a rig's owner understands."""
+def in_one_sentence(
+    verdict: str, missing: Sequence[Missing], changed: Sequence[dict[str, Any]], errors: Errors, *, others: bool = False
+) -> str:
+    """What happened, in words that a rig's owner understands.
+
+    Args:
+        verdict: see `judge.verdict`.
+        missing: effects that were found.
+        changed: own numbers that had to change.
+        errors: on held-out windows, in units of noise.
+        others: whether other numbers would have done as well.
+    """
     goes = "falls" if errors.improved < errors.nominal else "goes"
     fall = f"On held-out data the error {goes} from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
     known = " ".join(m.sentence for m in missing if m.effect != "unknown")
@@ -28,7 +38,8 @@ def in_one_sentence(verdict: str, missing: Sequence[Missing], changed: Sequence[
         return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.3g} times the noise.{rest}"
     if verdict == "recalibrated":
         names = ", ".join(f"{c['parameter']} of {c['at']}" for c in changed)
-        return f"No physics is missing; wrong numbers were: {names}. {fall}.{rest}"
+        instead = " (or others, which predict as well: see the notes)" if others else ""
+        return f"No physics is missing; wrong numbers were: {names}{instead}. {fall}.{rest}"
     if verdict == "explained":
         return f"The model lacks this: {known} {fall}; what is left looks like noise."
     if verdict == "partly explained":
