@@ -25,8 +25,8 @@ class Trial:
 
     out: Path
     """folder for trials, sealed answers, results and the table"""
-    seed: int = 13
-    """determines every trial; 13 is that of the published table"""
+    seed: int = 14
+    """determines every trial; 14 is that of the published table"""
     count: int | None = None
     """number of trials; without it 42, or 430 with --full"""
     full: bool = False
