@@ -440,7 +440,9 @@ def test_practice(trial: str, tmp_path: Path) -> None:
     runs = recording.read_all([folder / "train_1.csv", folder / "train_2.csv"], model)
     found = diagnose(folder / "nominal.xml", runs)
     wanted = [(m["effect"], m["at"]) for m in answer["missing"]]
-    assert [(m.effect, m.at) for m in found.missing] == wanted, found.sentence
+    named = [(m.effect, m.at) for m in found.missing]
+    one_of = not answer["all_of"] and len(wanted) > 1  # play belongs to the motor as much as to what it drives
+    assert named in [[right] for right in wanted] if one_of else named == wanted, found.sentence
     assert found.verdict == ("explained" if wanted else "consistent")
 
 
