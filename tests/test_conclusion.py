@@ -113,23 +113,20 @@ def test_of_names_for_one_model_the_plainer_one_stays(
     assert found.fitted.name == stays  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(("left", "named"), [(1.1, "first push"), (1.5, "first")])
-def test_a_push_is_named_only_where_nothing_else_is_left(
-    monkeypatch: pytest.MonkeyPatch, left: float, named: str
+@pytest.mark.parametrize(
+    ("accepted", "left", "named", "struck_off"),
+    [
+        ("first push", 1.1, "first push", []),
+        ("first push", 1.5, "first", ["push"]),  # one of several windows that stand out could always be a push
+        ("first second", 4.0, "first second", []),
+        ("first second", 7.0, "", ["first and second"]),  # more than half of the mismatch is left
+    ],
+)
+def test_what_only_stands_in_for_what_is_left_is_not_named(
+    monkeypatch: pytest.MonkeyPatch, accepted: str, left: float, named: str, struck_off: list[str]
 ) -> None:
-    """One of several windows that stand out could always be a push."""
-    errors = {"": 9.0, "first": 1.6, "first push": left}
-    found, _ = _conclude(monkeypatch, _Searched("", "first", "first push"), errors, {})
+    """The error is 9 times the noise without any effect."""
+    errors = {"": 9.0, "first": 7.5, accepted: left}
+    found, _ = _conclude(monkeypatch, _Searched("", "first", accepted), errors, {})
     assert found.fitted.name == named  # type: ignore[attr-defined]
-    assert [note.split()[0] for note in found.notes] == ([] if named == "first push" else ["push"])
-
-
-@pytest.mark.parametrize(("left", "named"), [(4.0, "first second"), (7.0, "")])
-def test_effects_that_leave_most_of_the_mismatch_are_not_named(
-    monkeypatch: pytest.MonkeyPatch, left: float, named: str
-) -> None:
-    """They stand in for what no catalogue has; the error is 9 times the noise without them."""
-    errors = {"": 9.0, "first": 7.5, "first second": left}
-    found, _ = _conclude(monkeypatch, _Searched("", "first", "first second"), errors, {})
-    assert found.fitted.name == named  # type: ignore[attr-defined]
-    assert [note[:22] for note in found.notes] == ([] if named else ["first and second would"])
+    assert [note.split(" would")[0] for note in found.notes] == struck_off

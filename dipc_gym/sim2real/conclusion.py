@@ -54,15 +54,10 @@ def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.
     """The rival that predicts clearly better, or is the same model here with fewer numbers: a pair of effects that was
     accepted together was never compared with plainer ones.
     """
-    better = [rival for rival in rivals if rival.better]
-    plainer = [rival for rival in rivals if rival.same and len(rival.fitted.z) < len(upheld.z)]
-    if better:
+    if better := [rival for rival in rivals if rival.better]:
         return min(better, key=lambda rival: judge.unseen_error(search, rival.fitted))
-    return min(
-        plainer,
-        key=lambda rival: (len(rival.fitted.z), judge.unseen_error(search, rival.fitted)),
-        default=None,
-    )
+    plainer = [rival for rival in rivals if rival.same and len(rival.fitted.z) < len(upheld.z)]
+    return min(plainer, key=lambda one: (len(one.fitted.z), judge.unseen_error(search, one.fitted)), default=None)
 
 
 def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
@@ -131,6 +126,7 @@ def _others(search: Search, upheld: Fit, fewest: Fit) -> list[Fit]:
 
 
 def _interrupted(search: Search) -> None:
+    """Ask nothing more, and say so."""
     search.interrupted = True
     search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
 
