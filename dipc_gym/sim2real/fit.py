@@ -140,8 +140,7 @@ def fit(
         return mean_loss(mse, scale) + float(prior @ (z - centre) ** 2)
 
     # The starts first: against wrong starts, every column would be judged wrongly.
-    s, rest, S = shooting.settled(z, problem.starts if starts is None else starts)
-    columns = shooting.columns(z, s, rest)
+    s, rest, columns, S = shooting.settled(z, problem.starts if starts is None else starts, numbers=True)
     while True:
         both, moves = project(S, np.concatenate([shooting.rows(s, rest)[..., None], columns], axis=2))
         r, J = both[..., 0], both[..., 1:]
@@ -188,7 +187,7 @@ def fit(
         # Derivatives are carried along from step to step, and worked out anew where they did not foretell one.
         exact = not converged and (small or astray)
         if exact:
-            columns, S = shooting.columns(z, s, rest), shooting.sensitivity(z, s, rest)
+            _, columns, S = shooting.derivatives(z, s, rest)
     return Fit(structure, z, s, rest, r, mse, S, quadratics, J, steps, converged)
 
 
@@ -226,7 +225,7 @@ def correct_starts(problem: Problem, fitted: Fit, rounds: int = 3) -> tuple[Arra
     s, rest, S = fitted.starts, fitted.raw, fitted.sensitivity
     for k in range(rounds):
         if k:
-            S = shooting.sensitivity(fitted.z, s, rest)
+            _, _, S = shooting.derivatives(fitted.z, s, rest, numbers=False)
         s, rest = shooting.corrected(fitted.z, s, rest, S, [problem.starts])
     return s, predict(problem, fitted.structure, [fitted.z], s[None])[0]
 
@@ -244,5 +243,5 @@ def evaluate(problem: Problem, structure: Structure, z: Array, starts: Array | N
         Mean square error of each window in units of noise, (n,), and the corrected starts.
     """
     shooting = Shooting(problem, structure)
-    s, rest, S = shooting.settled(z, problem.starts if starts is None else starts)
+    s, rest, _, S = shooting.settled(z, problem.starts if starts is None else starts, numbers=False)
     return shooting.mse(shooting.left(s, rest, S)), s

@@ -97,10 +97,8 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
     and two that stand for it alone.
     """
     error = unseen_error(search, full)
-    # Where structure is left, names are provisional and telling rivals apart exactly is worth less.
-    most = 5 if error < AT_FLOOR else 3
     found: list[Rival] = []
-    for others, structure, before in _stand_ins(search, full, term, most):
+    for others, structure, before in _stand_ins(search, full, term, provisional=error > AT_FLOOR):
         sketch = before.sketch if before else search.sketch(full, structure)
         if sketch is None:
             continue
@@ -122,9 +120,12 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
 
 
 def _stand_ins(
-    search: Search, full: Fit, term: Term, most: int
+    search: Search, full: Fit, term: Term, *, provisional: bool
 ) -> Iterator[tuple[list[Term], Structure, Tried | None]]:
-    """Effects to try in the place of one, the structure with them, and what its round made of it if it was tried."""
+    """Effects to try in the place of one, the structure with them, and what its round made of it if it was tried.
+
+    Where structure is left, names are provisional, and telling them from what promised little is worth less.
+    """
     everything = {t.key: t for round_ in search.rounds for t in round_}
     own = next((r for r in search.rounds if any(t.key == term.key and t.fitted for t in r)), [])
     present = {x.key for x in full.structure.terms}
@@ -134,14 +135,14 @@ def _stand_ins(
         for t in own
         if t.key not in present
         and term.effect.id not in t.term.effect.contains
-        and (t.fitted is not None or t.term.effect.id in listed)
+        and (t.fitted is not None or (t.term.effect.id in listed and not (provisional and t.sketch is None)))
     ]
     others.sort(key=lambda t: (t.score, -t.promise))
     rest = full.structure.without(term.key)
     fitting = (
         t for t in others if not any(t.term.at == x.at and excludes(x.effect, t.term.effect) for x in rest.terms)
     )
-    for other in itertools.islice(fitting, most):
+    for other in itertools.islice(fitting, 3 if provisional else 5):
         structure = rest.with_term(other.term)
         same = other.sketch is not None and set(names(other.sketch.structure.terms)) == set(names(structure.terms))
         yield [other.term], structure, other if same else None

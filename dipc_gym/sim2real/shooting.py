@@ -77,8 +77,8 @@ class Shooting:
             np.append(tries, starts[None], axis=0), np.append(self.residuals([z] * len(new), tries), rest[None], axis=0)
         )
 
-    def settled(self, z: Array, starts: Array) -> tuple[Array, Array, Array]:
-        """Corrected starts, their residual, and its sensitivity to them.
+    def settled(self, z: Array, starts: Array, *, numbers: bool) -> tuple[Array, Array, Array, Array]:
+        """Corrected starts, their residual, and `derivatives` there.
 
         A joint that sticks may as well start at rest, and the estimate is asked again. Where a straight line did not
         tell where to start, a second one is drawn from there.
@@ -86,14 +86,13 @@ class Shooting:
         estimate, half = self.problem.starts, self.nb2 // 2
         still = estimate.copy()
         still[np.abs(still) < 2 * self.problem.spread * (np.arange(self.nb2) >= half)] = 0.0
-        rest = self.residuals([z], starts[None])[0]
-        S = self.sensitivity(z, starts, rest)
+        rest, _, S = self.derivatives(z, starts, numbers=False)
         starts, rest = self.corrected(z, starts, rest, S, [still, estimate])
-        S = self.sensitivity(z, starts, rest)
+        _, columns, S = self.derivatives(z, starts, rest, numbers=numbers)
         if self.lags(starts, rest, S):
             starts, rest = self.corrected(z, starts, rest, S)
-            S = self.sensitivity(z, starts, rest)
-        return starts, rest, S
+            _, columns, S = self.derivatives(z, starts, rest, numbers=numbers)
+        return starts, rest, columns, S
 
     def left(self, starts: Array, rest: Array, S: Array) -> Array:
         """Rows (n, M) less what a further correction of the starts would explain."""
@@ -105,33 +104,44 @@ class Shooting:
         scale = typical(left)
         return mean_loss(mse, scale) - mean_loss(left, scale) > LAG
 
-    def sensitivity(self, z: Array, starts: Array, rest: Array) -> Array:
-        """Of the scaled readings to the starts, prior rows appended: (n, m ns + 2 nb, 2 nb)."""
-        moved = np.stack([starts + self.nudge * unit for unit in np.eye(self.nb2)])
-        n = len(starts)
-        change = (rest[None] - self.residuals([z] * self.nb2, moved)).reshape(self.nb2, n, -1)
-        S = np.moveaxis(change, 0, -1)  # per nudge, so that columns are of order one
-        prior = np.broadcast_to(np.diag(self.nudge / self.spread), (n, self.nb2, self.nb2))
-        return np.concatenate([S, prior], axis=1)
+    def derivatives(
+        self, z: Array, starts: Array, rest: Array | None = None, *, numbers: bool = True
+    ) -> tuple[Array, Array, Array]:
+        """How residuals change with the numbers and with the starts; one batch, for a small one costs little less.
 
-    def columns(self, z: Array, starts: Array, rest: Array) -> Array:
-        """Change of the scaled readings per unit of each mapped number, zeros for the prior appended: (n, M, p)."""
-        p, n = len(z), len(starts)
-        if not p:
-            return np.zeros((n, rest[0].size + self.nb2, 0))
+        Args:
+            z: mapped numbers, (p,).
+            starts: (n, 2 nb).
+            rest: their residual, (n, m, ns), where it is known.
+            numbers: whether changes with the numbers are asked for.
+
+        Returns:
+            The residual, (n, m, ns); the change of the scaled readings per unit of each mapped number, zeros for the
+            prior appended, (n, M, p), or (n, M, 0); and their sensitivity to the starts, per nudge so that columns are
+            of order one, with the prior's rows, (n, M, 2 nb).
+        """
+        n, probes, steps = len(starts), *(self._probes(z) if numbers else ([], np.zeros(0)))
+        Z = [*probes, *[z] * self.nb2]
+        begin = np.stack([*[starts] * len(probes), *(starts + self.nudge * unit for unit in np.eye(self.nb2))])
+        if rest is None:
+            Z, begin = [*Z, z], np.append(begin, starts[None], axis=0)
+        moved = self.residuals(Z, begin)
+        rest = moved[-1] if rest is None else rest
+        change = np.moveaxis((rest - moved[: len(probes) + self.nb2]).reshape(len(probes) + self.nb2, n, -1), 0, -1)
+        prior = np.broadcast_to(np.diag(self.nudge / self.spread), (n, self.nb2, self.nb2))
+        columns = np.concatenate([change[..., : len(probes)] / steps, np.zeros((n, self.nb2, len(probes)))], axis=1)
+        return rest, columns, np.concatenate([change[..., len(probes) :], prior], axis=1)
+
+    def _probes(self, z: Array) -> tuple[list[Array], Array]:
+        """Numbers with one of them moved at a time, away from a bound, and by how much; infinite where it cannot."""
         logs = np.array([slot.log for slot in self.structure.slots], dtype=bool)
         steps = _PROBE * np.maximum(1.0, np.abs(z) * ~logs)
-        Z = []
-        for i in range(p):
-            up = self.structure.clip(z + steps[i] * np.eye(p)[i])
-            if abs(up[i] - z[i]) < steps[i] / 2:
-                up = self.structure.clip(z - steps[i] * np.eye(p)[i])
-            steps[i] = up[i] - z[i]
-            Z.append(up)
-        change = (rest[None] - self.residuals(Z, starts[None])).reshape(p, n, -1)
-        steps[np.abs(steps) < 1e-12] = np.inf
-        columns = np.moveaxis(change / steps[:, None, None], 0, -1)
-        return np.concatenate([columns, np.zeros((n, self.nb2, p))], axis=1)
+        probes = []
+        for unit, step in zip(np.eye(len(z)), steps, strict=True):
+            up = self.structure.clip(z + step * unit)
+            probes.append(up if (up - z) @ unit > step / 2 else self.structure.clip(z - step * unit))
+        moved = np.array([probe[i] - z[i] for i, probe in enumerate(probes)])
+        return probes, np.where(np.abs(moved) < 1e-12, np.inf, moved)
 
     def secant(self, columns: Array, S: Array, step: Array, moved: Array, change: Array) -> tuple[Array, Array]:
         """`columns` and `sensitivity`, corrected by what a step really changed (Broyden 1965), without a simulation.

@@ -290,7 +290,7 @@ class _Runs:
             out = sims.rollout(nstep, ctrl, record=("sensordata",) if record else ())
             return out.get("sensordata")
         readings = np.empty((nstep, sims.nsim, sims.model.nsensordata)) if record else None
-        sensed = sims.bind("sensordata")
+        sensed, commanded = sims.bind("sensordata"), sims.bind("ctrl")
         forces = np.zeros((sims.nsim, sims.model.nv))
         level = sims.expand("dof_frictionloss") if dry is None else dry.level
         if physics.stage("friction"):
@@ -299,7 +299,7 @@ class _Runs:
         if dry is not None:
             dry.begin()
         for k in range(nstep):
-            sims.ctrl[:] = ctrl[:, k]
+            commanded[:] = ctrl[:, k]
             if pressed:
                 _forward_to_the_middle(sims, self.step)
             physics.act(sims, level, forces, self.step)
