@@ -215,6 +215,9 @@ def test_a_late_encoder_is_the_same_as_late_commands_to_a_single_joint() -> None
     assert missing.effect in ("timing.delay", "timing.sensor_lag")
     assert missing.parameters["delay"]["value"] == pytest.approx(0.0035, abs=5e-5)
     assert {"timing.delay", "timing.sensor_lag"} == {missing.effect, *(r["effect"] for r in missing.same_here)}
+    tried = [(rival["effect"], rival["at"]) for rival in missing.rivals]
+    assert len(set(tried)) == len(tried), "laws of one effect are one rival"
+    assert (missing.effect, missing.at) not in tried
 
 
 @pytest.mark.parametrize(("size", "when"), [((6.0, 6.0), 13.8), ((6.0, 0.0), 14.05)])

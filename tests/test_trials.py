@@ -771,15 +771,15 @@ def test_what_breaks_off_is_said_and_stays_open(tmp_path, capsys):
     assert "the same command tries it again" in said
 
 
-def test_ctrl_c_scores_what_is_done(tmp_path, monkeypatch):
-    plans = [generate.Plan(k, "null", "cart", "", False) for k in (1, 2)]
+def test_ctrl_c_scores_what_is_done_nulls_first(tmp_path, monkeypatch):
+    plans = [generate.Plan(1, "single", "cart", "load.spring", False), generate.Plan(2, "null", "cart", "", False)]
     (tmp_path / "sealed").mkdir()
     for plan in plans:
         (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(sealed("null", []) | {"trial": plan.name}))
 
     def swept(cells, **_):
         for cell in cells:
-            if cell.name == plans[1].name:
+            if cell.name == plans[0].name:
                 raise KeyboardInterrupt
             yield cell.name, given_back(FINE)
 

@@ -90,7 +90,8 @@ def missing_effects(search: Search, found: Conclusion, errors: Errors, verdict: 
         # With structure left, an interval would tell how sure a wrong model is of its number; what happened once
         # leaves no blocks to resample.
         known = wide if verdict == "explained" and not term.effect.once else np.full(len(final.z), np.inf)
-        rivals = found.rivals[term.key]
+        rivals = [one for one in found.rivals[term.key] if _name(one.term) != _name(term)]
+        tried = sorted((_rival(rival, search.held, errors) for rival in rivals), key=lambda one: one["held_out"])
         missing.append(
             Missing(
                 term.effect.name,
@@ -98,8 +99,8 @@ def missing_effects(search: Search, found: Conclusion, errors: Errors, verdict: 
                 sentence,
                 judge.share(search, final, term.key),
                 _parameters(final, term, units, known),
-                tuple({"effect": r.term.effect.name, "at": r.term.at} for r in rivals if r.same),
-                tuple(_rival(rival, search.held, errors) for rival in rivals),
+                tuple(_each_once([_name(rival.term) for rival in rivals if rival.same])),
+                tuple(_each_once(tried)),
                 term.effect.needs_loader,
             )
         )
@@ -123,11 +124,23 @@ def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -
 def _rival(rival: judge.Rival, held: Problem, errors: Errors) -> dict[str, Any]:
     """One of the other effects that were tried, with its error on held-out data relative to the nominal model's."""
     return {
-        "effect": rival.term.effect.name,
-        "at": rival.term.at,
+        **_name(rival.term),
         "held_out": round(judge.held_out_error(held, rival.fitted) / max(errors.nominal, 1e-12), 6),
         "ruled_out": rival.ruled_out,
     }
+
+
+def _name(term: Term) -> dict[str, str]:
+    """What an effect is called, whichever of its laws it follows, and where it acts."""
+    return {"effect": term.effect.name, "at": term.at}
+
+
+def _each_once(named: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Of several laws of one effect at one place the first."""
+    kept: dict[tuple[str, str], dict[str, Any]] = {}
+    for one in named:
+        kept.setdefault((one["effect"], one["at"]), one)
+    return list(kept.values())
 
 
 def with_unknown(

@@ -49,7 +49,7 @@ def in_one_sentence(
 
 def next_experiment(verdict: str, missing: Sequence[Missing]) -> str:
     """What to record to settle what is left."""
-    open_ = [(m, s) for m in missing for s in m.same_here if (s["effect"], s["at"]) != (m.effect, m.at)]
+    open_ = [(m, s) for m in missing for s in m.same_here]
     if open_:
         m, s = open_[0]
         return (
