@@ -125,6 +125,8 @@ def test_names_dry_friction_and_its_level(few: list[object]) -> None:
     assert written["fit"]["held_out"]["nominal"] == 1.0
     model = mujoco.MjModel.from_xml_string(found.improved)
     assert model.dof_frictionloss[0] == pytest.approx(3.0, rel=0.05)
+    assert model.dof_frictionloss[0] != level["value"]
+    assert "those that fine steps need are in diagnosis.json" in found.improved
     assert "what the owner wrote" in found.improved
 
 

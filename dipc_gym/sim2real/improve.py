@@ -53,6 +53,11 @@ def improved_model(
     loaders = [t.key for t in structure.terms if t.effect.needs_loader]
     if structure.numbers:
         lines.append("Refitted: " + ", ".join(n.key for n in structure.numbers) + ".")
+    if not np.array_equal(z, final.z):
+        lines.append(
+            f"Numbers are what this file's step of {1e3 * own.timestep:g} ms and its integrator need to predict the "
+            "recordings; those that fine steps need are in diagnosis.json."
+        )
     if loaders:
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")
     document.comment("Changed by dipc-gym diagnose.", *lines)
