@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import compensators, controllers, lqr, runs
+from dipc_gym import compensators, controllers, lqr, mjcf, runs, statistics
 from dipc_gym.compensators import OutOfRangeWarning
 from dipc_gym.identification import Sweep
 from dipc_gym.plant import Plant
@@ -152,9 +152,17 @@ def figures(course: Course, plant: Plant, seconds: float) -> dict[str, Any]:
 
 
 def fingerprints(*paths: str | None) -> dict[str, str]:
-    """SHA-256 of the files among what the command line names, so that a changed file is a changed parameter."""
-    files = {path: Path(path) for path in paths if path is not None}
-    return {path: hashlib.sha256(file.read_bytes()).hexdigest() for path, file in files.items() if file.is_file()}
+    """SHA-256 of the files among what the command line names, so that a changed file is a changed parameter.
+
+    With a model goes what it includes, with a policy its statistics.
+    """
+    named = [path for path in paths if path is not None]
+    named += [str(statistics.place(path)) for path in named if path.endswith(".zip")]
+    return {path: _digest(Path(path)) for path in named if Path(path).is_file()}
+
+
+def _digest(file: Path) -> str:
+    return mjcf.read(file).sha256 if file.suffix == ".xml" else hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def label(name: str) -> str:

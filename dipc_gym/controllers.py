@@ -6,6 +6,7 @@ import io
 import json
 import re
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -132,7 +133,7 @@ def read_policy(path: str | Path) -> Policy:
             weights = _member(archive, "policy.pth", path)
     except FileNotFoundError:
         raise ControllerError(f"{path}: no such policy file") from None
-    except (OSError, zipfile.BadZipFile, ValueError, RecursionError) as error:
+    except (OSError, EOFError, zipfile.BadZipFile, zlib.error, ValueError, RuntimeError) as error:
         if isinstance(error, ControllerError):
             raise
         raise ControllerError(f"{path}: not a policy saved by stable-baselines3 ({error})") from None

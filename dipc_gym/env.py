@@ -74,10 +74,10 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     - `plant`: for this episode, another `Plant`, a dictionary of changed fields, or a file.
 
     ## Episode end
-    Terminated when the cart reaches a rail stop, when a pole leaves 0.35 rad (not after a hanging start, nor when
-    `state` starts a pole beyond it), or when the simulation diverges; the observation is then the last finite one and
-    `info["diverged"]` is true. Truncated by Gymnasium's `TimeLimit` after 2,000 steps (10 s); the paper's 80 s are
-    `gymnasium.make("DIPC-Friction-v0", max_episode_steps=16_000)`.
+    Terminated when the cart is as far out as the nearer rail stop, when a pole leaves 0.35 rad (not after a hanging
+    start, nor when `state` starts a pole beyond it), or when the simulation diverges; the observation is then the last
+    finite one and `info["diverged"]` is true. Truncated by Gymnasium's `TimeLimit` after 2,000 steps (10 s); the
+    paper's 80 s are `gymnasium.make("DIPC-Friction-v0", max_episode_steps=16_000)`.
 
     ## Arguments
     All are keywords and may be given to `gymnasium.make`.
@@ -133,7 +133,11 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._picture = (width, height, camera)
         self._viewer: Any = None
         self._source = _own_rig() if model is None else _checked_model(model)
-        self._family = PlantFamily.of(plant, base=Plant.from_mjcf(self._source.text))
+        try:
+            base = Plant.from_mjcf(self._source.text)
+        except PlantError as error:
+            raise PlantError(f"{self._source.name}: {error}") from None
+        self._family = PlantFamily.of(plant, base=base)
         self._home = self._family.base
         self._set_plant(self._home)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._home.control_period)}
@@ -345,7 +349,13 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         ties = [(model.joint(one), model.joint(leader)) for one, leader in mjcf.followers(model).items()]
         self._ties = [(int(a.qposadr[0]), int(b.qposadr[0]), int(a.dofadr[0]), int(b.dofadr[0])) for a, b in ties]
         cart = joints[0]
-        self._rail = float(abs(model.jnt_range[cart]).min()) if model.jnt_limited[cart] else kernels.RAIL
+        low, high = map(float, model.jnt_range[cart] if model.jnt_limited[cart] else (-kernels.RAIL, kernels.RAIL))
+        if not low < 0 < high:
+            raise mjcf.MjcfError(
+                f"{self._source.name}: joint {model.joint(cart).name!r} has range {low:g} to {high:g}; the rail must "
+                "reach to both sides of 0, where episodes begin"
+            )
+        self._rail = min(-low, high)
         self._frictionloss = bool(model.dof_frictionloss[self._dof[0]] > 0 or self._physics.stage("friction"))
         self._passive = [
             (i, float(model.actuator_gear[i, 0]))

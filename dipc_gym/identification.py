@@ -14,6 +14,7 @@ from dipc_gym import kernels, mjcf
 from dipc_gym.compensators import RigConstants, Samples
 from dipc_gym.physics import PREFIX, from_model
 from dipc_gym.plant import Encoders, Plant
+from dipc_gym.rigid import Rigid
 from dipc_gym.sim2real.recording import Recording, resample_commands
 
 Array = NDArray[np.float64]
@@ -89,28 +90,20 @@ def cart_model(source: mjcf.Source, plant: Plant) -> mujoco.MjModel:
 
 
 def cart(model: mujoco.MjModel) -> Cart:
-    """Mass, motor gain and viscous friction of a rig with locked poles, dry friction left out.
+    """Mass, motor gain and viscous friction of a rig with locked poles; dry friction, lags and play left out.
 
     Args:
         model: as `cart_model` gives it.
     """
-    data = mujoco.MjData(model)
     motor = mjcf.controls(model).index("motor")
-    passive = mjcf.passive_actuators(model)
-    gear = model.actuator_gear.copy()
-    loss = model.dof_frictionloss.copy()
-    model.actuator_gear[passive], model.dof_frictionloss[:] = 0.0, 0.0
+    rigid = Rigid(model, [int(model.jnt_dofadr[model.sensor("cart").objid[0]])])
 
     def acceleration(volts: float, velocity: float, force: float) -> float:
-        mujoco.mj_resetData(model, data)
-        data.ctrl[motor], data.qvel[0], data.qfrc_applied[0] = volts, velocity, force
-        mujoco.mj_forward(model, data)
-        return float(data.qacc[0])
+        return float(rigid.acceleration(rigid.model.qpos0[rigid.places], [velocity], [force], (motor, volts))[0])
 
     per_newton = (acceleration(0, 0, 1) - acceleration(0, 0, -1)) / 2
     per_volt = (acceleration(1, 0, 0) - acceleration(-1, 0, 0)) / 2
     per_speed = (acceleration(0, 1e-3, 0) - acceleration(0, -1e-3, 0)) / 2e-3
-    model.actuator_gear[:], model.dof_frictionloss[:] = gear, loss
     supply = float(np.abs(model.actuator_ctrlrange[motor]).max())
     return Cart(1 / per_newton, RigConstants(per_volt / per_newton, -per_speed / per_newton, supply))
 

@@ -7,14 +7,13 @@ figures to the last digit, and the signs follow. Its K does not follow from the 
 
 from __future__ import annotations
 
-import copy
-
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from dipc_gym import mjcf
+from dipc_gym.rigid import Rigid
 
 Array = NDArray[np.float64]
 
@@ -28,7 +27,7 @@ _ABSOLUTE = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]])  # joi
 
 
 def linear_model(model: mujoco.MjModel) -> tuple[Array, Array]:
-    """Linearise a rig about upright, motor short-circuited, without dry friction.
+    """Linearise a rig about upright, motor short-circuited, without dry friction, lags and play.
 
     Viscous drag and back-EMF are in it: they are linear. The state is the observation's, with absolute angles.
 
@@ -47,25 +46,17 @@ def linear_model(model: mujoco.MjModel) -> tuple[Array, Array]:
         >>> B[3:, 0].round(4).tolist()
         [1.2005, -2.8687, -0.1414]
     """
-    model = copy.copy(model)
-    model.dof_frictionloss[:] = 0.0
-    model.actuator_gear[mjcf.passive_actuators(model)] = 0.0  # they hold the dry friction
-    q, v = [], []
+    dofs = []
     for name in ("cart", "pole1", "pole2"):
         sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
         if sensor < 0:
             raise mjcf.MjcfError(f"the model has no sensor {name!r}")
-        q.append(int(model.jnt_qposadr[model.sensor_objid[sensor]]))
-        v.append(int(model.jnt_dofadr[model.sensor_objid[sensor]]))
-    data = mujoco.MjData(model)
+        dofs.append(int(model.jnt_dofadr[model.sensor_objid[sensor]]))
+    rigid = Rigid(model, dofs)
 
     def acceleration(state: Array, force: float) -> Array:
-        mujoco.mj_resetData(model, data)
-        data.qpos[q] = np.linalg.solve(_ABSOLUTE, state[:3])
-        data.qvel[v] = np.linalg.solve(_ABSOLUTE, state[3:])
-        data.qfrc_applied[v[0]] = force
-        mujoco.mj_forward(model, data)
-        return _ABSOLUTE @ data.qacc[v]
+        position, velocity = np.linalg.solve(_ABSOLUTE, state[:3]), np.linalg.solve(_ABSOLUTE, state[3:])
+        return _ABSOLUTE @ rigid.acceleration(position, velocity, [force, 0.0, 0.0])
 
     step = 1e-5  # central differences: error near 1e-10 from the step and 1e-10 from rounding
     A, B = np.zeros((6, 6)), np.zeros((6, 1))

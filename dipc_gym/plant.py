@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dipc_gym import mjcf
 from dipc_gym.untrusted import Format
 
 SCHEMA = "dipc-gym/plant/1"
@@ -245,15 +246,26 @@ class Plant:
         motor, friction = _actuator(root, "motor"), _actuator(root, "friction")
         found: dict[str, Any] = {"motor": None, "friction": None}
         if motor is not None and motor.tag == "dcmotor" and {"resistance", "motorconst"} <= motor.attrib.keys():
+            gear = _numbers(root, motor, "gear", "1")[0]
+            if not gear > 0:
+                raise PlantError(f"<dcmotor name='motor'>: gear is {gear:g}; a pulley's is 1 / radius, above 0")
+            # Of two constants, torque's and back-EMF's, MuJoCo takes the geometric mean.
+            constants = [k for k in _numbers(root, motor, "motorconst") if k > 0]
             found["motor"] = Motor(
-                resistance=_numbers(motor, "resistance")[0],
-                constant=_numbers(motor, "motorconst")[0],
-                pulley_radius=1 / _numbers(motor, "gear", "1")[0],
+                resistance=_numbers(root, motor, "resistance")[0],
+                constant=math.prod(constants) ** (1 / max(len(constants), 1)),
+                pulley_radius=1 / gear,
             )
-        if motor is not None and "ctrlrange" in motor.attrib:
-            found["supply"] = max(abs(bound) for bound in _numbers(motor, "ctrlrange"))
+        if motor is not None and mjcf.effective(root, motor, "ctrlrange"):
+            found["supply"] = max(abs(bound) for bound in _numbers(root, motor, "ctrlrange"))
         if friction is not None and friction.tag == "dcmotor" and "lugre" in friction.attrib:
-            stiffness, damping, coulomb, static, stribeck = _numbers(friction, "lugre")
+            numbers = _numbers(root, friction, "lugre")
+            if len(numbers) != 5:
+                raise PlantError(
+                    f"<dcmotor name='friction'>: lugre has {len(numbers)} numbers; the environment needs stiffness, "
+                    "damping, Coulomb and static friction, and Stribeck velocity"
+                )
+            stiffness, damping, coulomb, static, stribeck = numbers
             joint = _joint(root, friction.get("joint", "cart"))
             found["friction"] = Friction(
                 coulomb=coulomb,
@@ -261,7 +273,7 @@ class Plant:
                 stribeck_velocity=stribeck,
                 bristle_stiffness=stiffness,
                 bristle_damping=damping,
-                viscous=0.0 if joint is None else _numbers(joint, "damping", "0")[0],
+                viscous=0.0 if joint is None else _numbers(root, joint, "damping", "0")[0],
             )
         return cls(**found)
 
@@ -275,14 +287,16 @@ class Plant:
         motor = _actuator(root, "motor")
         if motor is None:
             raise PlantError("the model's text has no actuator named 'motor'")
+        # What is the same in the text stays as it stands there: it may say more than a plant knows of.
+        given = Plant.from_mjcf(text)
         motor.set("ctrlrange", f"{-self.supply!r} {self.supply!r}")
-        if self.motor is not None:
+        if self.motor is not None and self.motor != given.motor:
             if motor.tag != "dcmotor":
                 raise PlantError(f"motor: the model's actuator is a <{motor.tag}>, not a <dcmotor>; leave it None")
             motor.set("resistance", repr(self.motor.resistance))
             motor.set("motorconst", repr(self.motor.constant))
             motor.set("gear", repr(1 / self.motor.pulley_radius))
-        if self.friction is not None:
+        if self.friction is not None and self.friction != given.friction:
             self._write_friction(root, self.friction)
         if self.delay > 0:
             timestep = next((float(e.get("timestep", 0.002)) for e in root.iter("option")), 0.002)
@@ -294,8 +308,8 @@ class Plant:
             inertial = None if body is None else body.find("inertial")
             if inertial is None or "diaginertia" not in inertial.attrib:
                 raise PlantError(f"masses.{name}: the model has no body '{name}' with <inertial mass= diaginertia=>")
-            scale = mass / _numbers(inertial, "mass")[0]
-            inertial.set("diaginertia", " ".join(repr(i * scale) for i in _numbers(inertial, "diaginertia")))
+            scale = mass / _numbers(root, inertial, "mass")[0]
+            inertial.set("diaginertia", " ".join(repr(i * scale) for i in _numbers(root, inertial, "diaginertia")))
             inertial.set("mass", repr(mass))
         return ET.tostring(root, encoding="unicode")
 
@@ -303,7 +317,9 @@ class Plant:
         joint = _joint(root, "cart")
         if joint is None:
             raise PlantError("friction: the model's text has no joint named 'cart'")
-        joint.set("damping", repr(friction.viscous))
+        # A polynomial's further terms stay.
+        beyond = mjcf.effective(root, joint, "damping").split()[1:]
+        joint.set("damping", " ".join([repr(friction.viscous), *beyond]))
         for actuators in root.iter("actuator"):
             for element in actuators.findall("dcmotor[@name='friction']"):
                 actuators.remove(element)
@@ -363,7 +379,5 @@ def _joint(root: ET.Element, name: str) -> ET.Element | None:
     return next((e for e in root.iter("joint") if e.get("name") == name), None)
 
 
-def _numbers(element: ET.Element, attribute: str, default: str | None = None) -> list[float]:
-    text = element.get(attribute, default)
-    assert text is not None
-    return [float(word) for word in text.split()]
+def _numbers(root: ET.Element, element: ET.Element, attribute: str, default: str = "") -> list[float]:
+    return [float(word) for word in mjcf.effective(root, element, attribute, default).split()]

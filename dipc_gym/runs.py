@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -153,6 +154,9 @@ def balance(
         model: MJCF file of the rig; None is the package's.
         exact_state: let controller and compensator see the exact state instead of encoder readings.
         impulse: a blow that the cart takes on the way.
+
+    Raises:
+        ValueError: `seconds` is not finite, or shorter than a control period.
     """
     from dipc_gym.wrappers import ForceCommand
 
@@ -161,6 +165,8 @@ def balance(
     )
     inner = _unwrapped(env)
     period = inner.plant.control_period
+    if not (math.isfinite(seconds) and seconds >= period):
+        raise ValueError(f"a run of {seconds:g} s; it must be finite, and at least one control period, {period:g} s")
     steps = round(seconds / period)
     env = ForceCommand(env, compensator)
     observation, _ = env.reset(seed=seed)

@@ -368,7 +368,7 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
         try:
             there = json.loads(note.read_bytes())
             flat, other = _flat(wanted), _flat(there)
-        except (ValueError, AttributeError, RecursionError):
+        except (ValueError, AttributeError, LookupError, TypeError, RecursionError):
             raise TrainingError(f"{note}: cannot be read; start anew with --overwrite") from None
         for key in flat.keys() | other.keys():
             if flat.get(key) != other.get(key):

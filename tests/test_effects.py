@@ -57,8 +57,6 @@ CONTRACT = [
     "disturbance.periodic",
     "disturbance.pulse",
 ]
-NOT_EFFECTS = {"inertia.mass", "unknown"}
-
 # Numbers with which an effect does nothing. A rotor of its own always adds inertia: see the transmissions below.
 NEUTRAL: dict[str, Mapping[str, float]] = {
     "friction.asymmetric:viscous": {"drag": 0},
@@ -157,7 +155,7 @@ def test_an_effect_is_well_formed(effect: Effect) -> None:
     assert re.fullmatch(r"[a-z]+\.[a-z_]+(:[a-z]+)?", effect.id)
     assert effect.id.startswith(effect.name)
     assert ":" not in effect.name
-    known = set(catalogue()) | NOT_EFFECTS
+    known = set(catalogue())
     assert set(effect.rivals) <= known - {effect.id}
     assert set(effect.contains) <= known - {effect.id}
     names = [p.name for p in effect.parameters]

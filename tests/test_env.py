@@ -353,6 +353,22 @@ def test_own_model_keeps_its_physics(tmp_path: Path) -> None:
     assert make(model=str(file), plant={"supply": 6.0}).plant.friction == env.plant.friction
 
 
+def test_own_model_keeps_what_a_plant_knows_nothing_of(tmp_path: Path) -> None:
+    """Damping that grows with speed or stands in a default class, and a motor that drives and brakes differently."""
+    file = own_model(
+        tmp_path,
+        (' damping="20.8"', ""),
+        ("<worldbody>", '<default><joint damping="20.8 5 0"/></default><worldbody>'),
+        ('motorconst="0.06"', 'motorconst="0.06 0.05"'),
+    )
+    for plant in ({}, {"motor": {"resistance": 1.3}, "friction": {"coulomb": 7.0}}):
+        env = make(model=str(file), plant=plant)
+        cart, motor = env.model.joint("cart"), env.model.actuator("motor")
+        assert (cart.damping[0], cart.dampingpoly[0, 0]) == (20.8, 5.0)
+        assert motor.gainprm[1] == pytest.approx(math.sqrt(0.06 * 0.05))
+        assert env.plant.motor.constant == pytest.approx(math.sqrt(0.06 * 0.05))
+
+
 def test_own_model_with_frictionloss_reports_its_friction(tmp_path: Path) -> None:
     file = own_model(
         tmp_path,
@@ -386,6 +402,9 @@ def test_own_model_with_physics_that_mjcf_cannot_say(tmp_path: Path) -> None:
         (('<jointpos name="cart" joint="cart"/>', ""), "jointpos name='cart'"),
         (('joint="cart" gear', 'joint="carriage" gear'), "carriage"),
         (("<asset>", '<include file="../secret.xml"/><asset>'), "leads out of"),
+        (('range="-0.45 0.45"', 'range="0 0.9"'), r"\.xml: joint 'cart' has range 0 to 0.9"),
+        (('gear="80"', 'gear="-80"'), r"\.xml: <dcmotor name='motor'>: gear is -80"),
+        (('lugre="2e4 60 8 11 0.02"', 'lugre="2e4 60 8 11"'), r"\.xml: <dcmotor name='friction'>: lugre has 4"),
     ],
 )
 def test_unusable_models_are_refused(change: tuple[str, str], says: str, tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ class Diagnose:
     jobs: int = 0
     """threads of the simulations; 0 for all cores"""
     seed: int = 0
-    """kept in the provenance; the diagnosis draws nothing at random"""
+    """of the phases of what --design proposes; the diagnosis itself draws nothing at random"""
     design: Path | None = None
     """file for the command that the next experiment should send"""
     overwrite: bool = False
@@ -64,6 +64,7 @@ class Diagnose:
         from dipc_gym import mjcf
         from dipc_gym.sim2real import present, recording
         from dipc_gym.sim2real.diagnosis import Wishes, diagnose
+        from dipc_gym.sim2real.tables import check_format
 
         if self.jobs < 0:
             raise ValueError(f"--jobs {self.jobs}: give the number of threads, or 0 for all cores")
@@ -71,6 +72,7 @@ class Diagnose:
             raise ValueError("name at least one recording after the model")
         present.check_free(self.out, self.overwrite)
         if self.design is not None:
+            check_format(self.design)
             free(self.design, self.overwrite)
         source = mjcf.read(self.model)
         model = mjcf.compile(source)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -27,9 +26,6 @@ from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.simulate import Windows, cut, simulate
 from dipc_gym.sim2real.states import Motion
 from dipc_gym.sim2real.structure import Structure, names
-
-if TYPE_CHECKING:
-    pass
 
 Array = NDArray[np.float64]
 

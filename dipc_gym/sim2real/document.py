@@ -17,24 +17,8 @@ from xml.parsers import expat
 from dipc_gym import mjcf
 from dipc_gym.physics import PREFIX
 
-# What MuJoCo takes for options that are not written, and the elements that share one default.
+# What MuJoCo takes for options that are not written.
 _OPTIONS = {"timestep": "0.002", "gravity": "0 0 -9.81", "iterations": "100", "noslip_iterations": "0"}
-_ACTUATORS = frozenset(
-    [
-        "general",
-        "motor",
-        "position",
-        "velocity",
-        "intvelocity",
-        "damper",
-        "cylinder",
-        "muscle",
-        "adhesion",
-        "dcmotor",
-        "pid",
-        "plugin",
-    ]
-)
 _TAG = re.compile(rb"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>""")
 _WRITTEN = re.compile(r"<!--.*?-->|(<[^!?/>][^>]*?)( ?/)?>", re.DOTALL)
 
@@ -132,25 +116,7 @@ class Document:
 
     def effective(self, element: ET.Element, attribute: str, default: str = "") -> str:
         """An attribute of an element: its own, or what the file's default classes give it."""
-        if attribute in element.attrib:
-            return element.attrib[attribute]
-        tags = _ACTUATORS if element.tag in _ACTUATORS else {element.tag}
-        for defaults in self._classes(element):
-            for entry in reversed(defaults):
-                if entry.tag in tags and attribute in entry.attrib:
-                    return entry.attrib[attribute]
-        return default
-
-    def _classes(self, element: ET.Element) -> list[ET.Element]:
-        """The default classes that hold for an element, the nearest first."""
-        name, here = element.get("class"), element
-        while name is None and here is not self.root:
-            here = self.parent(here)
-            name = here.get("childclass")
-        chain = [d for d in self.root.iter("default") if name is not None and d.get("class") == name][:1]
-        while chain and (above := self.parent(chain[-1])) is not self.root:
-            chain.append(above)
-        return chain + [d for d in reversed(self.root.findall("default")) if d not in chain]
+        return mjcf.effective(self.root, element, attribute, default)
 
     def fresh(self, name: str) -> str:
         """The name, or one like it if something in the file has it already."""

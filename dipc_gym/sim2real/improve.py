@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real.effects.base import joint_of
+from dipc_gym.sim2real.effects.base import is_dcmotor, joint_of
 from dipc_gym.sim2real.fit import Fit, evaluate, fit
 from dipc_gym.sim2real.result import Errors
 from dipc_gym.sim2real.simulate import Stepping
@@ -79,5 +79,16 @@ def place_units(structure: Structure, term: Term) -> dict[str, str]:
             unit = {"N s/m": "N m s/rad", "N s^2/m^2": "N m s^2/rad^2"}.get(unit, unit)
         if unit == "reading":
             unit = of_sensor(model, term.at)
-        units[p.name] = {"command": "V" if term.effect.place == "actuator" else ""}.get(unit, unit)
+        units[p.name] = _command_unit(model, term.at, hinge) if unit == "command" else unit
     return units
+
+
+def _command_unit(model: mujoco.MjModel, actuator: str, hinge: bool) -> str:
+    """Unit of what is sent to an actuator; none where its gear makes a force of a number of its own."""
+    if is_dcmotor(model, actuator):
+        return "V"
+    i = model.actuator(actuator).id
+    force = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_gear[i, 0] == 1
+    if force and model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED and model.actuator_gainprm[i, 0] == 1:
+        return "N m" if hinge else "N"
+    return ""

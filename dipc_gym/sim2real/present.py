@@ -35,7 +35,7 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
         folder: to write into; made if it does not exist.
         model: name of the model's file, for the report.
         command: that makes this again.
-        overwrite: whether a folder that is not empty may be replaced. Only the three files are.
+        overwrite: whether a folder that is not empty may be replaced. Only the files that are written are.
 
     Raises:
         FileExistsError: the folder is not empty, or is a file.
@@ -47,13 +47,23 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".diagnosis-") as draft:
         drafts = Path(draft)
+        for name, content in _assets(found).items():
+            (drafts / name).parent.mkdir(parents=True, exist_ok=True)
+            (drafts / name).write_bytes(content)
         (drafts / "diagnosis.json").write_text(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
         (drafts / "improved.xml").write_text(found.improved)
         report.write(report_data(found, model, command), drafts / "report.html")
-        folder.mkdir(exist_ok=True)
-        for file in sorted(drafts.iterdir()):
-            shutil.move(file, folder / file.name)
+        for file in sorted(path for path in drafts.rglob("*") if path.is_file()):
+            place = folder / file.relative_to(drafts)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.move(file, place)
     return folder
+
+
+def _assets(found: Diagnosis) -> dict[str, bytes]:
+    """Meshes and textures that the improved model asks for beside it; what the model includes stands in its text."""
+    files = {} if found.work is None else found.work.source.files
+    return {name: content for name, content in files.items() if not name.endswith(".xml")}
 
 
 def check_free(folder: Path, overwrite: bool) -> None:

@@ -25,6 +25,7 @@ from dipc_gym.sim2real import recording as recordings
 from dipc_gym.sim2real import units as si
 from dipc_gym.sim2real.fit import correct_starts, fit
 from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.selection import from_zero
 from dipc_gym.sim2real.simulate import Stepping, Windows, grid_step
 from dipc_gym.sim2real.windows import prepare
 
@@ -250,7 +251,7 @@ def replay(
     source = mjcf.read(model)
     physics = custom.load(source)
     mjcf.check_supported(physics.model)
-    read = recordings.read(recording, physics.model, mapping=mapping, units=units)
+    (read,) = from_zero([recordings.read(recording, physics.model, mapping=mapping, units=units)])
     stepping = Stepping(physics.model.opt.timestep, None)
     if step is not None:
         if not (math.isfinite(step) and step > 0):

@@ -163,7 +163,7 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
         out[j] = s[V + j]
         hold[j] = 0.0
     if n == 1:
-        # A cart feels a tilt as a part of its weight; MGL is the gravity torque of a hanging pendulum.
+        # A cart feels a tilt as a part of its weight; a pendulum has MGL in place of it, its gravity torque.
         rhs[0] += own * p[GRAVITY] * np.sin(p[TILT]) - p[MGL] * np.sin(s[0] + p[TILT])
         if mode[0] == 0:
             hold[0] = -rhs[0]

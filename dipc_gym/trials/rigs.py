@@ -153,9 +153,7 @@ def pendulum(rng: np.random.Generator) -> Rig:
     """One driven pendulum, by a torque motor or by a geared DC motor."""
     vary = _spread(rng, 5)
     mass, com = 0.3 * vary[0], 0.25
-    plant = _plant(
-        m0=mass * com**2 + 0.002 * vary[1], m1=mass, com1=com, gravity=9.81, mgl=mass * 9.81 * com, resistance=1.0
-    )
+    plant = _plant(m0=mass * com**2 + 0.002 * vary[1], m1=mass, com1=com, mgl=mass * 9.81 * com, resistance=1.0)
     geared = bool(rng.random() < 0.5)
     if geared:
         constant = 10 * 0.05 * vary[2]

@@ -21,7 +21,7 @@ class Deadzone(Effect):
     needs_loader = True
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """A twentieth of the command, and what dry friction would ask for."""
+        """A twentieth of the command."""
         size = float(np.sqrt(np.mean(evidence.command**2))) if len(evidence.command) else 1.0
         return [{"width": 0.05 * size}]
 
@@ -31,4 +31,5 @@ class Deadzone(Effect):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        return f"A dead zone in {at}: commands below {values['width']:.3g} {unit['width']} do nothing."
+        width = f"{values['width']:.3g} {unit['width']}".strip()
+        return f"A dead zone in {at}: commands below {width} do nothing."

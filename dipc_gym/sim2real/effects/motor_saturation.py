@@ -31,7 +31,8 @@ class Saturation(Effect):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        return f"{at} saturates at {values['limit']:.3g} {unit['limit']}, less than was commanded."
+        limit = f"{values['limit']:.3g} {unit['limit']}".strip()
+        return f"{at} saturates at {limit}, less than was commanded."
 
 
 class TorqueLimit(Effect):

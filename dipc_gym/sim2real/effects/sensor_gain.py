@@ -14,7 +14,6 @@ class Gain(Effect):
     id = "sensor.gain"
     place = "sensor"
     parameters = (Parameter("gain", "", 0.2, 5.0, log=True),)
-    rivals = ("inertia.mass",)
     needs_loader = True
     moves_readings = True
 
