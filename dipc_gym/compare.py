@@ -23,6 +23,7 @@ from dipc_gym.files import write_json
 from dipc_gym.identification import Sweep
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.policy import Policy
+from dipc_gym.randomise import PlantFamily
 from dipc_gym.runs import Course
 from dipc_gym.sim2real import recording
 from dipc_gym.summary import summarise, table
@@ -123,6 +124,11 @@ class Comparison:
                 raise ValueError(
                     f"{name} commands voltage and goes with the compensator 'none' alone; add it to the compensators"
                 )
+        if drawn := [name for name, _ in PlantFamily.of(self.plant).spreads]:
+            raise ValueError(
+                f"{self.plant}: {', '.join(drawn)} would be drawn anew; a comparison draws its rigs itself, about a "
+                "plant of plain numbers"
+            )
         robustness.check(self.robustness, self.base_plant())
         if self.recording is not None:
             self.trainings()[0].identification()

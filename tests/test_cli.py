@@ -69,6 +69,8 @@ def test_train_record_render_go_together(tmp_path: Path, capsys: pytest.CaptureF
         (["train", "--out", "new.json", "--recording", "none.csv"], "none.csv"),
         (["record", "--out", "new.csv", "--plant", "full/file"], "not JSON"),
         (["record", "--out", "new.mat", "--seconds", "0.5"], "new.mat"),
+        (["record", "--out", "new.csv", "--compensator", "none", "--seconds", "inf"], "must be finite"),
+        (["render", "--out", "new.gif", "--compensator", "none", "--seconds", "0"], "at least one control period"),
         (["render", "--out", "new.png"], "only .gif"),
         (["render", "--out", "new.gif", "--model", "full/file"], "full/file"),
     ],

@@ -112,6 +112,27 @@ def test_rigs_differ_within_the_spread() -> None:
     assert spread.draw(base, 3) == rigs[3]
 
 
+def test_what_goes_with_a_file_is_part_of_its_fingerprint(tmp_path: Path) -> None:
+    """A model's includes, and the statistics beside a saved policy."""
+    model, part = tmp_path / "rig.xml", tmp_path / "part.xml"
+    policy, statistics = tmp_path / "policy.zip", tmp_path / "policy.statistics.json"
+    model.write_text('<mujoco><include file="part.xml"/></mujoco>')
+    for file in (part, policy, statistics):
+        file.write_text("<mujoco/>")
+    seen = [cells.fingerprints(str(model), str(policy), "lqr", None)]
+    for file in (part, statistics):
+        file.write_text("<mujoco><option/></mujoco>")
+        seen.append(cells.fingerprints(str(model), str(policy), "lqr", None))
+    assert seen[0] != seen[1] != seen[2]
+
+
+def test_a_plant_that_is_drawn_anew_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "worn.json"
+    file.write_text(json.dumps({"friction": {"coulomb": {"uniform": [5.0, 9.0]}}}))
+    with pytest.raises(ValueError, match=r"worn\.json: friction\.coulomb would be drawn anew"):
+        dataclasses.replace(QUICK, plant=str(file)).check()
+
+
 def test_fallen_runs_are_counted_and_left_out_of_the_figures() -> None:
     zeros = dict.fromkeys(("cost_printed_q", "cart_m", "pole1_deg", "pole2_deg", "force_rms", "voltage_rms"), 0.0)
     shared = {

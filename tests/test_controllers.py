@@ -114,6 +114,16 @@ def test_broken_policy_files_are_refused(tmp_path: Path) -> None:
     refused(target, "not a policy saved")
     target.write_bytes(file.read_bytes()[:2000])
     refused(target, "not a policy saved")
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("data", "{}")
+    packed = bytearray(target.read_bytes())
+    begins = packed.index(b"data") + len("data")
+    target.write_bytes(packed[:begins] + b"\xff" + packed[begins + 1 :])  # no block of deflate begins like that
+    refused(target, "not a policy saved")
+    for signature, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        packed[packed.index(signature) + flags] |= 1
+    target.write_bytes(packed)
+    refused(target, "encrypted")
     refused(changed(file, target, policy_pth=None), "no part 'policy.pth'")
     refused(changed(file, target, data=None), "no part 'data'")
     refused(changed(file, target, data=b"[1]"), "not a JSON object")

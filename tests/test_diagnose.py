@@ -381,12 +381,16 @@ def test_too_short_a_recording() -> None:
 
 def test_command_line_writes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model, csv, out = tmp_path / "cart.xml", tmp_path / "run.csv", tmp_path / "out"
-    model.write_text(NOMINAL)
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "box.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    )
+    model.write_text(NOMINAL.replace("</mujoco>", '<asset><mesh name="box" file="meshes/box.obj"/></asset></mujoco>'))
     recording.write(run(8, 12, 0.0), csv)
     assert cli.main(["diagnose", str(model), str(csv), "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "CONSISTENT" in said
-    assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "improved.xml", "report.html"]
+    assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "improved.xml", "meshes", "report.html"]
     mujoco.MjModel.from_xml_path(str(out / "improved.xml"))
     assert json.loads((out / "diagnosis.json").read_text())["schema"] == "dipc-gym/diagnosis/1"
     assert cli.main(["diagnose", str(model), str(csv), "--out", str(out)]) == 2

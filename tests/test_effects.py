@@ -22,6 +22,7 @@ from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.base import Evidence
 from dipc_gym.sim2real.effects.waves import waves
+from dipc_gym.sim2real.improve import place_units
 from dipc_gym.sim2real.problem import predict
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.simulate import Stepping
@@ -426,6 +427,28 @@ HOSTILE = [
     "häß–👾",
     "'",
 ]
+
+
+@pytest.mark.parametrize(
+    ("actuator", "unit"),
+    [
+        ('<dcmotor name="m" joint="{joint}" resistance="1" motorconst="0.05"/>', "V"),
+        ('<motor name="m" joint="slide"/>', "N"),
+        ('<motor name="m" joint="hinge"/>', "N m"),
+        ('<motor name="m" joint="hinge" gear="50"/>', ""),
+        ('<position name="m" joint="hinge" kp="3"/>', ""),
+    ],
+)
+def test_a_dead_zone_is_told_in_the_unit_of_the_command(actuator: str, unit: str) -> None:
+    body = '<body><joint name="{0}" type="{0}" axis="1 0 0"/><geom size="1" contype="0"/></body>'
+    text = f"""<mujoco><worldbody>{body.format("slide")}{body.format("hinge")}</worldbody>
+        <actuator>{actuator.format(joint="slide")}</actuator></mujoco>"""
+    source = mjcf.from_text(text)
+    effect = catalogue()["motor.deadzone"]
+    term = Term(effect, "m", {"width": 0.25})
+    units = place_units(Structure(Document(source), mjcf.compile(source), ("slide", "hinge")), term)
+    assert units == {"width": unit}
+    assert effect.sentence("m", term.guess, units).endswith(f"below {f'0.25 {unit}'.strip()} do nothing.")
 
 
 @pytest.mark.parametrize("name", HOSTILE)

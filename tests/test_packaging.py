@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ast
+import doctest
+import importlib
+import pkgutil
 import re
 import tomllib
 from importlib import metadata, resources
@@ -41,6 +44,20 @@ def test_every_other_file_is_package_data() -> None:
         shipped = {path for pattern in patterns for path in folder(package).glob(pattern)}
         others = {path for path in folder(package).iterdir() if path.is_file() and path.suffix not in (".py", ".pyc")}
         assert others <= shipped
+
+
+def test_examples_in_docstrings_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    packages = [importlib.import_module(name) for name in SETUPTOOLS["packages"]]
+    modules = [
+        importlib.import_module(f"{package.__name__}.{found.name}")
+        for package in packages
+        for found in pkgutil.iter_modules(package.__path__)
+        if not found.ispkg and found.name != "__main__"
+    ]
+    tried = {module.__name__: doctest.testmod(module) for module in [*packages, *modules]}
+    assert {name: result.failed for name, result in tried.items() if result.failed} == {}
+    assert {name.split(".")[1] for name, result in tried.items() if result.attempted} >= {"compensators", "sim2real"}
 
 
 def test_versions_agree() -> None:

@@ -227,6 +227,17 @@ def test_improved_models_with_hidden_states_replay(
     assert np.median(wrong.errors) > 3 * np.median(right.errors)
 
 
+def test_time_is_counted_from_the_first_sample(tmp_path: Path) -> None:
+    """As in a diagnosis: what shakes the rig has no clock but the recording's, which may begin anywhere."""
+    shaken = hanging(custom='<numeric name="dipc_gym:disturbance.periodic:cart" data="0.5 0.3 1.7"/>')
+    recording = Run().of(shaken)
+    late = replace(recording, time=recording.time + 1000.1)
+    first, second = (replay(*files(tmp_path, shaken, run)) for run in (recording, late))
+    assert first.error < 1.1
+    assert second.error == pytest.approx(first.error, rel=0.01)
+    assert any("1000.1" in note for note in second.recording.notes)
+
+
 # Length of windows
 
 

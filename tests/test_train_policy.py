@@ -184,9 +184,10 @@ def test_results_are_never_overwritten_by_surprise(tmp_path: Path) -> None:
     longer = dataclasses.replace(SHORT["ppo"], steps=9_000)
     with pytest.raises(TrainingError, match=r"recipe\.steps: this training was begun with 4000, not 9000"):
         train.run(short(recipe=longer), tmp_path, resume=True)
-    (tmp_path / "training.json").write_text("[]")
-    with pytest.raises(TrainingError, match="cannot be read"):
-        train.run(short(), tmp_path, resume=True)
+    for foreign in ("[]", "{}", '{"recipe": 1}'):
+        (tmp_path / "training.json").write_text(foreign)
+        with pytest.raises(TrainingError, match=r"cannot be read|was begun with"):
+            train.run(short(), tmp_path, resume=True)
 
 
 class Bomb:

@@ -796,13 +796,14 @@ def test_a_run_that_was_stopped_goes_on_and_tries_failures_again(tmp_path, monke
     for plan in plans:
         answer = sealed("null", []) | {"trial": plan.name}
         (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(answer))
-    asked = []
+    asked, versions = [], ["one"]
+    monkeypatch.setattr(run, "tool", lambda: versions[-1])
 
     def swept(cells, **_):
         for cell in cells:
             asked.append(cell.name)
             fails = cell.name == plans[1].name and len(asked) <= 3
-            yield cell.name, given_back(FINE | {"failure": "broke" if fails else None})
+            yield cell.name, given_back(FINE | {"failure": "broke" if fails else None, "tool": versions[-1]})
 
     monkeypatch.setattr(run, "generate", lambda out, **_: plans)
     monkeypatch.setattr(run, "swept", swept)
@@ -813,6 +814,9 @@ def test_a_run_that_was_stopped_goes_on_and_tries_failures_again(tmp_path, monke
     assert (scores["summary"]["nulls"], scores["summary"]["false_alarms"]) == (3, 0)
     contest = tmp_path / "results" / plans[0].name / "rivals.json"
     contest.write_text("{}")
+    versions.append("two")
+    with pytest.raises(ValueError, match=r"t001_cart.attempt\.json: diagnosed by another version of the tool"):
+        run.trial(tmp_path, seed=1)
     run.trial(tmp_path, seed=1, resume=False)
     assert len(asked) == 7
     assert (tmp_path / "report.md").exists()

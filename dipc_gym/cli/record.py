@@ -44,7 +44,9 @@ class Record:
         """Simulate and write."""
         from dipc_gym import controllers, runs
         from dipc_gym.sim2real import recording
+        from dipc_gym.sim2real.tables import check_format
 
+        check_format(self.out)
         free(self.out, self.overwrite)
         if self.experiment == "identification":
             run = runs.identify(self.plant, model=self.model, seed=self.seed).run

@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.files import write_whole
 from dipc_gym.sim2real import drawing
 from dipc_gym.sim2real.charts import Tone
 from dipc_gym.sim2real.wording import clean, measured, number, percent, short, tied
@@ -182,7 +183,7 @@ def write(data: ReportData, path: Path) -> None:
 
     Args:
         data: what to show.
-        path: of the HTML file; written beside it first, so that no half page is left.
+        path: of the HTML file.
 
     Raises:
         ValueError: unknown verdict.
@@ -195,10 +196,7 @@ def write(data: ReportData, path: Path) -> None:
         ...     "Nothing beyond noise." in Path(folder, "report.html").read_text(encoding="utf-8")
         True
     """
-    page = render(data)
-    draft = path.with_name(path.name + ".part")
-    draft.write_text(page, encoding="utf-8")
-    draft.replace(path)
+    write_whole(path, render(data).encode())
 
 
 def render(data: ReportData) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import json
 import os
 import shutil
@@ -13,6 +15,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import dipc_gym
 
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv")
 PATIENCE = 1800.0
@@ -98,6 +102,17 @@ def _call(command: list[str], place: Path, patience: float) -> None:
         raise RuntimeError(f"{command[3]} ended with {done.returncode}: {done.stderr.strip()[-2000:]}")
 
 
+@functools.cache
+def tool() -> str:
+    """SHA-256 of the tool's sources, those of the trial left out: results of two versions do not make one rate."""
+    package = Path(dipc_gym.__file__).parent
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        if file.relative_to(package).parts[0] != "trials":
+            digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
     """Diagnose one trial, and judge its improved model on the recording that the tool never saw.
@@ -123,16 +138,17 @@ class Attempt:
         """Diagnose; a failure is a result too, which is noted and scored as one.
 
         Returns:
-            Texts by name of file: what the tool wrote, and `attempt.json`. That has the seconds and their limit, what
-            went wrong or null, whether time was up, and the errors by sensor on `test.csv` of a converged simulation
-            (`sensor_errors`) and at the file's own step.
+            Texts by name of file: what the tool wrote, and `attempt.json`. That has the tool's version, seconds and
+            their limit, what went wrong or null, whether time was up, and the errors by sensor on `test.csv` of a
+            converged simulation (`sensor_errors`) and at the file's own step.
 
         Raises:
             KeyboardInterrupt: the tool was interrupted, which is no failure.
             OSError: the trial's files are not there.
         """
         begun = time.perf_counter()
-        note: dict[str, Any] = {"trial": self.name, "limit": self.limit, "failure": None, "timed_out": False}
+        note: dict[str, Any] = {"trial": self.name, "tool": tool(), "limit": self.limit}
+        note |= {"failure": None, "timed_out": False}
         note |= {"sensor_errors": None, "sensor_errors_own_step": None, "replay_failure": None}
         folder = Path(self.folder)
         with tempfile.TemporaryDirectory(prefix="result-") as place:

@@ -12,7 +12,7 @@ from typing import Any
 from dipc_gym import sweep
 from dipc_gym.files import write_whole
 from dipc_gym.sweep import Backend, Cell
-from dipc_gym.trials.attempt import PATIENCE, Attempt
+from dipc_gym.trials.attempt import PATIENCE, Attempt, tool
 from dipc_gym.trials.generate import generate
 from dipc_gym.trials.publish import write_report
 from dipc_gym.trials.score import score
@@ -38,7 +38,8 @@ def trial(
         The scores, as in `report.json`.
 
     Raises:
-        ValueError: `out` holds trials of another seed or composition; or see `sweep.run`.
+        ValueError: `out` holds trials of another seed or composition, or results of another version of the tool; or
+            see `sweep.run`.
         ImportError: Ray is asked for and not installed.
         KeyboardInterrupt: after what is done was scored.
     """
@@ -82,7 +83,15 @@ def processes(jobs: int | None, backend: Backend) -> int:
 
 def _done(result: Path) -> bool:
     note = result / "attempt.json"
-    return note.exists() and json.loads(note.read_text(encoding="utf-8"))["failure"] is None
+    if not note.exists():
+        return False
+    said = json.loads(note.read_text(encoding="utf-8"))
+    if said["failure"] is None and said.get("tool") != tool():
+        raise ValueError(
+            f"{note}: diagnosed by another version of the tool, and the two make no rate; choose another folder, or "
+            f"remove {result.parent} to diagnose all anew"
+        )
+    return said["failure"] is None
 
 
 def _keep(texts: Mapping[str, str], result: Path) -> None:
