@@ -24,7 +24,7 @@ SETTLED = 20.0  # s; the paper reads deviations off its Fig. 12 after that
 
 
 @dataclass(frozen=True, kw_only=True)
-class Training:
+class CompensatorTraining:
     """Identify a rig and train one compensator on it.
 
     Attributes:

@@ -18,7 +18,7 @@ import gymnasium
 import numpy as np
 
 from dipc_gym import ENV_ID, cells, compensators, controllers, robustness, sweep
-from dipc_gym.cells import Balancing, Training, label
+from dipc_gym.cells import Balancing, CompensatorTraining, label
 from dipc_gym.files import write_json
 from dipc_gym.identification import Sweep
 from dipc_gym.plant import Friction, Plant
@@ -153,11 +153,11 @@ class Comparison:
         """The rig of a seed."""
         return self.spread.draw(self.base_plant(), seed)
 
-    def trainings(self) -> list[Training]:
+    def trainings(self) -> list[CompensatorTraining]:
         """Every compensator on every rig, or on the one recording."""
         rigs = {s: self.rig(s) for s in range(self.seeds)} if self.recording is None else {0: self.base_plant()}
         return [
-            Training(
+            CompensatorTraining(
                 compensator=name,
                 plant=plant,
                 model=self.model,
@@ -285,7 +285,7 @@ def prepare_folder(out: str | Path, *, overwrite: bool) -> Path:
 
 
 def _trained(outcomes: Iterable[Outcome[Any]]) -> Trained:
-    done = [o for o in outcomes if isinstance(o.cell, Training) and o.failure is None]
+    done = [o for o in outcomes if isinstance(o.cell, CompensatorTraining) and o.failure is None]
     return {(o.cell.seed, o.cell.compensator): o.result for o in done}
 
 
@@ -298,7 +298,7 @@ def _notes(comparison: Comparison) -> list[str]:
     ]
 
 
-def _save_trainings(trainings: Sequence[Training], found: Mapping[str, Outcome[Any]], out: Path) -> None:
+def _save_trainings(trainings: Sequence[CompensatorTraining], found: Mapping[str, Outcome[Any]], out: Path) -> None:
     for training in trainings:
         if found[training.name].failure is None:
             trained = compensators.load(found[training.name].result)
@@ -307,7 +307,7 @@ def _save_trainings(trainings: Sequence[Training], found: Mapping[str, Outcome[A
 
 def _draw(
     comparison: Comparison,
-    trainings: Sequence[Training],
+    trainings: Sequence[CompensatorTraining],
     balancings: Sequence[Balancing],
     found: Mapping[str, Outcome[Any]],
     out: Path,

@@ -58,7 +58,7 @@ class LQR:
 
 
 @dataclass(frozen=True)
-class Policy:
+class SB3Policy:
     """A learned network, evaluated in NumPy at its most likely action.
 
     Attributes:
@@ -113,7 +113,7 @@ def load(name: str) -> Controller:
     return read_policy(name)
 
 
-def read_policy(path: str | Path) -> Policy:
+def read_policy(path: str | Path) -> SB3Policy:
     """Read a policy that stable-baselines3 saved, without executing anything in it.
 
     Such a file also holds pickled objects, which run code when loaded; they are left alone. Weights are read by
@@ -147,7 +147,7 @@ def read_policy(path: str | Path) -> Policy:
     return replace(policy, normalised=statistics.Statistics.load(path).normalised)
 
 
-def _policy(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Array]) -> Policy:
+def _policy(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Array]) -> SB3Policy:
     if description.get("use_sde"):
         raise ControllerError(f"{path}: policies with state-dependent exploration (use_sde) are not supported")
     if any("features_extractor" in key for key in tensors):
@@ -182,7 +182,7 @@ def _policy(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Ar
     if activation not in _ACTIVATIONS:
         raise ControllerError(f"{path}: activation {activation!r} is not among {', '.join(_ACTIVATIONS)}")
     low, high = _limits(path, description)
-    return Policy(path.stem, layers, _ACTIVATIONS[activation], squash, low, high)
+    return SB3Policy(path.stem, layers, _ACTIVATIONS[activation], squash, low, high)
 
 
 def _limits(path: Path, description: Mapping[str, Any]) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from dipc_gym.sim2real.fit import Fit, correct_starts, fit
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.result import Diagnosis, Work
 from dipc_gym.sim2real.units import of_sensor
+from dipc_gym.sim2real.windows import joined
 
 Array = NDArray[np.float64]
 
@@ -120,9 +121,9 @@ def _traces(work: Work, held: dict[str, Array], structural: bool) -> list[report
             mine = np.flatnonzero(w.source == i)
             if not len(mine):
                 continue
-            time = _joined((w.start[:, None] + w.times)[mine], w.valid[mine])
-            values = {name: _joined(readings[mine, :, k], w.valid[mine]) for name, readings in held.items()}
-            observed = _joined(w.observed[mine, :, k], w.valid[mine])
+            time = joined((w.start[:, None] + w.times)[mine], w.valid[mine])
+            values = {name: joined(readings[mine, :, k], w.valid[mine]) for name, readings in held.items()}
+            observed = joined(w.observed[mine, :, k], w.valid[mine])
             traces.append(
                 (
                     float(np.nanmean((observed - values["nominal"]) ** 2) / max(w.noise[k] ** 2, 1e-300)),
@@ -139,12 +140,6 @@ def _traces(work: Work, held: dict[str, Array], structural: bool) -> list[report
                 )
             )
     return [trace for _, trace in sorted(traces, key=lambda t: -t[0])]
-
-
-def _joined(values: Array, valid: NDArray[np.bool_]) -> Array:
-    """Windows (n, m) one after the other, a NaN between them."""
-    parts = [np.append(row[ok], np.nan) for row, ok in zip(values, valid, strict=True)]
-    return np.concatenate(parts)[:-1]
 
 
 def _rising(time: Array) -> Array:
@@ -232,13 +227,13 @@ def _residuals(work: Work, held: dict[str, Array], before: str, structural: bool
             if white < WHITE
             else f"What is left of {sensor} is not noise: neighbouring samples correlate by {last[1]:.2f}."
         )
-        time = _rising(_joined(w.start[:, None] + w.times, w.valid))
+        time = _rising(joined(w.start[:, None] + w.times, w.valid))
         out.append(
             report.SensorResidual(
                 sensor,
                 time,
-                _joined(rest[before], w.valid),
-                _joined(rest["improved"], w.valid) if structural else None,
+                joined(rest[before], w.valid),
+                joined(rest["improved"], w.valid) if structural else None,
                 np.arange(lags) * w.period,
                 correlation[before],
                 correlation["improved"] if structural else None,

@@ -27,7 +27,7 @@ from dipc_gym.sim2real.fit import correct_starts, fit
 from dipc_gym.sim2real.recording import Recording
 from dipc_gym.sim2real.selection import from_zero
 from dipc_gym.sim2real.simulate import Stepping, Windows, grid_step
-from dipc_gym.sim2real.windows import prepare
+from dipc_gym.sim2real.windows import joined, prepare
 
 Array = NDArray[np.float64]
 
@@ -180,10 +180,10 @@ class Replay:
             figure.subplots(2 * len(self.sensors), 1, sharex=True, height_ratios=[2, 1] * len(self.sensors))
         )
         w = self.windows
-        time = _joined(w.start[:, None] + w.times, w.valid)
+        time = joined(w.start[:, None] + w.times, w.valid)
         for k, sensor in enumerate(self.sensors):
             above, below = axes[2 * k : 2 * k + 2]
-            seen, said = _joined(w.observed[..., k], w.valid), _joined(self.predicted[..., k], w.valid)
+            seen, said = joined(w.observed[..., k], w.valid), joined(self.predicted[..., k], w.valid)
             above.plot(time, seen, color="#8a8f98", lw=2.2, label="observed")
             above.plot(time, said, color="#c8452f", lw=0.9, label="predicted")
             above.set_ylabel(f"{sensor.name}, {sensor.unit}" if sensor.unit else sensor.name)
@@ -294,13 +294,6 @@ def _sensor_errors(
         )
         for k, name in enumerate(names)
     )
-
-
-def _joined(values: Array, valid: NDArray[np.bool_]) -> Array:
-    """Windows (n, m) end to end, with a gap after each so that a line breaks there."""
-    gap = np.full((len(values), 1), math.nan)
-    kept = np.concatenate([valid, np.ones_like(gap, dtype=bool)], axis=1)
-    return np.concatenate([values, gap], axis=1)[kept]
 
 
 def _or_none(number: float) -> float | None:

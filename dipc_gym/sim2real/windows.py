@@ -179,3 +179,10 @@ def _cut(recordings: Sequence[Recording], noise: Array, length: float, span: tup
             "of at least 4 samples that fits"
         )
     return windows
+
+
+def joined(values: Array, valid: NDArray[np.bool_]) -> Array:
+    """Readings of windows (n, m) end to end, those that are there; NaN between windows, so that a line breaks there."""
+    gap = np.full((len(values), 1), np.nan)
+    kept = np.concatenate([valid, np.ones_like(gap, dtype=bool)], axis=1)
+    return np.concatenate([values, gap], axis=1)[kept][:-1]
