@@ -1,4 +1,4 @@
-"""Write what was found back as MJCF, with numbers refitted at the step at which the file is simulated."""
+"""Write what was found back as MJCF, with numbers that hold at the step at which the file is simulated, if any do."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real.effects.base import is_dcmotor, joint_of
 from dipc_gym.sim2real.fit import Fit, evaluate, fit
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.result import Errors
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Structure, Term
 from dipc_gym.sim2real.units import of_sensor
 from dipc_gym.sim2real.windows import Prepared
+
+Array = NDArray[np.float64]
 
 
 def improved_model(
@@ -25,7 +29,7 @@ def improved_model(
     final: Fit,
     errors: Errors,
 ) -> tuple[str, str]:
-    """Text of the improved model with its numbers refitted at the file's own step, and what that step costs."""
+    """Text of the improved model, refitted at its own step where that makes up for it, and a note on what it costs."""
     structure = final.structure
     if not structure.numbers and not structure.terms:
         return source.text, ""
@@ -33,20 +37,20 @@ def improved_model(
     coarse = replace(prepared.problem, stepping=own)
     count = len(coarse.windows)
     some = coarse.pick(np.unique(np.linspace(0, count - 1, min(36, count)).round().astype(np.intp)))
-    z = final.z
-    before, _ = evaluate(some, structure, z)
-    with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
-        again = fit(some, structure, z, most=4)
-        after, _ = evaluate(some, structure, again.z)
-        if np.mean(after) < np.mean(before):
-            z, before = again.z, after
-    error = float(np.sqrt(np.mean(before)))
+    z, enough = final.z, 1.2 * max(errors.improved, 1.0)
+    error = _error(some, structure, z)
     note = ""
-    if error > 1.2 * max(errors.improved, 1.0):
+    if error > enough:
+        # Numbers that make up for a step are wrong at any other; they are worth having where they do make up for it.
+        with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
+            again = fit(some, structure, z, most=4)
+            if (refitted := _error(some, structure, again.z)) <= enough:
+                z, error = again.z, refitted
+    if error > enough:
         note = (
             f"At the model's own step of {1e3 * own.timestep:g} ms and with its integrator the improved model predicts "
-            f"to {error:.3g} times the noise, with a converged step to {errors.improved:.3g}: a shorter step is worth "
-            "more than any further physics."
+            f"to {error:.3g} times the noise, with a converged step to {errors.improved:.3g}, and no numbers make up "
+            "for that: a shorter step is worth more than any further physics."
         )
     document = structure.write(z)
     lines = [t.effect.sentence(t.at, structure.term_values(z, t), place_units(structure, t)) for t in structure.terms]
@@ -62,6 +66,11 @@ def improved_model(
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")
     document.comment("Changed by dipc-gym diagnose.", *lines)
     return document.text(), note
+
+
+def _error(problem: Problem, structure: Structure, z: Array) -> float:
+    mse, _ = evaluate(problem, structure, z)
+    return float(np.sqrt(np.mean(mse)))
 
 
 def place_units(structure: Structure, term: Term) -> dict[str, str]:
