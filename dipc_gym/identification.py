@@ -99,7 +99,7 @@ def cart(model: mujoco.MjModel) -> Cart:
     rigid = Rigid(model, [int(model.jnt_dofadr[model.sensor("cart").objid[0]])])
 
     def acceleration(volts: float, velocity: float, force: float) -> float:
-        return float(rigid.acceleration(rigid.model.qpos0[rigid.places], [velocity], [force], (motor, volts))[0])
+        return float(rigid.acceleration(None, [velocity], [force], (motor, volts))[0])
 
     per_newton = (acceleration(0, 0, 1) - acceleration(0, 0, -1)) / 2
     per_volt = (acceleration(1, 0, 0) - acceleration(-1, 0, 0)) / 2

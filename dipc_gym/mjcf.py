@@ -14,7 +14,6 @@ import signal
 import struct
 import subprocess
 import sys
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -34,7 +33,6 @@ __all__ = [
     "check_supported",
     "compile",
     "controls",
-    "effective",
     "followers",
     "from_text",
     "quiet_mujoco",
@@ -53,24 +51,6 @@ PASSIVE = "dipc_gym:passive:"
 
 # One with this prefix names a joint behind a gap or a spring; it says which joint it follows.
 FOLLOWS = "dipc_gym:follows:"
-
-# The elements that share one default.
-_ACTUATORS = frozenset(
-    [
-        "general",
-        "motor",
-        "position",
-        "velocity",
-        "intvelocity",
-        "damper",
-        "cylinder",
-        "muscle",
-        "adhesion",
-        "dcmotor",
-        "pid",
-        "plugin",
-    ]
-)
 
 SUPPORTED = (
     "Supported are models with hinge and slide joints and no contacts, with any number of actuators, "
@@ -222,31 +202,6 @@ def passive_actuators(model: mujoco.MjModel) -> list[int]:
     return [
         i for i in range(model.nactuator) if model.actuator_ctrlnum[i] == 0 or model.actuator_ctrladr[i] >= commanded
     ]
-
-
-def effective(root: ET.Element, element: ET.Element, attribute: str, default: str = "") -> str:
-    """An attribute of an element of a model's tree: its own, or what the default classes give it."""
-    if attribute in element.attrib:
-        return element.attrib[attribute]
-    tags = _ACTUATORS if element.tag in _ACTUATORS else {element.tag}
-    for defaults in _classes(root, element):
-        for entry in reversed(defaults):
-            if entry.tag in tags and attribute in entry.attrib:
-                return entry.attrib[attribute]
-    return default
-
-
-def _classes(root: ET.Element, element: ET.Element) -> list[ET.Element]:
-    """The default classes that hold for an element, the nearest first."""
-    parents = {child: parent for parent in root.iter() for child in parent}
-    name, here = element.get("class"), element
-    while name is None and here is not root:
-        here = parents[here]
-        name = here.get("childclass")
-    chain = [d for d in root.iter("default") if name is not None and d.get("class") == name][:1]
-    while chain and (above := parents[chain[-1]]) is not root:
-        chain.append(above)
-    return chain + [d for d in reversed(root.findall("default")) if d not in chain]
 
 
 def followers(model: mujoco.MjModel) -> dict[str, str]:

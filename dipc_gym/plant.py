@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dipc_gym import mjcf
+from dipc_gym.mjcf_defaults import effective
 from dipc_gym.untrusted import Format
 
 SCHEMA = "dipc-gym/plant/1"
@@ -242,7 +242,10 @@ class Plant:
         The motor is the `dcmotor` named `motor`, friction the passive `dcmotor` named `friction` and the damping of
         its joint. What the text does not say that way stays None, that is, as the model has it.
         """
-        root = ET.fromstring(text)
+        return cls._of_tree(ET.fromstring(text))
+
+    @classmethod
+    def _of_tree(cls, root: ET.Element) -> Plant:
         motor, friction = _actuator(root, "motor"), _actuator(root, "friction")
         found: dict[str, Any] = {"motor": None, "friction": None}
         if motor is not None and motor.tag == "dcmotor" and {"resistance", "motorconst"} <= motor.attrib.keys():
@@ -256,7 +259,7 @@ class Plant:
                 constant=math.prod(constants) ** (1 / max(len(constants), 1)),
                 pulley_radius=1 / gear,
             )
-        if motor is not None and mjcf.effective(root, motor, "ctrlrange"):
+        if motor is not None and effective(root, motor, "ctrlrange"):
             found["supply"] = max(abs(bound) for bound in _numbers(root, motor, "ctrlrange"))
         if friction is not None and friction.tag == "dcmotor" and "lugre" in friction.attrib:
             numbers = _numbers(root, friction, "lugre")
@@ -288,7 +291,7 @@ class Plant:
         if motor is None:
             raise PlantError("the model's text has no actuator named 'motor'")
         # What is the same in the text stays as it stands there: it may say more than a plant knows of.
-        given = Plant.from_mjcf(text)
+        given = Plant._of_tree(root)
         motor.set("ctrlrange", f"{-self.supply!r} {self.supply!r}")
         if self.motor is not None and self.motor != given.motor:
             if motor.tag != "dcmotor":
@@ -318,7 +321,7 @@ class Plant:
         if joint is None:
             raise PlantError("friction: the model's text has no joint named 'cart'")
         # A polynomial's further terms stay.
-        beyond = mjcf.effective(root, joint, "damping").split()[1:]
+        beyond = effective(root, joint, "damping").split()[1:]
         joint.set("damping", " ".join([repr(friction.viscous), *beyond]))
         for actuators in root.iter("actuator"):
             for element in actuators.findall("dcmotor[@name='friction']"):
@@ -380,4 +383,4 @@ def _joint(root: ET.Element, name: str) -> ET.Element | None:
 
 
 def _numbers(root: ET.Element, element: ET.Element, attribute: str, default: str = "") -> list[float]:
-    return [float(word) for word in mjcf.effective(root, element, attribute, default).split()]
+    return [float(word) for word in effective(root, element, attribute, default).split()]

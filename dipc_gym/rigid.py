@@ -38,7 +38,7 @@ class Rigid:
         self.model.actuator_dynprm[wound, 0], self.model.actuator_actearly[wound] = _AT_ONCE, True
         self.data = mujoco.MjData(self.model)
         self.dofs = list(dofs)
-        self.places = [int(model.jnt_qposadr[model.dof_jntid[d]]) for d in dofs]
+        self._places = model.jnt_qposadr[model.dof_jntid]
         self._ties = np.zeros((model.nv, len(self.dofs)))
         self._ties[self.dofs, range(len(self.dofs))] = 1.0
         for follower, leader in mjcf.followers(model).items():
@@ -47,20 +47,25 @@ class Rigid:
                 self._ties[int(model.joint(follower).dofadr[0]), self.dofs.index(led)] = 1.0
 
     def acceleration(
-        self, position: ArrayLike, velocity: ArrayLike, force: ArrayLike, command: tuple[int, float] | None = None
+        self,
+        position: ArrayLike | None,
+        velocity: ArrayLike,
+        force: ArrayLike,
+        command: tuple[int, float] | None = None,
     ) -> Array:
         """Accelerations (n,) of the joints looked at.
 
         Args:
-            position: of these joints, (n,); those that follow stand where their leaders do.
+            position: of these joints, (n,), or None for where the model has them; those that follow stand where their
+                leaders do.
             velocity: (n,).
             force: applied to them beside what the model has, N or N m, (n,).
             command: control and its value; None leaves all at zero.
         """
         model, data, ties = self.model, self.data, self._ties
         mujoco.mj_resetData(model, data)
-        places = model.jnt_qposadr[model.dof_jntid]
-        data.qpos[places] += ties @ (np.asarray(position, dtype=float) - data.qpos[self.places])
+        if position is not None:
+            data.qpos[self._places] += ties @ (np.asarray(position, dtype=float) - data.qpos[self._places[self.dofs]])
         data.qvel[:] = ties @ np.asarray(velocity, dtype=float)
         data.qfrc_applied[self.dofs] = force
         if command is not None:

@@ -114,19 +114,19 @@ def test_of_names_for_one_model_the_plainer_one_stays(
 
 
 @pytest.mark.parametrize(
-    ("accepted", "left", "named", "struck_off"),
+    ("accepted", "alone", "left", "named", "struck_off"),
     [
-        ("first push", 1.1, "first push", []),
-        ("first push", 1.5, "first", ["push"]),  # one of several windows that stand out could always be a push
-        ("first second", 4.0, "first second", []),
-        ("first second", 7.0, "", ["first and second"]),  # more than half of the mismatch is left
+        ("first push", 1.6, 1.1, "first push", []),
+        ("first push", 1.6, 1.5, "first", ["push"]),  # one of several windows that stand out could always be a push
+        ("first second", 7.5, 4.0, "first second", []),
+        ("first second", 7.5, 7.0, "", ["first and second"]),  # more than half of the mismatch is left
     ],
 )
 def test_what_only_stands_in_for_what_is_left_is_not_named(
-    monkeypatch: pytest.MonkeyPatch, accepted: str, left: float, named: str, struck_off: list[str]
+    monkeypatch: pytest.MonkeyPatch, accepted: str, alone: float, left: float, named: str, struck_off: list[str]
 ) -> None:
     """The error is 9 times the noise without any effect."""
-    errors = {"": 9.0, "first": 7.5, accepted: left}
+    errors = {"": 9.0, "first": alone, accepted: left}
     found, _ = _conclude(monkeypatch, _Searched("", "first", accepted), errors, {})
     assert found.fitted.name == named  # type: ignore[attr-defined]
     assert [note.split(" would")[0] for note in found.notes] == struck_off

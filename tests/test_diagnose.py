@@ -148,7 +148,7 @@ def test_numbers_are_refitted_to_the_step_where_that_makes_up_for_it(
     assert found.held_out is not None
     other = replace(work.final, z=work.final.z + 0.05)
     monkeypatch.setattr(improve, "fit", lambda *_, **__: other)
-    monkeypatch.setattr(improve, "_error", lambda problem, structure, z: refitted if z is other.z else error)
+    monkeypatch.setattr(judge, "held_out_error", lambda _, fitted: refitted if fitted is other else error)
     given = physics.load(work.source)
     text, note = improve.improved_model(work.source, given, work.prepared, work.final, found.held_out)
     fine = mujoco.MjModel.from_xml_string(text).dof_damping[0] == found.recalibrated[0]["value"]

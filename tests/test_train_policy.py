@@ -186,7 +186,7 @@ def test_results_are_never_overwritten_by_surprise(tmp_path: Path) -> None:
         train.run(short(recipe=longer), tmp_path, resume=True)
     for foreign in ("[]", "{}", '{"recipe": 1}'):
         (tmp_path / "training.json").write_text(foreign)
-        with pytest.raises(TrainingError, match=r"cannot be read|was begun with"):
+        with pytest.raises(TrainingError, match="cannot be read"):
             train.run(short(), tmp_path, resume=True)
 
 

@@ -58,11 +58,11 @@ def test_windows_in_mujoco_say_what_the_generator_says(tmp_path, rig, effect, va
     assert replayed.error(model, motions[2], made.noise) == pytest.approx(there, rel=0.01)
 
 
-@pytest.mark.parametrize("rig", ["cart", "hanging", "pendulum"])
-def test_a_tilt_is_gravity_turned_backwards_about_y(tmp_path, rig):
+@pytest.mark.parametrize(("rig", "shows"), [("cart", 20), ("hanging", 10), ("pendulum", 5)])
+def test_a_tilt_is_gravity_turned_backwards_about_y(tmp_path, rig, shows):
     """What the scorer takes for granted when it compares a tilt with the printed angle."""
     made, model, motions, _ = rig_with(tmp_path, "load.tilt", (0.02,), rig=rig)
-    assert replayed.error(model, motions[2], made.noise) > 5
+    assert replayed.error(model, motions[2], made.noise) > shows
     about_y = -0.02
     model.opt.gravity = [-9.81 * math.sin(about_y), 0.0, -9.81 * math.cos(about_y)]
     assert replayed.error(model, motions[2], made.noise) == pytest.approx(1.0, abs=0.05)

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from xml.parsers import expat
 
 from dipc_gym import mjcf
+from dipc_gym.mjcf_defaults import effective
 from dipc_gym.physics import PREFIX
 
 # What MuJoCo takes for options that are not written.
@@ -116,7 +117,7 @@ class Document:
 
     def effective(self, element: ET.Element, attribute: str, default: str = "") -> str:
         """An attribute of an element: its own, or what the file's default classes give it."""
-        return mjcf.effective(self.root, element, attribute, default)
+        return effective(self.root, element, attribute, default)
 
     def fresh(self, name: str) -> str:
         """The name, or one like it if something in the file has it already."""

@@ -7,19 +7,16 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
+from dipc_gym.sim2real import judge
 from dipc_gym.sim2real.effects.base import is_dcmotor, joint_of
-from dipc_gym.sim2real.fit import Fit, evaluate, fit
-from dipc_gym.sim2real.problem import Problem
+from dipc_gym.sim2real.fit import Fit, fit
 from dipc_gym.sim2real.result import Errors
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Structure, Term
 from dipc_gym.sim2real.units import of_sensor
 from dipc_gym.sim2real.windows import Prepared
-
-Array = NDArray[np.float64]
 
 
 def improved_model(
@@ -37,27 +34,28 @@ def improved_model(
     coarse = replace(prepared.problem, stepping=own)
     count = len(coarse.windows)
     some = coarse.pick(np.unique(np.linspace(0, count - 1, min(36, count)).round().astype(np.intp)))
-    z, enough = final.z, 1.2 * max(errors.improved, 1.0)
-    error = _error(some, structure, z)
+    written, enough = final, judge.AT_FLOOR * max(errors.improved, 1.0)
+    error = judge.held_out_error(some, final)
     note = ""
     if error > enough:
         # Numbers that make up for a step are wrong at any other; they are worth having where they do make up for it.
         with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
-            again = fit(some, structure, z, most=4)
-            if (refitted := _error(some, structure, again.z)) <= enough:
-                z, error = again.z, refitted
+            again = fit(some, structure, final.z, most=4)
+            if (refitted := judge.held_out_error(some, again)) <= enough:
+                written, error = again, refitted
     if error > enough:
         note = (
             f"At the model's own step of {1e3 * own.timestep:g} ms and with its integrator the improved model predicts "
             f"to {error:.3g} times the noise, with a converged step to {errors.improved:.3g}, and no numbers make up "
             "for that: a shorter step is worth more than any further physics."
         )
+    z = written.z
     document = structure.write(z)
     lines = [t.effect.sentence(t.at, structure.term_values(z, t), place_units(structure, t)) for t in structure.terms]
     loaders = [t.key for t in structure.terms if t.effect.needs_loader]
     if structure.numbers:
         lines.append("Refitted: " + ", ".join(n.key for n in structure.numbers) + ".")
-    if not np.array_equal(z, final.z):
+    if written is not final:
         lines.append(
             f"Numbers are what this file's step of {1e3 * own.timestep:g} ms and its integrator need to predict the "
             "recordings; those that fine steps need are in diagnosis.json."
@@ -66,11 +64,6 @@ def improved_model(
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")
     document.comment("Changed by dipc-gym diagnose.", *lines)
     return document.text(), note
-
-
-def _error(problem: Problem, structure: Structure, z: Array) -> float:
-    mse, _ = evaluate(problem, structure, z)
-    return float(np.sqrt(np.mean(mse)))
 
 
 def place_units(structure: Structure, term: Term) -> dict[str, str]:

@@ -135,7 +135,7 @@ def _stand_ins(
         for t in own
         if t.key not in present
         and term.effect.id not in t.term.effect.contains
-        and (t.fitted is not None or (t.term.effect.id in listed and not (provisional and t.sketch is None)))
+        and (t.fitted is not None or (t.term.effect.id in listed and (t.sketch is not None or not provisional)))
     ]
     others.sort(key=lambda t: (t.score, -t.promise))
     rest = full.structure.without(term.key)

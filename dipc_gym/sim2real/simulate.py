@@ -290,7 +290,7 @@ class _Runs:
             out = sims.rollout(nstep, ctrl, record=("sensordata",) if record else ())
             return out.get("sensordata")
         readings = np.empty((nstep, sims.nsim, sims.model.nsensordata)) if record else None
-        sensed, commanded = sims.bind("sensordata"), sims.bind("ctrl")
+        sensed, commanded, applied = sims.bind("sensordata"), sims.bind("ctrl"), sims.bind("qfrc_applied")
         forces = np.zeros((sims.nsim, sims.model.nv))
         level = sims.expand("dof_frictionloss") if dry is None else dry.level
         if physics.stage("friction"):
@@ -307,7 +307,7 @@ class _Runs:
             if dry is not None:
                 dry.step(forces, now, sensed)
                 continue
-            sims.qfrc_applied[:] = forces
+            applied[:] = forces
             sims.step()
             if now is not None:
                 now[:] = sensed

@@ -147,9 +147,8 @@ class Attempt:
             OSError: the trial's files are not there.
         """
         begun = time.perf_counter()
-        note: dict[str, Any] = {"trial": self.name, "tool": tool(), "limit": self.limit}
-        note |= {"failure": None, "timed_out": False}
-        note |= {"sensor_errors": None, "sensor_errors_own_step": None, "replay_failure": None}
+        note: dict[str, Any] = {"trial": self.name, "tool": tool(), "limit": self.limit, "failure": None}
+        note |= {"timed_out": False, "sensor_errors": None, "sensor_errors_own_step": None, "replay_failure": None}
         folder = Path(self.folder)
         with tempfile.TemporaryDirectory(prefix="result-") as place:
             result = Path(place) / "result"
