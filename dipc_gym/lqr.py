@@ -21,7 +21,6 @@ PRINTED_GAIN = np.array([31.6, -720.1, 1176.3, 28.1, -20.0, 210.4])  # paper, se
 PRINTED_Q = np.diag([10.0, 20.0, 20.0, 50.0, 700.0, 700.0])
 RECOVERED_Q = np.diag([1000.0, 20.0, 20.0, 50.0, 700.0, 700.0])
 R = 1.0
-RECOVERED_PERIOD = 0.12e-3  # s
 
 _ABSOLUTE = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]])  # joint angles -> absolute angles
 

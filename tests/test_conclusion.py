@@ -118,6 +118,7 @@ def test_of_names_for_one_model_the_plainer_one_stays(
     [
         ("first push", 1.6, 1.1, "first push", []),
         ("first push", 1.6, 1.5, "first", ["push"]),  # one of several windows that stand out could always be a push
+        ("first push", 7.0, 1.5, "", ["push", "first"]),  # without the push most of it is left
         ("first second", 7.5, 4.0, "first second", []),
         ("first second", 7.5, 7.0, "", ["first and second"]),  # more than half of the mismatch is left
     ],

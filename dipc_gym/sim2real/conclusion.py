@@ -92,13 +92,15 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
     What happened once is told from what the model lacks only where nothing is left, and what takes away less than half
     of a mismatch may have nothing to do with it.
     """
-    recalibrated = judge.held_out_error(search.held, search.path[0])
-    if upheld.structure.terms and error - 1 > MOSTLY * (recalibrated - 1):
-        return search.path[0], [sentences.too_little(upheld.structure.terms, recalibrated, error)]
     once = [term for term in upheld.structure.terms if term.effect.once]
+    notes = [sentences.not_alone(term, error) for term in once]
     for term in once:
         upheld = search.without(upheld, term.key)
-    return upheld, [sentences.not_alone(term, error) for term in once]
+    left = judge.held_out_error(search.held, upheld) if once else error
+    recalibrated = judge.held_out_error(search.held, search.path[0])
+    if upheld.structure.terms and left - 1 > MOSTLY * (recalibrated - 1):
+        return search.path[0], [*notes, sentences.too_little(upheld.structure.terms, recalibrated, left)]
+    return upheld, notes
 
 
 def _with_fewest_numbers(search: Search, fitted: Fit) -> tuple[Fit, float]:

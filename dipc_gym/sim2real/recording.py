@@ -108,11 +108,6 @@ class Recording:
         """Median time between samples, s (0 for a single sample)."""
         return float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
 
-    @functools.cached_property
-    def jitter(self) -> float:
-        """Standard deviation of the time between samples, s."""
-        return float(np.std(np.diff(self.time))) if len(self) > 1 else 0.0
-
     def slice(self, start: int, stop: int) -> Recording:
         """Samples `start` to `stop` (exclusive), counted as Python counts; time stamps stay as they are.
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.fit import Fit, fit, weights
 from dipc_gym.sim2real.ranking import AT_FLOOR
 from dipc_gym.sim2real.search import ROUGH, Search
@@ -62,7 +63,8 @@ def other_numbers(search: Search, fitted: Fit, fewest: Fit) -> list[Fit]:
     chosen = {number.key for number in fewest.structure.numbers}
     if not 0 < len(chosen) < len(keys) or fewest.error > AT_FLOOR:
         return []
-    subsets = _Subsets(search, fitted)
+    # They are told and counted, not written to the model: a third of the windows says that as well.
+    subsets = _Subsets(search, fitted, search.few)
     choices = (
         free for free in itertools.combinations(range(len(keys)), len(chosen)) if {keys[i] for i in free} != chosen
     )
@@ -72,11 +74,19 @@ def other_numbers(search: Search, fitted: Fit, fewest: Fit) -> list[Fit]:
 
 
 class _Subsets:
-    """A fit with some of its own numbers put back to nominal: foretold by its quadratics, or refitted."""
+    """A fit with some of its own numbers put back to nominal: foretold by its quadratics, or refitted to some windows.
 
-    def __init__(self, search: Search, fitted: Fit) -> None:
+    Args:
+        search: that has run.
+        fitted: to all windows, with all own numbers free.
+        which: windows to refit to; None for all.
+    """
+
+    def __init__(self, search: Search, fitted: Fit, which: NDArray[np.intp] | None = None) -> None:
         self.search, self.fitted, self.count = search, fitted, len(fitted.structure.numbers)
         self.windows = search.problem.counts
+        self.some = np.arange(len(fitted.mse)) if which is None else which
+        self.problem = search.problem.pick(self.some)
         w = weights(fitted.mse) / self.windows
         self.A, self.b = np.einsum("n,nij->ij", w, fitted.quadratics.A), w @ fitted.quadratics.b
 
@@ -100,10 +110,14 @@ class _Subsets:
         z = self.foretold(free)[1][[*free, *range(self.count, len(self.fitted.z))]]
         try:
             structure = replace(self.fitted.structure, numbers=numbers)
-            return fit(self.search.problem, structure, z, self.fitted.starts, most=20, tolerance=ROUGH)
+            return fit(self.problem, structure, z, self.fitted.starts[self.some], most=20, tolerance=ROUGH)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
     def suffices(self, sparse: Fit | None) -> bool:
-        """Whether a refit predicts as well as the fit with all numbers free."""
-        return sparse is not None and self.search.compare(self.fitted, sparse).alike
+        """Whether a refit predicts as well as the fit with all numbers free, on its windows and on the unseen ones."""
+        if sparse is None:
+            return False
+        free = np.append(self.fitted.mse[self.some], self.search.unseen_mse(self.fitted))
+        held = np.append(sparse.mse, self.search.unseen_mse(sparse))
+        return compare(free, held, self.problem.join(self.search.unseen).blocks).alike
