@@ -645,6 +645,7 @@ def test_the_report_counts_what_was_judged(tmp_path):
         "t005_cart": (sealed("null", []), said(one("timing.delay", "motor"))),
         "t006_cart": (sealed("unknown", [("unknown", "cart")]), said(verdict="unexplained")),
         "t007_cart": (sealed("wrong", []), None),
+        "t008_cart": (sealed("unknown", [("unknown", "cart")], share_of_signal=0.5), said(verdict="consistent")),
     }
     (tmp_path / "sealed").mkdir()
     for name, (answer, diagnosis) in cases.items():
@@ -654,14 +655,14 @@ def test_the_report_counts_what_was_judged(tmp_path):
         if diagnosis:
             (place / "diagnosis.json").write_text(json.dumps(diagnosis))
         (place / "attempt.json").write_text(json.dumps(FINE if diagnosis else FINE | {"failure": "broke"}))
-    scores = score.score(tmp_path, [*cases, "t008_cart"])
+    scores = score.score(tmp_path, [*cases, "t009_cart"])
     summary = scores["summary"]
     assert scores["open"] == 1
     assert summary["failed"] == ["t007_cart"]
     assert summary["name"] == {"right": 1, "of": 2, "rate": 0.5}
     assert summary["name_all_sizes"]["of"] == 3
     assert (summary["false_alarms"], summary["nulls"]) == (1, 2)
-    assert summary["unknown"]["rate"] == 1.0
+    assert summary["unknown"] == {"right": 1, "of": 1, "rate": 1.0}  # one does not show
     assert summary["interval_coverage"] == {"right": 1, "of": 1, "rate": 1.0}
     assert scores["confusion"]["friction.coulomb"] == {"friction.coulomb": 1, "motor.deadzone": 1, "(consistent)": 1}
     assert sum(row["trials"] for row in scores["by_size"]) == 3

@@ -10,7 +10,10 @@ from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import names
 
 SWAPS = 3  # effects that may give way to rivals after the search
-MOSTLY = 0.5  # share of the excess error that effects may leave and be named
+# Share of the excess error that effects may leave and be named. In 160 blind trials, those that were there left 0.19 at
+# most, and those that stood in for physics of no catalogue 0.4 to 0.7, save one that left 0.2; what real rigs leave
+# beside friction that is known to be there is 0.25.
+LEAVE = 1 / 3
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
 def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[str]]:
     """A fit without effects that only stand in for what is left beside them, and notes on those.
 
-    What happened once is told from what the model lacks only where nothing is left, and what takes away less than half
+    What happened once is told from what the model lacks only where nothing is left, and what leaves more than a third
     of a mismatch may have nothing to do with it.
     """
     once = [term for term in upheld.structure.terms if term.effect.once]
@@ -98,7 +101,7 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
         upheld = search.without(upheld, term.key)
     left = judge.held_out_error(search.held, upheld) if once else error
     recalibrated = judge.held_out_error(search.held, search.path[0])
-    if upheld.structure.terms and left - 1 > MOSTLY * (recalibrated - 1):
+    if upheld.structure.terms and left - 1 > LEAVE * (recalibrated - 1):
         return search.path[0], [*notes, sentences.too_little(upheld.structure.terms, recalibrated, left)]
     return upheld, notes
 

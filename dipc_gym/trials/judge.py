@@ -92,7 +92,7 @@ class Judgement:
     @property
     def clear(self) -> bool:
         """Whether hidden physics moves the held-out prediction by at least twice the noise."""
-        return self.kind in ("single", "pair") and self.size >= CLEAR
+        return self.kind in ("single", "pair", "unknown") and self.size >= CLEAR
 
 
 def judge(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attempt: Mapping[str, Any]) -> Judgement:

@@ -78,7 +78,7 @@ def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
         f"| false alarms where nothing is missing | {alarms} |",
         f"| right numbers called wrong there | {s['nulls_renumbered']} of {s['nulls']} |",
         f"| wrong numbers called just that | {_share(s['wrong_numbers'])} |",
-        f"| unknown physics called unknown | {_share(s['unknown'])} |",
+        f"| unknown physics of twice the noise or more called unknown | {_share(s['unknown'])} |",
         f"| unknown physics given a known name | {_share(s['unknown_misnamed'])} |",
         f"| 90 % intervals that cover the truth | {_share(s['interval_coverage'])} |",
         f"| intervals printed, of parameters of effects named right | {_share(s['intervals_printed'])} |",

@@ -83,7 +83,7 @@ def summarise(judged: Sequence[Judgement]) -> dict[str, Any]:
         "false_alarms_upper_95": upper_bound(alarms, len(nulls)) if nulls else None,
         "nulls_renumbered": sum(bool(j.renumbered) for j in nulls),
         "wrong_numbers": _rate([j.name for j in judged if j.kind == "wrong"]),
-        "unknown": _rate([j.unknown for j in unknown]),
+        "unknown": _rate([j.unknown for j in unknown if j.clear]),
         "unknown_misnamed": _rate([j.misnamed for j in unknown]),
         "reached": _quartiles([j.reached for j in clear]),
         "reached_own_step": _quartiles([j.reached_own_step for j in clear]),
