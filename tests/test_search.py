@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dipc_gym.sim2real import screening, selection
+from dipc_gym.sim2real import pairing, screening, selection
 from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.screening import Tried
@@ -48,6 +48,33 @@ def test_what_earns_its_place(small: bool, before: float, after: float, earned: 
     search = SimpleNamespace(small=small)
     windows = np.ones(9)
     assert Search._earned(search, after**2 * windows, before**2 * windows) is earned  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("after", "tried"),
+    [
+        ({"gap drag": 6.0}, ["gap drag", "rub drag"]),  # a quarter of what it promised: no gap beside others either
+        ({"gap drag": 2.0}, ["gap drag", "gap load", "rub drag"]),  # as promised
+        ({"rub drag": 6.0}, ["gap drag", "gap load", "rub drag"]),  # what takes no fine steps is tried anyway
+    ],
+)
+def test_a_gap_that_fell_short_beside_one_effect_is_not_tried_beside_others(
+    after: dict[str, float], tried: list[str]
+) -> None:
+    """The mean square error is 8 before and 1 after, where nothing else is said; each pair promised a fall of 1.0."""
+    said: list[str] = []
+
+    def sketch(base: SimpleNamespace, structure: SimpleNamespace) -> SimpleNamespace:
+        said.append(name := " ".join(term.key for term in structure.terms))
+        return SimpleNamespace(mse=np.full(9, after.get(name, 1.0)), error=2.0)
+
+    search = SimpleNamespace(few=np.arange(9), sketch=sketch, slow=lambda term: term.key == "gap")
+    pairs = []
+    for name in ("gap drag", "gap load", "rub drag"):
+        terms = [SimpleNamespace(key=key) for key in name.split()]
+        pairs.append((1.0, SimpleNamespace(), SimpleNamespace(terms=terms, slots=terms, elaborates=lambda _: False)))
+    pairing.sketched(search, pairs, SimpleNamespace(mse=np.full(9, 8.0)))  # type: ignore[arg-type]
+    assert said == tried
 
 
 @pytest.mark.parametrize(("after", "earned"), [(1.0, True), (1.3, False)])

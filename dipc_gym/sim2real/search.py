@@ -206,7 +206,7 @@ class Search:
         pairs = [] if at_noise or current.error < AT_FLOOR else pairing.promising(self)
         # Where two promise far more than any one does, and come down to the noise, one by one would lead astray.
         early = [pair for pair in pairs if pair[0] > most + LARGE]
-        both = pairing.sketched(self, early)
+        both = pairing.sketched(self, early, current)
         found = pairing.best(self, [pair for pair in both if pair[1].error < AT_FLOOR], current)
         if found is not None:
             return found
@@ -222,13 +222,13 @@ class Search:
         chosen = self.choose(current, done)
         if chosen is not None:
             return self.polish(chosen)
-        return pairing.best(self, [*both, *pairing.sketched(self, pairs[len(early) :])], current)
+        return pairing.best(self, [*both, *pairing.sketched(self, pairs[len(early) :], current)], current)
 
     def least(self, term: Term) -> float:
         """Share of the largest promise from which a hypothesis is sketched; what takes fine steps must promise more."""
-        return KEEPS_UP if self._slow(term) else 0.1
+        return KEEPS_UP if self.slow(term) else 0.1
 
-    def _slow(self, term: Term) -> bool:
+    def slow(self, term: Term) -> bool:
         """Whether an effect has to be simulated in finer steps than the others."""
         return term.effect.finest < self.problem.stepping.timestep
 
@@ -271,7 +271,7 @@ class Search:
         closely = max(least, most - LARGE)
         if any(t.sketch is not None and t.sketch.error < AT_FLOOR for t, _ in sketched):
             return [pair for pair in sketched if gains[pair[0].key] > closely]
-        close = [t for t, _ in sketched if gains[t.key] > (closely if self._slow(t.term) else least)]
+        close = [t for t, _ in sketched if gains[t.key] > (closely if self.slow(t.term) else least)]
         near = sorted(close, key=lambda t: -gains[t.key])[:FULLY]
         wanted = {t.key for t in near} | {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
         return self._plain_first([pair for pair in sketched if pair[0].key in wanted], current)

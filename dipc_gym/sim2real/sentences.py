@@ -121,8 +121,9 @@ def not_alone(term: Term, left: float) -> str:
 
 def too_little(terms: Sequence[Term], before: float, after: float) -> str:
     """Note on effects that leave much of the mismatch, with the errors on held-out data, in units of noise."""
+    left = 100 * (after - 1) / (before - 1)
     return (
         f"{' and '.join(term.key for term in terms)} would take up part of the mismatch (the error on held-out data "
-        f"falls from {before:.3g} to {after:.3g} times the noise), but {100 * (after - 1) / (before - 1):.0f} % of it is "
-        "left; what causes that may cause this part too, so it is not named."
+        f"falls from {before:.3g} to {after:.3g} times the noise), but {left:.0f} % of it is left; what "
+        "causes that may cause this part too, so it is not named."
     )
