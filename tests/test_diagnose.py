@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from dipc_gym.sim2real.comparison import Comparison, compare
 from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.recording import Recording, RecordingError
+from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis, Errors
 from dipc_gym.sim2real.simulate import Stepping
 from dipc_gym.sim2real.structure import Term
@@ -118,7 +120,7 @@ def wrong_damping() -> Diagnosis:
     return found
 
 
-def test_names_dry_friction_and_its_level(few: list[object]) -> None:
+def test_names_dry_friction_and_its_level(few: list[object], tmp_path: Path) -> None:
     found = diagnose(mjcf.from_text(NOMINAL), [run(1, 20, 3.0)], effects=few)  # type: ignore[arg-type]
     assert found.verdict == "explained", found.sentence
     assert [(m.effect, m.at) for m in found.missing] == [("friction.coulomb", "cart")]
@@ -134,7 +136,17 @@ def test_names_dry_friction_and_its_level(few: list[object]) -> None:
     model = mujoco.MjModel.from_xml_string(found.improved)
     # At 1 ms MuJoCo's friction is off by more than the noise, whatever its level: then the level is the rig's.
     assert model.dof_frictionloss[0] == level["value"]
-    assert [note for note in found.notes if "a shorter step is worth more" in note]
+    note = next(note for note in found.notes if "a shorter step is worth more" in note)
+    advice = re.search(r"With a timestep of (\S+) ms and each solreffriction (\d+) times shorter as well", note)
+    assert advice is not None
+    followed = found.improved.replace('timestep="0.001"', f'timestep="{1e-3 * float(advice[1])}"')
+    followed = followed.replace('solreffriction="0.002 1"', f'solreffriction="{2e-3 / int(advice[2])} 1"')
+    recording.write(run(1, 20, 3.0), tmp_path / "run.csv")
+    off = []
+    for text in (found.improved, followed):
+        (tmp_path / "model.xml").write_text(text)
+        off.append(replay(tmp_path / "model.xml", tmp_path / "run.csv").sensors[0].ratio)
+    assert off[1] < 1.3 < 5 < off[0]  # the note is of some windows, this is of all
     assert "what the owner wrote" in found.improved
 
 

@@ -12,11 +12,14 @@ from dipc_gym import mjcf, physics
 from dipc_gym.sim2real import judge
 from dipc_gym.sim2real.effects.base import is_dcmotor, joint_of
 from dipc_gym.sim2real.fit import Fit, fit
+from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.result import Errors
-from dipc_gym.sim2real.simulate import Stepping
+from dipc_gym.sim2real.simulate import Stepping, is_stiff
 from dipc_gym.sim2real.structure import Structure, Term
 from dipc_gym.sim2real.units import of_sensor
 from dipc_gym.sim2real.windows import Prepared
+
+SHORTER = (2, 4, 8, 16)  # times than the model's own step, tried in turn where that is too coarse
 
 
 def improved_model(
@@ -47,8 +50,8 @@ def improved_model(
         note = (
             f"At the model's own step of {1e3 * own.timestep:g} ms and with its integrator the improved model predicts "
             f"to {error:.3g} times the noise, with a converged step to {errors.improved:.3g}, and no numbers make up "
-            "for that: a shorter step is worth more than any further physics."
-        )
+            f"for that: a shorter step is worth more than any further physics. {_advice(some, own, final, enough)}"
+        ).strip()
     z = written.z
     document = structure.write(z)
     lines = [t.effect.sentence(t.at, structure.term_values(z, t), place_units(structure, t)) for t in structure.terms]
@@ -64,6 +67,18 @@ def improved_model(
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")
     document.comment("Changed by dipc-gym diagnose.", *lines)
     return document.text(), note
+
+
+def _advice(some: Problem, own: Stepping, final: Fit, enough: float) -> str:
+    """The longest of a few shorter steps at which a model predicts well enough, in words; nothing if none does."""
+    stiff = is_stiff(final.structure.physics(final.z).model).any()
+    for shorter in SHORTER:
+        step = own.timestep / shorter
+        error = judge.held_out_error(replace(some, stepping=Stepping(step, None)), final)
+        if error <= enough:
+            also = f" and each solreffriction {shorter} times shorter as well" if stiff else ""
+            return f"With a timestep of {1e3 * step:g} ms{also} it predicts to {error:.3g} times the noise."
+    return ""
 
 
 def place_units(structure: Structure, term: Term) -> dict[str, str]:

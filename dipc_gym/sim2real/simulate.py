@@ -51,9 +51,14 @@ class Stepping:
         model.opt.timestep = step
         if self.integrator is not None:
             model.opt.integrator = self.integrator
-        stiff = (model.dof_solref[:, 0] > 0) & (model.dof_solref[:, 0] < _SOFT)
+        stiff = is_stiff(model)
         model.dof_solref[stiff, 0] = np.maximum(model.dof_solref[stiff, 0] * step / given, 2 * step)
         return model
+
+
+def is_stiff(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Whether the friction of each degree of freedom has a time constant chosen with the time step in mind, (nv,)."""
+    return np.asarray((model.dof_solref[:, 0] > 0) & (model.dof_solref[:, 0] < _SOFT))
 
 
 @dataclass(frozen=True)
