@@ -247,8 +247,12 @@ def sensor_delays(model: mujoco.MjModel) -> NDArray[np.float64]:
     return np.array([model.sensor_delay[model.sensor(name).id] for name in scalar_sensors(model)])
 
 
-def check_supported(model: mujoco.MjModel) -> None:
+def check_supported(model: mujoco.MjModel, name: str) -> None:
     """Refuse models that system identification cannot treat.
+
+    Args:
+        model: compiled.
+        name: what messages call it, as its file.
 
     Raises:
         MjcfError: free or ball joints, flexible bodies, geoms that can touch, no joint, or no named scalar sensor.
@@ -257,17 +261,17 @@ def check_supported(model: mujoco.MjModel) -> None:
         kind = int(model.jnt_type[joint])  # a NumPy integer in a tuple of MuJoCo's enums is not found
         if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
             word = "free" if kind == mujoco.mjtJoint.mjJNT_FREE else "ball"
-            raise MjcfError(f"joint {_label(model.joint(joint))} is a {word} joint. {SUPPORTED}")
+            raise MjcfError(f"{name}: joint {_label(model.joint(joint))} is a {word} joint. {SUPPORTED}")
     if model.nflex:
-        raise MjcfError(f"the model has flexible bodies (flex). {SUPPORTED}")
+        raise MjcfError(f"{name}: the model has flexible bodies (flex). {SUPPORTED}")
     if not model.nv:
-        raise MjcfError(f"the model has no joints, so nothing in it moves. {SUPPORTED}")
+        raise MjcfError(f"{name}: the model has no joints, so nothing in it moves. {SUPPORTED}")
     if not scalar_sensors(model):
-        raise MjcfError(f"the model has no named scalar sensor, such as <jointpos name=.../>. {SUPPORTED}")
+        raise MjcfError(f"{name}: the model has no named scalar sensor, such as <jointpos name=.../>. {SUPPORTED}")
     pair = touching_pair(model)
     if pair:
         raise MjcfError(
-            f'geoms {pair[0]} and {pair[1]} can touch. {SUPPORTED} If they never touch, set contype="0" '
+            f'{name}: geoms {pair[0]} and {pair[1]} can touch. {SUPPORTED} If they never touch, set contype="0" '
             'conaffinity="0" on them, or <option><flag contact="disable"/></option>.'
         )
 

@@ -349,6 +349,8 @@ def test_which_numbers_were_wrong_is_left_open_where_it_is(few: list[object]) ->
 def test_a_sentence_on_numbers_says_whether_others_would_do(others: bool, said: str) -> None:
     errors, changed = Errors(9.0, 1.0, 1.0), [{"parameter": "mass", "at": "cart"}]
     assert said in sentences.in_one_sentence("recalibrated", [], changed, errors, others=others)
+    assert ("weigh or measure" in sentences.next_experiment("recalibrated", [], others=others)) == others
+    assert ("Nothing is open" in sentences.next_experiment("recalibrated", [], others=others)) != others
 
 
 def test_a_rig_at_rest_tells_nothing() -> None:
@@ -356,9 +358,12 @@ def test_a_rig_at_rest_tells_nothing() -> None:
     rng = np.random.default_rng(0)
     noise = np.round(rng.normal(0, 3e-6, still.sensors.shape) / 2e-6) * 2e-6
     quiet = Recording("still", 1.7e9 + still.time, 0 * still.commands, noise, ("motor",), ("cart",))
-    found = diagnose(mjcf.from_text(NOMINAL), [quiet])
+    lines: list[str] = []
+    found = diagnose(mjcf.from_text(NOMINAL), [quiet], tell=lines.append)
     assert found.verdict == "cannot tell"
+    assert "in motion" in found.next_experiment
     assert any("clock begins at 1700000000 s" in note for note in found.notes)
+    assert any("clock begins at 1700000000 s" in line for line in lines)  # at once, not after minutes
     assert "moves" in found.sentence
     assert found.to_dict()["fit"] == {}
 
@@ -405,6 +410,24 @@ def test_an_unseen_joint_is_named() -> None:
     found = diagnose(mjcf.from_text(blind), [run(5, 10, 0.0)])
     assert found.verdict == "cannot tell"
     assert "pole" in found.sentence
+    assert "lock the joint" in found.next_experiment
+
+
+def test_a_sensor_that_tells_no_state_is_to_be_taken_out() -> None:
+    text = NOMINAL.replace("<sensor>", '<sensor><e_kinetic name="energy"/>')
+    recorded = run(5, 10, 0.0)
+    recorded = replace(recorded, sensors=np.tile(recorded.sensors, 2), sensor_names=("energy", "cart"), sha256="")
+    found = diagnose(mjcf.from_text(text), [recorded])
+    assert found.verdict == "cannot tell"
+    assert "'energy' is not linear" in found.sentence
+    assert found.next_experiment.startswith("Take that sensor out of the model")
+
+
+def test_what_is_fitted_is_no_judge() -> None:
+    """Under another name it is still the same recording."""
+    fitted = run(5, 10, 0.0)
+    with pytest.raises(RecordingError, match="copy: held out, but the same as run5, which is fitted; hold out another"):
+        diagnose(mjcf.from_text(NOMINAL), [fitted], [replace(fitted, name="copy")])
 
 
 @pytest.mark.parametrize("wishes", [Wishes(("cart.weight",)), Wishes(prior={"motor.gear": (4.0, -1.0)})])

@@ -352,8 +352,8 @@ def test_scalar_sensors_leave_out_vectors_and_the_unnamed() -> None:
     ],
 )
 def test_what_is_not_supported_is_said(text: str, said: str) -> None:
-    with pytest.raises(mjcf.MjcfError, match=said) as caught:
-        mjcf.check_supported(mjcf.compile(text))
+    with pytest.raises(mjcf.MjcfError, match=f"^rig.xml: .*{said}") as caught:
+        mjcf.check_supported(mjcf.compile(text), "rig.xml")
     assert "Supported are models with hinge and slide joints" in str(caught.value)
 
 
@@ -388,10 +388,12 @@ def test_contact_filters_agree_with_mujoco(geoms: list[tuple[int, int, int]], ex
 
 def test_switched_off_contacts_are_no_contacts() -> None:
     text = rig(inside="<geom size='1'/>", beside="<geom size='1'/>")
-    mjcf.check_supported(mjcf.compile(text.replace("<mujoco>", '<mujoco><option><flag contact="disable"/></option>')))
+    mjcf.check_supported(
+        mjcf.compile(text.replace("<mujoco>", '<mujoco><option><flag contact="disable"/></option>')), "rig.xml"
+    )
     pair = '<contact><pair geom1="a" geom2="b"/></contact>'
     silent = 'contype="0" conaffinity="0"'
     text = rig(inside=f"<geom name='a' size='1' {silent}/>", beside=f"<geom name='b' size='1' {silent}/>")
-    mjcf.check_supported(mjcf.compile(text))
+    mjcf.check_supported(mjcf.compile(text), "rig.xml")
     with pytest.raises(mjcf.MjcfError, match="geoms 'b' and 'a' can touch"):
-        mjcf.check_supported(mjcf.compile(text.replace("<sensor>", pair + "<sensor>")))
+        mjcf.check_supported(mjcf.compile(text.replace("<sensor>", pair + "<sensor>")), "rig.xml")

@@ -93,7 +93,7 @@ def diagnose(
 
     Raises:
         mjcf.MjcfError: the model cannot be treated.
-        RecordingError: the recordings hold no window.
+        RecordingError: the recordings hold no window, or what is held out is fitted as well.
         ValueError: a wish names no number of the model.
 
     Example:
@@ -105,9 +105,12 @@ def diagnose(
     began = time.monotonic()
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given = physics.load(source)
-    mjcf.check_supported(given.model)
+    mjcf.check_supported(given.model, source.name)
+    selection.check_apart(recordings, held_out)
     recordings, held_out = selection.from_zero(recordings), selection.from_zero(held_out)
     notes = [note for r in (*recordings, *held_out) for note in (f"{r.name}: {n}" for n in r.notes)]
+    for note in notes:  # whoever gave degrees for radians would rather know at once
+        tell(f"note: {note}")
     provenance = _provenance(source, [*recordings, *held_out], given.model, seed)
     span = (0.0, 1.0) if held_out else (0.0, TRAIN)
     step = min(COARSEST, *(r.period for r in recordings))
@@ -125,10 +128,11 @@ def diagnose(
                 f"{prepared.length:.3g} s begins later than {selection.LATE:g} s after the start: record longer"
             )
     except states.Undetermined as error:
-        return _cannot_tell(str(error), source, notes, provenance)
+        return _cannot_tell(error.reason, error.mend, source, notes, provenance)
     quiet = _quiet(prepared)
     if quiet:
-        return _cannot_tell(quiet, source, notes, provenance)
+        mend = "Record the rig in motion, over the range and speeds that it is used at, every joint sensed."
+        return _cannot_tell(quiet, mend, source, notes, provenance)
     held = replace(kept.problem, windows=replace(kept.problem.windows, noise=prepared.problem.windows.noise))
     problem, unseen, rest = selection.split(prepared.problem)
     tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
@@ -203,7 +207,7 @@ def diagnose(
         train,
         errors,
         force,
-        sentences.next_experiment(verdict, missing),
+        sentences.next_experiment(verdict, missing, others=bool(found.others)),
         improved,
         tuple(notes),
         provenance,
@@ -232,11 +236,13 @@ def _quiet(prepared: Prepared) -> str:
     return ""
 
 
-def _cannot_tell(reason: str, source: mjcf.Source, notes: Sequence[str], provenance: dict[str, Any]) -> Diagnosis:
+def _cannot_tell(
+    reason: str, mend: str, source: mjcf.Source, notes: Sequence[str], provenance: dict[str, Any]
+) -> Diagnosis:
     return Diagnosis(
         "cannot tell",
         f"These recordings cannot tell: {reason}.",
-        next_experiment="Record the rig in motion, over the range and speeds that it is used at, every joint sensed.",
+        next_experiment=mend,
         improved=source.text,
         notes=tuple(notes),
         provenance=provenance,

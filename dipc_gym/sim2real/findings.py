@@ -21,14 +21,12 @@ from dipc_gym.sim2real.structure import Term
 
 Array = NDArray[np.float64]
 
-NEGLIGIBLE = 2e-3  # a number that moves by less was right
-
 
 def changed_numbers(final: Fit, wide: Array) -> list[dict[str, Any]]:
     """Own numbers that had to change, as diagnosis.json lists them, with intervals of +- `wide` mapped numbers (p,)."""
     out = []
     for i, number in enumerate(final.structure.numbers):
-        if abs(final.z[i]) < NEGLIGIBLE:
+        if abs(final.z[i]) < improve.NEGLIGIBLE:
             continue
         value = final.structure.slots[i].value(final.z[i])
         entry = {"parameter": number.parameter, "at": number.at, "was": number.value, "value": value}

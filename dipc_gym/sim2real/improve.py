@@ -19,6 +19,7 @@ from dipc_gym.sim2real.structure import Structure, Term
 from dipc_gym.sim2real.units import of_sensor
 from dipc_gym.sim2real.windows import Prepared
 
+NEGLIGIBLE = 2e-3  # share of itself; a number that moves by less was right
 SHORTER = (2, 4, 8, 16)  # times than the model's own step, tried in turn where that is too coarse
 
 
@@ -57,7 +58,8 @@ def improved_model(
     lines = [t.effect.sentence(t.at, structure.term_values(z, t), place_units(structure, t)) for t in structure.terms]
     loaders = [t.key for t in structure.terms if t.effect.needs_loader]
     if structure.numbers:
-        lines.append("Refitted: " + ", ".join(n.key for n in structure.numbers) + ".")
+        moved = {n.key: abs(change) >= NEGLIGIBLE for n, change in zip(structure.numbers, z, strict=False)}
+        lines.append("Refitted: " + ", ".join(key if far else f"{key} (hardly)" for key, far in moved.items()) + ".")
     if written is not final:
         lines.append(
             f"Numbers are what this file's step of {1e3 * own.timestep:g} ms and its integrator need to predict the "

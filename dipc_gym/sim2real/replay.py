@@ -250,7 +250,7 @@ def replay(
     """
     source = mjcf.read(model)
     physics = custom.load(source)
-    mjcf.check_supported(physics.model)
+    mjcf.check_supported(physics.model, source.name)
     (read,) = from_zero([recordings.read(recording, physics.model, mapping=mapping, units=units)])
     stepping = Stepping(physics.model.opt.timestep, None)
     if step is not None:

@@ -25,6 +25,21 @@ LATE = 0.05  # s before a window whose commands must be known: they may act late
 APART = 0.05  # s from one window to another that is not beside it
 
 
+def check_apart(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> None:
+    """Refuse to judge by what is fitted.
+
+    Raises:
+        RecordingError: a recording is held out that is fitted as well, whatever its name.
+    """
+    fitted = {r.sha256: str(r.path or r.name) for r in recordings}
+    for r in held_out:
+        if r.sha256 in fitted:
+            raise RecordingError(
+                f"{r.path or r.name}: held out, but the same as {fitted[r.sha256]}, which is fitted; hold out another "
+                "recording, or none: then the last quarter of each is"
+            )
+
+
 def from_zero(recordings: Sequence[Recording]) -> list[Recording]:
     """Recordings with their time counted from their first samples: what shakes or pushes the rig has no other clock."""
     return [

@@ -47,8 +47,14 @@ def in_one_sentence(
     return f"{missing[0].sentence if missing else ''} {fall}.".strip()
 
 
-def next_experiment(verdict: str, missing: Sequence[Missing]) -> str:
-    """What to record to settle what is left."""
+def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = False) -> str:
+    """What to record to settle what is left.
+
+    Args:
+        verdict: see `judge.verdict`.
+        missing: effects that were found.
+        others: whether other own numbers than those that changed would have done as well.
+    """
     open_ = [(m, s) for m in missing for s in m.same_here]
     if open_:
         m, s = open_[0]
@@ -68,6 +74,11 @@ def next_experiment(verdict: str, missing: Sequence[Missing]) -> str:
         return (
             "Repeat one short command many times over several minutes, at rest in between: what changes from one time "
             "to the next depends on time or temperature, what does not depends on the state."
+        )
+    if others:
+        return (
+            "Which of the model's numbers were wrong is open (see the notes): weigh or measure one of them and say so "
+            "with --fix or --prior."
         )
     return "Nothing is open. Record again when the rig is changed."
 

@@ -25,7 +25,16 @@ Array = NDArray[np.float64]
 
 
 class Undetermined(ValueError):
-    """The sensors do not determine the joints, so there is no state to start a simulation from."""
+    """The sensors do not determine the joints, so there is no state to start a simulation from.
+
+    Attributes:
+        reason: why, in words.
+        mend: what to do, as a sentence.
+    """
+
+    def __init__(self, reason: str, mend: str) -> None:
+        super().__init__(f"{reason}. {mend}")
+        self.reason, self.mend = reason, mend
 
 
 @dataclass(frozen=True)
@@ -110,7 +119,8 @@ def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
             raise Undetermined(
                 f"sensor {names[int(np.flatnonzero(off)[0])]!r} is not linear in joint positions and velocities; "
                 "supported are jointpos, jointvel, tendonpos, tendonvel, actuatorpos and actuatorvel on fixed "
-                "transmissions"
+                "transmissions",
+                "Take that sensor out of the model; its column may stay in the recording.",
             )
     seen = P[~V.any(axis=1)]
     if not len(seen) or np.linalg.matrix_rank(seen) < nb:
@@ -118,8 +128,8 @@ def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
         free = rows[int((s > 1e-9).sum()) :]
         joints = [name for name, column in zip(base, free.T, strict=True) if np.abs(column).max() > 1e-6]
         raise Undetermined(
-            f"no position sensor sees joint {', '.join(joints)}, so its state cannot be known; "
-            "add a sensor for it to the recording, or lock the joint in the model"
+            f"no position sensor sees joint {', '.join(joints)}, so its state cannot be known",
+            "Add a sensor for it to the model and the recording, or lock the joint in the model.",
         )
     return P, V, c
 

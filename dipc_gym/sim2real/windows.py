@@ -80,7 +80,7 @@ def prepare(
         states.Undetermined: the sensors do not say where the joints are.
         RecordingError: no sensor ever changes, or no recording holds a window of that length.
     """
-    mjcf.check_supported(physics.model)
+    mjcf.check_supported(physics.model, source.name)
     if length is not None and not (math.isfinite(length) and length > 0):
         raise ValueError(f"a window of {length} s is no window; give a positive number of seconds")
     noise = common_noise(recordings)
