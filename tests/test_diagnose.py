@@ -353,6 +353,22 @@ def test_a_sentence_on_numbers_says_whether_others_would_do(others: bool, said: 
     assert ("Nothing is open" in sentences.next_experiment("recalibrated", [], others=others)) != others
 
 
+def test_a_number_further_off_than_plausible_is_told_and_can_be_allowed() -> None:
+    """A mass of 1.26 kg where the model has 0.7: half as much again is as far as a refit goes unasked."""
+    light, runs = mjcf.from_text(NOMINAL.replace('mass="1.26"', 'mass="0.7"')), [run(3, 12, 0.0)]
+    known, drag = ("motor.gear", "cart.damping"), [catalogue()["drag.quadratic"]]
+    found = diagnose(light, runs, wishes=Wishes(known), effects=drag)
+    note = next(
+        note for note in found.notes if note.startswith("Without any new physics mass of cart (1.26 for 0.7 kg")
+    )
+    assert found.verdict != "recalibrated"
+    assert "--prior cart.mass=0.7+-0.7" in note
+    allowed = diagnose(light, runs, wishes=Wishes(known, {"cart.mass": (0.7, 0.7)}), effects=drag)
+    assert allowed.verdict == "recalibrated"
+    assert allowed.recalibrated[0]["value"] == pytest.approx(MASS, rel=0.002)
+    assert not [note for note in allowed.notes if "Without any new physics" in note]
+
+
 def test_a_rig_at_rest_tells_nothing() -> None:
     still = run(4, 10, 0.0)
     rng = np.random.default_rng(0)

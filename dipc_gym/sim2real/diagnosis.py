@@ -169,6 +169,8 @@ def diagnose(
     final, held = search.refine(found.fitted), replace(held, finer=2)
     found = replace(found, fitted=final)
     notes += found.notes
+    if worst > judge.AT_FLOOR and not search.interrupted:
+        notes += findings.beyond_limits(problem, held, recalibrated)
     train = Errors(*(judge.unseen_error(search, f) for f in (nominal, recalibrated, final)))
     errors = Errors(*(judge.held_out_error(held, f) for f in (nominal, recalibrated, final)))
     forces = np.stack(

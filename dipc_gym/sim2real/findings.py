@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.sim2real import improve, judge, sentences
 from dipc_gym.sim2real.conclusion import Conclusion
-from dipc_gym.sim2real.fit import Fit
+from dipc_gym.sim2real.fit import Fit, fit
 from dipc_gym.sim2real.problem import Problem, predict, residual
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.search import Search
@@ -20,6 +20,9 @@ from dipc_gym.sim2real.shooting import typical
 from dipc_gym.sim2real.structure import Term
 
 Array = NDArray[np.float64]
+
+AT_LIMIT = 1e-3  # share of itself, from which a number stands at its limit
+FREE = 1.0  # standard deviation, as a logarithm, of a number of which nothing is known
 
 
 def changed_numbers(final: Fit, wide: Array) -> list[dict[str, Any]]:
@@ -34,6 +37,38 @@ def changed_numbers(final: Fit, wide: Array) -> list[dict[str, Any]]:
             entry |= {"low": value * math.exp(-wide[i]), "high": value * math.exp(wide[i])}
         out.append(entry | {"unit": number.unit})
     return out
+
+
+def beyond_limits(problem: Problem, held: Problem, recalibrated: Fit) -> list[str]:
+    """Note on own numbers that would explain all, were they allowed to be further off than their kind is taken to be.
+
+    Args:
+        problem: windows to fit.
+        held: held-out windows.
+        recalibrated: the model's own numbers refitted, within their limits.
+    """
+    numbers = recalibrated.structure.numbers
+    values = [slot.value(z) for slot, z in zip(recalibrated.structure.slots, recalibrated.z, strict=True)]
+    bounds = [(slot.low, slot.high) for slot in recalibrated.structure.slots]
+    stand = [
+        min(abs(value / low - 1), abs(value / high - 1)) < AT_LIMIT
+        for value, (low, high) in zip(values, bounds, strict=True)
+    ]
+    if not any(stand):
+        return []
+    wider = tuple(replace(n, sigma=max(n.sigma, FREE)) if at else n for n, at in zip(numbers, stand, strict=True))
+    freed = fit(problem, replace(recalibrated.structure, numbers=wider), recalibrated.z, recalibrated.starts, most=20)
+    error = judge.held_out_error(held, freed)
+    if error > judge.AT_FLOOR:
+        return []
+    slots = freed.structure.slots
+    far = [(n, slot.value(z)) for n, slot, z, at in zip(numbers, slots, freed.z, stand, strict=True) if at]
+    names = " and ".join(f"{n.parameter} of {n.at} ({value:.3g} for {n.value:.3g} {n.unit})" for n, value in far)
+    priors = " ".join(f"--prior {n.key}={n.value:g}+-{n.value:g}" for n, _ in far)
+    return [
+        f"Without any new physics {names} would explain these recordings too, to {error:.3g} times the noise; that is "
+        f"further off than a number of its kind is taken to be. If it may be, say so: {priors}."
+    ]
 
 
 def step_shift(final: Fit, problem: Problem) -> Array:
