@@ -131,6 +131,7 @@ def test_names_dry_friction_and_its_level(few: list[object], tmp_path: Path) -> 
     assert found.held_out.improved < 1.2 < found.held_out.recalibrated < found.held_out.nominal
     assert "3" in found.sentence
     assert "cart" in found.sentence
+    assert ("weigh or measure" in found.next_experiment) == any("Weigh or measure" in note for note in found.notes)
     written = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert written["fit"]["held_out"]["nominal"] == 1.0
     model = mujoco.MjModel.from_xml_string(found.improved)

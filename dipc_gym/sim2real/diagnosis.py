@@ -209,7 +209,7 @@ def diagnose(
         train,
         errors,
         force,
-        sentences.next_experiment(verdict, missing, others=bool(found.others)),
+        sentences.next_experiment(verdict, missing, others=bool(changed and found.others)),
         improved,
         tuple(notes),
         provenance,
