@@ -47,13 +47,9 @@ def beyond_limits(problem: Problem, held: Problem, recalibrated: Fit) -> list[st
         held: held-out windows.
         recalibrated: the model's own numbers refitted, within their limits.
     """
-    numbers = recalibrated.structure.numbers
-    values = [slot.value(z) for slot, z in zip(recalibrated.structure.slots, recalibrated.z, strict=True)]
-    bounds = [(slot.low, slot.high) for slot in recalibrated.structure.slots]
-    stand = [
-        min(abs(value / low - 1), abs(value / high - 1)) < AT_LIMIT
-        for value, (low, high) in zip(values, bounds, strict=True)
-    ]
+    numbers, slots = recalibrated.structure.numbers, recalibrated.structure.slots
+    values = [slot.value(z) for slot, z in zip(slots, recalibrated.z, strict=True)]
+    stand = [min(v / slot.low, slot.high / v) < 1 + AT_LIMIT for v, slot in zip(values, slots, strict=True)]
     if not any(stand):
         return []
     wider = tuple(replace(n, sigma=max(n.sigma, FREE)) if at else n for n, at in zip(numbers, stand, strict=True))
@@ -61,8 +57,8 @@ def beyond_limits(problem: Problem, held: Problem, recalibrated: Fit) -> list[st
     error = judge.held_out_error(held, freed)
     if error > judge.AT_FLOOR:
         return []
-    slots = freed.structure.slots
-    far = [(n, slot.value(z)) for n, slot, z, at in zip(numbers, slots, freed.z, stand, strict=True) if at]
+    reached = [slot.value(z) for slot, z in zip(freed.structure.slots, freed.z, strict=True)]
+    far = [(n, value) for n, value, at in zip(numbers, reached, stand, strict=True) if at]
     names = " and ".join(f"{n.parameter} of {n.at} ({value:.3g} for {n.value:.3g} {n.unit})" for n, value in far)
     priors = " ".join(f"--prior {n.key}={n.value:g}+-{n.value:g}" for n, _ in far)
     return [

@@ -12,7 +12,6 @@ from dipc_gym.sim2real.comparison import WORTH, compare
 from dipc_gym.sim2real.fit import Fit
 from dipc_gym.sim2real.ranking import FINALISTS
 from dipc_gym.sim2real.screening import Tried
-from dipc_gym.sim2real.shooting import mean_loss
 from dipc_gym.sim2real.structure import Structure, names
 
 if TYPE_CHECKING:
@@ -43,7 +42,6 @@ def sketched(search: Search, pairs: Sequence[Pair], current: Fit) -> list[tuple[
     What takes fine steps, and fell short of its promise beside one effect, is not tried beside others: a gap that is
     not there takes up a little of anything, and each try of it the time of ten others.
     """
-    before = mean_loss(current.mse[search.few], 1.0)
     found: list[tuple[Fit, Fit]] = []
     short: set[str] = set()
     for promise, base, structure in sorted(pairs, key=lambda pair: len(pair[2].slots)):
@@ -54,7 +52,7 @@ def sketched(search: Search, pairs: Sequence[Pair], current: Fit) -> list[tuple[
         if sketch is None:
             continue
         found.append((base, sketch))
-        if before - mean_loss(sketch.mse, 1.0) < SHORT * promise:
+        if ranking.brought(sketch, current.mse[search.few]) < SHORT * promise:
             short |= slow
     return found
 

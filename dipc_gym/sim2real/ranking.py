@@ -38,6 +38,14 @@ def promise(pair: tuple[Tried, Fit]) -> float:
     return pair[0].promise
 
 
+def brought(sketch: Fit, before: Array) -> float:
+    """By how much a sketch lowers the log error of its windows from mean square errors `before`, (n,).
+
+    On the scale of the noise, as promises are.
+    """
+    return mean_loss(before, 1.0) - mean_loss(sketch.mse, 1.0)
+
+
 def losses(errors: Sequence[Array]) -> list[float]:
     """Mean loss of each of several fits' mean square errors (n,), on the scale of the best of them."""
     usual = min(map(typical, errors), default=1.0)

@@ -246,14 +246,13 @@ class Search:
 
         A fit that brings less than screening foretold is stuck; then the next start is tried as well.
         """
-        before = mean_loss(current.mse[self.few], 1.0)
         sketches: list[tuple[Tried, Fit]] = []
         for tried, base in starts:
             sketch = self.sketch(base, base.structure.with_term(tried.term))
             if sketch is None:
                 continue
             sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch), base))
-            if before - mean_loss(sketch.mse, 1.0) > max(tried.promise, WORTH / 2):
+            if ranking.brought(sketch, current.mse[self.few]) > max(tried.promise, WORTH / 2):
                 break
         losses = ranking.losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
         return [sketches[int(np.argmin(losses))]] if sketches else []

@@ -119,5 +119,4 @@ class _Subsets:
         if sparse is None:
             return False
         free = np.append(self.fitted.mse[self.some], self.search.unseen_mse(self.fitted))
-        held = np.append(sparse.mse, self.search.unseen_mse(sparse))
-        return compare(free, held, self.problem.join(self.search.unseen).blocks).alike
+        return compare(free, self.search.mse(sparse), self.problem.join(self.search.unseen).blocks).alike
