@@ -17,7 +17,7 @@ from hypothesis.extra.numpy import arrays
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real import recording as recordings
-from dipc_gym.sim2real.channels import quantum
+from dipc_gym.sim2real.channels import counted_on, quantum
 from dipc_gym.sim2real.recording import Recorder, Recording, RecordingError, noise, read, resample_commands, write
 from dipc_gym.sim2real.units import FACTORS, factor
 
@@ -105,6 +105,7 @@ def test_written_and_read_again_it_has_the_same_bits(
     monkeypatch.setattr(mjcf, "controls", lambda model: list(recording.actuator_names))
     monkeypatch.setattr(mjcf, "scalar_sensors", lambda model: list(recording.sensor_names))
     monkeypatch.setattr(recordings.channels, "notes", lambda recording, model: ())
+    monkeypatch.setattr(recordings, "of_sensor", lambda model, name: "")
     again = read(path, None)
     assert (again.actuator_names, again.sensor_names) == (recording.actuator_names, recording.sensor_names)
     for kind in ("time", "commands", "sensors"):
@@ -500,6 +501,66 @@ def test_suspect_units_are_noted(tmp_path: Path, model: mujoco.MjModel) -> None:
     assert "leaves its ctrlrange -24 to 24" in noted(tmp_path, model, motor=10 * columns["motor"])
     limited = mjcf.compile(RIG.replace('name="pole" axis', 'range="-30 30" name="pole" axis'))
     assert "--unit pole=deg" in noted(tmp_path, limited, pole=6 * columns["pole"])
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    start=st.floats(-math.pi, math.pi),
+    swings=st.lists(st.floats(-12.0, 12.0), min_size=1, max_size=3),
+    lowest=st.sampled_from([-math.pi, 0.0]),
+)
+def test_an_angle_that_starts_again_is_counted_on(start: float, swings: list[float], lowest: float) -> None:
+    time = np.linspace(0, 6, 600)
+    whole = start + sum(swing * np.sin((k + 1) * time) for k, swing in enumerate(swings))
+    begun_again = (whole - lowest) % (2 * math.pi) + lowest
+    np.testing.assert_allclose(counted_on(begun_again), whole + begun_again[0] - whole[0], atol=1e-9)
+
+
+def test_what_does_not_start_again_is_left_alone() -> None:
+    rng = np.random.default_rng(0)
+    knocked = np.append(np.zeros(50), np.full(50, 4.0))
+    fast = (2.0 * np.arange(60)) % (2 * math.pi)  # a third of a turn a sample
+    beyond = np.where(np.arange(60) % 20 < 10, 0.0, 8.0)
+    for angle in (knocked, fast, beyond, rng.normal(size=60), np.zeros(3)):
+        np.testing.assert_array_equal(counted_on(angle), angle)
+
+
+def test_turns_are_counted_on_and_noted(tmp_path: Path, model: mujoco.MjModel) -> None:
+    columns = run(2000)
+    whole = math.pi + 4 * np.sin(2 * columns["time"])
+    begun_again = columns | {"pole": np.degrees(whole % (2 * math.pi))}
+    read_again = read(save(tmp_path / "r.csv", table(begun_again)), model, units={"pole": "deg"})
+    np.testing.assert_allclose(read_again.sensors[:, 1], whole, atol=1e-9)
+    assert "sensor 'pole' starts again after a turn, 5 times; turns are counted on" in read_again.notes
+
+
+BOTH = RIG.replace(
+    '<jointpos name="pole" joint="pole"/>',
+    '<jointpos name="pole" joint="pole"/>'
+    '<jointvel name="pole_rate" joint="pole"/><jointvel name="speed" joint="cart"/>',
+)
+
+
+def test_velocities_that_are_not_rates_are_noted(tmp_path: Path) -> None:
+    model, rng = mjcf.compile(BOTH), np.random.default_rng(0)
+    columns = run(4000)
+    time, pole, cart = columns["time"], columns["pole"] + 0.2 * np.sin(3 * columns["time"]), columns["cart"]
+    rate = np.gradient(pole, time) + 0.05 * rng.normal(size=len(time))
+    speed = 1.1 * np.gradient(cart, time) + 0.02  # a gain and a bias are for the diagnosis
+    right = columns | {"pole": pole, "pole_rate": rate, "speed": speed}
+
+    def said(**changed: np.ndarray) -> str:
+        return " / ".join(read(save(tmp_path / "r.csv", table(right | changed)), model).notes)
+
+    assert said() == ""
+    assert "'pole' is the rate of sensor 'pole_rate': interchanged?" in said(pole=rate, pole_rate=pole)
+    assert "'pole_rate', integrated, goes -1 times the way of sensor 'pole': its sign is" in said(pole_rate=-rate)
+    assert "goes 57.3 times the way of sensor 'pole': check its unit" in said(pole_rate=np.degrees(rate))
+    both = said(pole_rate=speed, speed=rate)
+    assert "'pole_rate' is not the rate of sensor 'pole'" in both
+    assert "'speed' is not the rate of sensor 'cart'" in both
+    # A locked joint does not move, and only its noise shows.
+    assert "rate" not in said(cart=1e-4 * rng.normal(size=len(time)), speed=1e-2 * rng.normal(size=len(time)))
 
 
 def test_odd_sampling_is_noted(tmp_path: Path, model: mujoco.MjModel) -> None:

@@ -1,12 +1,15 @@
-"""What single channels of a recording look like: their noise, and what their owner should know."""
+"""What the channels of a recording look like: their noise, and what their owner should know."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.signal import detrend
 
 from dipc_gym.sim2real.tables import RecordingError
 
@@ -21,6 +24,14 @@ BLOCK = 32  # samples over which the differences are averaged before the median 
 SLOW = 0.2  # s between samples, beyond which time is more likely in milliseconds
 FAR_HINGE = 4 * math.pi  # rad that a hinge without limits seldom goes beyond
 FAR_SLIDE = 5.0  # m that a slide without limits seldom goes beyond
+STEADY = math.pi / 2  # rad a sample, below which an angle that starts again can be counted on
+MOVES = 10.0  # times its noise: a position that moves less tells nothing of its rate
+LIKE = 0.5  # share of the variance from which one curve is another, scaled
+RATES = {
+    mujoco.mjtSensor.mjSENS_JOINTVEL: mujoco.mjtSensor.mjSENS_JOINTPOS,
+    mujoco.mjtSensor.mjSENS_TENDONVEL: mujoco.mjtSensor.mjSENS_TENDONPOS,
+    mujoco.mjtSensor.mjSENS_ACTUATORVEL: mujoco.mjtSensor.mjSENS_ACTUATORPOS,
+}
 
 
 def noise(recording: Recording) -> NDArray[np.float64]:
@@ -89,8 +100,24 @@ def quantum(values: NDArray[np.float64]) -> float:
     return step
 
 
+def counted_on(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An angle (n,) in rad that starts again after every turn, counted on over the turns; any other as it is.
+
+    One that stays within a turn, jumps by nearly all of it, and moves little between samples otherwise. What turns by
+    more than a quarter between two samples is left alone: it may have gone either way.
+
+    Example:
+        >>> counted_on(np.array([2.9, 3.1, -3.0, -2.8])).round(2).tolist()
+        [2.9, 3.1, 3.28, 3.48]
+    """
+    if np.ptp(angle) > 1.001 * 2 * math.pi or np.max(np.abs(np.diff(angle)), initial=0.0) < math.pi:
+        return angle
+    on = np.unwrap(angle)
+    return on if np.max(np.abs(np.diff(on))) < STEADY else angle
+
+
 def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:
-    """Sentences about what is odd but usable in a recording: sampling, dead or clipped channels, units, limits.
+    """Sentences about what is odd but usable in a recording: sampling, dead or clipped channels, units, rates, limits.
 
     None of this stops an analysis, since each can be right: a locked joint does not move, and a motor axis may turn
     a hundred times. But whoever recorded it should know.
@@ -107,7 +134,7 @@ def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:
             found += _dead_or_clipped(f"{kind} {name!r}", values)
     for name, values in zip(recording.sensor_names, recording.sensors.T, strict=True):
         found += _odd_unit(name, values, model)
-    return (*found, *_beyond_limits(recording, model))
+    return (*found, *_odd_rates(recording, model), *_beyond_limits(recording, model))
 
 
 def _sampling(time: NDArray[np.float64]) -> list[str]:
@@ -176,6 +203,43 @@ def _odd_unit(name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> 
         return []
     unit, word, short = ("rad", "degrees", "deg") if hinge else ("m", "millimetres", "mm")
     return [f"sensor {name!r} reaches {peak:.4g} {unit}; if these are {word}, say --unit {name}={short}"]
+
+
+def _odd_rates(recording: Recording, model: mujoco.MjModel) -> list[str]:
+    """Velocities that are not the rates of the positions beside them: columns interchanged, signs, units."""
+    found: list[str] = []
+    kinds = [(int(model.sensor(name).type[0]), int(model.sensor(name).objid[0])) for name in recording.sensor_names]
+    for (r, (kind, of)), p in itertools.product(enumerate(kinds), range(len(kinds))):
+        if kinds[p] != (RATES.get(mujoco.mjtSensor(kind)), of):
+            continue
+        place, rate = recording.sensors[:, p], recording.sensors[:, r]
+        if np.ptp(rate) == 0 or np.std(place) < MOVES * _noise(recording.time, place):
+            continue
+        found += _odd_rate(recording.time, (recording.sensor_names[p], place), (recording.sensor_names[r], rate))
+    return found
+
+
+def _odd_rate(
+    time: NDArray[np.float64], place: tuple[str, NDArray[np.float64]], rate: tuple[str, NDArray[np.float64]]
+) -> list[str]:
+    """What is wrong with the rate of a position, both with their names."""
+    times, alike = _way(time, place[1], rate[1])
+    if alike > LIKE and 0.5 < times < 2:
+        return []
+    backwards, alike_backwards = _way(time, rate[1], place[1])
+    if alike_backwards > LIKE and 0.5 < backwards < 2:
+        return [f"sensor {place[0]!r} is the rate of sensor {rate[0]!r}: interchanged? Say which is which with --map"]
+    if alike < LIKE:
+        return [f"sensor {rate[0]!r} is not the rate of sensor {place[0]!r}: another joint's, or not calibrated?"]
+    cause = "its sign is reversed" if -2 < times < -0.5 else "check its unit (--unit) and sign"
+    return [f"sensor {rate[0]!r}, integrated, goes {times:.3g} times the way of sensor {place[0]!r}: {cause}"]
+
+
+def _way(time: NDArray[np.float64], place: NDArray[np.float64], rate: NDArray[np.float64]) -> tuple[float, float]:
+    """How many times the way of `place` a rate goes, and which share of its way that is; biases are taken out."""
+    gone, there = detrend(cumulative_trapezoid(rate, time, initial=0)), detrend(place)
+    both = float(gone @ there)
+    return both / float(there @ there), both**2 / float(there @ there) / float(gone @ gone)
 
 
 def _beyond_limits(recording: Recording, model: mujoco.MjModel) -> list[str]:

@@ -21,6 +21,7 @@ from dipc_gym.sim2real import channels
 from dipc_gym.sim2real.channels import noise
 from dipc_gym.sim2real.matching import COMMAND, SENSOR, match_columns, unit_factors
 from dipc_gym.sim2real.tables import RecordingError, check_format, read_table, row_label, write_table
+from dipc_gym.sim2real.units import of_sensor
 
 if TYPE_CHECKING:
     import mujoco
@@ -227,8 +228,9 @@ def read(
         units: file column or model name -> unit it is in, as `{"theta1": "deg", "time": "ms"}`; converted to SI.
 
     Returns:
-        The recording. What is odd but usable (constant or clipped channels, ignored columns, values that look like
-        degrees) stands in its `notes`.
+        The recording. Angles that start again after a turn are counted on. That, and what is odd but usable
+        (constant or clipped channels, ignored columns, values that look like degrees, velocities that are not the
+        rates of their positions), stands in its `notes`.
 
     Raises:
         RecordingError: a missing or ambiguous column, a cell that is not a finite number, time that does not
@@ -250,6 +252,14 @@ def read(
         raise RecordingError(f"{path}: {len(columns['time'])} samples are too few; at least {MIN_SAMPLES} are needed")
     _check_numbers(str(path), table.lines, {wanted[channel]: values for channel, values in columns.items()})
     ignored = tuple(name for name in table.names if name not in wanted.values())
+    angles = [SENSOR + name for name in sensor if of_sensor(model, name) == "rad"]
+    turned = {channel: channels.counted_on(columns[channel]) for channel in angles}
+    notes = [
+        f"sensor {channel.removeprefix(SENSOR)!r} starts again after a turn, {jumps} times; turns are counted on"
+        for channel, on in turned.items()
+        if (jumps := np.count_nonzero(np.abs(np.diff(columns[channel] - on)) > 1))
+    ]
+    columns |= turned
     n = len(columns["time"])
     recording = Recording(
         name=path.stem,
@@ -262,7 +272,7 @@ def read(
         ignored=ignored,
         sha256=table.sha256,
     )
-    return replace(recording, notes=channels.notes(recording, model))
+    return replace(recording, notes=(*notes, *channels.notes(recording, model)))
 
 
 def read_all(
@@ -277,7 +287,7 @@ def read_all(
 
 
 def write(recording: Recording, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write a recording as CSV, Parquet or npz; read again it has the same bits.
+    """Write a recording as CSV, Parquet or npz; read again it has the same bits, but for angles that `read` counts on.
 
     The file appears whole or not at all.
 
