@@ -784,6 +784,7 @@ def test_ctrl_c_scores_what_is_done_nulls_first(tmp_path, monkeypatch):
                 raise KeyboardInterrupt
             yield cell.name, given_back(FINE)
 
+    monkeypatch.setattr(run, "plans", lambda seed, **_: plans)
     monkeypatch.setattr(run, "generate", lambda out, **_: plans)
     monkeypatch.setattr(run, "swept", swept)
     with pytest.raises(KeyboardInterrupt):
@@ -806,7 +807,9 @@ def test_a_run_that_was_stopped_goes_on_and_tries_failures_again(tmp_path, monke
             fails = cell.name == plans[1].name and len(asked) <= 3
             yield cell.name, given_back(FINE | {"failure": "broke" if fails else None, "tool": versions[-1]})
 
-    monkeypatch.setattr(run, "generate", lambda out, **_: plans)
+    made = []
+    monkeypatch.setattr(run, "plans", lambda seed, **_: plans)
+    monkeypatch.setattr(run, "generate", lambda out, **_: made.append(out))
     monkeypatch.setattr(run, "swept", swept)
     run.trial(tmp_path, seed=1)
     assert asked == [plan.name for plan in plans]
@@ -818,6 +821,7 @@ def test_a_run_that_was_stopped_goes_on_and_tries_failures_again(tmp_path, monke
     versions.append("two")
     with pytest.raises(ValueError, match=r"t001_cart.attempt\.json: diagnosed by another version of the tool"):
         run.trial(tmp_path, seed=1)
+    assert len(made) == 2, "what is refused is refused before trials are made"
     run.trial(tmp_path, seed=1, resume=False)
     assert len(asked) == 7
     assert (tmp_path / "report.md").exists()

@@ -102,7 +102,9 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
     left = judge.held_out_error(search.held, upheld) if once else error
     recalibrated = judge.held_out_error(search.held, search.path[0])
     if upheld.structure.terms and left - 1 > LEAVE * (recalibrated - 1):
-        return search.path[0], [*notes, sentences.too_little(upheld.structure.terms, recalibrated, left)]
+        # Without an event that it was fitted beside, an effect may do harm.
+        why = sentences.too_little if left < recalibrated else sentences.refutation
+        return search.path[0], [*notes, why(upheld.structure.terms, recalibrated, left)]
     return upheld, notes
 
 

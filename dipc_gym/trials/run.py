@@ -13,7 +13,7 @@ from dipc_gym import sweep
 from dipc_gym.files import write_whole
 from dipc_gym.sweep import Backend, Cell
 from dipc_gym.trials.attempt import PATIENCE, Attempt, tool
-from dipc_gym.trials.generate import generate
+from dipc_gym.trials.generate import generate, plans
 from dipc_gym.trials.publish import write_report
 from dipc_gym.trials.score import score
 
@@ -44,20 +44,20 @@ def trial(
         KeyboardInterrupt: after what is done was scored.
     """
     sweep.check(jobs, backend)
-    made = generate(out, seed=seed, count=count, full=full, jobs=processes(jobs, backend))
-    names = [plan.name for plan in made]
+    planned = plans(seed, count=count, full=full)
     # Rates of false alarms take the most trials and the least time: a run that is stopped early has these.
-    order = [plan.name for plan in sorted(made, key=lambda plan: plan.kind != "null")]
+    order = [plan.name for plan in sorted(planned, key=lambda plan: plan.kind != "null")]
     attempts = [
         Attempt(folder=str((out / "trials" / name).absolute()), seed=0, limit=patience)
         for name in order
         if not (resume and _done(out / "results" / name))
     ]
+    generate(out, seed=seed, count=count, full=full, jobs=processes(jobs, backend))
     try:
         for name, texts in swept(attempts, jobs=jobs, backend=backend, label="diagnose"):
             _keep(texts, out / "results" / name)
     finally:
-        scores = score(out, names)
+        scores = score(out, [plan.name for plan in planned])
         write_report(out, scores, seed=seed)
     return scores
 
