@@ -32,7 +32,7 @@ class Record:
     seconds: float = 80.0
     """length of a balancing run, s"""
     plant: str | None = None
-    """JSON file of the plant"""
+    """JSON file of the plant; where numbers are distributions, identification takes their centres"""
     model: str | None = None
     """MJCF file of the rig"""
     seed: int = 0
@@ -87,7 +87,7 @@ class Render:
     seconds: float = 10.0
     """length, s"""
     plant: str | None = None
-    """JSON file of the plant"""
+    """JSON file of the plant; where numbers are distributions, identification takes their centres"""
     model: str | None = None
     """MJCF file of the rig"""
     seed: int = 0

@@ -31,7 +31,7 @@ class Train:
     recording: str | None = None
     """recording with columns time, motor (V) and cart (m)"""
     plant: str | None = None
-    """JSON file of the plant"""
+    """JSON file of the plant; where numbers are distributions, identification takes their centres"""
     model: str | None = None
     """MJCF file of the rig"""
     seed: int = 0
