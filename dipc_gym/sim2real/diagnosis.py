@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import evidence, findings, improve, judge, selection, sentences, states
+from dipc_gym.sim2real import conventions, evidence, findings, improve, judge, selection, sentences, states
 from dipc_gym.sim2real.conclusion import conclude
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
@@ -145,6 +145,10 @@ def diagnose(
         nominal = fit(problem, prepared.structure)
         recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.starts)
     tell(f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}")
+    if recalibrated.error > conventions.GROSS * _motion(problem):
+        others, error = conventions.differing(source, given, recordings, prepared, [nominal, recalibrated], span)
+        if others:
+            return _cannot_tell(*sentences.conventions(others, nominal.error, error), source, notes, provenance)
     search = Search(
         problem,
         unseen,

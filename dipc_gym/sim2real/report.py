@@ -29,7 +29,7 @@ VERDICTS = {
     "explained": "With the physics that was missing, prediction comes down to the noise.",
     "partly explained": "The physics named here helps. Some structure is left that no known effect accounts for.",
     "unexplained": "There is structure beyond noise, and no known effect accounts for it.",
-    "cannot tell": "These recordings do not excite what would decide it.",
+    "cannot tell": "These recordings cannot decide it.",
 }
 MOST_TRACES, MOST_MAPS, MOST_RESIDUALS, MOST_CANDIDATES = 16, 8, 12, 30  # drawn or listed in full: keeps it below 2 MB
 MOST_LINES = 400  # of the difference

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from dipc_gym.sim2real import ranking
+from dipc_gym.sim2real.conventions import Convention
 from dipc_gym.sim2real.numbers import Number
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.structure import Term
@@ -99,6 +100,22 @@ def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
             f"{errors.recalibrated:.3g} to {errors.improved:.3g} times the noise)."
         )
     return notes
+
+
+def conventions(found: Sequence[Convention], given: float, error: float) -> tuple[str, str]:
+    """Why nothing can be told of recordings that count otherwise than the model, and what to do.
+
+    Args:
+        found: conventions any one of which would mend it.
+        given: error of the model as given, in units of noise.
+        error: with a convention changed.
+    """
+    reason = (
+        f"they seem to {', or to '.join(one.words for one in found)} (with that changed, the model as given is off by "
+        f"{error:.3g} times the noise instead of {given:.3g})"
+    )
+    mend = ", or ".join(dict.fromkeys(one.mend for one in found))
+    return reason, f"{mend[0].upper()}{mend[1:]}, and diagnose again: whatever is fitted over that is nonsense."
 
 
 def other_numbers(changed: Sequence[dict[str, Any]], others: Sequence[Sequence[Number]]) -> list[str]:

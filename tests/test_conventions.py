@@ -1,0 +1,116 @@
+"""Recordings that count otherwise than the model: which way is positive, where zero is, what an angle starts from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
+
+from dipc_gym import cli, mjcf, physics
+from dipc_gym.sim2real import conventions, recording
+from dipc_gym.sim2real.conventions import Convention
+from dipc_gym.sim2real.diagnosis import diagnose
+from dipc_gym.sim2real.fit import fit
+from dipc_gym.sim2real.recording import Recording
+from dipc_gym.sim2real.simulate import Stepping
+
+RATED = HANGING.replace("</sensor>", '<jointvel name="rate2" joint="pole2"/></sensor>')
+SENSORS = ("cart", "pole1", "pole2", "rate2")
+EVERY = list(conventions.possible(physics.load(mjcf.from_text(RATED)), ("motor",), SENSORS))
+STEPPING = Stepping(0.002, RK4)
+
+
+def otherwise(run: Recording, convention: Convention) -> Recording:
+    """The recording whose owner follows the convention."""
+    sensors = np.linalg.solve(convention.sensors, (run.sensors - convention.shift).T).T
+    return replace(run, commands=run.commands / convention.commands, sensors=sensors)
+
+
+@pytest.fixture(scope="module")
+def hanging() -> Recording:
+    """The model itself, swinging widely."""
+    rig = physics.load(mjcf.from_text(RATED))
+    return record(rig, sweep(6.0), 8.0, noise=(*NOISE["hanging"], 2e-2), start=(0.0, 0.9, -0.6), integrator=RK4)
+
+
+def found(text: str, run: Recording) -> tuple[list[Convention], float]:
+    """What is found to differ, beside the model as given."""
+    source, span = mjcf.from_text(text), (0.0, 1.0)
+    cut = prepared(text, [run], stepping=STEPPING)
+    given = fit(cut.problem, cut.structure)
+    return conventions.differing(source, physics.load(source), [run], cut, [given], span)
+
+
+def test_every_convention_is_thought_of() -> None:
+    said = [convention.words for convention in EVERY]
+    assert said == [
+        "count command 'motor' the other way round",
+        "count sensor 'cart' the other way round",
+        "count sensor 'pole1' the other way round",
+        "count sensor 'pole1' from half a turn away",
+        "count sensors 'pole2' and 'rate2' the other way round",
+        "count sensor 'pole2' from half a turn away",
+    ]
+    # Without the rate, which would need one of the joint before.
+    plain = conventions.possible(physics.load(mjcf.from_text(HANGING)), ("motor",), SENSORS[:3])
+    assert [convention.words for convention in plain][-2:] == [
+        "measure at joint 'pole2' an absolute angle, and the model does not",
+        "measure at joint 'pole2' an angle from 'pole1', and the model does not",
+    ]
+
+
+@pytest.mark.parametrize("convention", EVERY, ids=lambda convention: convention.words)
+def test_what_differs_is_found(hanging: Recording, convention: Convention) -> None:
+    others, error = found(RATED, otherwise(hanging, convention))
+    assert [one.words for one in others] == [convention.words]
+    assert error < 1.2
+
+
+@pytest.mark.parametrize("way", ["absolute", "from 'pole1'"])
+def test_absolute_and_relative_angles_are_told_apart(hanging: Recording, way: str) -> None:
+    plain = replace(hanging, sensors=hanging.sensors[:, :3], sensor_names=SENSORS[:3])
+    (convention,) = (
+        one
+        for one in conventions.possible(physics.load(mjcf.from_text(HANGING)), ("motor",), SENSORS[:3])
+        if one.words.startswith("measure") and way in one.words
+    )
+    others, error = found(HANGING, otherwise(plain, convention))
+    assert [one.words for one in others] == [convention.words]
+    assert error < 1.2
+
+
+def test_physics_that_is_missing_is_no_convention() -> None:
+    rough = CART.replace('damping="21.4"', 'damping="30" frictionloss="25"')
+    run = record(physics.load(mjcf.from_text(rough)), sweep(4.0), 8.0, noise=NOISE["cart"])
+    others, _ = found(CART, run)
+    assert others == []
+
+
+def test_nothing_else_is_told_of_recordings_that_differ(hanging: Recording) -> None:
+    half = next(one for one in EVERY if "'pole1' from half" in one.words)
+    run = otherwise(hanging, half)
+    said = diagnose(mjcf.from_text(RATED), [run])
+    assert said.verdict == "cannot tell"
+    assert "they seem to count sensor 'pole1' from half a turn away" in said.sentence
+    assert said.next_experiment.startswith("Add half a turn to the column, or give joint 'pole1' of the model ref=")
+    mended = RATED.replace('name="pole1" type="hinge"', 'name="pole1" type="hinge" ref="180"')
+    assert mended != RATED
+    assert diagnose(mjcf.from_text(mended), [run]).verdict == "consistent"
+
+
+def test_on_a_symmetric_rig_command_and_sensor_are_alike_and_either_is_mended_by_its_unit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = record(physics.load(mjcf.from_text(CART)), sweep(4.0), 8.0, noise=NOISE["cart"], integrator=RK4)
+    (tmp_path / "cart.xml").write_text(CART)
+    recording.write(replace(run, commands=-run.commands), tmp_path / "run.csv")
+    asked = ["diagnose", str(tmp_path / "cart.xml"), str(tmp_path / "run.csv"), "--out"]
+    assert cli.main([*asked, str(tmp_path / "first")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "count command 'motor' the other way round, or to count sensor 'cart' the other way round" in said
+    assert "Turn its sign round (--unit motor=-1), or turn its sign round (--unit cart=-1), and diagnose again" in said
+    assert cli.main([*asked, str(tmp_path / "second"), "--unit", "motor=-1"]) == 0
+    assert "Nothing is missing" in capsys.readouterr().out
