@@ -262,7 +262,14 @@ def test_a_late_encoder_is_the_same_as_late_commands_to_a_single_joint() -> None
     assert (missing.effect, missing.at) not in tried
 
 
-@pytest.mark.parametrize(("size", "when"), [((6.0, 6.0), 13.8), ((6.0, 0.0), 14.05)])
+@pytest.mark.parametrize(
+    ("size", "when"),
+    [
+        ((6.0, 6.0), 13.8),
+        ((6.0, 0.0), 14.05),
+        ((6.0, 6.0), 9.55),  # in windows to compare on, of both
+    ],
+)
 def test_a_knock_in_a_window_left_aside_is_found(size: tuple[float, float], when: float) -> None:
     """Two recordings hold more windows than are fitted; windows in which something happened are, all the same.
 

@@ -566,3 +566,27 @@ def test_the_frequency_of_a_disturbance_that_a_controller_answers(swings: bool) 
     near = [g for g in guesses if abs(g["frequency"] - 3.4) < 0.02]
     assert near
     assert max(math.hypot(g["sine"], g["cosine"]) for g in near) == pytest.approx(0.3, rel=0.1)
+
+
+def test_a_slow_shaking_is_found_under_the_noise_of_accelerations() -> None:
+    """The noise of a position, differentiated twice, is strongest where a force moves the rig least."""
+    t = np.arange(0, 15, 0.002)
+    angle = 2 * np.pi * 0.87 * t
+    jitter = np.gradient(np.gradient(3e-5 * np.random.default_rng(0).standard_normal(len(t)), t), t)
+    still = np.zeros(len(t))
+    seen = Evidence(
+        model=mujoco.MjModel.from_xml_string(CART),
+        force=0.1 * np.sin(angle - 0.4) + jitter,
+        velocity=still,
+        position=still,
+        load=still,
+        time=t,
+        command=np.zeros(0),
+        reading=np.zeros(0),
+        gear=0.0,
+        inertia=1.0,
+        period=0.002,
+    )
+    assert np.std(jitter) > 1.0
+    guesses = catalogue()["disturbance.periodic"].guesses(seen)
+    assert [g for g in guesses if abs(g["frequency"] - 0.87) < 0.02]

@@ -141,6 +141,29 @@ def test_a_few_windows_tell_at_the_noise(scale: float, worse: int, better: int, 
     assert difference.alike is not shows
 
 
+@pytest.mark.parametrize(
+    ("rest", "after", "stands_out"),
+    [
+        (1.0, (1.0, 1.0), True),  # a limit that is met in two windows, and explains both
+        (1.0, (1.0, 60.0), False),  # one of them is left: a push would do as well
+        (9.0, (9.0, 9.0), False),  # where most windows are far off, two say little
+    ],
+)
+def test_what_acts_seldom_stands_out_where_it_leaves_nothing(
+    rest: float, after: tuple[float, float], stands_out: bool
+) -> None:
+    """Two of 72 windows are predicted badly, the others at the noise or not."""
+    before = np.append(np.full(70, rest), [400.0, 90.0])
+    search = SimpleNamespace(
+        mse=lambda fitted: fitted.mse,
+        earns=lambda new, old: True,
+        compare=lambda new, old: SimpleNamespace(clear=False),  # by a standard error, two windows never are
+    )
+    term = SimpleNamespace(effect=SimpleNamespace(once=False))
+    fits = [SimpleNamespace(mse=mse) for mse in (np.append(np.full(70, rest), after), before)]
+    assert Search.stands_out(search, term, *fits) is stands_out  # type: ignore[arg-type]
+
+
 def test_windows_of_other_recordings_at_the_time_of_an_odd_one_are_left_aside() -> None:
     windows = SimpleNamespace(
         start=np.array([0.0, 1.0, 2.0, 3.0] * 2), source=np.repeat([0, 1], 4), times=np.linspace(0, 0.25, 5)[None]

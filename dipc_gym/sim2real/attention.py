@@ -17,6 +17,7 @@ from dipc_gym.sim2real.comparison import QUIET
 from dipc_gym.sim2real.fit import Fit, evaluate, fit
 
 if TYPE_CHECKING:
+    from dipc_gym.sim2real.problem import Problem
     from dipc_gym.sim2real.search import Search
 
 
@@ -28,9 +29,18 @@ def quiet(fitted: Fit) -> bool:
 def attend(search: Search) -> Fit:
     """The present fit of a search, once its windows are chosen by what stands out beside that."""
     current = search.path[-1]
+    if quiet(current) and not len(selection.odd_windows(current.mse)):
+        # What only windows to compare on show, nothing could be fitted to; half of them stay.
+        shown = selection.odd_windows(search.unseen_mse(current), current.mse)[::2]
+        new, others = search.unseen.pick(shown), np.delete(np.arange(len(search.unseen.windows)), shown)
+        search.compare_on(search.unseen.pick(others))
+        _take_in(search, new)
+        current = search.path[-1]
     if quiet(current) and len(search.rest.windows):
         mse, _ = evaluate(search.rest, current.structure, current.z)
-        _take_in(search, selection.eventful(search.problem.windows, current.mse, search.rest.windows, mse))
+        which = selection.eventful(search.problem.windows, current.mse, search.rest.windows, mse)
+        new, search.rest = search.rest.pick(which), search.rest.pick(~which)
+        _take_in(search, new)
     windows = search.problem.windows.join(search.unseen.windows)
     _leave_aside(search, selection.without_echoes(windows, search.mse(search.path[-1])))
     current = search.path[-1]
@@ -39,16 +49,15 @@ def attend(search: Search) -> Fit:
     return current
 
 
-def _take_in(search: Search, which: NDArray[np.bool_]) -> None:
-    """Fit some of the windows left aside too; what is known already learns what it says of them."""
-    if not which.any():
+def _take_in(search: Search, new: Problem) -> None:
+    """Fit some more windows; what is known already learns what it says of them."""
+    if not len(new.windows):
         return
-    new = search.rest.pick(which)
 
     def informed(fitted: Fit) -> Fit:
         return fitted.join(fit(new, fitted.structure, fitted.z, most=0))
 
-    search.problem, search.rest = search.problem.join(new), search.rest.pick(~which)
+    search.problem = search.problem.join(new)
     search.path = [informed(fitted) for fitted in search.path]
     search.anchor = search.anchor and informed(search.anchor)
     search.rounds = [

@@ -9,6 +9,8 @@ import numpy as np
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
 
+FELT = 2.0  # Hz, from which a force turns round within a window of a quarter second, and moves less the faster it does
+
 
 class Periodic(Effect):
     """A force that swings with time, whatever the rig does: a fan, a pump, a vibrating table."""
@@ -40,7 +42,8 @@ class Periodic(Effect):
         known = np.stack([v, np.tanh(v / (0.05 * evidence.speed_scale)), load, q, np.ones_like(v)], axis=1)
         beside = f - known @ np.linalg.lstsq(known, f, rcond=None)[0]
         small = 0.02 * evidence.force_scale
-        lines = _lines(t, f - f.mean(), step) | _lines(t, beside, step)
+        # Noise of accelerations is strongest where forces move the rig least.
+        lines = _lines(t, f - f.mean(), step) | _lines(t, beside, step) | _lines(t, f - f.mean(), step, felt=FELT)
         return [
             {
                 "sine": a if abs(a) > small else small,
@@ -61,12 +64,16 @@ class Periodic(Effect):
         return f"A force of {size:.3g} {unit['sine']} at {values['frequency']:.3g} Hz shakes {at}."
 
 
-def _lines(t: Array, force: Array, step: float) -> dict[float, tuple[float, float]]:
-    """Weights of sine and cosine, by frequency in Hz, of the two strongest lines of a force (n,) at times t (n,)."""
+def _lines(t: Array, force: Array, step: float, felt: float = np.inf) -> dict[float, tuple[float, float]]:
+    """Weights of sine and cosine, by frequency in Hz, of the two strongest lines of a force (n,) at times t (n,).
+
+    By what they move, if `felt` is given: like a constant force below that frequency, less by its square above.
+    """
     size = 8 * len(force)
     spectrum = np.fft.rfft(force * np.hanning(len(force)), size)
     frequency = np.fft.rfftfreq(size, step)
     spectrum[frequency > min(50.0, 0.2 / step)] = 0
+    spectrum /= 1 + (frequency / felt) ** 2
     found = {}
     for _ in range(2):
         k = int(np.argmax(np.abs(spectrum)))

@@ -15,7 +15,7 @@ class Inductance(Effect):
 
     id = "motor.inductance"
     place = "actuator"
-    parameters = (Parameter("time_constant", "s", 2e-4, 0.2, log=True),)
+    parameters = (Parameter("time_constant", "s", 2e-5, 0.2, log=True),)
     rivals = ("timing.delay", "timing.sensor_lag", "timing.sensor_lag:delay", "transmission.compliance")
     finest = 5e-4
     warm = 0.06

@@ -13,7 +13,7 @@ class SensorLag(Effect):
 
     id = "timing.sensor_lag"
     place = "sensor"
-    parameters = (Parameter("time_constant", "s", 1e-4, 0.2, log=True),)
+    parameters = (Parameter("time_constant", "s", 2e-5, 0.2, log=True),)
     rivals = ("timing.sensor_lag:delay", "timing.delay", "motor.inductance", "transmission.compliance")
     warm = 0.06
     finest = 5e-4  # between steps what it follows goes straight
