@@ -7,7 +7,7 @@ export OMP_NUM_THREADS ?= 1
 .PHONY: compare learning trial trial-full rivals test lint bench clean
 
 compare: .venv/installed
-	$(BIN)/dipc-gym compare --out runs/compare --jobs 2 --overwrite
+	$(BIN)/dipc-gym compare --out runs/compare --jobs 2
 
 learning: .venv/installed
 	$(BIN)/python -m benchmarks.learning

@@ -250,6 +250,27 @@ def test_a_limit_that_refitted_numbers_spread_over_all_windows_is_found() -> Non
     assert found.recalibrated == ()
 
 
+@pytest.mark.parametrize("friction", ["", ' frictionloss="3"'])
+def test_what_the_model_itself_simulated_is_consistent_with_it(friction: str) -> None:
+    """MuJoCo's own step is coarse beside this encoder, and so is its dry friction."""
+    text = NOMINAL.replace('damping="40"', f'damping="40"{friction}')
+    model, rng = mujoco.MjModel.from_xml_string(text), np.random.default_rng(0)
+    data, driven = mujoco.MjData(model), run(1, 12, 0.0)
+    sensed = np.empty_like(driven.sensors)
+    for k, volts in enumerate(driven.commands):
+        sensed[k], data.ctrl[:] = data.qpos, volts
+        mujoco.mj_step(model, data, 2)
+    sensed = np.round((sensed + rng.normal(0, 3e-6, sensed.shape)) / 2e-5) * 2e-5
+    names = ("timing.delay", "friction.coulomb", "friction.stribeck", "motor.inductance", "load.constant")
+    found = diagnose(
+        mjcf.from_text(text), [replace(driven, sensors=sensed, sha256="")], effects=[catalogue()[n] for n in names]
+    )
+    assert found.verdict == "consistent", found.sentence
+    assert found.held_out is not None
+    assert found.held_out.nominal < 1.2
+    assert any(note.startswith("At its own step of 1 ms") for note in found.notes)
+
+
 def test_a_late_encoder_is_the_same_as_late_commands_to_a_single_joint() -> None:
     names = ("timing.delay", "timing.sensor_lag", "timing.sensor_lag:delay", "motor.inductance")
     found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 0.0, late=70)], effects=[catalogue()[n] for n in names])
@@ -471,12 +492,16 @@ def test_command_line_writes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixt
     (tmp_path / "meshes" / "box.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
     )
-    model.write_text(NOMINAL.replace("</mujoco>", '<asset><mesh name="box" file="meshes/box.obj"/></asset></mujoco>'))
+    (tmp_path / "plate.xml").write_text('<mujoco><worldbody><body name="plate"/></worldbody></mujoco>')
+    (tmp_path / "more.xml").write_text('<mujoco><asset><model name="part" file="plate.xml"/></asset></mujoco>')
+    pulled_in = '<include file="more.xml"/><asset><mesh name="box" file="meshes/box.obj"/></asset></mujoco>'
+    model.write_text(NOMINAL.replace("</mujoco>", pulled_in))
     recording.write(run(8, 12, 0.0), csv)
     assert cli.main(["diagnose", str(model), str(csv), "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "CONSISTENT" in said
-    assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "improved.xml", "meshes", "report.html"]
+    needed = ["meshes", "more.xml", "plate.xml"]
+    assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "improved.xml", *needed, "report.html"]
     mujoco.MjModel.from_xml_path(str(out / "improved.xml"))
     assert json.loads((out / "diagnosis.json").read_text())["schema"] == "dipc-gym/diagnosis/1"
     assert cli.main(["diagnose", str(model), str(csv), "--out", str(out)]) == 2

@@ -126,6 +126,23 @@ def test_what_is_added_is_indented_like_the_rest() -> None:
     assert lines[-1] == "</mujoco>"
 
 
+def test_sections_may_stand_more_than_once() -> None:
+    """MuJoCo merges them."""
+    rig = document(
+        '<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody>'
+        '<actuator><motor name="one" joint="a" gear="-3"/></actuator><actuator><motor name="two" joint="a"/></actuator>'
+        '<sensor><jointpos name="angle" joint="a"/></sensor><sensor/></mujoco>'
+    )
+    assert rig.actuator_names() == ["one", "two"]
+    assert rig.actuator("one").get("gear") == "-3"
+    assert rig.sensor("angle").get("joint") == "a"
+    # A drive that is geared to turn the other way has a gain all the same.
+    gear = next(number for number in own_numbers(rig, compiled(rig)) if number.key == "one.gear")
+    assert gear.value == 3
+    gear.write(rig, 4.0)
+    assert compiled(rig).actuator("one").gear[0] == -4
+
+
 # Includes
 
 

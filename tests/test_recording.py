@@ -354,7 +354,7 @@ def test_without_pyarrow_parquet_says_what_to_install(
 ) -> None:
     (tmp_path / "r.parquet").write_bytes(b"PAR1")
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    assert "pip install 'dipc-gym[parquet]'" in refused(tmp_path / "r.parquet", model)
+    assert "pip install -e '.[parquet]'" in refused(tmp_path / "r.parquet", model)
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

@@ -118,7 +118,8 @@ def test_threads_do_not_change_a_bit() -> None:
     assert np.array_equal(one, two)
 
 
-def test_a_simulation_that_diverges_stays_where_it_was() -> None:
+def test_a_simulation_that_diverges_is_not_restarted() -> None:
+    """MuJoCo would put it back to where the model begins, which near rest is no bad prediction."""
     P = prepared(CART, [record(rig(CART), sweep(4.0), 1.0, noise=1e-5)])
     base = P.structure
     document = base.document.copy()
@@ -126,7 +127,7 @@ def test_a_simulation_that_diverges_stays_where_it_was() -> None:
     broken = Structure(document, base.model, base.base)
     readings = predict(P.problem, broken, [broken.first], P.problem.starts[None])[0]
     assert readings.shape == P.problem.windows.observed.shape
-    assert np.array_equal(readings[:, -1], readings[:, -2], equal_nan=True)
+    assert not (np.abs(readings[:, -1]) < 1e6).any()
 
 
 # Samples and commands between steps

@@ -24,6 +24,7 @@ from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.result import Diagnosis, Errors, Work
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.simulate import Stepping
+from dipc_gym.sim2real.structure import Structure
 from dipc_gym.sim2real.windows import Prepared, prepare
 
 Array = NDArray[np.float64]
@@ -138,6 +139,12 @@ def diagnose(
     tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
 
     nominal = fit(problem, prepared.structure)
+    own = Stepping(given.model.opt.timestep)
+    if nominal.error > judge.AT_FLOOR and _predicts(replace(problem, stepping=own), prepared.structure):
+        notes.append(sentences.own_step(own.timestep, nominal.error))
+        tell(f"note: {notes[-1]}")
+        problem, unseen, rest, held = (replace(part, stepping=own) for part in (problem, unseen, rest, held))
+        nominal = fit(problem, prepared.structure)
     recalibrated = fit(problem, replace(prepared.structure, numbers=tuple(numbers)), starts=nominal.starts, most=20)
     odd = selection.odd(rest, recalibrated)
     if len(odd):
@@ -219,6 +226,11 @@ def diagnose(
         provenance,
         Work(source, tuple(recordings), held, prepared, nominal, recalibrated, final, search, found.rivals),
     )
+
+
+def _predicts(problem: Problem, structure: Structure) -> bool:
+    """Whether a structure as it is comes down to the noise, by every third window."""
+    return fit(problem.pick(np.arange(0, len(problem.windows), 3)), structure).error <= judge.AT_FLOOR
 
 
 def _motion(problem: Problem) -> float:

@@ -86,11 +86,11 @@ class Document:
 
     def actuator(self, name: str) -> ET.Element:
         """The actuator of that name."""
-        return self._named((e for e in self.section("actuator") if isinstance(e.tag, str)), "actuator", name)
+        return self._named(self.root.iterfind("actuator/*"), "actuator", name)
 
     def sensor(self, name: str) -> ET.Element:
         """The sensor of that name."""
-        return self._named((e for e in self.section("sensor") if isinstance(e.tag, str)), "sensor", name)
+        return self._named(self.root.iterfind("sensor/*"), "sensor", name)
 
     def body(self, name: str) -> ET.Element:
         """The body of that name."""
@@ -106,8 +106,7 @@ class Document:
 
     def actuator_names(self) -> list[str]:
         """Actuators that stand in the text under a name."""
-        section = self.root.find("actuator")
-        return [name for e in (section if section is not None else []) if (name := e.get("name"))]
+        return [name for e in self.root.iterfind("actuator/*") if (name := e.get("name"))]
 
     def _named(self, elements: Iterator[ET.Element] | Iterable[ET.Element], kind: str, name: str) -> ET.Element:
         for element in elements:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ class Number:
     Attributes:
         parameter: MJCF attribute, as `damping`.
         at: joint, body or actuator.
-        value: in the nominal model.
+        value: in the nominal model; a negative gear counts by its size, and keeps its sign.
         unit: SI.
         write: puts another value into a document.
         sigma: how far, as a ratio, it may plausibly be off; loosely holds what the data does not determine.
@@ -75,8 +76,9 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
                     )
         elif model.actuator_ctrlnum[i]:
             gear = float(model.actuator_gear[i, 0])
-            if gear > 0:
-                found.append(Number("gear", name, gear, "", _first_of("actuator", name, "gear"), 0.3))
+            if gear:
+                write = _first_of("actuator", name, "gear", sign=math.copysign(1.0, gear))
+                found.append(Number("gear", name, abs(gear), "", write, 0.3))
     for element in document.root.iterfind(".//worldbody//body"):
         name = element.get("name", "")
         if not _exists(model, mujoco.mjtObj.mjOBJ_BODY, name):
@@ -92,13 +94,13 @@ def _exists(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
     return bool(name) and mujoco.mj_name2id(model, kind, name) >= 0
 
 
-def _first_of(kind: str, name: str, attribute: str) -> Callable[[Document, float], None]:
-    """Sets the first number of an attribute; further ones, as polynomial coefficients, stay."""
+def _first_of(kind: str, name: str, attribute: str, sign: float = 1.0) -> Callable[[Document, float], None]:
+    """Sets the size of an attribute's first number; further ones, as polynomial coefficients, stay."""
 
     def write(document: Document, value: float) -> None:
         element = document.joint(name) if kind == "joint" else document.actuator(name)
         rest = document.effective(element, attribute).split()[1:]
-        document.set(element, **{attribute: " ".join([text(value), *rest])})
+        document.set(element, **{attribute: " ".join([text(sign * value), *rest])})
 
     return write
 

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import mjcf
 from dipc_gym.sim2real import report
 from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.document import Document
@@ -29,7 +30,7 @@ WHITE = 0.1  # an autocorrelation below this at every lag shown passes for noise
 
 
 def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite: bool = False) -> Path:
-    """Write a diagnosis; the folder appears whole or not at all.
+    """Write a diagnosis; each file appears whole or not at all, and none before all are made.
 
     Args:
         found: what was found.
@@ -51,8 +52,10 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
         for name, content in _assets(found).items():
             (drafts / name).parent.mkdir(parents=True, exist_ok=True)
             (drafts / name).write_bytes(content)
-        (drafts / "diagnosis.json").write_text(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
-        (drafts / "improved.xml").write_text(found.improved)
+        (drafts / "diagnosis.json").write_text(
+            json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8"
+        )
+        (drafts / "improved.xml").write_text(found.improved, encoding="utf-8")
         report.write(report_data(found, model, command), drafts / "report.html")
         for file in sorted(path for path in drafts.rglob("*") if path.is_file()):
             place = folder / file.relative_to(drafts)
@@ -62,9 +65,11 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
 
 
 def _assets(found: Diagnosis) -> dict[str, bytes]:
-    """Meshes and textures that the improved model asks for beside it; what the model includes stands in its text."""
-    files = {} if found.work is None else found.work.source.files
-    return {name: content for name, content in files.items() if not name.endswith(".xml")}
+    """Meshes, textures and sub-models that the improved model asks for; what was included stands in its text."""
+    if found.work is None:
+        return {}
+    source = found.work.source
+    return {name: source.files[name] for name in mjcf.from_text(found.improved, source.folder).files}
 
 
 def check_free(folder: Path, overwrite: bool) -> None:

@@ -102,6 +102,14 @@ def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
     return notes
 
 
+def own_step(step: float, fine: float) -> str:
+    """Note on recordings that the model predicts as it steps, and not as it would move; the error of fine steps."""
+    return (
+        f"At its own step of {1e3 * step:g} ms and with its integrator the model predicts these recordings to the "
+        f"noise, in fine steps to {fine:.3g} times the noise: they look simulated at that step, and are judged at it."
+    )
+
+
 def conventions(found: Sequence[Convention], given: float, error: float) -> tuple[str, str]:
     """Why nothing can be told of recordings that count otherwise than the model, and what to do.
 

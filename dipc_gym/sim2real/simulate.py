@@ -46,9 +46,10 @@ class Stepping:
     integrator: mujoco.mjtIntegrator | None = None
 
     def on(self, model: mujoco.MjModel, step: float) -> mujoco.MjModel:
-        """The model with this integrator at a step of `step` seconds."""
+        """The model with this integrator at a step of `step` seconds; where it diverges, it is not restarted."""
         given = model.opt.timestep
         model.opt.timestep = step
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         if self.integrator is not None:
             model.opt.integrator = self.integrator
         stiff = is_stiff(model)
@@ -184,7 +185,7 @@ def simulate(
         threads: for MuJoCo's batch; 0 means all cores.
 
     Returns:
-        Readings (variants, n, m, ns). Where a simulation diverged, its last readings repeat.
+        Readings (variants, n, m, ns); huge or not a number from where a simulation diverged.
     """
     n, count = len(windows), len(variants)
     starts = np.broadcast_to(starts, (count, n, starts.shape[-1]))

@@ -249,7 +249,7 @@ def _arrow(path: Path) -> Any:
         import pyarrow.parquet
     except ImportError:
         raise RecordingError(
-            f"{path}: Parquet needs pyarrow; install it with: pip install 'dipc-gym[parquet]'"
+            f"{path}: Parquet needs pyarrow; install it with: pip install -e '.[parquet]' in the checkout"
         ) from None
     return pyarrow
 
