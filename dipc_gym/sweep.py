@@ -7,6 +7,7 @@ that was killed goes on where it stopped, and a cell that fails takes no other w
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -144,6 +145,17 @@ def finished(cells: Sequence[C], folder: str | Path) -> list[Outcome[C]]:
             )
         outcomes.append(Outcome(cell, result, None))
     return outcomes
+
+
+def written(folder: str | Path) -> list[Path]:
+    """Files of a folder that some sweep has written; JSON that is anything else is left out."""
+    found = []
+    for path in sorted(Path(folder).glob("*.json")):
+        with contextlib.suppress(OSError, ValueError, RecursionError):
+            held = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(held, dict) and held.keys() == {"parameters", "failure", "result"}:
+                found.append(path)
+    return found
 
 
 def parameters(cell: Cell) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def test_train_record_render_go_together(tmp_path: Path, capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["compare", "--out", "full"], "--overwrite"),
+        (["compare", "--out", "full"], "choose another folder"),
         (["compare", "--out", "new", "--controller", "pid"], "there is no controller 'pid'"),
         (["compare", "--out", "new", "--compensator", "x,y"], "there is no compensator 'x'"),
         (["train", "--out", "full/file"], "exists"),
