@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,8 @@ import pytest
 from dipc_gym import compensators
 from dipc_gym.cli import COMMANDS, main
 from dipc_gym.plant import Friction, Plant
+from dipc_gym.runs import identify
+from dipc_gym.sim2real import recording
 
 
 def test_help_loads_nothing_heavy() -> None:
@@ -55,6 +58,34 @@ def test_train_record_render_go_together(tmp_path: Path, capsys: pytest.CaptureF
     # The simulated run, identified directly, trains the same network as its recording.
     assert main(["train", "--out", str(tmp_path / "direct.json"), "--plant", plant]) == 0
     assert compensators.load(tmp_path / "direct.json") == trained
+
+
+def test_notes_of_the_recording_that_is_trained_from_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And --map and --unit do what the notes ask for."""
+    run = identify(seed=1).run
+    recording.write(run, tmp_path / "metres.csv")
+    in_mm = dataclasses.replace(run, sensors=1000 * run.sensors)
+    recording.write(in_mm, log := tmp_path / "log.csv")
+    log.write_text(log.read_text().replace("time,motor,cart", "time,motor,x", 1))
+    train = ["train", "--compensator", "feedforward", "--overwrite", "--out", str(tmp_path / "mine.json")]
+    assert main([*train, "--recording", str(log), "--map", "x=cart"]) == 0
+    assert "note: " in (said := capsys.readouterr().out)
+    assert "--unit cart=mm" in said
+    assert main([*train, "--recording", str(log), "--map", "x=cart", "--unit", "cart=mm"]) == 0
+    assert "millimetres" not in capsys.readouterr().out
+    mine = compensators.load(tmp_path / "mine.json").to_dict()["parameters"]
+    assert main([*train, "--recording", str(tmp_path / "metres.csv")]) == 0
+    assert compensators.load(tmp_path / "mine.json").to_dict()["parameters"] == pytest.approx(mine)
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dipc_gym.compare.run", stop)
+    log.write_text(log.read_text().replace("time,motor,x", "time,motor,cart", 1))
+    assert main(["compare", "--out", str(tmp_path / "out"), "--recording", str(log)]) == 130
+    assert "--unit cart=mm" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
