@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dipc_gym import compensators
@@ -122,6 +123,12 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert "Traceback" not in said
     assert (tmp_path / "full" / "file").read_text() == "precious"
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
+
+
+def test_a_fault_of_linear_algebra_keeps_its_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dipc_gym.runs.identify", lambda *_, **__: np.linalg.inv(np.zeros((2, 2))))
+    with pytest.raises(np.linalg.LinAlgError):
+        main(["train", "--out", str(tmp_path / "new.json")])
 
 
 def test_window_needs_a_display(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
