@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dipc_gym import compensators
+from dipc_gym import compensators, figures
 from dipc_gym.cli import COMMANDS, main
 from dipc_gym.plant import Friction, Plant
-from dipc_gym.runs import identify
+from dipc_gym.runs import Course, identify
 from dipc_gym.sim2real import recording
 
 
@@ -129,6 +129,23 @@ def test_a_fault_of_linear_algebra_keeps_its_traceback(tmp_path: Path, monkeypat
     monkeypatch.setattr("dipc_gym.runs.identify", lambda *_, **__: np.linalg.inv(np.zeros((2, 2))))
     with pytest.raises(np.linalg.LinAlgError):
         main(["train", "--out", str(tmp_path / "new.json")])
+
+
+def test_a_run_of_one_period_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Camera:
+        def reset(self, **_: object) -> None:
+            pass
+
+        def render(self) -> np.ndarray:
+            return np.zeros((340, 300, 3), np.uint8)
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr(figures.gymnasium, "make", lambda *_, **__: Camera())
+    course = Course(np.zeros(1), np.zeros((1, 6)), np.zeros(1), np.zeros(1), np.zeros((1, 3)), 0, False)
+    figures.animate({"one": course}, tmp_path / "rig.gif", seconds=0.005)
+    assert (tmp_path / "rig.gif").read_bytes().startswith(b"GIF8")
 
 
 def test_window_needs_a_display(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
