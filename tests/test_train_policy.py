@@ -190,6 +190,18 @@ def test_results_are_never_overwritten_by_surprise(tmp_path: Path) -> None:
             train.run(short(), tmp_path, resume=True)
 
 
+def test_a_training_is_not_resumed_with_another_file(tmp_path: Path) -> None:
+    """Of the same name: the policy would be of two rigs."""
+    plant = tmp_path / "rig.json"
+    plant.write_text('{"friction": {"coulomb": 5.0}}')
+    training = short(plant=str(plant))
+    out = train._folder(training, tmp_path / "run", resume=False, overwrite=False)
+    assert train._folder(training, out, resume=True, overwrite=False) == out
+    plant.write_text('{"friction": {"coulomb": 9.0}}')
+    with pytest.raises(TrainingError, match=r"rig\.json: not the file that the training of .*training\.json was begun"):
+        train._folder(training, out, resume=True, overwrite=False)
+
+
 class Bomb:
     def __reduce__(self) -> Any:
         return (Path.touch, (Path("exploded"),))
