@@ -339,3 +339,9 @@ def test_models_that_the_batch_cannot_do_are_refused(tmp_path: Path) -> None:
 def test_a_family_made_by_hand_is_checked_as_one_from_a_file(name: str, spread: Any, says: str) -> None:
     with pytest.raises(PlantError, match=says):
         PlantFamily(Plant(), ((name, spread),))
+
+
+def test_a_batch_that_is_to_draw_is_refused_in_words() -> None:
+    with pytest.raises(ValueError, match="render_mode is 'rgb_array'; the batch draws nothing"):
+        batched(2, render_mode="rgb_array")
+    batched(2, render_mode=None)
