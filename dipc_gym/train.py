@@ -310,7 +310,9 @@ def run(
     try:
         from dipc_gym.learner import Learner
     except ImportError as missing:
-        raise ImportError(f"training a policy needs {missing.name}: pip install 'dipc-gym[rl]'") from missing
+        raise ImportError(
+            f"training a policy needs {missing.name}: pip install -e '.[rl]' in the checkout"
+        ) from missing
     from tqdm import tqdm
 
     rig = Rig.of(training)

@@ -616,6 +616,12 @@ def test_mutated_bytes_are_refused_or_work(fitted, tmp_path, data):
 # The package
 
 
+def test_without_torch_the_mlp_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[rl\]' in the checkout"):
+        fit("mlp", run_with(stribeck, n=400), RIG)
+
+
 def test_running_a_compensator_imports_neither_torch_nor_scikit_learn(fitted, tmp_path):
     save(fitted["mlp"], tmp_path / "mlp.json")
     script = (

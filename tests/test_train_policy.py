@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import pickle
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,14 @@ def test_results_are_never_overwritten_by_surprise(tmp_path: Path) -> None:
         (tmp_path / "training.json").write_text(foreign)
         with pytest.raises(TrainingError, match="cannot be read"):
             train.run(short(), tmp_path, resume=True)
+
+
+def test_without_its_packages_training_says_how_to_install_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "dipc_gym.learner", None)
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[rl\]' in the checkout"):
+        train.run(short(), tmp_path / "run")
 
 
 def test_a_training_is_not_resumed_with_another_file(tmp_path: Path) -> None:
