@@ -34,8 +34,9 @@ def register(name: str, cls: type[Compensator]) -> None:
         raise TypeError(f"{cls!r} is not a class derived from Compensator")
     if not (isinstance(name, str) and name.isidentifier()):
         raise ValueError(f"{name!r} is no name for a compensator: letters, digits and underscores, please")
-    if cls.name not in ("", name):
-        raise ValueError(f"{cls.__name__} is registered as {cls.name!r}; derive a class of its own for {name!r}")
+    own = cls.__dict__.get("name", "")  # what a class has from the one it is derived from is not its own
+    if own not in ("", name):
+        raise ValueError(f"{cls.__name__} is registered as {own!r}; derive a class of its own for {name!r}")
     cls.name = name
     _KINDS[name] = cls
 

@@ -8,7 +8,6 @@ every compensator.
 from __future__ import annotations
 
 import dataclasses
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,7 +29,11 @@ from dipc_gym.summary import summarise, table
 from dipc_gym.sweep import Backend, Cell, Outcome
 
 FOLDERS = ("cells", "compensators", "recordings", "figures")
-FILES = ("summary.json", "table.txt", "rig.gif", "robustness.json", "robustness.txt")
+FILES = (
+    *("summary.json", "table.txt", "rig.gif", "robustness.json", "robustness.txt", "recordings/identification-00.csv"),
+    *(f"figures/{name}.png" for name in ("fig07_identification", "fig08_mlp", "fig09_lolimot", "fig10_llnf")),
+    *("figures/fig12_balance.png", "figures/robustness.pdf", "figures/robustness.png"),
+)
 
 Trained = Mapping[tuple[int, str], dict[str, Any]]
 """Compensators as dictionaries, by the seed of the rig and the name that they were asked for by."""
@@ -265,23 +268,38 @@ def prepare_folder(out: str | Path, *, overwrite: bool) -> Path:
     """Make the output folder, or clear an earlier comparison's results from it.
 
     Raises:
-        FileExistsError: it is a file, or holds something else than a comparison and `overwrite` is not set.
+        FileExistsError: it is a file, or holds something else than a comparison.
     """
     out = Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        if not out.is_dir() or not (overwrite or (out / "cells").is_dir()):
-            raise FileExistsError(f"{out} exists and is not empty; choose another folder or say --overwrite")
+        if not (out / "cells").is_dir():
+            raise FileExistsError(f"{out} exists, and is neither empty nor a comparison's; choose another folder")
         if overwrite:
-            for name in FOLDERS:
-                shutil.rmtree(out / name, ignore_errors=True)
-            for name in FILES:
-                (out / name).unlink(missing_ok=True)
+            _clear(out)
     for name in FOLDERS:
         (out / name).mkdir(parents=True, exist_ok=True)
     return out
 
 
 # ------------------------------------------------------------------------------------------------ parts
+
+
+def _clear(out: Path) -> None:
+    """Delete what an earlier comparison wrote, as the names of its cells tell, and no other file.
+
+    Raises:
+        FileExistsError: the folder is no comparison's.
+    """
+    done = sweep.written(out / "cells")
+    # One that was killed before its first cell was finished had made all folders, and left that of the cells empty.
+    if not done and (any((out / "cells").iterdir()) or not all((out / name).is_dir() for name in FOLDERS)):
+        raise FileExistsError(f"{out} holds no earlier comparison to overwrite; choose another folder")
+    for name in (path.stem for path in done):
+        (out / "recordings" / f"{name}.csv").unlink(missing_ok=True)
+        if name.startswith("train-"):
+            (out / "compensators" / f"{name.removeprefix('train-')}.json").unlink(missing_ok=True)
+    for path in (*done, *(out / name for name in FILES)):
+        path.unlink(missing_ok=True)
 
 
 def _trained(outcomes: Iterable[Outcome[Any]]) -> Trained:

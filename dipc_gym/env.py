@@ -19,6 +19,7 @@ from dipc_gym import drawing, kernels, mjcf
 from dipc_gym.physics import from_model
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
+from dipc_gym.sim2real.document import Document
 
 Array = NDArray[np.float64]
 State = tuple[float, float, float, float, float, float]
@@ -243,7 +244,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     @property
     def source(self) -> mjcf.Source:
-        """The text of the model, before any plant is written into it."""
+        """The text of the model, its includes put in place, before any plant is written into it."""
         return self._source
 
     @property
@@ -467,10 +468,14 @@ def _own_rig() -> mjcf.Source:
 
 def _checked_model(path: str | Path) -> mjcf.Source:
     source = mjcf.read(path)
-    controls = mjcf.controls(mjcf.compile(source))
+    model = mjcf.compile(source)
+    controls = mjcf.controls(model)
     if "motor" not in controls:
         raise mjcf.MjcfError(f"{source.name}: no actuator 'motor' with a control; there are {controls}")
-    return source
+    # A plant is written into a single text that says the time step, wherever the model has it from.
+    document = Document(source)
+    document.option(timestep=model.opt.timestep)
+    return source.edited(document.text())
 
 
 def start_state(rng: np.random.Generator, start: Any = None, state: Any = None) -> State:

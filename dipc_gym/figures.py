@@ -207,7 +207,8 @@ def animate(
     env = gymnasium.make(ENV_ID, model=model, render_mode="rgb_array", width=width, height=height)
     frames = []
     try:
-        for moment in np.arange(0.0, min(seconds, max(c.time[-1] for c in courses.values())), 1 / GIF_RATE):
+        length = min(seconds, max(c.time[-1] for c in courses.values()))
+        for moment in np.arange(0.0, max(length, 1 / GIF_RATE), 1 / GIF_RATE):  # of the shortest run one
             frame = Image.new("RGB", (width * len(courses), height))
             for column, (caption, course) in enumerate(courses.items()):
                 k = min(int(np.searchsorted(course.time, moment)), len(course.time) - 1)

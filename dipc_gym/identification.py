@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import mujoco
@@ -60,20 +61,20 @@ class Cart:
     constants: RigConstants
 
 
-def locked(text: str) -> str:
-    """The model's text with the poles fixed to the cart: without the joints `pole1` and `pole2` and what needs them.
+def locked(text: str, joints: Collection[str]) -> str:
+    """The model's text with the poles fixed to the cart: without their joints and what needs these.
 
     Example:
         >>> text = '<mujoco><worldbody><body><joint name="pole1"/></body></worldbody></mujoco>'
-        >>> "pole1" in locked(text)
+        >>> "pole1" in locked(text, ["pole1", "pole2"])
         False
     """
     root = ET.fromstring(text)
-    gone = {"pole1", "pole2"}
+    gone = set(joints)
     for parent in root.iter():
         for child in list(parent):
-            named = parent.tag != "default" and child.tag == "joint" and child.get("name") in ("pole1", "pole2")
-            if named or child.get("joint") in ("pole1", "pole2") or child.tag == "keyframe":
+            named = parent.tag != "default" and child.tag == "joint" and child.get("name") in joints
+            if named or child.get("joint") in joints or child.tag == "keyframe":
                 parent.remove(child)
                 gone.add(child.get("name", ""))
     for custom in root.iter("custom"):
@@ -85,8 +86,24 @@ def locked(text: str) -> str:
 
 
 def cart_model(source: mjcf.Source, plant: Plant) -> mujoco.MjModel:
-    """Compile a rig with its poles locked, for a plant."""
-    return mjcf.compile(source.edited(locked(plant.to_mjcf(source.text))), trusted=True)
+    """Compile a rig, for a plant, with the joints locked that its sensors `pole1` and `pole2` read.
+
+    Raises:
+        ValueError: such a joint is not in the text under its name, so that it cannot be locked.
+    """
+    rig = source.edited(plant.to_mjcf(source.text))
+    free = mjcf.compile(rig, trusted=True)
+    sensors = [free.sensor(i) for i in range(free.nsensor)]
+    poles = [free.joint(int(s.objid[0])).name for s in sensors if s.name in ("pole1", "pole2")]
+    model = mjcf.compile(rig.edited(locked(rig.text, poles)), trusted=True)
+    for i in range(model.njnt):
+        if model.joint(i).name in poles:
+            raise ValueError(
+                f"{source.name}: the joint {model.joint(i).name!r} of a pole cannot be locked, for it does not stand "
+                "in the text under this name; write the pole's body out, without <replicate> or <attach>"
+            )
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a run that diverges must be seen
+    return model
 
 
 def cart(model: mujoco.MjModel) -> Cart:
@@ -121,6 +138,9 @@ def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) 
 
     Returns:
         A recording with the command `motor` (V) and the sensor `cart` (m).
+
+    Raises:
+        ValueError: the simulation diverges.
     """
     rng = np.random.default_rng(seed)
     period, encoders = plant.control_period, plant.encoders
@@ -131,14 +151,19 @@ def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) 
     data, physics = mujoco.MjData(model), from_model(model)
     sensed = bool(physics.stage("sensor") or physics.stage("lag") or np.any(model.sensor_delay > 0))
     memory, command = physics.sensor_memory(data.sensordata), np.zeros(model.nu)
-    position = np.empty(len(time))
+    position, cart = np.empty(len(time)), int(model.jnt_qposadr[model.sensor("cart").objid[0]])
     for k, u in enumerate(volts.tolist()):
-        position[k] = data.qpos[0]
+        position[k] = data.qpos[cart]
         if sensed:
             mujoco.mj_forward(model, data)
             position[k] = physics.sense(data.sensordata, memory, period)[model.sensor("cart").adr[0]]
         command[motor] = u
         physics.step(data, command, nstep)
+    if not np.isfinite(position).all():
+        at = time[np.argmin(np.isfinite(position))]
+        raise ValueError(
+            f"the simulated identification run diverges at {at:g} s; give the model a smaller <option timestep>"
+        )
     position += encoders.noise * encoders.cart * rng.standard_normal(len(time))
     reading = kernels.quantise(position, encoders.cart)
     return Recording("identification", time, volts[:, None], reading[:, None], ("motor",), ("cart",))

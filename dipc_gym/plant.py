@@ -283,6 +283,9 @@ class Plant:
     def to_mjcf(self, text: str) -> str:
         """The model's text with this plant's motor, friction and supply written into it.
 
+        Args:
+            text: of the model, its includes put in place.
+
         Raises:
             PlantError: the text has no actuator `motor` or no joint `cart` to write to.
         """
@@ -302,7 +305,8 @@ class Plant:
         if self.friction is not None and self.friction != given.friction:
             self._write_friction(root, self.friction)
         if self.delay > 0:
-            timestep = next((float(e.get("timestep", 0.002)) for e in root.iter("option")), 0.002)
+            steps = [float(e.attrib["timestep"]) for e in root.iter("option") if "timestep" in e.attrib]
+            timestep = steps[-1] if steps else 0.002  # as MuJoCo takes it
             motor.set("delay", repr(self.delay))
             motor.set("nsample", str(math.ceil(self.delay / timestep) + 2))
             motor.set("interp", "linear")

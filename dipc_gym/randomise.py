@@ -102,6 +102,18 @@ class PlantFamily:
     base: Plant
     spreads: tuple[tuple[str, Uniform | Normal], ...] = ()
 
+    def __post_init__(self) -> None:
+        centres: dict[str, Any] = {}
+        for name, spread in self.spreads:
+            _check(name, spread)
+            part, _, field = name.rpartition(".")
+            (centres.setdefault(part, {}) if part else centres)[field] = spread.centre
+        if Plant.from_dict(centres, self.base) != self.base:
+            raise PlantError(
+                f"base has other numbers than the centres of {', '.join(name for name, _ in self.spreads)}; "
+                "give it these centres"
+            )
+
     @classmethod
     def of(
         cls, value: PlantFamily | Plant | Mapping[str, Any] | str | Path | None, base: Plant | None = None
@@ -166,8 +178,6 @@ def _centre(name: str, value: Any, spreads: list[tuple[str, Uniform | Normal]]) 
         raise PlantError(
             f'{name} is {dict(value)!r}; write a number, {{"uniform": [low, high]}} or {{"normal": [mean, sd]}}'
         )
-    if name in FIXED:
-        raise PlantError(f"{name} is the same for all episodes and cannot be drawn; give it one number")
     numbers = value[kind]
     if (
         not isinstance(numbers, (list, tuple))
@@ -176,11 +186,24 @@ def _centre(name: str, value: Any, spreads: list[tuple[str, Uniform | Normal]]) 
     ):
         raise PlantError(f"{name}: {kind} takes two finite numbers [{forms[kind]}], not {numbers!r}")
     first, second = map(float, numbers)
+    spread = Uniform(first, second) if kind == "uniform" else Normal(first, second)
+    _check(name, spread)
+    spreads.append((name, spread))
+    return spread.centre
+
+
+def _check(name: str, spread: Uniform | Normal) -> None:
+    """Refuse a distribution of a number that cannot be drawn, or that can come out impossible."""
+    if name in FIXED:
+        raise PlantError(f"{name} is the same for all episodes and cannot be drawn; give it one number")
+    kind = "uniform" if isinstance(spread, Uniform) else "normal"
+    first, second = (spread.low, spread.high) if isinstance(spread, Uniform) else (spread.mean, spread.sd)
+    if not (math.isfinite(first) and math.isfinite(second)):
+        raise PlantError(f"{name}: {kind} [{first:g}, {second:g}] is not of finite numbers")
     if kind == "uniform" and first > second:
         raise PlantError(f"{name}: uniform [{first:g}, {second:g}] has its low end above its high end; swap them")
     if kind == "normal" and second < 0:
         raise PlantError(f"{name}: normal [{first:g}, {second:g}] has a negative standard deviation")
-    spread = Uniform(first, second) if kind == "uniform" else Normal(first, second)
     if spread.low < 0 or (spread.low == 0 and name not in MAY_BE_ZERO):
         must = "not be negative" if name in MAY_BE_ZERO else "be positive"
         how = "its low end" if kind == "uniform" else f"{REACH:g} standard deviations below its mean, where it is cut,"
@@ -189,8 +212,6 @@ def _centre(name: str, value: Any, spreads: list[tuple[str, Uniform | Normal]]) 
         raise PlantError(
             f"delay: {kind} [{first:g}, {second:g}] reaches {spread.high:g} s; it can be {MAX_DELAY:g} s at most"
         )
-    spreads.append((name, spread))
-    return spread.centre
 
 
 def _with(base: Plant, numbers: Mapping[str, float]) -> Plant:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,6 +54,8 @@ def identify(
     *,
     model: str | None = None,
     from_recording: str | None = None,
+    mapping: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
     sweep: Sweep | None = None,
     seed: int = 0,
 ) -> Identification:
@@ -62,6 +65,8 @@ def identify(
         plant: as the environment takes it.
         model: MJCF file of the rig; None is the package's.
         from_recording: file of a recording with columns `time`, `motor` and `cart`, made with the poles locked.
+        mapping: of the recording's columns; see `recording.read`.
+        units: of the recording's columns; see `recording.read`.
         sweep: the simulated run; the paper's by default.
         seed: of the encoders' noise.
 
@@ -75,7 +80,7 @@ def identify(
     if from_recording is None:
         run = record(fixed, env.plant, sweep, seed=seed)
     else:
-        run = recording.read(from_recording, fixed)
+        run = recording.read(from_recording, fixed, mapping=mapping, units=units)
     data = samples(run, linear, env.plant.encoders, env.plant.control_period, block=sweep.block)
     return Identification(run, linear, env.plant, data)
 

@@ -99,21 +99,19 @@ class DIPCFrictionVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """An attribute of the batch, once for each of the rows asked for."""
-        owner: Any = self.env if hasattr(self.env, attr_name) else self._inner
-        return [getattr(owner, attr_name)] * self._count(indices)
+        return [getattr(self._owner(attr_name), attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the batch; only for all rows together."""
+        """Set an attribute that the batch has; only for all rows together."""
         self._all(indices, attr_name)
-        setattr(self.env, attr_name, value)
+        setattr(self._owner(attr_name), attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
         """Call a method of the batch, once, for all rows together."""
         self._all(indices, method_name)
-        owner: Any = self.env if hasattr(self.env, method_name) else self._inner
-        return [getattr(owner, method_name)(*method_args, **method_kwargs)] * self.num_envs
+        return [getattr(self._owner(method_name), method_name)(*method_args, **method_kwargs)] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Whether the batch has a wrapper of this class around it."""
@@ -121,6 +119,13 @@ class DIPCFrictionVecEnv(VecEnv):
         while env is not self._inner and not isinstance(env, wrapper_class):
             env = env.env
         return [isinstance(env, wrapper_class)] * self._count(indices)
+
+    def _owner(self, name: str) -> Any:
+        """The outermost wrapper, or else the environment: whichever has the attribute."""
+        for owner in (self.env, self._inner):
+            if hasattr(owner, name):
+                return owner
+        raise AttributeError(f"neither {self.env} nor {self._inner} has an attribute {name!r}")
 
     def _count(self, indices: VecEnvIndices) -> int:
         return len(list(self._get_indices(indices)))

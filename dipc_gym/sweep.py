@@ -7,6 +7,7 @@ that was killed goes on where it stopped, and a cell that fails takes no other w
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -146,6 +147,17 @@ def finished(cells: Sequence[C], folder: str | Path) -> list[Outcome[C]]:
     return outcomes
 
 
+def written(folder: str | Path) -> list[Path]:
+    """Files of a folder that some sweep has written; JSON that is anything else is left out."""
+    found = []
+    for path in sorted(Path(folder).glob("*.json")):
+        with contextlib.suppress(OSError, ValueError, RecursionError):
+            held = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(held, dict) and held.keys() == {"parameters", "failure", "result"}:
+                found.append(path)
+    return found
+
+
 def parameters(cell: Cell) -> dict[str, Any]:
     """All that a cell's result depends on, this version of dipc-gym included, as JSON gives it back."""
     mine = {"dipc_gym": __version__, **dataclasses.asdict(cell)}  # type: ignore[call-overload]
@@ -250,7 +262,7 @@ def _ray() -> Any:
     try:
         import ray
     except ImportError as missing:
-        raise ImportError("the backend 'ray' needs Ray: pip install 'dipc-gym[ray]'") from missing
+        raise ImportError("the backend 'ray' needs Ray: pip install -e '.[ray]' in the checkout") from missing
     if not ray.is_initialized():
         ray.init(log_to_driver=False)
     return ray

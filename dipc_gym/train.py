@@ -22,7 +22,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, compensators
+from dipc_gym import ENV_ID, cells, compensators
 from dipc_gym.compensators import Compensator, OutOfRangeWarning
 from dipc_gym.files import write_whole
 from dipc_gym.plant import Plant
@@ -154,7 +154,7 @@ class Training:
             compensators.registry.kind(self.compensator)
 
     def to_dict(self) -> dict[str, Any]:
-        """What `training.json` holds."""
+        """What `training.json` holds, without the digests of the files that are named."""
         return {"schema": SCHEMA, **dataclasses.asdict(self)}
 
 
@@ -310,7 +310,9 @@ def run(
     try:
         from dipc_gym.learner import Learner
     except ImportError as missing:
-        raise ImportError(f"training a policy needs {missing.name}: pip install 'dipc-gym[rl]'") from missing
+        raise ImportError(
+            f"training a policy needs {missing.name}: pip install -e '.[rl]' in the checkout"
+        ) from missing
     from tqdm import tqdm
 
     rig = Rig.of(training)
@@ -363,11 +365,13 @@ def run(
 def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> Path:
     """Make the folder, clear it, or see that it holds this training."""
     note = out / "training.json"
-    wanted = json.loads(json.dumps(training.to_dict()))
+    files = cells.fingerprints(training.compensator, training.plant, training.model)
+    wanted = json.loads(json.dumps({**training.to_dict(), "files": files}))
     if resume and note.exists():
         try:
             there = json.loads(note.read_bytes())
             flat, other = _flat(wanted), _flat(there)
+            kept = dict(there.get("files", {}))
         except (ValueError, AttributeError, LookupError, TypeError, RecursionError):
             raise TrainingError(f"{note}: cannot be read; start anew with --overwrite") from None
         for key in flat.keys() | other.keys():
@@ -375,6 +379,12 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
                 raise TrainingError(
                     f"{note}, {key}: this training was begun with {other.get(key)!r}, not {flat.get(key)!r}; "
                     "resume with the same, or train into another folder"
+                )
+        for path, digest in files.items():
+            if kept.get(path) != digest:
+                raise TrainingError(
+                    f"{path}: not the file that the training of {note} was begun with; put that back, or train into "
+                    "another folder"
                 )
         return out
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -391,7 +401,7 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
 
 
 def _flat(training: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in training.items() if key != "recipe"} | {
+    return {key: value for key, value in training.items() if key not in ("recipe", "files")} | {
         f"recipe.{key}": value for key, value in training["recipe"].items()
     }
 

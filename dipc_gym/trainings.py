@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -99,13 +98,16 @@ def run(
 
 
 def _folder(out: Path, overwrite: bool) -> Path:
-    """See that the folder is this sweep's or nobody's, or clear an earlier sweep's results from it."""
+    """See that the folder is this sweep's or nobody's, or clear an earlier sweep's results, and no other file."""
     held = out / CELLS
-    if out.exists() and not (overwrite or held.is_dir()) and (not out.is_dir() or any(out.iterdir())):
-        raise FileExistsError(f"{out} exists and holds no sweep of trainings; choose another folder or say --overwrite")
+    if out.exists() and not held.is_dir() and (not out.is_dir() or any(out.iterdir())):
+        raise FileExistsError(f"{out} exists and holds no sweep of trainings; choose another folder")
     if overwrite and held.is_dir():
-        for cell in held.glob("*.json"):
+        done = sweep.written(held)
+        if not done and any(held.iterdir()):
+            raise FileExistsError(f"{held} holds no earlier sweep to overwrite; choose another folder")
+        for cell in done:
             for name in KEPT:
                 (out / cell.stem / name).unlink(missing_ok=True)
-        shutil.rmtree(held)
+            cell.unlink()
     return out

@@ -46,9 +46,10 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         max_episode_steps: steps after which an episode is truncated; None never truncates.
         autoreset_mode: `"NextStep"` (default), `"SameStep"` or `"Disabled"`, as Gymnasium defines them.
         threads: that step the batch; 0 is one a core.
+        render_mode: None; the batch draws nothing.
 
     Raises:
-        ValueError: a count that is not positive.
+        ValueError: a count that is not positive, or a render mode.
         PlantError: the plant is impossible or its file is.
         MjcfError: the model is refused, or needs the single environment.
 
@@ -73,7 +74,13 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         max_episode_steps: int | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int = 0,
+        render_mode: str | None = None,
     ) -> None:
+        if render_mode is not None:
+            raise ValueError(
+                f"render_mode is {render_mode!r}; the batch draws nothing: leave it None, or make it with "
+                "vectorization_mode='sync'"
+            )
         for name, value, least in (
             ("num_envs", num_envs, 1),
             ("max_episode_steps", 1 if max_episode_steps is None else max_episode_steps, 1),

@@ -109,10 +109,11 @@ if __name__ == "__main__":
                 chances[k] = commands.log_prob(actions[k]).sum(-1)
             observations, reward, fell, cut, infos = envs.step(actions[k].numpy() * arguments.limit)
             rewards[k] = torch.as_tensor(reward * REWARD)
-            if cut.any():  # time was over, not the balance: what was still to come counts
-                last = np.stack([infos["final_obs"][i] for i in np.flatnonzero(cut)])
+            late = cut & ~fell
+            if late.any():  # time was over, not the balance: what was still to come counts
+                last = np.stack([infos["final_obs"][i] for i in np.flatnonzero(late)])
                 with torch.no_grad():
-                    rewards[k, cut] += arguments.gamma * critic(scaled(last))[:, 0]
+                    rewards[k, late] += arguments.gamma * critic(scaled(last))[:, 0]
             done[k] = torch.as_tensor(fell | cut, dtype=torch.float32)
             running += 1
             lengths += running[fell | cut].tolist()

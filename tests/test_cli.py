@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from dipc_gym import compensators
+from dipc_gym import compensators, figures
 from dipc_gym.cli import COMMANDS, main
 from dipc_gym.plant import Friction, Plant
+from dipc_gym.runs import Course, identify
+from dipc_gym.sim2real import recording
 
 
 def test_help_loads_nothing_heavy() -> None:
@@ -57,10 +61,38 @@ def test_train_record_render_go_together(tmp_path: Path, capsys: pytest.CaptureF
     assert compensators.load(tmp_path / "direct.json") == trained
 
 
+def test_notes_of_the_recording_that_is_trained_from_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And --map and --unit do what the notes ask for."""
+    run = identify(seed=1).run
+    recording.write(run, tmp_path / "metres.csv")
+    in_mm = dataclasses.replace(run, sensors=1000 * run.sensors)
+    recording.write(in_mm, log := tmp_path / "log.csv")
+    log.write_text(log.read_text().replace("time,motor,cart", "time,motor,x", 1))
+    train = ["train", "--compensator", "feedforward", "--overwrite", "--out", str(tmp_path / "mine.json")]
+    assert main([*train, "--recording", str(log), "--map", "x=cart"]) == 0
+    assert "note: " in (said := capsys.readouterr().out)
+    assert "--unit cart=mm" in said
+    assert main([*train, "--recording", str(log), "--map", "x=cart", "--unit", "cart=mm"]) == 0
+    assert "millimetres" not in capsys.readouterr().out
+    mine = compensators.load(tmp_path / "mine.json").to_dict()["parameters"]
+    assert main([*train, "--recording", str(tmp_path / "metres.csv")]) == 0
+    assert compensators.load(tmp_path / "mine.json").to_dict()["parameters"] == pytest.approx(mine)
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dipc_gym.compare.run", stop)
+    log.write_text(log.read_text().replace("time,motor,x", "time,motor,cart", 1))
+    assert main(["compare", "--out", str(tmp_path / "out"), "--recording", str(log)]) == 130
+    assert "--unit cart=mm" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["compare", "--out", "full"], "--overwrite"),
+        (["compare", "--out", "full"], "choose another folder"),
         (["compare", "--out", "new", "--controller", "pid"], "there is no controller 'pid'"),
         (["compare", "--out", "new", "--compensator", "x,y"], "there is no compensator 'x'"),
         (["train", "--out", "full/file"], "exists"),
@@ -91,6 +123,29 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert "Traceback" not in said
     assert (tmp_path / "full" / "file").read_text() == "precious"
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
+
+
+def test_a_fault_of_linear_algebra_keeps_its_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dipc_gym.runs.identify", lambda *_, **__: np.linalg.inv(np.zeros((2, 2))))
+    with pytest.raises(np.linalg.LinAlgError):
+        main(["train", "--out", str(tmp_path / "new.json")])
+
+
+def test_a_run_of_one_period_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Camera:
+        def reset(self, **_: object) -> None:
+            pass
+
+        def render(self) -> np.ndarray:
+            return np.zeros((340, 300, 3), np.uint8)
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr(figures.gymnasium, "make", lambda *_, **__: Camera())
+    course = Course(np.zeros(1), np.zeros((1, 6)), np.zeros(1), np.zeros(1), np.zeros((1, 3)), 0, False)
+    figures.animate({"one": course}, tmp_path / "rig.gif", seconds=0.005)
+    assert (tmp_path / "rig.gif").read_bytes().startswith(b"GIF8")
 
 
 def test_window_needs_a_display(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

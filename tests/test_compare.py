@@ -6,6 +6,7 @@ import ctypes.util
 import dataclasses
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -169,15 +170,34 @@ def test_training_from_a_recording(tmp_path: Path) -> None:
 
 def test_folder_that_is_not_empty_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
-    with pytest.raises(FileExistsError, match="--overwrite"):
+    with pytest.raises(FileExistsError, match="choose another folder"):
         compare.run(QUICK, tmp_path)
-    (tmp_path / "cells").mkdir()
-    (tmp_path / "cells" / "old.json").write_text("{}")
-    compare.prepare_folder(tmp_path, overwrite=True)
-    assert (tmp_path / "thesis.tex").read_text() == "precious"
-    assert not list((tmp_path / "cells").iterdir())
+    for name in ("compensators", "cells"):
+        with pytest.raises(FileExistsError, match="comparison"):
+            compare.prepare_folder(tmp_path, overwrite=True)
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.json").write_text("{}")
+    with pytest.raises(FileExistsError, match="no earlier comparison to overwrite"):
+        compare.prepare_folder(tmp_path, overwrite=True)
     with pytest.raises(FileExistsError):
         compare.prepare_folder(tmp_path / "thesis.tex", overwrite=True)
+
+
+def test_overwriting_deletes_what_a_comparison_wrote_and_nothing_else(
+    finished: tuple[dict[str, Any], Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(finished[1], out)
+    for folder in compare.FOLDERS:
+        (out / folder / "mine.json").write_text("{}")
+    compare.prepare_folder(out, overwrite=True)
+    assert {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} == {
+        f"{folder}/mine.json" for folder in compare.FOLDERS
+    }
+    with pytest.raises(FileExistsError, match="no earlier comparison to overwrite"):
+        compare.prepare_folder(out, overwrite=True)
+    (out / "cells" / "mine.json").unlink()
+    compare.prepare_folder(out, overwrite=True)  # as if killed before its first cell was finished
 
 
 @pytest.mark.parametrize(

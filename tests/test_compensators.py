@@ -327,6 +327,19 @@ def test_an_unknown_name_lists_what_there_is():
         fit("lnf", run_with(stribeck, n=400), RIG)
 
 
+def test_a_class_derived_from_a_compensator_has_a_name_of_its_own():
+    @dataclass(frozen=True)
+    class Milder(Feedforward):
+        pass
+
+    register("milder", Milder)
+    try:
+        assert (Milder.name, Feedforward.name) == ("milder", "feedforward")
+        assert registry.kind("milder") is Milder
+    finally:
+        del registry._KINDS["milder"]
+
+
 def test_an_own_compensator_takes_part_in_everything(tmp_path):
     @dataclass(frozen=True)
     class Halved(Compensator):
@@ -601,6 +614,12 @@ def test_mutated_bytes_are_refused_or_work(fitted, tmp_path, data):
 
 
 # The package
+
+
+def test_without_torch_the_mlp_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[rl\]' in the checkout"):
+        fit("mlp", run_with(stribeck, n=400), RIG)
 
 
 def test_running_a_compensator_imports_neither_torch_nor_scikit_learn(fitted, tmp_path):

@@ -526,3 +526,21 @@ def test_a_model_in_which_something_follows_no_joint_is_refused(tmp_path: Path) 
     model.write_text(text.replace("</mujoco>", entry), encoding="utf-8")
     with pytest.raises(MjcfError, match="no 'rotor' among the joints"):
         DoublePendulumEnv(model=model)
+
+
+@pytest.mark.parametrize("part", ["actuator", "option", "two options"])
+def test_a_plant_is_written_into_a_model_of_several_parts(part: str, tmp_path: Path) -> None:
+    """Its actuators and its time step may stand in an include, and of two options the last one holds."""
+    text = DoublePendulumEnv().source.text
+    model = tmp_path / "rig.xml"
+    if part == "two options":
+        model.write_text(text.replace("<option timestep", '<option timestep="0.01"/>\n  <option timestep'))
+    else:
+        section = text[text.index(f"<{part}") : text.index(f"</{part}>")] + f"</{part}>"
+        (tmp_path / "part.xml").write_text(f"<mujoco>{section}</mujoco>")
+        model.write_text(text.replace(section, '<include file="part.xml"/>'))
+    rigs = [DoublePendulumEnv(model=path, plant={"delay": 0.02}) for path in (None, model)]
+    for rig in rigs:
+        rig.reset(seed=0)
+    for _ in range(10):
+        np.testing.assert_array_equal(rigs[1].step([5.0])[0], rigs[0].step([5.0])[0])

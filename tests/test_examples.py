@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+
+from dipc_gym.wrappers import VectorForceCommand
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 QUICKLY = {"balance.py": ["--seconds", "1"], "worn_rig.py": ["--seconds", "1"]}
 QUICKLY["train_policy.py"] = ["--steps", "2000", "--rollout", "125", "--rigs", "8", "--seconds", "1"]
+
+
+def test_what_falls_as_time_ends_is_worth_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The policy's trainer asks for no observation to value where both happen at once."""
+    pytest.importorskip("torch")
+    real = VectorForceCommand.step
+
+    def both(envs: VectorForceCommand, forces: np.ndarray) -> tuple[Any, ...]:
+        observations, rewards, *_ = real(envs, forces)
+        ended = np.ones(envs.num_envs, dtype=bool)
+        return observations, rewards, ended, ended, {}
+
+    monkeypatch.setattr(VectorForceCommand, "step", both)
+    monkeypatch.setattr(
+        sys, "argv", ["train_policy.py", "--rigs", "8", "--rollout", "4", "--steps", "32", "--seconds", "0.01"]
+    )
+    runpy.run_path(str(EXAMPLES / "train_policy.py"), run_name="__main__")
 
 
 @pytest.mark.parametrize("file", sorted(path.name for path in EXAMPLES.glob("*.py")))

@@ -149,6 +149,36 @@ def test_recordings_that_cannot_serve_are_refused() -> None:
 
 
 def test_locking_removes_what_needs_the_poles() -> None:
-    model = mjcf.compile(SOURCE.edited(locked(SOURCE.text)), trusted=True)
+    model = mjcf.compile(SOURCE.edited(locked(SOURCE.text, ["pole1", "pole2"])), trusted=True)
     assert mjcf.scalar_sensors(model) == ["cart"]
     assert model.nkey == 0
+
+
+def test_joints_are_those_that_the_sensors_read() -> None:
+    """Whatever they are called, and whatever stands before them in the model."""
+    text = SOURCE.text.replace(
+        '<body name="cart"',
+        '<body name="fan"><joint name="pole1" type="hinge"/><geom size="0.1" mass="1"/></body><body name="cart"',
+    ).replace('<joint name="pole1" type="hinge" axis="0 1 0"/>', '<joint name="lower" type="hinge" axis="0 1 0"/>')
+    text = text.replace('<jointpos name="pole1" joint="pole1"/>', '<jointpos name="pole1" joint="lower"/>')
+    text = text[: text.index("<keyframe>")] + "</mujoco>"
+    model = cart_model(SOURCE.edited(text), Plant())
+    assert [model.joint(i).name for i in range(model.njnt)] == ["pole1", "cart"]
+    plain = record(cart_model(SOURCE, Plant()), Plant(), SHORT)
+    np.testing.assert_allclose(record(model, Plant(), SHORT).sensors, plain.sensors, atol=1.1 * Encoders().cart)
+
+
+def test_a_pole_that_stays_free_is_refused() -> None:
+    text = SOURCE.text.replace('<body name="pole2"', '<replicate count="1"><body name="pole2"')
+    text = text.replace("</body>\n      </body>", "</body></replicate>\n      </body>", 1)
+    text = text.replace('joint="pole2"', 'joint="pole20"')
+    text = text[: text.index("<keyframe>")] + "</mujoco>"
+    with pytest.raises(ValueError, match="the joint 'pole20' of a pole cannot be locked"):
+        cart_model(SOURCE.edited(text), Plant())
+
+
+def test_a_run_that_diverges_is_not_started_again() -> None:
+    text = SOURCE.text.replace(' autoreset="disable"', "").replace('type="slide"', 'type="slide" stiffness="-1e8"')
+    model = cart_model(SOURCE.edited(text), Plant())
+    with pytest.raises(ValueError, match=r"diverges at 0\.\d+ s; give the model a smaller <option timestep>"):
+        record(model, Plant(), Sweep(duration=1.0))

@@ -126,6 +126,11 @@ def test_attributes_and_methods() -> None:
     assert env.env_is_wrapped(VecMonitor, 1) == [False]
     with pytest.raises(ValueError, match="belongs to the whole batch"):
         env.set_attr("exact_state", True, [0])
+    env.set_attr("max_episode_steps", 5)
+    assert wrapped.unwrapped.max_episode_steps == 5  # of the environment, which reads it, and not of the wrapper
+    with pytest.raises(AttributeError, match="has an attribute 'max_steps'"):
+        env.set_attr("max_steps", 5)
+    env.set_attr("max_episode_steps", None)
     env.set_options({"start": "hanging"})
     assert (np.abs(env.reset()[:, 1]) > 3).all()
     assert (np.abs(env.reset()[:, 1]) < 0.1).all()  # options hold for one reset

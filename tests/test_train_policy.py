@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import pickle
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,26 @@ def test_results_are_never_overwritten_by_surprise(tmp_path: Path) -> None:
         (tmp_path / "training.json").write_text(foreign)
         with pytest.raises(TrainingError, match="cannot be read"):
             train.run(short(), tmp_path, resume=True)
+
+
+def test_without_its_packages_training_says_how_to_install_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "dipc_gym.learner", None)
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[rl\]' in the checkout"):
+        train.run(short(), tmp_path / "run")
+
+
+def test_a_training_is_not_resumed_with_another_file(tmp_path: Path) -> None:
+    """Of the same name: the policy would be of two rigs."""
+    plant = tmp_path / "rig.json"
+    plant.write_text('{"friction": {"coulomb": 5.0}}')
+    training = short(plant=str(plant))
+    out = train._folder(training, tmp_path / "run", resume=False, overwrite=False)
+    assert train._folder(training, out, resume=True, overwrite=False) == out
+    plant.write_text('{"friction": {"coulomb": 9.0}}')
+    with pytest.raises(TrainingError, match=r"rig\.json: not the file that the training of .*training\.json was begun"):
+        train._folder(training, out, resume=True, overwrite=False)
 
 
 class Bomb:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -78,17 +79,21 @@ def test_overwriting_begins_anew_and_spares_what_is_not_ours(tmp_path: Path, mon
     out = tmp_path / "sweep"
     out.mkdir()
     (out / "note.txt").write_text("mine")
-    with pytest.raises(FileExistsError, match="choose another folder or say --overwrite"):
-        trainings.run([tiny()], out)
+    with pytest.raises(FileExistsError, match="holds no sweep of trainings; choose another folder"):
+        trainings.run([tiny()], out, overwrite=True)
     cell, earlier = PolicyTraining.of(tiny()), out / "ppo-none-99"
     (out / "trainings").mkdir()
-    (out / "trainings" / "ppo-none-99.json").write_text("{}")
+    (out / "trainings" / "mine.json").write_text("{}")
+    with pytest.raises(FileExistsError, match="no earlier sweep to overwrite"):
+        trainings.run([tiny()], out, overwrite=True)
+    held: dict[str, Any] = {"parameters": {}, "failure": None, "result": {}}
+    (out / "trainings" / "ppo-none-99.json").write_text(json.dumps(held))
     earlier.mkdir()
     for name in ("policy.json", "note.txt"):
         (earlier / name).write_text("old")
     monkeypatch.setattr(trainings.sweep, "run", lambda cells, *_, **__: iter([trainings.Outcome(cells[0], {}, None)]))
     assert [outcome.cell for outcome in trainings.run([tiny()], out, overwrite=True)] == [cell]
-    assert not (out / "trainings").exists()
+    assert [path.name for path in (out / "trainings").iterdir()] == ["mine.json"]
     assert (out / "note.txt").read_text() == "mine"
     assert [path.name for path in earlier.iterdir()] == ["note.txt"]
 

@@ -22,7 +22,7 @@ from dipc_gym import mjcf
 from dipc_gym.compensators import Ideal, StaticGain
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.plant import Friction, Masses, Motor, Plant, PlantError
-from dipc_gym.randomise import PlantFamily
+from dipc_gym.randomise import Normal, PlantFamily, Uniform
 from dipc_gym.vector import DIPCFrictionVectorEnv
 from dipc_gym.wrappers import ForceCommand, RecordRun, VectorForceCommand, VectorRecordRun
 
@@ -323,3 +323,25 @@ def test_models_that_the_batch_cannot_do_are_refused(tmp_path: Path) -> None:
     with pytest.raises(mjcf.MjcfError, match="vectorization_mode='sync'"):
         batched(2, model=rough)
     assert mujoco.MjModel.from_xml_path(str(rough)).dof_frictionloss[0] == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "spread", "says"),
+    [
+        ("friction.coulomb", Uniform(12.0, 13.0), r"friction\.static is 11 N, below"),  # every draw would be
+        ("friction.coulomb", Uniform(5.0, 9.0), r"other numbers than the centres of friction\.coulomb"),
+        ("friction.coulomb", Normal(8.0, 4.0), "reaches -4"),
+        ("friction.coulomb", Uniform(float("nan"), 9.0), "is not of finite numbers"),
+        ("supply", Uniform(12.0, 36.0), "supply is the same for all episodes"),
+        ("friction.colour", Uniform(1.0, 2.0), "unknown field"),
+    ],
+)
+def test_a_family_made_by_hand_is_checked_as_one_from_a_file(name: str, spread: Any, says: str) -> None:
+    with pytest.raises(PlantError, match=says):
+        PlantFamily(Plant(), ((name, spread),))
+
+
+def test_a_batch_that_is_to_draw_is_refused_in_words() -> None:
+    with pytest.raises(ValueError, match="render_mode is 'rgb_array'; the batch draws nothing"):
+        batched(2, render_mode="rgb_array")
+    batched(2, render_mode=None)

@@ -22,7 +22,7 @@ from dipc_gym.compensators import Compensator, CompensatorError, Ideal, RigConst
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.lqr import PRINTED_GAIN
 from dipc_gym.sim2real import recording
-from dipc_gym.wrappers import ForceCommand, RecordRun
+from dipc_gym.wrappers import ForceCommand, RecordRun, VectorRecordRun
 
 GAIN = StaticGain(newtons_per_volt=4.0)
 
@@ -233,6 +233,24 @@ def test_earlier_recordings_are_not_lost(tmp_path: Path) -> None:
     assert (tmp_path / "run-0.csv").read_text().startswith("time,motor,cart,pole1,pole2")
     with pytest.raises(ValueError, match="suffix"):
         RecordRun(rig(), tmp_path, name="x", suffix="mat")
+
+
+@pytest.mark.parametrize("name", ["", "..", "../run", "a/run", "a\\run"])
+def test_names_that_leave_the_folder_are_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="without a folder"):
+        RecordRun(rig(), tmp_path, name=name)
+
+
+def test_overwriting_leaves_no_recording_of_a_longer_run(tmp_path: Path) -> None:
+    kept = {"run-0-0.csv", "run-a.csv", "run-1.npz", "other-0.csv"}
+    for name in kept | {"run-0.csv", "run-12.csv"}:
+        (tmp_path / name).write_text("old")
+    RecordRun(rig(), tmp_path, overwrite=True)
+    assert {path.name for path in tmp_path.iterdir()} == kept
+    envs = gymnasium.make_vec(dipc_gym.ENV_ID, num_envs=1, vectorization_mode="vector_entry_point")
+    (tmp_path / "run-7-3.csv").write_text("old")
+    VectorRecordRun(envs, tmp_path, overwrite=True)
+    assert {path.name for path in tmp_path.iterdir()} == kept - {"run-0-0.csv"}
 
 
 def test_recorder_is_in_the_spec(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ class RecordRun(
 
     Raises:
         FileExistsError: the folder has recordings of that name, and `overwrite` is not set.
-        ValueError: the suffix is not known.
+        ValueError: the suffix is not known, or the name is none of a file in the folder.
         TypeError: `env` has no encoders to read.
 
     Example:
@@ -120,18 +121,30 @@ class EpisodeFiles:
         self._recorder = recording.Recorder(["motor"], SENSORS)
 
 
-def recordings_folder(folder: str | Path, name: str, suffix: str, overwrite: bool) -> Path:
-    """The folder for recordings, made if missing.
+def recordings_folder(folder: str | Path, name: str, suffix: str, overwrite: bool, *, indices: int = 1) -> Path:
+    """The folder for recordings, made if missing, without those of an earlier run of that name.
+
+    Args:
+        folder: where they go.
+        name: what they are called.
+        suffix: `"csv"`, `"npz"` or `"parquet"`.
+        overwrite: delete those of an earlier run instead of refusing.
+        indices: how many numbers follow the name, each after a hyphen.
 
     Raises:
         FileExistsError: it has recordings of that name, and `overwrite` is not set.
-        ValueError: the suffix is not known.
+        ValueError: the suffix is not known, or the name is none of a file in the folder.
     """
+    if name in ("", ".", "..") or "/" in name or "\\" in name:
+        raise ValueError(f"name is {name!r}; it is what files are called, without a folder: give that as folder")
     if suffix not in ("csv", "npz", "parquet"):
         raise ValueError(f"suffix is {suffix!r}; it can be 'csv', 'npz' or 'parquet'")
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    earlier = sorted(folder.glob(f"{name}-*.{suffix}"))
+    ours = re.compile(re.escape(name) + r"-[0-9]+" * indices + re.escape(f".{suffix}"))
+    earlier = sorted(path for path in folder.iterdir() if ours.fullmatch(path.name))
     if earlier and not overwrite:
         raise FileExistsError(f"{earlier[0]} exists already; choose another folder or name, or set overwrite=True")
+    for path in earlier:  # a shorter run would leave the last of them beside its own
+        path.unlink()
     return folder

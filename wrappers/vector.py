@@ -106,7 +106,7 @@ class VectorRecordRun(VectorWrapper[Any, Any, Any, Any, Any]):
 
     Raises:
         FileExistsError: the folder has recordings of that name, and `overwrite` is not set.
-        ValueError: the suffix is not known.
+        ValueError: the suffix is not known, or the name is none of a file in the folder.
         TypeError: `env` is another environment.
 
     Example:
@@ -132,7 +132,7 @@ class VectorRecordRun(VectorWrapper[Any, Any, Any, Any, Any]):
     ) -> None:
         super().__init__(env)
         self._inner = _own(env)
-        self.folder = recordings_folder(folder, name, suffix, overwrite)
+        self.folder = recordings_folder(folder, name, suffix, overwrite, indices=2)
         self._episodes = [EpisodeFiles(self.folder, f"{name}-{i}", suffix, overwrite) for i in range(self.num_envs)]
 
     def reset(

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
 import tyro
 
 from dipc_gym.cli.compare import Compare
@@ -56,6 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+    except np.linalg.LinAlgError:  # a ValueError, but never what the package raises for input
+        raise
     except (ValueError, OSError, ImportError) as error:  # what the package raises for input it cannot use
         print(f"dipc-gym: {error}", file=sys.stderr)
         return 2

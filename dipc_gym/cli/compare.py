@@ -72,6 +72,10 @@ class Compare:
             exact_state=self.exact_state,
             robustness=tuple(AXES) if self.robustness == "all" else listed(self.robustness),
         )
+        comparison.check()
+        if comparison.recording is not None:
+            for note in comparison.trainings()[0].identification().run.notes:
+                print(f"note: {note}")
         try:
             summary = compare.run(comparison, self.out, jobs=self.jobs, backend=self.backend, overwrite=self.overwrite)
         except KeyboardInterrupt:

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from dipc_gym.cli.options import free
+import tyro
+
+from dipc_gym.cli.options import free, pairs
 
 if TYPE_CHECKING:
     from dipc_gym.train import Training
@@ -22,6 +24,7 @@ class Train:
     Try:
         dipc-gym train --out llnf.json
         dipc-gym train --out mine.json --compensator mlp --recording sweep.csv --plant rig.json
+        dipc-gym train --out mine.json --recording log.csv --map pos_cart=cart --map u=motor --unit cart=mm
     """
 
     out: Path
@@ -29,7 +32,11 @@ class Train:
     compensator: str = "llnf"
     """none, feedforward, mlp (needs torch), llnf or ideal"""
     recording: str | None = None
-    """recording with columns time, motor (V) and cart (m)"""
+    """recording with columns time, motor (V) and cart (m), or as --map and --unit say"""
+    map: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """column=name: which column of the file is which name in the model; may be repeated"""
+    unit: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """name=unit: unit of a column, such as deg, mm, ms or counts as a factor; may be repeated"""
     plant: str | None = None
     """JSON file of the plant; where numbers are distributions, identification takes their centres"""
     model: str | None = None
@@ -46,7 +53,16 @@ class Train:
 
         free(self.out, self.overwrite)
         compensators.registry.kind(self.compensator)  # refuse an unknown name before anything is simulated
-        found = identify(self.plant, model=self.model, from_recording=self.recording, seed=self.seed)
+        found = identify(
+            self.plant,
+            model=self.model,
+            from_recording=self.recording,
+            mapping=pairs("map", self.map),
+            units=pairs("unit", self.unit),
+            seed=self.seed,
+        )
+        for note in found.run.notes:
+            print(f"note: {note}")
         trained = found.fit(self.compensator, seed=self.seed)
         compensators.save(trained, self.out)
         print(f"{self.out}: {self.compensator}, {trained.parameters} numbers")
