@@ -159,6 +159,7 @@ def test_what_acts_seldom_stands_out_where_it_leaves_nothing(
         earns=lambda new, old: True,
         compare=lambda new, old: SimpleNamespace(clear=False),  # by a standard error, two windows never are
     )
+    search.settles = lambda new, old: Search.settles(search, new, old)  # type: ignore[arg-type]
     term = SimpleNamespace(effect=SimpleNamespace(once=False))
     fits = [SimpleNamespace(mse=mse) for mse in (np.append(np.full(70, rest), after), before)]
     assert Search.stands_out(search, term, *fits) is stands_out  # type: ignore[arg-type]

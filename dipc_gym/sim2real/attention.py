@@ -29,18 +29,17 @@ def quiet(fitted: Fit) -> bool:
 def attend(search: Search) -> Fit:
     """The present fit of a search, once its windows are chosen by what stands out beside that."""
     current = search.path[-1]
-    if quiet(current) and not len(selection.odd_windows(current.mse)):
-        # What only windows to compare on show, nothing could be fitted to; half of them stay.
-        shown = selection.odd_windows(search.unseen_mse(current), current.mse)[::2]
-        new, others = search.unseen.pick(shown), np.delete(np.arange(len(search.unseen.windows)), shown)
-        search.compare_on(search.unseen.pick(others))
-        _take_in(search, new)
-        current = search.path[-1]
-    if quiet(current) and len(search.rest.windows):
-        mse, _ = evaluate(search.rest, current.structure, current.z)
-        which = selection.eventful(search.problem.windows, current.mse, search.rest.windows, mse)
-        new, search.rest = search.rest.pick(which), search.rest.pick(~which)
-        _take_in(search, new)
+    if quiet(current):
+        # When something began and ended is told by the windows around it, those to compare on among them.
+        mse = search.unseen_mse(current)
+        if len(search.rest.windows):
+            mse = np.append(mse, evaluate(search.rest, current.structure, current.z)[0])
+        others, compared = search.unseen.join(search.rest), len(search.unseen.windows)
+        which = selection.eventful(search.problem.windows, current.mse, others.windows, mse)
+        search.rest = search.rest.pick(~which[compared:])
+        if which[:compared].any():
+            search.compare_on(search.unseen.pick(~which[:compared]))
+        _take_in(search, others.pick(which))
     windows = search.problem.windows.join(search.unseen.windows)
     _leave_aside(search, selection.without_echoes(windows, search.mse(search.path[-1])))
     current = search.path[-1]

@@ -17,14 +17,13 @@ from dipc_gym.sim2real import conventions, evidence, findings, improve, judge, s
 from dipc_gym.sim2real.conclusion import conclude
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
-from dipc_gym.sim2real.fit import fit
+from dipc_gym.sim2real.fit import Fit, fit
 from dipc_gym.sim2real.numbers import Number, own_numbers
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.result import Diagnosis, Errors, Work
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.structure import Structure
 from dipc_gym.sim2real.windows import Prepared, prepare
 
 Array = NDArray[np.float64]
@@ -140,7 +139,7 @@ def diagnose(
 
     nominal = fit(problem, prepared.structure)
     own = Stepping(given.model.opt.timestep)
-    if nominal.error > judge.AT_FLOOR and _predicts(replace(problem, stepping=own), prepared.structure):
+    if _predicts_better(replace(problem, stepping=own), nominal):
         notes.append(sentences.own_step(own.timestep, nominal.error))
         tell(f"note: {notes[-1]}")
         problem, unseen, rest, held = (replace(part, stepping=own) for part in (problem, unseen, rest, held))
@@ -153,9 +152,9 @@ def diagnose(
         recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.starts)
     tell(f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}")
     if recalibrated.error > conventions.GROSS * _motion(problem):
-        others, error = conventions.differing(source, given, recordings, prepared, [nominal, recalibrated], span)
+        others, off = conventions.differing(source, given, recordings, prepared, [nominal, recalibrated], span)
         if others:
-            return _cannot_tell(*sentences.conventions(others, nominal.error, error), source, notes, provenance)
+            return _cannot_tell(*sentences.conventions(others, nominal.error, off), source, notes, provenance)
     search = Search(
         problem,
         unseen,
@@ -228,9 +227,15 @@ def diagnose(
     )
 
 
-def _predicts(problem: Problem, structure: Structure) -> bool:
-    """Whether a structure as it is comes down to the noise, by every third window."""
-    return fit(problem.pick(np.arange(0, len(problem.windows), 3)), structure).error <= judge.AT_FLOOR
+def _predicts_better(problem: Problem, fitted: Fit) -> bool:
+    """Whether a structure comes down to the noise in the steps of `problem`, and in those it was fitted in does not.
+
+    By every third window; where these do not show what the step costs, others show something else.
+    """
+    some = np.arange(0, len(problem.windows), 3)
+    if fitted.pick(some).error <= judge.AT_FLOOR:
+        return False
+    return fit(problem.pick(some), fitted.structure, fitted.z).error <= judge.AT_FLOOR
 
 
 def _motion(problem: Problem) -> float:

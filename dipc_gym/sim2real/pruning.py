@@ -26,6 +26,7 @@ def prune(search: Search, current: Fit) -> Fit:
             else:
                 lost = search.compare(current, other)
                 needed = not lost.alike and (other is not less or search.earns(current, other))
+                needed = needed or (other is less and search.settles(current, other))
             if not needed:
                 search.tell(f"{term.key} is more than is needed")
                 return prune(search, other)

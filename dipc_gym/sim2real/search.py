@@ -349,17 +349,24 @@ class Search:
     def stands_out(self, term: Term, fitted: Fit, current: Fit) -> bool:
         """Whether a fit with one more effect is clearly better.
 
-        What shows in a window or two, seen or unseen, is believed where all others are at the noise: what happened
-        once, or what acts that seldom, if it leaves none of them standing out.
+        What happened once shows in a window or two, seen or unseen; it is believed where all others are at the noise.
+        """
+        if term.effect.once:
+            fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
+            return quiet(current) and float(np.sum(fall)) > ONCE
+        return self.settles(fitted, current) or (
+            self.earns(fitted, current) and self.compare(fitted, current).clear and self.confirmed(fitted, current)
+        )
+
+    def settles(self, fitted: Fit, current: Fit) -> bool:
+        """Whether a fit leaves none of the few windows standing out that do where all others are at the noise.
+
+        What acts that seldom can be told from nothing by no mean over windows, and from a push by leaving none.
         """
         before, after = self.mse(current), self.mse(fitted)
-        fall = np.log1p(before) - np.log1p(after)
-        if term.effect.once:
-            return quiet(current) and float(np.sum(fall)) > ONCE
         odd = selection.odd_windows(before)
-        if quiet(current) and float(np.sum(fall[odd])) > ONCE and not len(selection.odd_windows(after, before)):
-            return True
-        return self.earns(fitted, current) and self.compare(fitted, current).clear and self.confirmed(fitted, current)
+        fall = np.log1p(before[odd]) - np.log1p(after[odd])
+        return quiet(current) and float(np.sum(fall)) > ONCE and not len(selection.odd_windows(after, before))
 
     def earns(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit comes down to the noise, or takes a good part of what is left.
