@@ -10,10 +10,10 @@ its first sample to its last; it is told the state at the start, which we estima
 threads together, because the machine may be busy with other things.
 
 The second line asks both about one recording of a rig with one slide joint, its mass in an `<inertial>`. For
-`mujoco.sysid` we free mass, damping and dry friction, since its user has to think of friction; `diagnose` is told
-nothing. Both fit the first three quarters and are judged by the last: error of predicted windows, in units of the
-sensor's noise, and of the inverse force, relative to the force. `--mass` is the known one. For the recordings of real
-rigs see examples/real_recordings.py.
+`mujoco.sysid` we free mass, damping and dry friction, since its user has to think of friction; `diagnose` chooses among
+the effects that `--effects` names, or the whole catalogue. Both fit the first three quarters and are judged by the
+last: error of predicted windows, in units of the sensor's noise, and of the inverse force, relative to the force.
+`--mass` is the known one. For the recordings of real rigs see examples/real_recordings.py.
 
 `mujoco.sysid` comes with MuJoCo and needs `pip install "mujoco[sysid]"`.
 """

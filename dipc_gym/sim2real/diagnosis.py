@@ -175,8 +175,10 @@ def diagnose(
     search.run(recalibrated)
     found = conclude(search)
     open_choice = findings.choice_shift(found.fitted, found.others)
-    # The search compares; what it came to is fitted, judged and reported at half the step.
-    final, held = search.refine(found.fitted), replace(held, finer=2)
+    final = found.fitted
+    if held.stepping != own:
+        # The search compares; what it came to is fitted, judged and reported at half the step.
+        final, held = search.refine(final), replace(held, finer=2)
     found = replace(found, fitted=final)
     notes += found.notes
     if worst > judge.AT_FLOOR and not search.interrupted:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -97,6 +98,5 @@ def residual(problem: Problem, readings: Array) -> Array:
 def _stepping(problem: Problem, structure: Structure) -> Stepping:
     """As fine as the structure needs; a model that is to be simulated as it is keeps its own step."""
     given = problem.stepping
-    if given.integrator is None:
-        return given
-    return replace(given, timestep=min(given.timestep, structure.finest, structure.own_finest) / problem.finer)
+    finest = math.inf if given.integrator is None else min(structure.finest, structure.own_finest)
+    return replace(given, timestep=min(given.timestep, finest) / problem.finer)
