@@ -2,42 +2,58 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 
-def write_whole(path: str | Path, content: bytes) -> None:
-    """Write a file so that neither a full disk nor a power cut leaves half of it.
+@contextmanager
+def whole(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a file for writing so that neither an error, a full disk nor a power cut leaves half of it.
 
-    The content goes to a file beside it, down to the disk, and takes the name only then. What had the name before
-    stays as it was until that moment.
+    What is written goes to a file beside it, down to the disk, and takes the name only when the block ends. What had
+    the name before stays as it was until that moment.
 
     Args:
         path: the file.
-        content: all of it.
 
     Raises:
         OSError: it cannot be written; what had the name is untouched, and nothing is left beside it.
 
     Example:
         >>> import tempfile
-        >>> write_whole(Path(tempfile.mkdtemp()) / "note.txt", b"whole")
+        >>> with whole(Path(tempfile.mkdtemp()) / "note.txt") as file:
+        ...     _ = file.write(b"whole")
     """
     path = Path(path)
-    partial = path.with_name(path.name + ".partial")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("wb") as file:
-            file.write(content)
+            yield file
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
     except BaseException:
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             partial.unlink(missing_ok=True)
         raise
+
+
+def write_whole(path: str | Path, content: bytes) -> None:
+    """Write a file that appears whole or not at all.
+
+    Args:
+        path: the file.
+        content: all of it.
+
+    Raises:
+        OSError: see `whole`.
+    """
+    with whole(path) as file:
+        file.write(content)
 
 
 def write_json(path: str | Path, value: Any) -> None:
@@ -48,7 +64,7 @@ def write_json(path: str | Path, value: Any) -> None:
         value: what it holds.
 
     Raises:
-        OSError: see `write_whole`.
+        OSError: see `whole`.
         ValueError: a number is not finite.
     """
     write_whole(path, (json.dumps(value, indent=2, allow_nan=False) + "\n").encode())

@@ -507,6 +507,16 @@ def test_command_line_writes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixt
     assert cli.main(["diagnose", str(model), str(csv), "--out", str(out)]) == 2
     assert "not empty" in capsys.readouterr().err
 
+    still, design = replace(run(8, 12, 0.0), sensors=np.zeros((12 * 500, 1)), sha256=""), tmp_path / "next.csv"
+    recording.write(still, csv, overwrite=True)
+    arguments = ["diagnose", str(model), str(csv), "--out", str(tmp_path / "untold"), "--design", str(design)]
+    assert cli.main(arguments) == 0
+    said = capsys.readouterr().out
+    assert "CANNOT TELL" in said
+    assert f"{design}: not written" in said
+    assert not design.exists()
+    mujoco.MjModel.from_xml_path(str(tmp_path / "untold" / "improved.xml"))
+
 
 def test_command_line_refuses_what_it_cannot_treat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model, csv = tmp_path / "free.xml", tmp_path / "run.csv"

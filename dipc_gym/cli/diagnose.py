@@ -93,7 +93,9 @@ class Diagnose:
         lacking = [f"{m.effect} at {m.at}" for m in found.missing if m.needs_loader]
         if lacking:
             print(f"Stock MuJoCo leaves out {', '.join(lacking)}; load improved.xml with dipc_gym.physics.load.")
-        if self.design is not None and found.work is not None:
+        if self.design is not None and found.work is None:
+            print(f"{self.design}: not written, for nothing was fitted that a command could tell apart")
+        elif self.design is not None and found.work is not None:
             from dipc_gym.sim2real import design
 
             work = found.work

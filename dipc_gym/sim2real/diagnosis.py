@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 TRAIN = 0.75  # of each recording is fitted where none is held out
 COARSEST = 2e-3  # s; longest step of the analysis
 STILL = 10.0  # times its noise: a joint that moves less tells nothing
+IN_MOTION = "Record the rig in motion, over the range and speeds that it is used at, every joint sensed."
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,8 @@ def diagnose(
     step = min(COARSEST, *(r.period for r in recordings))
     stepping = Stepping(step, mujoco.mjtIntegrator.mjINT_RK4)
     numbers = (wishes or Wishes()).apply(own_numbers(Document(source), given.model))
+    if not any(np.ptp(r.sensors, axis=0).any() for r in recordings):
+        return _cannot_tell("no sensor changes in any of them", IN_MOTION, source, notes, provenance)
     try:
         prepared = selection.known_past(prepare(source, given, recordings, stepping, span=span, threads=threads))
         judged, judged_span = (held_out, (0.0, 1.0)) if held_out else (recordings, (TRAIN, 1.0))
@@ -131,8 +134,7 @@ def diagnose(
         return _cannot_tell(error.reason, error.mend, source, notes, provenance)
     quiet = _quiet(prepared)
     if quiet:
-        mend = "Record the rig in motion, over the range and speeds that it is used at, every joint sensed."
-        return _cannot_tell(quiet, mend, source, notes, provenance)
+        return _cannot_tell(quiet, IN_MOTION, source, notes, provenance)
     held = replace(kept.problem, windows=replace(kept.problem.windows, noise=prepared.problem.windows.noise))
     problem, unseen, rest = selection.split(prepared.problem)
     tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
@@ -223,6 +225,7 @@ def diagnose(
         force,
         sentences.next_experiment(verdict, missing, others=bool(changed and found.others)),
         improved,
+        _files(source, improved),
         tuple(notes),
         provenance,
         Work(source, tuple(recordings), held, prepared, nominal, recalibrated, final, search, found.rivals),
@@ -269,9 +272,15 @@ def _cannot_tell(
         f"These recordings cannot tell: {reason}.",
         next_experiment=mend,
         improved=source.text,
+        files=_files(source, source.text),
         notes=tuple(notes),
         provenance=provenance,
     )
+
+
+def _files(source: mjcf.Source, text: str) -> dict[str, bytes]:
+    """What a text made from this source asks for; what was included stands in the text itself."""
+    return {name: source.files[name] for name in mjcf.from_text(text, source.folder).files}
 
 
 def _provenance(

@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import mjcf
 from dipc_gym.sim2real import report
 from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.document import Document
@@ -49,7 +48,7 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".diagnosis-") as draft:
         drafts = Path(draft)
-        for name, content in _assets(found).items():
+        for name, content in found.files.items():
             (drafts / name).parent.mkdir(parents=True, exist_ok=True)
             (drafts / name).write_bytes(content)
         (drafts / "diagnosis.json").write_text(
@@ -62,14 +61,6 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
             place.parent.mkdir(parents=True, exist_ok=True)
             shutil.move(file, place)
     return folder
-
-
-def _assets(found: Diagnosis) -> dict[str, bytes]:
-    """Meshes, textures and sub-models that the improved model asks for; what was included stands in its text."""
-    if found.work is None:
-        return {}
-    source = found.work.source
-    return {name: source.files[name] for name in mjcf.from_text(found.improved, source.folder).files}
 
 
 def check_free(folder: Path, overwrite: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -90,6 +91,7 @@ class Diagnosis:
         force: error of the inverse model on the same data, of the force that each joint transmits.
         next_experiment: what would settle what is left.
         improved: MJCF text of the improved model.
+        files: contents of the meshes, textures and sub-models that it asks for, by the names it gives them.
         notes: about recordings and step size.
         provenance: versions, inputs, seed.
         work: what the report draws; None where nothing could be fitted.
@@ -105,6 +107,7 @@ class Diagnosis:
     force: dict[str, Errors] = field(default_factory=dict)
     next_experiment: str = ""
     improved: str = ""
+    files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
     notes: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
     work: Work | None = field(default=None, repr=False)

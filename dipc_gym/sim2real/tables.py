@@ -9,16 +9,16 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import os
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+
+from dipc_gym import files
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -106,33 +106,19 @@ def write_table(path: Path, columns: dict[str, NDArray[np.float64]], *, overwrit
     """Write columns to a CSV, Parquet or npz file; reading them gives the same bits.
 
     Raises:
-        RecordingError: unknown suffix, or the file exists and `overwrite` is not set.
+        RecordingError: unknown suffix, its folder is missing, it cannot be written, or the file exists and `overwrite`
+            is not set.
     """
     writer = {".csv": _write_csv, ".parquet": _write_parquet, ".npz": _write_npz}[check_format(path)]
-    with whole_file(path, overwrite=overwrite) as file:
-        writer(path, file, columns)
-
-
-@contextmanager
-def whole_file(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
-    """Open a file that appears under its name only when the block ends without an error.
-
-    Raises:
-        RecordingError: the file exists and `overwrite` is not set, or its folder is missing.
-    """
     if path.exists() and not overwrite:
         raise RecordingError(f"{path}: exists already; choose another name or allow overwriting")
     if not path.parent.is_dir():
         raise RecordingError(f"{path}: its folder does not exist; make it first")
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        with partial.open("wb") as file:
-            yield file
-        partial.replace(path)
+        with files.whole(path) as file:
+            writer(path, file, columns)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _check_header(path: Path, names: Sequence[str]) -> None:

@@ -73,9 +73,7 @@ def plans(seed: int, *, count: int | None = None, full: bool = False) -> list[Pl
     return result
 
 
-def generate(
-    out: Path, *, seed: int, count: int | None = None, full: bool = False, jobs: int = 1, rig: str | None = None
-) -> list[Plan]:  # fmt: skip
+def generate(out: Path, *, seed: int, count: int | None = None, full: bool = False, jobs: int = 1) -> list[Plan]:
     """Write trials into `out/trials/NAME` and their answers into `out/sealed/NAME.json`.
 
     A trial whose answer is there is left alone. A folder made from another seed or composition is refused.
@@ -86,7 +84,6 @@ def generate(
         count: number of trials, see `plans`.
         full: the long version.
         jobs: processes.
-        rig: make only the trials of this rig.
 
     Returns:
         The plans of all trials, made now or before.
@@ -101,11 +98,10 @@ def generate(
     from joblib import Parallel, delayed
     from tqdm import tqdm
 
-    everything = plans(seed, count=count, full=full)
-    wanted = [plan for plan in everything if rig is None or plan.rig == rig]
+    wanted = plans(seed, count=count, full=full)
     (out / "sealed").mkdir(parents=True, exist_ok=True)
     note = out / "generator.json"
-    identity = {"schema": SCHEMA, "seed": seed, "full": full, "plans": len(everything)}
+    identity = {"schema": SCHEMA, "seed": seed, "full": full, "plans": len(wanted)}
     if note.exists():
         found = json.loads(note.read_text(encoding="utf-8"))
         if found != identity:

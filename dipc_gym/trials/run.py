@@ -20,7 +20,7 @@ from dipc_gym.trials.score import score
 
 def trial(
     out: Path, *, seed: int, count: int | None = None, full: bool = False, jobs: int | None = None,
-    backend: Backend = "local", resume: bool = True, patience: float = PATIENCE,
+    backend: Backend = "local", patience: float = PATIENCE,
 ) -> dict[str, Any]:  # fmt: skip
     """The blind trial: generate, diagnose, score.
 
@@ -31,7 +31,6 @@ def trial(
         full: the long version.
         jobs: trials at a time; see `sweep.run`.
         backend: where the tool runs; on a cluster the nodes must share `out`. See `sweep.run`.
-        resume: keep the diagnoses that are there, failures aside; otherwise diagnose everything anew.
         patience: seconds before a diagnosis is stopped and counts as failed.
 
     Returns:
@@ -50,7 +49,7 @@ def trial(
     attempts = [
         Attempt(folder=str((out / "trials" / name).absolute()), seed=0, limit=patience)
         for name in order
-        if not (resume and _done(out / "results" / name))
+        if not _done(out / "results" / name)
     ]
     generate(out, seed=seed, count=count, full=full, jobs=processes(jobs, backend))
     try:
