@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real.comparison import WORTH, Comparison
 from dipc_gym.sim2real.fit import Fit
 from dipc_gym.sim2real.screening import Tried
+from dipc_gym.sim2real.selection import odd_windows
 from dipc_gym.sim2real.shooting import mean_loss, typical
 from dipc_gym.sim2real.structure import Structure, Term
 
@@ -44,6 +45,11 @@ def brought(sketch: Fit, before: Array) -> float:
     On the scale of the noise, as promises are.
     """
     return mean_loss(before, 1.0) - mean_loss(sketch.mse, 1.0)
+
+
+def complete(sketch: Fit) -> bool:
+    """Whether a sketch leaves nothing, in no window."""
+    return sketch.error < AT_NOISE and not len(odd_windows(sketch.mse))
 
 
 def losses(errors: Sequence[Array]) -> list[float]:

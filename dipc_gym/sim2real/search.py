@@ -244,7 +244,8 @@ class Search:
     def _sketched(self, starts: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
         """The best sketch of one hypothesis, if any, from the most promising start on.
 
-        A fit that brings less than screening foretold is stuck; then the next start is tried as well.
+        A fit that brings less than screening foretold is stuck, unless it leaves nothing; then the next start is tried
+        as well.
         """
         sketches: list[tuple[Tried, Fit]] = []
         for tried, base in starts:
@@ -252,7 +253,9 @@ class Search:
             if sketch is None:
                 continue
             sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch), base))
-            if ranking.brought(sketch, current.mse[self.few]) > max(tried.promise, WORTH / 2):
+            if ranking.complete(sketch) or ranking.brought(sketch, current.mse[self.few]) > max(
+                tried.promise, WORTH / 2
+            ):
                 break
         losses = ranking.losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
         return [sketches[int(np.argmin(losses))]] if sketches else []

@@ -7,7 +7,7 @@ would replace this file alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -238,7 +238,8 @@ class _Runs:
         if stepping.integrator is not None:
             self.delays += np.stack([steady_currents(model, self.step) for model in models])
         level = np.stack([model.dof_frictionloss.copy() for model in models])
-        located = stepping.integrator is not None and bool((level > 0).any())
+        self._exact = stepping.integrator is not None
+        located = self._exact and bool((level > 0).any())
         if located:
             for model in models:
                 model.dof_frictionloss[:] = 0
@@ -290,9 +291,10 @@ class _Runs:
             Readings (sims, nstep, nsensordata) at the beginning of each step, or None if nothing is recorded.
         """
         sims, physics, dry = self.sims, self.physics, self.dry
-        ctrl = _commands(self.windows, self.delays, self.step, first, nstep).reshape(sims.nsim, nstep, -1)
+        ctrl = _per_step(_held_mean, self.windows, self.delays, self.step, first, nstep).reshape(sims.nsim, nstep, -1)
         ctrl = physics.command(ctrl.swapaxes(0, 1)).swapaxes(0, 1)
-        if dry is None and not physics.acts:
+        late = self._late_changes(first, nstep) if self._exact else None
+        if dry is None and late is None and not physics.acts:
             out = sims.rollout(nstep, ctrl, record=("sensordata",) if record else ())
             return out.get("sensordata")
         readings = np.empty((nstep, sims.nsim, sims.model.nsensordata)) if record else None
@@ -312,12 +314,49 @@ class _Runs:
             now = None if readings is None else readings[k]
             if dry is not None:
                 dry.step(forces, now, sensed)
-                continue
-            applied[:] = forces
-            sims.step()
-            if now is not None:
-                now[:] = sensed
+            else:
+                applied[:] = forces
+                sims.step()
+                if now is not None:
+                    now[:] = sensed
+            if late is not None:
+                sticks = sims.qvel == 0
+                for state, behind in zip((sims.qpos, sims.qvel), late, strict=True):
+                    state[:] -= np.where(sticks, 0.0, behind[k])
         return None if readings is None else readings.swapaxes(0, 1)
+
+    def _late_changes(self, first: int, nstep: int) -> tuple[Array, Array] | None:
+        """What commands that change within steps do to the state, beyond what their means do.
+
+        A change late in a step, rather than spread over it, moves less by then: the state x, with dx/dt = A x + B u,
+        falls behind that under the mean command by A B times the first moment of u about the step's middle, to first
+        order in the step. In a loop that feeds back noise that is as much as the noise itself, and passes for a soft
+        coupling.
+
+        Returns:
+            What positions and velocities fall behind by in each step, (nstep, sims, nv) each; None where no command
+            changes within a step. A and B are those of the present state.
+        """
+        sims = self.sims
+        moments = _per_step(_first_moments, self.windows, self.delays, self.step, first, nstep)
+        if not moments.any():
+            return None
+        accelerated = sims.bind("qacc")  # before the call that fills it
+        sims.ctrl[:] = 0
+        sims.forward()
+        still, speed = accelerated.copy(), sims.qvel.copy()
+        gained = np.zeros((2, sims.nsim, moments.shape[-1], sims.model.nv))
+        for control in range(moments.shape[-1]):
+            sims.ctrl[:, control] = 1
+            sims.forward()
+            gained[0, :, control] = accelerated - still
+            sims.ctrl[:, control] = 0
+            sims.qvel[:] = speed + self.step * gained[0, :, control]
+            sims.forward()
+            gained[1, :, control] = (accelerated - still) / self.step
+            sims.qvel[:] = speed
+        places, speeds = np.einsum("ikc,sicv->skiv", moments.reshape(sims.nsim, nstep, -1), gained)
+        return places, speeds
 
 
 def _forward_to_the_middle(sims: mjbatch.Batch, step: float) -> None:
@@ -386,10 +425,25 @@ def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArra
         sims.expand(name)[...] = np.stack(values)[which].reshape(sims.expand(name).shape)
 
 
-def _commands(windows: Windows, delays: Array, step: float, first: int, nstep: int) -> Array:
-    """Mean command over each step from the `first` on, (variants, n, nstep, nu); further controls stay at zero."""
-    n, nu = len(windows), delays.shape[1]
-    out = np.zeros((len(delays), n, nstep, nu))
+def _per_step(
+    of: Callable[[Recording, Array, int], Array],
+    windows: Windows,
+    delays: Array,
+    step: float,
+    first: int,
+    nstep: int,
+) -> Array:
+    """What `of` says of the commands within each step from the `first` on, (variants, n, nstep, controls).
+
+    Args:
+        of: of a recording, the edges of steps (n, nstep + 1), s, and a control.
+        windows: where commands are recorded.
+        delays: of each variant's controls, s, (variants, controls); those that no recording holds stay at zero.
+        step: s.
+        first: index of a step, counted from each window's start.
+        nstep: number of steps.
+    """
+    out = np.zeros((len(delays), len(windows), nstep, delays.shape[1]))
     edges = (first + np.arange(nstep + 1)) * step
     for k in range(len(delays)):
         same = next((j for j in range(k) if np.array_equal(delays[j], delays[k])), None)
@@ -402,18 +456,38 @@ def _commands(windows: Windows, delays: Array, step: float, first: int, nstep: i
                 continue
             at = windows.start[mine, None] + edges
             for c in range(recording.commands.shape[1]):
-                out[k, mine, :, c] = _held_mean(recording, at - delays[k, c], c)
+                out[k, mine, :, c] = of(recording, at - delays[k, c], c)
     return out
 
 
 def _held_mean(recording: Recording, edges: Array, control: int) -> Array:
     """Mean of a held command between edges (n, m + 1); exactly the command where no stamp falls between them."""
     mean = np.diff(_held_integral(recording, edges, control), axis=1) / np.diff(edges, axis=1)
+    first, last = _stamps_between(recording, edges)
+    held = recording.commands[np.maximum(first - 1, 0), control]
+    return np.where(first == last, held, mean)
+
+
+def _first_moments(recording: Recording, edges: Array, control: int) -> Array:
+    """Integral of a held command times the distance from the middle between edges (n, m + 1), (n, m)."""
+    command = recording.commands[:, control]
+    first, last = _stamps_between(recording, edges)
+    half, middle = np.diff(edges, axis=1) / 2, (edges[:, :-1] + edges[:, 1:]) / 2
+    moments = np.zeros(first.shape)
+    for k in range(int((last - first).max(initial=0))):
+        inside = first + k < last
+        at = first[inside] + k
+        jump = command[at] - command[np.maximum(at - 1, 0)]
+        moments[inside] += jump * (half[inside] ** 2 - (recording.time[at] - middle[inside]) ** 2) / 2
+    return moments
+
+
+def _stamps_between(recording: Recording, edges: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The first stamp within each step between edges (n, m + 1), and the first behind it, (n, m) each."""
     rounding = 1e-8 * (edges[0, 1] - edges[0, 0])
     first = np.searchsorted(recording.time, edges[:, :-1] + rounding, side="right")
     last = np.searchsorted(recording.time, edges[:, 1:] - rounding, side="right")
-    held = recording.commands[np.maximum(first - 1, 0), control]
-    return np.where(first == last, held, mean)
+    return first, last
 
 
 def _held_integral(recording: Recording, time: Array, control: int) -> Array:
