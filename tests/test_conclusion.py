@@ -26,6 +26,10 @@ class _Searched:
         """Another search found nothing to add."""
         self.path[-1] = better
 
+    def alike(self, best: SimpleNamespace, other: SimpleNamespace, _: SimpleNamespace) -> bool:
+        """What has the best in its name predicts alike."""
+        return "best" in best.name and "best" in other.name
+
     def without(self, fitted: SimpleNamespace, key: str) -> SimpleNamespace:
         """A fit with one effect less."""
         return _fitted(" ".join(term.key for term in fitted.structure.terms if term.key != key))
@@ -33,7 +37,10 @@ class _Searched:
 
 def _fitted(name: str) -> SimpleNamespace:
     """A push happens once; what is plain has one number, everything else two."""
-    terms = [SimpleNamespace(key=key, effect=SimpleNamespace(once=key == "push")) for key in name.split()]
+    kinds = [{"once": key == "push", "needs_loader": False, "place": "joint"} for key in name.split()]
+    terms = [
+        SimpleNamespace(key=key, effect=SimpleNamespace(**kind)) for key, kind in zip(name.split(), kinds, strict=True)
+    ]
     numbers = sum(1 if term.key == "plain" else 2 for term in terms)
     return SimpleNamespace(name=name, structure=SimpleNamespace(terms=terms), z=np.zeros(numbers))
 
@@ -74,6 +81,13 @@ def test_a_rival_that_predicts_better_takes_the_place(monkeypatch: pytest.Monkey
     assert asked == ["first in first", "best in best"]
     assert [rival.better for rival in found.rivals["best"]] == [False]
     assert found.notes == []
+
+
+def test_of_rivals_that_predict_better_alike_the_simplest_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = {"": 19.0, "first": 4.0, "good": 3.0, "best": 2.01, "best elaborated": 2.0}
+    better = ["good", "best elaborated", "best"]
+    found, _ = _conclude(monkeypatch, _Searched("", "first"), errors, {"first": better})
+    assert found.fitted.name == "best"  # type: ignore[attr-defined]
 
 
 def test_what_held_out_data_strike_off_is_not_asked_for_rivals(monkeypatch: pytest.MonkeyPatch) -> None:

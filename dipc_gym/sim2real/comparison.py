@@ -43,6 +43,11 @@ class Comparison:
         return self.gain > WORTH and (self.shows or self.gain > (CLEAR if self.gain < LARGE else 1.0) * self.error)
 
     @property
+    def told(self) -> bool:
+        """Better beyond chance, by more than simulations of one and the same model may differ."""
+        return self.gain > max(WORTH / 4, CLEAR * self.error)
+
+    @property
     def alike(self) -> bool:
         """Not told from the other, or hardly better than it."""
         return not self.shows and self.gain < max(WORTH / 2, ALIKE * self.error)

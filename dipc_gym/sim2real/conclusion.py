@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from dipc_gym.sim2real import judge, sentences, sparse
+from dipc_gym.sim2real import judge, ranking, sentences, sparse
 from dipc_gym.sim2real.fit import Fit
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import names
@@ -54,11 +54,14 @@ def conclude(search: Search) -> Conclusion:
 
 
 def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.Rival | None:
-    """The rival that predicts clearly better, or is the same model here with fewer numbers: a pair of effects that was
-    accepted together was never compared with plainer ones.
+    """The rival that takes a structure's place: one that predicts clearly better, or needs fewer numbers.
+
+    Of several that predict better alike, the simplest. One that is the same model here with fewer numbers goes before
+    a pair of effects that was accepted together, and so never compared with plainer ones.
     """
-    if better := [rival for rival in rivals if rival.better]:
-        return min(better, key=lambda rival: judge.unseen_error(search, rival.fitted))
+    if better := sorted((r for r in rivals if r.better), key=lambda rival: judge.unseen_error(search, rival.fitted)):
+        alike = [rival for rival in better if search.alike(better[0].fitted, rival.fitted, upheld)]
+        return min(alike, key=lambda rival: ranking.cost(rival.fitted))
     plainer = [rival for rival in rivals if rival.same and len(rival.fitted.z) < len(upheld.z)]
     return min(plainer, key=lambda one: (len(one.fitted.z), judge.unseen_error(search, one.fitted)), default=None)
 

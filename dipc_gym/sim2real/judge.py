@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from dipc_gym.sim2real.comparison import WORTH
+from dipc_gym.sim2real.comparison import WORTH, compare
 from dipc_gym.sim2real.evidence import Scene
 from dipc_gym.sim2real.fit import Fit, evaluate, weights
 from dipc_gym.sim2real.problem import Problem
@@ -98,25 +98,39 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
     """
     error = unseen_error(search, full)
     found: list[Rival] = []
+    search.remember(full)
     for others, structure, before in _stand_ins(search, full, term, provisional=error > AT_FLOOR):
-        sketch = before.sketch if before else search.sketch(full, structure)
-        if sketch is None:
-            continue
-        if search.behind(sketch, full):
-            if len(others) == 1:
-                found.append(Rival(others[0], sketch, same=False, ruled_out=True))
-            continue
-        swapped = (before and before.fitted) or search.full(full, sketch)
+        swapped = before.fitted if before else search.remembered(structure)
+        if swapped is None:
+            sketch = before.sketch if before else search.sketch(full, structure)
+            if sketch is None:
+                continue
+            if search.behind(sketch, full):
+                if len(others) == 1:
+                    found.append(Rival(others[0], sketch, same=False, ruled_out=True))
+                continue
+            swapped = search.full(full, sketch)
         if swapped is None:
             continue
+        search.remember(swapped)
         difference = search.compare(full, swapped)
         reached = unseen_error(search, swapped)
         close = difference.alike and difference.gain < 5 * WORTH
         same = close and difference.gain < WORTH and reached < max(AT_FLOOR, 1.02 * error)
-        better = len(others) == 1 and search.compare(swapped, full).clear and search.confirmed(swapped, full)
+        better = len(others) == 1 and _better(search, swapped, full)
         if same or len(others) == 1:
             found += [Rival(other, swapped, same, not close, better) for other in others]
     return found
+
+
+def _better(search: Search, swapped: Fit, full: Fit) -> bool:
+    """Whether a rival predicts clearly better; at the noise, with no more numbers, beyond chance is enough."""
+    gained = search.compare(swapped, full)
+    if gained.clear:
+        return search.confirmed(swapped, full)
+    closely = unseen_error(search, swapped) < AT_FLOOR and len(swapped.z) <= len(full.z)
+    unseen = compare(search.unseen_mse(swapped), search.unseen_mse(full), search.unseen.blocks)
+    return closely and gained.told and unseen.gain > 0
 
 
 def _stand_ins(

@@ -38,7 +38,7 @@ FULLY = 3  # sketches that are fitted to all windows, beside the plainer ones th
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
-IN_REACH = 3.0  # times the noise, from which a sketch may yet come down to it
+IN_REACH = 3.0  # times the noise, from which a fit may yet come down to it
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
 LAWS = 0.02  # of what effects brought, that their laws may leave
 
@@ -84,6 +84,7 @@ class Search:
     path: list[Fit] = field(default_factory=list)
     screened: list[tuple[Fit, float, list[Tried]]] = field(default_factory=list)
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
+    _fits: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict)
 
     def compare_on(self, unseen: Problem) -> None:
         """Compare on other windows from here on, or on the same in other steps."""
@@ -159,7 +160,8 @@ class Search:
 
         A sketch that was still on its way, and not at the noise, goes on first: a step on a few windows costs a third,
         and on all of them a gap or a contact far from its place holds a fit fast. None as well where it then does not
-        earn its place beside `current` even on the few windows.
+        earn its place beside `current` even on the few windows. What comes near the noise goes on until nothing
+        changes: the last stretch may be a long valley, at whose end a name is decided.
         """
         try:
             few = self.known_to(sketch)
@@ -167,7 +169,10 @@ class Search:
                 sketch = fit(self.problem.pick(few), sketch.structure, sketch.z, sketch.starts, most=15)
             if current is not None and not self._earned(sketch.mse, current.mse[few]):
                 return None
-            return fit(self.problem, sketch.structure, sketch.z, base.starts, most=8, tolerance=ROUGH)
+            fitted = fit(self.problem, sketch.structure, sketch.z, base.starts, most=8, tolerance=ROUGH)
+            if AT_FLOOR < fitted.error < IN_REACH:
+                fitted = fit(self.problem, fitted.structure, fitted.z, fitted.starts, most=15)
+            return fitted
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
@@ -184,6 +189,18 @@ class Search:
         """A full fit of a structure, unless its sketch tells that it is far from predicting as `current` does."""
         sketch = self.sketch(current, structure)
         return None if sketch is None or self.behind(sketch, current) else self.full(current, sketch)
+
+    def remember(self, fitted: Fit) -> None:
+        """Keep a full fit, so that it need not be made again while the windows are the same."""
+        self._fits[self._called(fitted.structure)] = fitted
+
+    def remembered(self, structure: Structure) -> Fit | None:
+        """The fit of a structure to these windows, if one was kept."""
+        return self._fits.get(self._called(structure))
+
+    def _called(self, structure: Structure) -> tuple[frozenset[str], bytes]:
+        windows = self.problem.windows
+        return frozenset(names(structure.terms)), windows.source.tobytes() + windows.start.tobytes()
 
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
