@@ -136,64 +136,53 @@ def diagnose(
     if quiet:
         return _cannot_tell(quiet, IN_MOTION, source, notes, provenance)
     held = replace(kept.problem, windows=replace(kept.problem.windows, noise=prepared.problem.windows.noise))
-    problem, unseen, rest = selection.split(prepared.problem)
     tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
-
-    nominal = fit(problem, prepared.structure)
-    own = Stepping(given.model.opt.timestep)
-    if _predicts_better(replace(problem, stepping=own), nominal):
-        notes.append(sentences.own_step(own.timestep, nominal.error))
-        tell(f"note: {notes[-1]}")
-        problem, unseen, rest, held = (replace(part, stepping=own) for part in (problem, unseen, rest, held))
-        nominal = fit(problem, prepared.structure)
-    recalibrated = fit(problem, replace(prepared.structure, numbers=tuple(numbers)), starts=nominal.starts, most=20)
-    odd = selection.odd(rest, recalibrated)
-    if len(odd):
-        problem, rest = problem.join(rest.pick(odd)), rest.pick(np.delete(np.arange(len(rest.windows)), odd))
-        nominal = fit(problem, prepared.structure)
-        recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.starts)
+    base = _baseline(prepared, held, Stepping(given.model.opt.timestep), numbers)
+    if base.own_step:
+        notes.append(base.own_step)
+        tell(f"note: {base.own_step}")
+    nominal, recalibrated = base.nominal, base.recalibrated
     tell(f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}")
-    if recalibrated.error > conventions.GROSS * _motion(problem):
+    if recalibrated.error > conventions.GROSS * _motion(base.problem):
         others, off = conventions.differing(source, given, recordings, prepared, [nominal, recalibrated], span)
         if others:
             return _cannot_tell(*sentences.conventions(others, nominal.error, off), source, notes, provenance)
     search = Search(
-        problem,
-        unseen,
-        rest,
-        held,
+        base.problem,
+        base.unseen,
+        base.rest,
+        base.held,
         list(effects if effects is not None else catalogue().values()),
         prepared.structure.base,
         lambda f, odd=(): evidence.scene(f.structure.physics(f.z), recordings, prepared.motions, span[1], odd),
-        anchor=fit(problem, recalibrated.structure, np.zeros(len(numbers)), nominal.starts, most=0),
+        anchor=fit(base.problem, recalibrated.structure, np.zeros(len(numbers)), nominal.starts, most=0),
         tell=tell,
     )
     worst = judge.unseen_error(search, recalibrated)
     located = judge.locate(search.look(recalibrated), prepared.structure.base)
-    motion = _motion(held)
+    motion = _motion(base.held)
     search.small = worst > judge.AT_FLOOR and judge.negligible(worst, motion, located[0])
     if search.small:
         tell("the mismatch is small beside the motion, and without a pattern: only what explains all of it will count")
     search.run(recalibrated)
     found = conclude(search)
+
     open_choice = findings.choice_shift(found.fitted, found.others)
-    final = found.fitted
-    if held.stepping != own:
+    final, held = found.fitted, base.held
+    if not base.own_step:
         # The search compares; what it came to is fitted, judged and reported at half the step.
         final, held = search.refine(final), replace(held, finer=2)
     found = replace(found, fitted=final)
     notes += found.notes
     if worst > judge.AT_FLOOR and not search.interrupted:
-        notes += findings.beyond_limits(problem, held, recalibrated)
-    train = Errors(*(judge.unseen_error(search, f) for f in (nominal, recalibrated, final)))
-    errors = Errors(*(judge.held_out_error(held, f) for f in (nominal, recalibrated, final)))
-    forces = np.stack(
-        [
-            evidence.force_errors(f.structure.physics(f.z), judged, kept.motions, judged_span)
-            for f in (nominal, recalibrated, final)
-        ]
-    )
-    force = {joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, forces.T, strict=True)}
+        notes += findings.beyond_limits(base.problem, held, recalibrated)
+    three = (nominal, recalibrated, final)
+    train = Errors(*(judge.unseen_error(search, f) for f in three))
+    errors = Errors(*(judge.held_out_error(held, f) for f in three))
+    forces = [evidence.force_errors(f.structure.physics(f.z), judged, kept.motions, judged_span) for f in three]
+    force = {
+        joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, np.stack(forces).T, strict=True)
+    }
     notes += sentences.disagreement(errors, force)
     wide = judge.intervals(final, search.problem) + findings.step_shift(final, search.problem) + open_choice
     changed = findings.changed_numbers(final, wide)
@@ -230,6 +219,47 @@ def diagnose(
         provenance,
         Work(source, tuple(recordings), held, prepared, nominal, recalibrated, final, search, found.rivals),
     )
+
+
+@dataclass(frozen=True)
+class _Baseline:
+    """What is known before any effect is tried.
+
+    Attributes:
+        problem: windows to fit, those in which something odd happened among them.
+        unseen: windows to compare on.
+        rest: windows left aside.
+        held: windows to judge by.
+        nominal: the model as given, start states fitted.
+        recalibrated: its own numbers fitted as well.
+        own_step: why all windows are simulated in the model's own step, in words; empty where they are not.
+    """
+
+    problem: Problem
+    unseen: Problem
+    rest: Problem
+    held: Problem
+    nominal: Fit
+    recalibrated: Fit
+    own_step: str
+
+
+def _baseline(prepared: Prepared, held: Problem, own: Stepping, numbers: Sequence[Number]) -> _Baseline:
+    """Part the windows, and fit the model as given and recalibrated; `own` is how the model itself steps."""
+    problem, unseen, rest = selection.split(prepared.problem)
+    nominal = fit(problem, prepared.structure)
+    own_step = ""
+    if _predicts_better(replace(problem, stepping=own), nominal):
+        own_step = sentences.own_step(own.timestep, nominal.error)
+        problem, unseen, rest, held = (replace(part, stepping=own) for part in (problem, unseen, rest, held))
+        nominal = fit(problem, prepared.structure)
+    recalibrated = fit(problem, replace(prepared.structure, numbers=tuple(numbers)), starts=nominal.starts, most=20)
+    odd = selection.odd(rest, recalibrated)
+    if len(odd):
+        problem, rest = problem.join(rest.pick(odd)), rest.pick(np.delete(np.arange(len(rest.windows)), odd))
+        nominal = fit(problem, prepared.structure)
+        recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.starts)
+    return _Baseline(problem, unseen, rest, held, nominal, recalibrated, own_step)
 
 
 def _predicts_better(problem: Problem, fitted: Fit) -> bool:
