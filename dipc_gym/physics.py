@@ -84,7 +84,7 @@ def friction_along(data: Array, now: Moment) -> Array:
     first, last, levels = data[..., 0], data[..., 1], data[..., 2:]
     count = levels.shape[-1]
     along = np.clip((now.position - first) / (last - first) * (count - 1), 0.0, count - 1.000001)
-    below = along.astype(np.intp)
+    below = np.nan_to_num(along).astype(np.intp)  # of a simulation that diverged; `share` hands it on
     share = along - below
     at = np.take_along_axis(levels, below[..., None], -1)[..., 0]
     above = np.take_along_axis(levels, below[..., None] + 1, -1)[..., 0]

@@ -131,6 +131,26 @@ def test_a_simulation_that_diverges_is_not_restarted() -> None:
     assert not (np.abs(readings[:, -1]) < 1e6).any()
 
 
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("friction.coulomb", {"level": 2.0}),
+        ("friction.load", {"level": 1.0, "by_drive": 0.1, "by_weight": 0.1}),
+        ("friction.position", {"first": -0.1, "last": 0.1, **{f"level_{k}": 1.0 + k / 3 for k in range(1, 6)}}),
+        ("friction.position:wave", {"level": 2.0, "sine": 0.5, "cosine": 0.5, "wavelength": 0.1}),
+    ],
+)
+def test_a_window_that_diverges_leaves_the_others_alone(effect: str, values: dict[str, float]) -> None:
+    windows = cut([noisy(rig(CART), 0.5)], np.ones(1), 0.25, (0.0, 1.0))
+    starts = np.zeros((2, len(windows), 2))
+    starts[1, 1] = np.nan
+    dry = rig(CART, effect, "cart", **values)
+    whole, broken = (simulate([dry], windows, one[None], FINE, base=["cart"])[0] for one in starts)
+    others = np.arange(len(windows)) != 1
+    assert not np.isfinite(broken[1]).any()
+    assert np.array_equal(broken[others], whole[others])
+
+
 # Samples and commands between steps
 
 
