@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dipc_gym.sim2real import conclusion, judge, sparse
+from dipc_gym.sim2real.effects import catalogue
 
 
 class _Searched:
@@ -36,8 +37,10 @@ class _Searched:
 
 
 def _fitted(name: str) -> SimpleNamespace:
-    """A push happens once; what is plain has one number, everything else two."""
-    kinds = [{"once": key == "push", "needs_loader": False, "place": "joint"} for key in name.split()]
+    """A push happens once, heat is a trend; what is plain has one number, everything else two."""
+    ids = {"push": "disturbance.pulse", "heat": "motor.thermal"}
+    like = [catalogue()[ids.get(key, "friction.coulomb")] for key in name.split()]
+    kinds = [{"once": one.once, "leaves": one.leaves, "needs_loader": False, "place": "joint"} for one in like]
     terms = [
         SimpleNamespace(key=key, effect=SimpleNamespace(**kind)) for key, kind in zip(name.split(), kinds, strict=True)
     ]
@@ -144,6 +147,25 @@ def test_what_only_stands_in_for_what_is_left_is_not_named(
     """The error is 9 times the noise without any effect."""
     errors = {"": 9.0, "first": alone, accepted: left}
     found, _ = _conclude(monkeypatch, _Searched("", "first", accepted), errors, {})
+    assert found.fitted.name == named  # type: ignore[attr-defined]
+    assert len(found.notes) == len(struck_off)
+    assert all(note.startswith(words) for note, words in zip(found.notes, struck_off, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("alone", "left", "named", "struck_off"),
+    [
+        (40.0, 2.5, "first heat", []),
+        (20.0, 4.0, "first", ["heat"]),  # whatever else drifts, as a load that changes, may pass for heat
+        (40.0, 4.0, "", ["heat", "first would take up"]),
+    ],
+)
+def test_a_trend_is_named_only_where_next_to_nothing_is_left(
+    monkeypatch: pytest.MonkeyPatch, alone: float, left: float, named: str, struck_off: list[str]
+) -> None:
+    """The error is 90 times the noise without any effect."""
+    errors = {"": 90.0, "first": alone, "first heat": left}
+    found, _ = _conclude(monkeypatch, _Searched("", "first", "first heat"), errors, {})
     assert found.fitted.name == named  # type: ignore[attr-defined]
     assert len(found.notes) == len(struck_off)
     assert all(note.startswith(words) for note, words in zip(found.notes, struck_off, strict=True))

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from dipc_gym.sim2real import judge, ranking, sentences, sparse
+from dipc_gym.sim2real.effects.base import LEAVES
 from dipc_gym.sim2real.fit import Fit
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import names
 
 SWAPS = 3  # effects that may give way to rivals after the search
-# Share of the excess error that effects may leave and be named. In 160 blind trials, those that were there left 0.19 at
-# most, and those that stood in for physics of no catalogue 0.4 to 0.7, save one that left 0.2; what real rigs leave
-# beside friction that is known to be there is 0.25.
-LEAVE = 1 / 3
 
 
 @dataclass(frozen=True)
@@ -95,16 +92,17 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
 def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[str]]:
     """A fit without effects that only stand in for what is left beside them, and notes on those.
 
-    What happened once is told from what the model lacks only where nothing is left, and what leaves more than a third
-    of a mismatch may have nothing to do with it.
+    What is told from other causes by when it acts alone (a push, a motor that heats) is named only where next to
+    nothing is left, and what leaves more than a third of a mismatch may have nothing to do with it.
     """
-    once = [term for term in upheld.structure.terms if term.effect.once]
-    notes = [sentences.not_alone(term, error) for term in once]
-    for term in once:
-        upheld = search.without(upheld, term.key)
-    left = judge.held_out_error(search.held, upheld) if once else error
     recalibrated = judge.held_out_error(search.held, search.path[0])
-    if upheld.structure.terms and left - 1 > LEAVE * (recalibrated - 1):
+    notes, left = list[str](), error
+    for term in upheld.structure.terms:
+        if term.effect.leaves < LEAVES and error - 1 > term.effect.leaves * (recalibrated - 1):
+            notes.append(sentences.not_alone(term, error))
+            upheld = search.without(upheld, term.key)
+            left = judge.held_out_error(search.held, upheld)
+    if upheld.structure.terms and left - 1 > LEAVES * (recalibrated - 1):
         # Without an event that it was fitted beside, an effect may do harm.
         why = sentences.too_little if left < recalibrated else sentences.refutation
         return search.path[0], [*notes, why(upheld.structure.terms, recalibrated, left)]

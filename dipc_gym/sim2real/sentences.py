@@ -148,10 +148,11 @@ def refutation(terms: Sequence[Term], before: float, after: float) -> str:
 
 
 def not_alone(term: Term, left: float) -> str:
-    """Note on what would explain one event where others are left; the error on held-out data, in units of noise."""
+    """Note on what is told by when it acts, where more is left; the error on held-out data, in units of noise."""
     return (
-        f"{term.key} would explain something that happened once, but held-out data hold what it does not explain "
-        f"({left:.3g} times the noise); that may have the same cause, so it is not named."
+        f"{term.key} would explain a part, but it is told from other causes by when it acts alone, and held-out data "
+        f"hold more that it does not explain ({left:.3g} times the noise); that may have the same cause, so it is not "
+        "named."
     )
 
 

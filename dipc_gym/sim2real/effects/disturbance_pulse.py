@@ -25,6 +25,7 @@ class Pulse(Effect):
     rivals = ("disturbance.periodic",)
     needs_loader = True
     once = True
+    leaves = 0.0
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Where the unexplained force, averaged over a short time, stands out most, in the windows that are odd."""

@@ -28,6 +28,7 @@ class Thermal(Effect):
         Parameter("time_constant", "s", 0.5, 1e4, log=True),
     )
     rivals = ("motor.saturation", "drag.quadratic", "motor.back_emf")
+    leaves = 0.02  # a load that changed its mass passed for it in three blind trials, and left 0.05 to 0.26
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """On a DC motor that is driven by a voltage and stays cold in the model."""
