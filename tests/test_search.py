@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dipc_gym.sim2real import pairing, screening, selection
+from dipc_gym.sim2real import pairing, screening, search, selection
 from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.screening import Tried
@@ -221,3 +221,33 @@ def test_what_own_numbers_promise_on_a_few_windows_by_chance(
     )
     found = screening._luck(Windows(9), Windows(9), np.arange(3))  # type: ignore[arg-type]
     assert found == pytest.approx(luck)
+
+
+@pytest.mark.parametrize(
+    ("stays", "terms", "few", "whole", "kept"),
+    [
+        (1.5, 2, 1.0, 1.0, 1.0),  # another valley leads to the noise
+        (1.5, 2, 1.4999, 1.0, 1.5),  # hardly better on the few windows: the whole is not asked
+        (1.5, 2, 1.0, 1.6, 1.5),  # the few windows promised too much
+        (1.5, 1, 1.0, 1.0, 1.5),  # what is alone was begun from nominal numbers already
+        (1.1, 2, 1.0, 1.0, 1.1),  # at the noise
+    ],
+)
+def test_several_effects_that_stay_above_the_noise_are_begun_anew(
+    monkeypatch: pytest.MonkeyPatch, stays: float, terms: int, few: float, whole: float, kept: float
+) -> None:
+    """Errors in units of noise: where the fit stays, and what comes of a new one on few and on all windows."""
+
+    def fitted(error: float, count: int) -> SimpleNamespace:
+        structure = SimpleNamespace(terms=("",) * terms)
+        return SimpleNamespace(mse=np.full(count, error**2), error=error, structure=structure, z=np.zeros(1))
+
+    problem = SimpleNamespace(blocks=np.arange(60), windows=range(60))
+    problem.pick = lambda which: SimpleNamespace(windows=which)
+    monkeypatch.setattr(
+        search,
+        "fit",
+        lambda some, *_, **__: fitted(whole if some is problem else few, len(some.windows)),
+    )
+    made = SimpleNamespace(problem=problem, few=np.arange(0, 60, 3))
+    assert Search._anew(made, fitted(stays, 60)).error == kept  # type: ignore[arg-type]

@@ -40,6 +40,7 @@ ONCE = 1.5  # improvement of the log square errors, summed over windows, by whic
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 IN_REACH = 3.0  # times the noise, from which a fit may yet come down to it
 EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
+MOST_ANEW = 30  # steps of a fit that is begun anew, from guesses that may be far off
 LAWS = 0.02  # of what effects brought, that their laws may leave
 
 
@@ -161,7 +162,8 @@ class Search:
         A sketch that was still on its way, and not at the noise, goes on first: a step on a few windows costs a third,
         and on all of them a gap or a contact far from its place holds a fit fast. None as well where it then does not
         earn its place beside `current` even on the few windows. What comes near the noise goes on until nothing
-        changes: the last stretch may be a long valley, at whose end a name is decided.
+        changes, and is begun anew where it stays there: the last stretch may be a long valley, at whose end a name is
+        decided, or a wrong one.
         """
         try:
             few = self.known_to(sketch)
@@ -171,10 +173,24 @@ class Search:
                 return None
             fitted = fit(self.problem, sketch.structure, sketch.z, base.starts, most=8, tolerance=ROUGH)
             if AT_FLOOR < fitted.error < IN_REACH:
-                fitted = fit(self.problem, fitted.structure, fitted.z, fitted.starts, most=15)
+                fitted = self._anew(fit(self.problem, fitted.structure, fitted.z, fitted.starts, most=15))
             return fitted
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
+
+    def _anew(self, fitted: Fit) -> Fit:
+        """A fit of several effects, or what comes of their first guesses and nominal numbers if that predicts better.
+
+        What an effect took on while another was missing may hold it fast where it is.
+        """
+        structure = fitted.structure
+        if fitted.error <= AT_FLOOR or len(structure.terms) < 2:
+            return fitted
+        sketch = fit(self.problem.pick(self.few), structure, most=MOST_ANEW)
+        if compare(sketch.mse, fitted.mse[self.few], self.problem.blocks[self.few]).gain < WORTH:
+            return fitted
+        again = fit(self.problem, structure, sketch.z, most=8)
+        return min(fitted, again, key=lambda one: mean_loss(one.mse, 1.0))
 
     def behind(self, sketch: Fit, fitted: Fit) -> bool:
         """Whether a sketch is so much worse than a full fit that fitting on would not bring it close."""
