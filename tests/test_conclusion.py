@@ -31,6 +31,10 @@ class _Searched:
         """What has the best in its name predicts alike."""
         return "best" in best.name and "best" in other.name
 
+    def compare(self, new: SimpleNamespace, old: SimpleNamespace) -> SimpleNamespace:
+        """Whether one predicts as well as the other, by their names."""
+        return SimpleNamespace(alike="worse" not in old.name)
+
     def without(self, fitted: SimpleNamespace, key: str) -> SimpleNamespace:
         """A fit with one effect less."""
         return _fitted(" ".join(term.key for term in fitted.structure.terms if term.key != key))
@@ -127,6 +131,26 @@ def test_of_names_for_one_model_the_plainer_one_stays(
     """What was accepted as one of a pair was never compared with what would do in its place."""
     errors = dict.fromkeys(("first", "second", "plain"), 1.0) | {"": 9.0}
     found, _ = _conclude(monkeypatch, _Searched("", chosen), errors, {}, {chosen: same})
+    assert found.fitted.name == stays  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("idle", "stays"),
+    [
+        ({"zero spring bias": "zero spring"}, "zero spring"),
+        ({"zero spring bias": "zero worse"}, "force spring bias"),  # pruning may be content with less
+        ({}, "force spring bias"),
+    ],
+)
+def test_a_name_that_needs_nothing_beside_it_goes_before_two(
+    monkeypatch: pytest.MonkeyPatch, idle: dict[str, str], stays: str
+) -> None:
+    """A constant force and another sensor's bias may together be what one biased sensor is alone."""
+    names = ("force spring bias", "zero spring bias", "zero spring")
+    errors = dict.fromkeys(names, 1.0) | {"": 9.0, "worse": 2.0}
+    monkeypatch.setattr(conclusion, "prune", lambda _, fit: _fitted(idle.get(fit.name, fit.name)))
+    same = {"force": ["zero spring bias"]}
+    found, _ = _conclude(monkeypatch, _Searched("", "force spring bias"), errors, {}, same)
     assert found.fitted.name == stays  # type: ignore[attr-defined]
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from dipc_gym.sim2real import judge, ranking, sentences, sparse
 from dipc_gym.sim2real.effects.base import LEAVES
 from dipc_gym.sim2real.fit import Fit
+from dipc_gym.sim2real.pruning import prune
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import names
 
@@ -59,8 +60,25 @@ def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.
     if better := sorted((r for r in rivals if r.better), key=lambda rival: judge.unseen_error(search, rival.fitted)):
         alike = [rival for rival in better if search.alike(better[0].fitted, rival.fitted, upheld)]
         return min(alike, key=lambda rival: ranking.cost(rival.fitted))
-    plainer = [rival for rival in rivals if rival.same and len(rival.fitted.z) < len(upheld.z)]
+    same = [_alone(search, rival, upheld) for rival in rivals if rival.same]
+    plainer = [rival for rival in same if len(rival.fitted.z) < len(upheld.z)]
     return min(plainer, key=lambda one: (len(one.fitted.z), judge.unseen_error(search, one.fitted)), default=None)
+
+
+def _alone(search: Search, rival: judge.Rival, upheld: Fit) -> judge.Rival:
+    """A rival that is the same model, without what is idle beside it.
+
+    A constant force on one pole and the other's sensor with a bias can be together what one biased sensor is alone.
+    """
+    terms = rival.fitted.structure.terms
+    if len(terms) < 2 or search.interrupted:
+        return rival
+    try:
+        fitted = prune(search, rival.fitted)
+    except KeyboardInterrupt:
+        _interrupted(search)
+        return rival
+    return replace(rival, fitted=fitted) if search.compare(upheld, fitted).alike else rival
 
 
 def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
