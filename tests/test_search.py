@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 from dipc_gym.sim2real import pairing, screening, search, selection
 from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.fit import Fit
 from dipc_gym.sim2real.screening import Tried
 from dipc_gym.sim2real.search import Search
 from dipc_gym.sim2real.structure import Term
@@ -104,6 +107,37 @@ def test_what_elaborates_waits_for_the_plain_one(plain: float, elaborate: float,
     current = SimpleNamespace(mse=np.full(9, 100.0**2))
     left = Search._plain_first(search, sketched, current)  # type: ignore[arg-type]
     assert [tried.term.effect.id for tried, _ in left] == kept
+
+
+@pytest.mark.parametrize(
+    ("promise", "lag_leaves", "asked"),
+    [
+        (0.7, 1.0, {"timing.sensor_lag", "transmission.compliance"}),  # it keeps up
+        (0.4, 9.0, {"timing.sensor_lag", "transmission.compliance"}),  # nothing else will do
+        (0.4, 1.0, {"timing.sensor_lag"}),
+        (0.2, 9.0, {"timing.sensor_lag"}),
+    ],
+)
+def test_what_takes_fine_steps_and_promised_less_waits_for_the_others(
+    promise: float, lag_leaves: float, asked: set[str]
+) -> None:
+    """A coupling promises a share of what a lag does, and the lag's sketch leaves so many times the noise."""
+
+    class Searching(Search):
+        def _sketched(self, starts: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
+            (tried, base) = starts[0]
+            error = lag_leaves if tried.term.effect.id == "timing.sensor_lag" else 5.0
+            sketch = SimpleNamespace(error=error, structure=None)
+            return [(replace(tried, sketch=sketch), base)]  # type: ignore[arg-type]
+
+    stepping = SimpleNamespace(timestep=0.001)
+    search = Searching(SimpleNamespace(stepping=stepping), *[None] * 3, (), (), lambda: None)  # type: ignore[arg-type]
+    base = SimpleNamespace(structure=SimpleNamespace(with_term=lambda _: SimpleNamespace(elaborates=lambda _: False)))
+    promised = {"timing.sensor_lag": 2.0, "transmission.compliance": 2.0 * promise}
+    ranked = [(Tried(Term(catalogue()[name], "at", {}), worth), base) for name, worth in promised.items()]
+    starts = {tried.key: [(tried, base)] for tried, base in ranked}
+    sketched = search._in_turn(ranked, starts, SimpleNamespace(error=50.0))  # type: ignore[arg-type]
+    assert {tried.term.effect.id for tried, _ in sketched} == asked
 
 
 @pytest.mark.parametrize(("error", "tried"), [(1.1, True), (2.0, False)])

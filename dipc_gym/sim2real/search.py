@@ -36,6 +36,7 @@ ROUGH = 5e-3  # share of its objective by which a step must lower it where fits 
 MOST_EFFECTS = 6  # that are added
 FULLY = 3  # sketches that are fitted to all windows, beside the plainer ones that they elaborate
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
+IN_TURN = 0.25  # share of the largest promise from which what takes fine steps is sketched if nothing else will do
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 IN_REACH = 3.0  # times the noise, from which a fit may yet come down to it
@@ -225,18 +226,9 @@ class Search:
             (max(tries, key=ranking.promise) for tries in starts.values()), key=ranking.promise, reverse=True
         )
         most = ranking.promise(ranked[0]) if ranked else 0.0
-        first = ranking.finalists(
-            [start for start in ranked if ranking.promise(start) > max(WORTH / 2, self.least(start[0].term) * most)],
-            FINALISTS if current.error > ranking.AT_NOISE else FINALISTS // 2,
-        )
-        sketched: list[tuple[Tried, Fit]] = []
-        for finalist, base in sorted(first, key=lambda start: len(start[0].term.effect.parameters)):
-            structure = base.structure.with_term(finalist.term)
-            if not ranking.idle(structure, [tried.sketch for tried, _ in sketched if tried.sketch]):
-                sketched += self._sketched(sorted(starts[finalist.key], key=ranking.promise, reverse=True), current)
+        sketched = self._in_turn(ranked, starts, current)
         self.rounds.append(ranking.updated([tried for tried, _ in ranked], [tried for tried, _ in sketched]))
-        at_noise = any(tried.sketch is not None and tried.sketch.error < AT_FLOOR for tried, _ in sketched)
-        pairs = [] if at_noise or current.error < AT_FLOOR else pairing.promising(self)
+        pairs = [] if _at_noise(sketched) or current.error < AT_FLOOR else pairing.promising(self)
         # Where two promise far more than any one does, and come down to the noise, one by one would lead astray.
         early = [pair for pair in pairs if pair[0] > most + LARGE]
         both = pairing.sketched(self, early, current)
@@ -274,6 +266,35 @@ class Search:
                 starts.setdefault(tried.key, []).append((replace(tried, promise=tried.promise - handicap), base))
         return starts
 
+    def _in_turn(
+        self, ranked: Sequence[tuple[Tried, Fit]], starts: dict[str, list[tuple[Tried, Fit]]], current: Fit
+    ) -> list[tuple[Tried, Fit]]:
+        """Sketches of the most promising hypotheses; of what takes fine steps and promised less only if none of these
+        comes to the noise, for a straight line through its first guess foretells little far from there.
+        """
+        shares = [ranking.promise(start) / max(ranking.promise(ranked[0]), WORTH) for start in ranked]
+        worth = [(start, share) for start, share in zip(ranked, shares, strict=True) if start[0].promise > WORTH / 2]
+        first = ranking.finalists(
+            [start for start, share in worth if share > self.least(start[0].term)],
+            FINALISTS if current.error > ranking.AT_NOISE else FINALISTS // 2,
+        )
+        sketched = self._sketches(first, starts, current)
+        if _at_noise(sketched):
+            return sketched
+        slow = [start for start, share in worth if self.slow(start[0].term) and IN_TURN < share <= KEEPS_UP]
+        return sketched + self._sketches(slow, starts, current)
+
+    def _sketches(
+        self, first: Sequence[tuple[Tried, Fit]], starts: dict[str, list[tuple[Tried, Fit]]], current: Fit
+    ) -> list[tuple[Tried, Fit]]:
+        """Sketches of several hypotheses, plain ones first, for what elaborates one that leaves nothing needs none."""
+        sketched: list[tuple[Tried, Fit]] = []
+        for finalist, base in sorted(first, key=lambda start: len(start[0].term.effect.parameters)):
+            structure = base.structure.with_term(finalist.term)
+            if not ranking.idle(structure, [tried.sketch for tried, _ in sketched if tried.sketch]):
+                sketched += self._sketched(sorted(starts[finalist.key], key=ranking.promise, reverse=True), current)
+        return sketched
+
     def _sketched(self, starts: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
         """The best sketch of one hypothesis, if any, from the most promising start on.
 
@@ -304,7 +325,7 @@ class Search:
         most = max(gains.values(), default=0.0)
         least = max(KEEPS_UP * most, WORTH / 2)
         closely = max(least, most - LARGE)
-        if any(t.sketch is not None and t.sketch.error < AT_FLOOR for t, _ in sketched):
+        if _at_noise(sketched):
             return [pair for pair in sketched if gains[pair[0].key] > closely]
         close = [t for t, _ in sketched if gains[t.key] > (closely if self.slow(t.term) else least)]
         near = sorted(close, key=lambda t: -gains[t.key])[:FULLY]
@@ -470,3 +491,8 @@ class Search:
         """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
+
+
+def _at_noise(sketched: Sequence[tuple[Tried, Fit]]) -> bool:
+    """Whether any of several sketches leaves no more than the noise."""
+    return any(tried.sketch is not None and tried.sketch.error < AT_FLOOR for tried, _ in sketched)
