@@ -30,7 +30,7 @@ class Trial:
     count: int | None = None
     """number of trials; without it 42, or 430 with --full"""
     full: bool = False
-    """the long version, some 11 hours of one core; what has nothing missing comes first"""
+    """the long version, some 10 hours of one core; what has nothing missing comes first"""
     jobs: int | None = None
     """trials at a time, each on one core; without it 2, or on Ray as many as the cluster has CPUs"""
     backend: Literal["local", "ray"] = "local"
