@@ -248,6 +248,7 @@ class Physics:
             applied: where generalised forces go, (..., nv).
             step: s.
         """
+        pushed: set[int] = set()
         for extra in self.extras:
             if extra.stage == "friction":
                 j = extra.index
@@ -256,7 +257,10 @@ class Physics:
                 q = q + step / 2 * state.qvel[..., j]
                 frictionloss[..., j] = extra(_moment(state.time + step / 2, q, drive, weight))
             elif extra.stage == "force":
-                applied[..., extra.index] = extra(_moment(state.time + step / 2))
+                # What was applied in the step before still stands there, so the first one replaces it.
+                others = applied[..., extra.index] if extra.index in pushed else 0.0
+                applied[..., extra.index] = others + extra(_moment(state.time + step / 2))
+                pushed.add(extra.index)
 
     def step(self, data: mujoco.MjData, ctrl: Array, nstep: int = 1) -> None:
         """Advance one simulation by `nstep` steps under a held command (nu,)."""

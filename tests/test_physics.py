@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 import pytest
@@ -133,6 +135,15 @@ def test_a_pulse_gives_its_momentum_and_is_over() -> None:
     after = run(rig, 0.0, 160)
     assert after.qvel[0] == pytest.approx(5.0 * 0.05 / MASS, abs=5.0 * 1.1e-3 / MASS)
     assert run(rig, 0.0, 300).qvel[0] == after.qvel[0]
+
+
+def test_forces_on_one_joint_add_up() -> None:
+    """5 N that swing slowly, and 3 N from the beginning on, in either order and anew in every step."""
+    two = entry("disturbance.periodic", "cart", 5, 0.25, math.pi / 2), entry("disturbance.pulse", "cart", 3, 0.0, 9.0)
+    for custom in ("".join(two), "".join(reversed(two))):
+        rig = cart(custom)
+        data = run(rig, 0.0, 2)
+        assert data.qfrc_applied[0] == pytest.approx(8.0, abs=0.01)
 
 
 def test_stock_mujoco_simulates_the_file_without_the_effect() -> None:
