@@ -475,7 +475,14 @@ def test_what_is_fitted_is_no_judge() -> None:
         diagnose(mjcf.from_text(NOMINAL), [fitted], [replace(fitted, name="copy")])
 
 
-@pytest.mark.parametrize("wishes", [Wishes(("cart.weight",)), Wishes(prior={"motor.gear": (4.0, -1.0)})])
+@pytest.mark.parametrize(
+    "wishes",
+    [
+        Wishes(("cart.weight",)),
+        Wishes(prior={"motor.gear": (4.0, -1.0)}),
+        Wishes(prior={"motor.gear": (math.inf, 1.0)}),
+    ],
+)
 def test_wishes_that_make_no_sense(wishes: Wishes) -> None:
     with pytest.raises(ValueError, match=r"cart\.weight|positive"):
         diagnose(mjcf.from_text(NOMINAL), [run(6, 5, 0.0)], wishes=wishes)

@@ -16,7 +16,7 @@ import dipc_gym
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real.document import Document, text
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.numbers import own_numbers
+from dipc_gym.sim2real.numbers import fixed_masses, own_numbers
 
 RIG = Path(dipc_gym.__file__).with_name("rig.xml")
 CLASSES = """<mujoco>
@@ -221,6 +221,33 @@ def test_a_refitted_number_keeps_its_neighbours_from_a_class() -> None:
     model = compiled(file)
     assert model.dof_damping[0] == 9
     assert model.dof_dampingpoly[0].tolist() == [0, 1]
+
+
+BOX = '<geom size=".1" mass="2"/>'
+
+
+@pytest.mark.parametrize(
+    ("compiler", "inner", "free"),
+    [
+        ("", BOX, True),
+        ('inertiafromgeom="true"', BOX, True),  # as in Gymnasium's inverted pendulums
+        ('settotalmass="5"', BOX, False),  # whatever is written is scaled back
+        ('fusestatic="true"', f"{BOX}<body name='welded' pos='0 0 1'>{BOX}</body>", False),  # counted again
+    ],
+)
+def test_a_mass_is_refitted_only_where_what_is_written_holds(compiler: str, inner: str, free: bool) -> None:
+    file = document(
+        f'<mujoco><compiler {compiler}/><worldbody><body name="cart"><joint name="cart" type="slide"/>{inner}</body>'
+        "</worldbody></mujoco>"
+    )
+    model = compiled(file)
+    numbers = own_numbers(file, model)
+    masses = [number for number in numbers if number.key == "cart.mass"]
+    assert bool(masses) == free
+    assert bool(fixed_masses(file, model, numbers)) != free
+    for mass in masses:
+        mass.write(file, 3.0)
+        assert compiled(file).body("cart").mass[0] == pytest.approx(3.0)
 
 
 def test_added_forces_do_not_inherit_what_motors_have() -> None:

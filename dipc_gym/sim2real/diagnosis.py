@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,7 @@ from dipc_gym.sim2real.conclusion import conclude
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.fit import Fit, fit
-from dipc_gym.sim2real.numbers import Number, own_numbers
+from dipc_gym.sim2real.numbers import Number, fixed_masses, own_numbers
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording, RecordingError
 from dipc_gym.sim2real.result import Diagnosis, Errors, Work
@@ -62,9 +63,10 @@ class Wishes:
                 continue
             if number.key in self.prior:
                 mean, spread = self.prior[number.key]
-                if not (mean > 0 and spread > 0):
-                    raise ValueError(f"--prior {number.key}: mean and spread must be positive")
-                number = replace(number, sigma=spread / mean, expected=mean)
+                if not (0 < mean < math.inf and 0 < spread < math.inf):
+                    raise ValueError(f"--prior {number.key}: mean and spread must be positive and finite")
+                # Of the log-normal distribution with this mean and spread, whose reach stays finite.
+                number = replace(number, sigma=math.sqrt(math.log1p((spread / mean) ** 2)), expected=mean)
             out.append(number)
         return out
 
@@ -116,7 +118,9 @@ def diagnose(
     span = (0.0, 1.0) if held_out else (0.0, TRAIN)
     step = min(COARSEST, *(r.period for r in recordings))
     stepping = Stepping(step, mujoco.mjtIntegrator.mjINT_RK4)
-    numbers = (wishes or Wishes()).apply(own_numbers(Document(source), given.model))
+    numbers = own_numbers(document := Document(source), given.model)
+    notes += fixed_masses(document, given.model, numbers)
+    numbers = (wishes or Wishes()).apply(numbers)
     if not any(np.ptp(r.sensors, axis=0).any() for r in recordings):
         return _cannot_tell("no sensor changes in any of them", IN_MOTION, source, notes, provenance)
     try:
@@ -190,12 +194,12 @@ def diagnose(
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved), small, len(final.structure.terms), len(changed)
     )
-    notes += sentences.other_numbers(changed, [other.structure.numbers for other in found.others])
     missing = findings.missing_effects(search, found, errors, verdict, wide)
     if search.interrupted:
         notes.append("The search was interrupted: effects may be lacking, and not all rivals were compared.")
     if verdict == "consistent":
         changed = []
+    notes += sentences.other_numbers(changed, [other.structure.numbers for other in found.others])
     if verdict in ("partly explained", "unexplained"):
         missing = findings.with_unknown(missing, errors, search, final, prepared.structure.base)
     improved = source.text

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from dipc_gym import mjcf
 from dipc_gym.sim2real.document import Document, text
 from dipc_gym.sim2real.effects.base import is_dcmotor
 
@@ -84,9 +85,30 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
         if not _exists(model, mujoco.mjtObj.mjOBJ_BODY, name):
             continue
         mass = float(model.body(name).mass[0])
-        if model.body_dofnum[model.body(name).id] and mass > 0:
-            found.append(Number("mass", name, mass, "kg", _mass(model, name), 0.1))
+        write = _mass(model, name)
+        if model.body_dofnum[model.body(name).id] and mass > 0 and _takes_mass(document, model, name, write):
+            found.append(Number("mass", name, mass, "kg", write, 0.1))
     return found
+
+
+def fixed_masses(document: Document, model: mujoco.MjModel, numbers: Sequence[Number]) -> list[str]:
+    """A sentence about the moving bodies whose mass no refit can change, if there are any."""
+    free = {n.at for n in numbers if n.parameter == "mass"}
+    bodies = [element.get("name", "") for element in document.root.iterfind(".//worldbody//body")]
+    fixed = [
+        name
+        for name in bodies
+        if name not in free
+        and _exists(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        and model.body_dofnum[model.body(name).id]
+        and model.body(name).mass[0] > 0
+    ]
+    if not fixed:
+        return []
+    return [
+        f"The mass of {', '.join(fixed)} is not refitted, for the compiler settings of the model (settotalmass, "
+        "fusestatic, inertiafromgeom) override what is written for it; if it may be wrong, take them out."
+    ]
 
 
 def _exists(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
@@ -116,6 +138,18 @@ def _all_of(kind: str, name: str, attribute: str) -> Callable[[Document, float],
     return write
 
 
+def _takes_mass(document: Document, model: mujoco.MjModel, name: str, write: Callable[[Document, float], None]) -> bool:
+    """Whether a mass that is written becomes that of the body and leaves all others as they are."""
+    wanted, edited = model.body_mass.copy(), document.copy()
+    wanted[model.body(name).id] *= 1.1
+    write(edited, float(wanted[model.body(name).id]))
+    try:
+        written = mjcf.compile(document.source.edited(edited.text()), trusted=True).body_mass
+    except mjcf.MjcfError:
+        return False
+    return written.shape == wanted.shape and np.allclose(written, wanted, rtol=1e-6)
+
+
 def _mass(model: mujoco.MjModel, name: str) -> Callable[[Document, float], None]:
     """Scales a body's mass and inertia together, written as an explicit `<inertial>`."""
     body = model.body(name)
@@ -136,5 +170,8 @@ def _mass(model: mujoco.MjModel, name: str) -> Callable[[Document, float], None]
                 inertial.attrib.pop(orientation, None)
             document.set(inertial, quat=list(turn))
         document.set(inertial, **scaled)  # type: ignore[arg-type]
+        for compiler in document.root.iterfind("compiler"):
+            if compiler.get("inertiafromgeom") == "true":  # which would pass over it
+                document.set(compiler, inertiafromgeom="auto")
 
     return write
