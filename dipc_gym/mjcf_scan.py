@@ -15,6 +15,7 @@ from xml.parsers import expat
 
 MAX_TEXT = 20_000_000  # bytes of XML, everything that is included counted as often as it is
 MAX_FILES = 400_000_000  # bytes of all files that a model pulls in
+MAX_DEPTH = 50  # files that include one another
 MAX_ELEMENTS = 100_000  # XML elements after replicate, composite and flexcomp are multiplied out
 
 
@@ -146,6 +147,8 @@ class _Scan:
         key = self.fetch(path, where)
         if key in ancestors:
             raise MjcfError(f"{where}: {key!r} contains itself")
+        if len(ancestors) >= MAX_DEPTH:
+            raise MjcfError(f"{where}: {key!r} is included {MAX_DEPTH} files deep; put them into fewer files")
         return key, _decode(self.files[key], f"{where}, file {key!r}")
 
     def fetch(self, path: str, where: str) -> str:

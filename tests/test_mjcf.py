@@ -171,6 +171,12 @@ def test_circles_are_refused(folder: Path) -> None:
     assert "contains itself" in refused(folder / "m.xml")
 
 
+def test_what_is_included_too_deep_is_refused(folder: Path) -> None:
+    for level in range(400):
+        (folder / f"l{level}.xml").write_text(f"<mujoco><include file='l{level + 1}.xml'/></mujoco>")
+    assert "50 files deep" in refused(folder / "l0.xml")
+
+
 def test_repeated_submodels_run_into_the_limit_and_not_into_the_night(folder: Path) -> None:
     for level in range(12):
         models = "".join(f'<model name="m{k}" file="l{level + 1}.xml"/>' for k in range(10))

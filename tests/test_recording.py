@@ -5,6 +5,7 @@ import itertools
 import math
 import pickle
 import sys
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -309,6 +310,24 @@ def test_npz_is_never_unpickled(tmp_path: Path, model: mujoco.MjModel, monkeypat
     assert not (tmp_path / "sprung").exists()
     (tmp_path / "p.npz").write_bytes(pickle.dumps(run()))
     assert "not a readable npz file" in refused(tmp_path / "p.npz", model)
+
+
+def test_npz_unfolds_into_no_more_than_it_says(tmp_path: Path, model: mujoco.MjModel) -> None:
+    """An entry of 40 MB that says it has 928 bytes; and one that is packed so that no reader can stop in time."""
+    path, entry = tmp_path / "r.npz", zipfile.ZipInfo("time.npy")
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(entry, bytes(40_000_000), zipfile.ZIP_DEFLATED)
+        for name in ("motor", "cart", "pole"):
+            archive.writestr(f"{name}.npy", b"")
+        entry.file_size = 928
+    tracemalloc.start()
+    assert "not a readable npz file" in refused(path, model)
+    assert tracemalloc.get_traced_memory()[1] < 4_000_000
+    tracemalloc.stop()
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as archive:
+        for name in ("time", "motor", "cart", "pole"):
+            archive.writestr(f"{name}.npy", b"")
+    assert "save it with numpy.savez" in refused(path, model)
 
 
 def test_npz_shapes_and_types(tmp_path: Path, model: mujoco.MjModel) -> None:

@@ -230,6 +230,8 @@ def test_windows_beside_an_odd_one_are_taken_in() -> None:
     assert found.tolist() == [True, True, False, False]
     found = selection.eventful(fitted, np.ones(9), rest, np.array([1.0, 1.0, 90.0, 1.0]))  # type: ignore[arg-type]
     assert found.tolist() == [False, False, True, False]
+    many = Rest(start=np.arange(9.0), source=np.zeros(9, dtype=int), times=rest.times)
+    assert not selection.eventful(fitted, np.ones(9), many, np.full(9, 90.0)).any()  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,12 @@ def test_smoothing_leaves_parabolas_alone(coefficients: list[float], noise: floa
     np.testing.assert_allclose(states.smoothed(time, values, noise), values, atol=1e-9)
 
 
+def test_smoothing_bears_stamps_one_rounding_apart() -> None:
+    time = np.arange(300) * 0.01
+    time = np.insert(time, 151, np.nextafter(time[150], np.inf))
+    assert np.isfinite(states.smoothed(time, np.sin(time), 1e-4)).all()
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-2, 1.0])
 def test_smoothing_bears_stamps_that_nearly_coincide_and_gaps(noise: float) -> None:
     time = np.arange(3000) * 0.002

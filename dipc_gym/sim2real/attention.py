@@ -56,13 +56,14 @@ def _take_in(search: Search, new: Problem) -> None:
     def informed(fitted: Fit) -> Fit:
         return fitted.join(fit(new, fitted.structure, fitted.z, most=0))
 
-    search.problem = search.problem.join(new)
-    search.path = [informed(fitted) for fitted in search.path]
-    search.anchor = search.anchor and informed(search.anchor)
-    search.rounds = [
+    path = [informed(fitted) for fitted in search.path]
+    anchor = search.anchor and informed(search.anchor)
+    rounds = [
         [replace(tried, fitted=tried.fitted and informed(tried.fitted)) for tried in hypotheses]
         for hypotheses in search.rounds
     ]
+    # Together, for Ctrl-C may come while fits are informed.
+    search.problem, search.path, search.anchor, search.rounds = search.problem.join(new), path, anchor, rounds
 
 
 def _leave_aside(search: Search, keep: NDArray[np.bool_]) -> None:

@@ -27,7 +27,7 @@ class Comparison:
     """How much better one fit predicts than another.
 
     Attributes:
-        gain: mean fall of the log square error of unseen windows; 0.7 is a factor of two.
+        gain: mean fall of the log square error over the windows compared on; 0.7 is a factor of two.
         error: standard error of it, over blocks of a second.
         shows: whether it shows at the noise in a few blocks, far beyond it, and in none the other way: an effect that
             acts in three of eighty windows is there, though its gain is as uncertain as it is uneven.

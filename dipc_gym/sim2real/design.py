@@ -359,7 +359,9 @@ def _length(structure: Structure, joint: str) -> str:
 
 
 def _unit(structure: Structure, like: Recording, actuator: int) -> str:
-    return " V" if is_dcmotor(structure.model, like.actuator_names[actuator].split(".")[0]) else ""
+    name = like.actuator_names[actuator]
+    known = mujoco.mj_name2id(structure.model, mujoco.mjtObj.mjOBJ_ACTUATOR, name) >= 0
+    return " V" if is_dcmotor(structure.model, name if known else name.split(".")[0]) else ""
 
 
 def _recording(like: Recording, time: Array, commands: Array) -> Recording:

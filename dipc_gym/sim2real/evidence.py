@@ -33,7 +33,6 @@ class Scene:
         velocity: (n, nv).
         force: unexplained generalised force, (n, nv).
         load: that each joint transmits, (n, nv).
-        source: index of the recording, (n,).
         odd: times at which windows begin that are predicted far worse than most, the worst first, s.
     """
 
@@ -44,7 +43,6 @@ class Scene:
     velocity: Array
     force: Array
     load: Array
-    source: NDArray[np.intp]
     odd: tuple[float, ...] = ()
 
     def at(self, place: Place, name: str, levels: dict[str, float]) -> Evidence:
@@ -115,9 +113,8 @@ def scene(
         force, load = unexplained_force(physics, recording, motion)
         parts.append((recording.time[:n], motion.position[:n], motion.velocity[:n], force[:n], load[:n]))
     time, position, velocity, force, load = (np.concatenate(part) for part in zip(*parts, strict=True))
-    source = np.concatenate([np.full(len(part[0]), i) for i, part in enumerate(parts)])
     cut = tuple(recording.slice(0, _index(recording, until)) for recording in recordings)
-    return Scene(model, cut, time, position, velocity, force, load, source, tuple(odd))
+    return Scene(model, cut, time, position, velocity, force, load, tuple(odd))
 
 
 def _index(recording: Recording, share: float) -> int:

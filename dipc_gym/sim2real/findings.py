@@ -139,10 +139,11 @@ def missing_effects(search: Search, found: Conclusion, errors: Errors, verdict: 
 def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[str, dict[str, Any]]:
     """Numbers of an effect with units and 90 % intervals of +- `wide` mapped numbers (p,), where that is finite."""
     parameters: dict[str, dict[str, Any]] = {}
+    names = {f"{term.key}.{p.name}": p.name for p in term.effect.parameters}
     for slot, z, half in zip(final.structure.slots, final.z, wide, strict=True):
-        if not slot.key.startswith(f"{term.key}."):
+        if slot.key not in names:
             continue
-        name = slot.key.removeprefix(f"{term.key}.")
+        name = names[slot.key]
         parameters[name] = {"value": slot.value(z), "unit": units[name]}
         if np.isfinite(half):
             low, high = sorted((slot.value(z - half), slot.value(z + half)))

@@ -86,7 +86,7 @@ class Diagnosis:
         located: where the unexplained force sits.
         missing: effects, the strongest first.
         recalibrated: own numbers that had to change.
-        train: errors on the windows that were fitted.
+        train: errors on windows between the fitted ones.
         held_out: errors on windows that no fit has touched; they may strike effects off, and add none.
         force: error of the inverse model on the same data, of the force that each joint transmits.
         next_experiment: what would settle what is left.

@@ -100,9 +100,10 @@ def eventful(windows: Windows, mse: Array, rest: Windows, rest_mse: Array) -> ND
         rest: windows left aside.
         rest_mse: how well these are predicted, (n,).
     """
-    fitted, aside = odd_windows(mse), odd_windows(rest_mse, mse)
-    if not 0 < len(fitted) + len(aside) <= ODD:
+    far = FAR_OUT * typical(mse)
+    if not 0 < np.sum(mse > far) + np.sum(rest_mse > far) <= ODD:
         return np.zeros(len(rest), dtype=bool)
+    fitted, aside = odd_windows(mse), odd_windows(rest_mse, mse)
     start = np.append(windows.start[fitted], rest.start[aside])
     source = np.append(windows.source[fitted], rest.source[aside])
     return np.asarray((_beside(rest, start) & (rest.source[:, None] == source)).any(axis=1))

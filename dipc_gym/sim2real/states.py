@@ -214,7 +214,8 @@ def smoothed(time: Array, values: Array, noise: float) -> Array:
         return np.asarray(solveh_banded(banded, values))
 
     # Stamps that nearly coincide make the matrix so stiff that its Cholesky factor is lost in rounding.
-    low, high = -6.0, min(12.0, 14.0 - math.log10(float(roughness.max())))
+    high = min(12.0, 14.0 - math.log10(float(roughness.max())))
+    low = min(-6.0, high)
     for _ in range(18):
         middle = (low + high) / 2
         if np.std(values - solve(10**middle)) < noise:

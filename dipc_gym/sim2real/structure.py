@@ -88,7 +88,6 @@ class Structure:
         base: names of its joints.
         numbers: own numbers that are free.
         terms: effects added, in the order in which they are written.
-        fixed: values of own numbers that were changed and are not free, by key.
     """
 
     document: Document

@@ -50,10 +50,6 @@ class Table:
     lines: Sequence[int]
     sha256: str
 
-    def row(self, index: int) -> str:
-        """How a message names a row."""
-        return row_label(self.lines, index)
-
 
 def row_label(lines: Sequence[int], index: int) -> str:
     """`line 12` where the file has lines, else `row 11`, counted from 1."""
@@ -284,12 +280,20 @@ def _read_npz(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[
             wanted = list(choose(names))
             entries = dict(zip(names, archive.infolist(), strict=True))
             _check_size(path, sum(entries[name].file_size for name in wanted) // 8, 1)
-            columns = {name: _npy(path, name, archive.read(entries[name])) for name in wanted}
+            columns = {name: _npy(path, name, _entry(path, archive, entries[name])) for name in wanted}
     except RecordingError:
         raise
     except Exception as error:  # a corrupt archive can provoke any of a dozen classes
         raise RecordingError(f"{path}: not a readable npz file: {_first_line(error)}") from None
     return names, columns, ()
+
+
+def _entry(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
+    """What an entry of the archive holds, no more of it than it says: a small file can unfold into gigabytes."""
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise RecordingError(f"{path}: {entry.filename} is packed otherwise than numpy packs; save it with numpy.savez")
+    with archive.open(entry) as file:
+        return file.read(entry.file_size)
 
 
 def _npy(path: Path, name: str, data: bytes) -> NDArray[np.float64]:

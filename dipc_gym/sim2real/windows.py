@@ -175,8 +175,8 @@ def _cut(recordings: Sequence[Recording], noise: Array, length: float, span: tup
         longest = max(recordings, key=lambda r: r.duration)
         raise RecordingError(
             f"{longest.path or longest.name}: {longest.duration:.3g} s, sampled every {longest.period:.2g} s, hold no "
-            f"window of {length:g} s in the part from {span[0]:.0%} to {span[1]:.0%}: record longer, or give a window "
-            "of at least 4 samples that fits"
+            f"window of {length:g} s in the part from {span[0]:.0%} to {span[1]:.0%}: record "
+            f"{'faster' if 3 * longest.period > length else 'longer'}, for a window has at least 4 samples"
         )
     return windows
 
