@@ -193,3 +193,15 @@ def test_a_trend_is_named_only_where_next_to_nothing_is_left(
     assert found.fitted.name == named  # type: ignore[attr-defined]
     assert len(found.notes) == len(struck_off)
     assert all(note.startswith(words) for note, words in zip(found.notes, struck_off, strict=True))
+
+
+def test_ctrl_c_while_effects_are_judged_keeps_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: object) -> SimpleNamespace:
+        raise KeyboardInterrupt
+
+    search = _Searched("", "first")
+    monkeypatch.setattr(sparse, "fewest_numbers", stopped)
+    found = conclusion.conclude(search)  # type: ignore[arg-type]
+    assert found.fitted.name == "first"  # type: ignore[attr-defined]
+    assert found.rivals == {"first": []}
+    assert search.interrupted

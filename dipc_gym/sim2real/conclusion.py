@@ -41,7 +41,11 @@ def conclude(search: Search) -> Conclusion:
         search: that has run.
     """
     for swaps in range(SWAPS + 1):
-        upheld, fewest, notes = _upheld(search)
+        try:
+            upheld, fewest, notes = _upheld(search)
+        except KeyboardInterrupt:
+            _interrupted(search)
+            return Conclusion(search.path[-1], _rivals(search, search.path[-1]))
         rivals = _rivals(search, upheld)
         rival = _successor(search, upheld, [rival for group in rivals.values() for rival in group])
         if notes or rival is None or search.interrupted or swaps == SWAPS:

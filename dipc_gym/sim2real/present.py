@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import os
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -45,8 +46,8 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
         The folder.
     """
     check_free(folder, overwrite)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".diagnosis-") as draft:
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".diagnosis-") as draft:
         drafts = Path(draft)
         for name, content in found.files.items():
             (drafts / name).parent.mkdir(parents=True, exist_ok=True)
@@ -64,13 +65,17 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
 
 
 def check_free(folder: Path, overwrite: bool) -> None:
-    """Refuse a folder that holds something.
+    """Refuse a folder that holds something, or that cannot be written: before the work rather than after it.
 
     Raises:
         FileExistsError: with what to do.
+        PermissionError: likewise.
     """
-    if folder.exists() and not folder.is_dir():
-        raise FileExistsError(f"{folder} is a file; name a folder for the results")
+    nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not nearest.is_dir():
+        raise FileExistsError(f"{nearest} is a file; name a folder for the results")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise PermissionError(f"{nearest} may not be written; name another folder for the results")
     if folder.is_dir() and any(folder.iterdir()) and not overwrite:
         raise FileExistsError(f"{folder} is not empty; name another folder or add --overwrite")
 
@@ -177,6 +182,7 @@ def _candidates(work: Work) -> list[report.Candidate]:
         for rs in work.replaced.values()
         for r in rs
     }
+    otherwise = "not told apart" if search.interrupted else "ruled out"
     rows: dict[str, report.Candidate] = {}
     baseline = search.path[0]
     for tried in [t for r in reversed(search.rounds) for t in r]:
@@ -197,7 +203,7 @@ def _candidates(work: Work) -> list[report.Candidate]:
             tried.term.effect.name,
             tried.term.at,
             words,
-            "chosen" if tried.key in chosen else status.get(tried.key, "ruled out"),  # type: ignore[arg-type]
+            "chosen" if tried.key in chosen else status.get(tried.key, otherwise),  # type: ignore[arg-type]
             error,
             gain.gain,
             gain.error if np.isfinite(gain.error) else None,

@@ -100,8 +100,10 @@ class Candidate:
         at: place.
         words: the effect in plain words.
         status: what became of it.
-        error: reached by the full fit, in units of noise; None if it was not fitted.
-        improvement: mean fall of the log square error of windows it was not fitted to; None if not fitted.
+        error: reached by its fit, in units of noise; of a sketch, as that of all windows would be; None if it was not
+            fitted.
+        improvement: mean fall of the log square error against the refitted model, beside what was in place when it was
+            tried; on windows it was not fitted to, or on those of a sketch; None if not fitted.
         standard_error: of the improvement.
     """
 
