@@ -80,35 +80,30 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
             if gear:
                 write = _first_of("actuator", name, "gear", sign=math.copysign(1.0, gear))
                 found.append(Number("gear", name, abs(gear), "", write, 0.3))
-    for element in document.root.iterfind(".//worldbody//body"):
-        name = element.get("name", "")
-        if not _exists(model, mujoco.mjtObj.mjOBJ_BODY, name):
-            continue
-        mass = float(model.body(name).mass[0])
+    for name in _moving_bodies(document, model):
         write = _mass(model, name)
-        if model.body_dofnum[model.body(name).id] and mass > 0 and _takes_mass(document, model, name, write):
-            found.append(Number("mass", name, mass, "kg", write, 0.1))
+        if _takes_mass(document, model, name, write):
+            found.append(Number("mass", name, float(model.body(name).mass[0]), "kg", write, 0.1))
     return found
 
 
 def fixed_masses(document: Document, model: mujoco.MjModel, numbers: Sequence[Number]) -> list[str]:
     """A sentence about the moving bodies whose mass no refit can change, if there are any."""
     free = {n.at for n in numbers if n.parameter == "mass"}
-    bodies = [element.get("name", "") for element in document.root.iterfind(".//worldbody//body")]
-    fixed = [
-        name
-        for name in bodies
-        if name not in free
-        and _exists(model, mujoco.mjtObj.mjOBJ_BODY, name)
-        and model.body_dofnum[model.body(name).id]
-        and model.body(name).mass[0] > 0
-    ]
+    fixed = [name for name in _moving_bodies(document, model) if name not in free]
     if not fixed:
         return []
     return [
         f"The mass of {', '.join(fixed)} is not refitted, for the compiler settings of the model (settotalmass, "
         "fusestatic, inertiafromgeom) override what is written for it; if it may be wrong, take them out."
     ]
+
+
+def _moving_bodies(document: Document, model: mujoco.MjModel) -> list[str]:
+    """Names of the bodies that have a mass and joints of their own."""
+    names = [element.get("name", "") for element in document.root.iterfind(".//worldbody//body")]
+    there = [model.body(name) for name in names if _exists(model, mujoco.mjtObj.mjOBJ_BODY, name)]
+    return [body.name for body in there if model.body_dofnum[body.id] and body.mass[0] > 0]
 
 
 def _exists(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
