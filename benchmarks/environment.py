@@ -19,7 +19,7 @@ import numpy as np
 import dipc_gym
 from dipc_gym import compensators
 from dipc_gym.compensators import OutOfRangeWarning
-from dipc_gym.lqr import PRINTED_GAIN
+from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.runs import identify
 from dipc_gym.wrappers import ForceCommand
 

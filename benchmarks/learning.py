@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dipc_gym import trainings
 from dipc_gym.policy import Policy
-from dipc_gym.train import RECIPES, Training
+from dipc_gym.training import seeds
+from dipc_gym.training.train import RECIPES, Training
 
 ALPHA = 0.2
 NAMES = {"none": "voltage", "ideal": "ideal (true friction known)"}
@@ -30,7 +30,7 @@ def trained(options):
         for seed in range(options.seeds)
         for compensator in options.compensators
     ]
-    outcomes = trainings.run(wanted, options.out, jobs=options.jobs, backend=options.backend)
+    outcomes = seeds.run(wanted, options.out, jobs=options.jobs, backend=options.backend)
     if failed := [f"{outcome.cell.name}: {outcome.failure}" for outcome in outcomes if outcome.failure is not None]:
         sys.exit("\n".join(failed) + "\nthe same command tries these again")
     done = {}

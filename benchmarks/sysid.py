@@ -29,15 +29,16 @@ import mujoco
 import numpy as np
 from mujoco import sysid
 
-from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import diagnose, evidence, recording
-from dipc_gym.sim2real.document import Document
+from dipc_gym import mjcf, physics, recording
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.recording import Recorder
+from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.fit import evaluate, fit
-from dipc_gym.sim2real.numbers import own_numbers
-from dipc_gym.sim2real.recording import Recorder
-from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.windows import prepare
+from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation.fit import evaluate, fit
+from dipc_gym.sim2real.estimation.segments import prepare
+from dipc_gym.sim2real.model.parameters import own_numbers
+from dipc_gym.sim2real.simulation.batch import Stepping
 
 CART = """
 <mujoco model="cart">

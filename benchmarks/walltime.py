@@ -23,9 +23,9 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecMonitor
 
 import dipc_gym
-from dipc_gym.learner import ScaledRigs
 from dipc_gym.sb3 import DIPCFrictionVecEnv
-from dipc_gym.train import RECIPES
+from dipc_gym.training.learner import ScaledRigs
+from dipc_gym.training.train import RECIPES
 
 RECIPE = RECIPES["ppo"]
 VOLTS = 15.0  # largest command

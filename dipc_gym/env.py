@@ -16,10 +16,10 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from dipc_gym import drawing, kernels, mjcf
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import from_model
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
-from dipc_gym.sim2real.document import Document
 
 Array = NDArray[np.float64]
 State = tuple[float, float, float, float, float, float]

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from dipc_gym import kernels, mjcf
 from dipc_gym.compensators import RigConstants, Samples
-from dipc_gym.physics import PREFIX, from_model
+from dipc_gym.physics import from_model
 from dipc_gym.plant import Encoders, Plant
+from dipc_gym.recording import Recording, resample_commands
 from dipc_gym.rigid import Rigid
-from dipc_gym.sim2real.recording import Recording, resample_commands
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def locked(text: str, joints: Collection[str]) -> str:
     for custom in root.iter("custom"):
         for effect in custom.findall("numeric"):
             prefix, _, rest = effect.get("name", "").partition(":")
-            if prefix == PREFIX and rest.partition(":")[2] in gone:
+            if prefix == mjcf.PREFIX and rest.partition(":")[2] in gone:
                 custom.remove(effect)
     return ET.tostring(root, encoding="unicode")
 

@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 
-PREFIX = "dipc_gym"
 Stage = Literal["command", "force", "friction", "sensor", "lag"]
 Array = NDArray[np.float64]
 
@@ -311,7 +310,7 @@ def from_model(model: mujoco.MjModel) -> Physics:
     extras = []
     for i in range(model.nnumeric):
         name = model.numeric(i).name
-        if not name.startswith(PREFIX + ":"):
+        if not name.startswith(mjcf.PREFIX + ":"):
             continue
         parts = name.split(":", 2)
         if len(parts) != 3 or parts[1] not in _rules:
@@ -330,8 +329,8 @@ def from_model(model: mujoco.MjModel) -> Physics:
             usable = False
         if not usable or (extra.stage == "lag" and extra.data[0] <= 0):
             raise mjcf.MjcfError(
-                f"<custom> entry '{PREFIX}:{extra.effect}:{extra.at}' has the numbers {extra.data.tolist()}, too few "
-                f"or out of range; {(_rules[extra.effect][1].__doc__ or '').strip()}"
+                f"<custom> entry '{mjcf.PREFIX}:{extra.effect}:{extra.at}' has the numbers {extra.data.tolist()}, "
+                f"too few or out of range; {(_rules[extra.effect][1].__doc__ or '').strip()}"
             )
     return physics
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dipc_gym.mjcf_defaults import effective
+from dipc_gym.mjcf.defaults import effective
 from dipc_gym.untrusted import Format
 
 SCHEMA = "dipc-gym/plant/1"

@@ -12,11 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import untrusted
-from dipc_gym.controllers import ControllerError
 from dipc_gym.files import write_whole
 from dipc_gym.untrusted import Format
 
 Array = NDArray[np.float64]
+
+
+class ControllerError(ValueError):
+    """A controller that cannot be had; the message names file, part and mend."""
+
+
 Commands = Literal["force", "voltage"]
 
 SCHEMA = "dipc-gym/policy/1"

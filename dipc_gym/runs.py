@@ -11,13 +11,12 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, compensators
+from dipc_gym import ENV_ID, compensators, recording
 from dipc_gym.compensators import Compensator, Samples
 from dipc_gym.controllers import Controller
 from dipc_gym.identification import Cart, Sweep, cart, cart_model, record, samples
 from dipc_gym.plant import Plant
-from dipc_gym.sim2real import recording
-from dipc_gym.sim2real.recording import Recording
+from dipc_gym.recording import Recording
 
 Array = NDArray[np.float64]
 

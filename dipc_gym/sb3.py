@@ -13,7 +13,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from dipc_gym.statistics import SIZE, Statistics
+from dipc_gym.controllers.normalisation import SIZE, Statistics
 from dipc_gym.vector import DIPCFrictionVectorEnv
 
 Array = NDArray[np.float64]

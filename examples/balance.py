@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 import dipc_gym
-from dipc_gym.lqr import PRINTED_GAIN
+from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.runs import identify
 from dipc_gym.wrappers import ForceCommand
 

@@ -9,14 +9,14 @@ import mujoco
 import numpy as np
 
 from dipc_gym import mjcf, physics
+from dipc_gym.recording import Recorder
 from dipc_gym.sim2real import effects
 from dipc_gym.sim2real.effects import Effect, Parameter
-from dipc_gym.sim2real.evidence import places, scene
-from dipc_gym.sim2real.fit import fit
-from dipc_gym.sim2real.recording import Recorder
-from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.structure import Term
-from dipc_gym.sim2real.windows import prepare
+from dipc_gym.sim2real.estimation.evidence import places, scene
+from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.estimation.segments import prepare
+from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.simulation.batch import Stepping
 
 RIG = """
 <mujoco model="paddle">

@@ -40,8 +40,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from dipc_gym.sim2real import recording
-from dipc_gym.sim2real.recording import Recording
+from dipc_gym import recording
+from dipc_gym.recording import Recording
 
 EMPS = """\
 <!-- EMPS, a carriage on a ball screw: mass and drive gain (N/V) alone. Friction is what a diagnosis should find. -->

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import windows
-from dipc_gym.sim2real.recording import Recorder, Recording
-from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.windows import Prepared
+from dipc_gym.recording import Recorder, Recording
+from dipc_gym.sim2real.estimation import segments
+from dipc_gym.sim2real.estimation.segments import Prepared
+from dipc_gym.sim2real.simulation.batch import Stepping
 
 Array = NDArray[np.float64]
 RK4 = mujoco.mjtIntegrator.mjINT_RK4
@@ -150,4 +150,4 @@ def prepared(
     """Windows of recordings for a model."""
     source = mjcf.from_text(text)
     stepping = stepping or Stepping(0.001, RK4)
-    return windows.prepare(source, physics.load(source), recordings, stepping, length=length, span=span)
+    return segments.prepare(source, physics.load(source), recordings, stepping, length=length, span=span)

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dipc_gym.sim2real import charts
-from dipc_gym.sim2real.wording import measured, number, percent, short, tied
+from dipc_gym.sim2real.report import charts
+from dipc_gym.sim2real.report.wording import measured, number, percent, short, tied
 
 FINITE = st.floats(-1e6, 1e6)
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dipc_gym import compensators, figures
+from dipc_gym import compensators, recording
 from dipc_gym.cli import COMMANDS, main
+from dipc_gym.experiments import figures
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.runs import Course, identify
-from dipc_gym.sim2real import recording
 
 
 def test_help_loads_nothing_heavy() -> None:
@@ -83,7 +83,7 @@ def test_notes_of_the_recording_that_is_trained_from_are_told(
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("dipc_gym.compare.run", stop)
+    monkeypatch.setattr("dipc_gym.experiments.compare.run", stop)
     log.write_text(log.read_text().replace("time,motor,x", "time,motor,cart", 1))
     assert main(["compare", "--out", str(tmp_path / "out"), "--recording", str(log)]) == 130
     assert "--unit cart=mm" in capsys.readouterr().out

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dipc_gym import cells, compare, compensators, lqr
-from dipc_gym.compare import Comparison, Spread
+from dipc_gym import compensators, recording
 from dipc_gym.compensators import StaticGain
-from dipc_gym.controllers import LQR
+from dipc_gym.controllers import LQR, lqr
 from dipc_gym.env import DoublePendulumEnv
+from dipc_gym.experiments import cells, compare
+from dipc_gym.experiments.compare import Comparison, Spread
+from dipc_gym.experiments.tables import summarise, table
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.runs import balance, identify
-from dipc_gym.sim2real import recording
-from dipc_gym.summary import summarise, table
 
 QUICK = Comparison(compensators=("none", "feedforward", "llnf", "ideal"), seeds=2, seconds=2.0)
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
-from dipc_gym import cli, mjcf, physics
-from dipc_gym.sim2real import conventions, recording
-from dipc_gym.sim2real.conventions import Convention
+from dipc_gym import cli, mjcf, physics, recording
+from dipc_gym.recording import Recording
 from dipc_gym.sim2real.diagnosis import diagnose
-from dipc_gym.sim2real.fit import fit
-from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.simulate import Stepping
+from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.verdict import conventions
+from dipc_gym.sim2real.verdict.conventions import Convention
 
 RATED = HANGING.replace("</sensor>", '<jointvel name="rate2" joint="pole2"/></sensor>')
 SENSORS = ("cart", "pole1", "pole2", "rate2")

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from sim2real_rigs import CART, HANGING, NOISE, RK4, TORQUE, prepared, record, sweep
 
-from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import design, recording
+from dipc_gym import mjcf, physics, recording
+from dipc_gym.recording import Recording
+from dipc_gym.sim2real import design
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.structure import Structure, Term
-from dipc_gym.sim2real.windows import Prepared
+from dipc_gym.sim2real.estimation.segments import Prepared
+from dipc_gym.sim2real.model.structure import Structure, Term
+from dipc_gym.sim2real.simulation.batch import Stepping
 
 LIMITED = CART.replace('motorconst="0.06"', 'motorconst="0.06" ctrlrange="-3 5"')
 

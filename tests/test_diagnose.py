@@ -13,17 +13,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from dipc_gym import cli, mjcf, physics
-from dipc_gym.sim2real import evidence, improve, judge, recording, sentences
-from dipc_gym.sim2real.comparison import Comparison, compare
+from dipc_gym import cli, mjcf, physics, recording
+from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.sim2real.diagnosis import Wishes, diagnose
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.recording import Recording, RecordingError
+from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation.segments import prepare
+from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis, Errors
-from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.structure import Term
-from dipc_gym.sim2real.windows import prepare
+from dipc_gym.sim2real.selection.score import Comparison, compare
+from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.verdict import improve, judge, sentences
 
 MASS, DRAG, FORCE = 1.26, 40.0, 4.0  # kg, N s/m of bearing and back-EMF together, N/V
 NOMINAL = """<mujoco model="cart">

@@ -17,17 +17,17 @@ from hypothesis import strategies as st
 from sim2real_rigs import CART, NOISE, RIGS, RK4, STRENGTH, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import evidence
-from dipc_gym.sim2real.document import Document
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.base import Evidence
 from dipc_gym.sim2real.effects.waves import waves
-from dipc_gym.sim2real.improve import place_units
-from dipc_gym.sim2real.problem import predict
-from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.structure import Structure, Term
-from dipc_gym.sim2real.windows import Prepared
+from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation.problem import predict
+from dipc_gym.sim2real.estimation.segments import Prepared
+from dipc_gym.sim2real.model.structure import Structure, Term
+from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.verdict.improve import place_units
 
 # The ids of the project's contract, less those that are no effect of the catalogue: a wrong mass is a number of the
 # model that a refit changes, and the unknown is what no effect explains.

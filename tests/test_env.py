@@ -24,8 +24,8 @@ from hypothesis import strategies as st
 
 import dipc_gym
 from dipc_gym import kernels
+from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.lqr import PRINTED_GAIN
 from dipc_gym.mjcf import MjcfError
 from dipc_gym.plant import Encoders, Friction, Plant, PlantError
 
@@ -498,7 +498,7 @@ def test_stand_ins_for_passive_forces_are_not_commanded(tmp_path: Path) -> None:
 
 def test_a_rotor_behind_a_soft_belt_starts_where_the_cart_does(tmp_path: Path) -> None:
     """What `improved.xml` adds to a rig has to begin with it, or it is flung across the rail."""
-    from dipc_gym.sim2real.document import Document
+    from dipc_gym.mjcf.edit import Document
     from dipc_gym.sim2real.effects import catalogue
 
     document = Document(DoublePendulumEnv().source)

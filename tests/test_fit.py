@@ -13,18 +13,18 @@ from hypothesis import strategies as st
 from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import findings, judge
-from dipc_gym.sim2real.document import Document
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.fit import Fit, _stepped, correct_starts, evaluate, fit, weights
-from dipc_gym.sim2real.numbers import own_numbers
-from dipc_gym.sim2real.problem import predict, residual
-from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.screening import pairs, screen
-from dipc_gym.sim2real.shooting import Shooting, typical
-from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.structure import Structure, Term, carry
-from dipc_gym.sim2real.windows import Prepared
+from dipc_gym.sim2real.estimation.fit import Fit, _stepped, correct_starts, evaluate, fit, weights
+from dipc_gym.sim2real.estimation.problem import predict, residual
+from dipc_gym.sim2real.estimation.segments import Prepared
+from dipc_gym.sim2real.estimation.shooting import Shooting, typical
+from dipc_gym.sim2real.model.parameters import own_numbers
+from dipc_gym.sim2real.model.structure import Structure, Term, carry
+from dipc_gym.sim2real.selection.screen import pairs, screen
+from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.verdict import findings, judge
 
 NOISY = 1e-5
 

@@ -9,7 +9,7 @@ from dipc_gym import compensators, mjcf
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.identification import Sweep, cart, cart_model, locked, record, samples
 from dipc_gym.plant import Encoders, Friction, Plant
-from dipc_gym.sim2real.recording import Recording
+from dipc_gym.recording import Recording
 
 SOURCE = DoublePendulumEnv().source
 SHORT = Sweep(duration=12.0, high=4.0)

@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from dipc_gym import lqr
+from dipc_gym.controllers import lqr
 from dipc_gym.env import DoublePendulumEnv
 
 RECOVERED_PERIOD = 0.12e-3  # s, at which the recovered weights give the gain that the paper prints

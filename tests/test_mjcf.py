@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dipc_gym import mjcf
-from dipc_gym.mjcf_scan import scan
+from dipc_gym.mjcf import source
+from dipc_gym.mjcf.scan import scan
 
 BODY = '<body><joint name="j" type="slide"/><geom type="mesh" mesh="t"/></body>'
 MESH = f'<asset><mesh name="t" file="{{}}"/></asset><worldbody>{BODY}</worldbody>'
@@ -266,7 +267,7 @@ def test_greedy_models_die_in_the_child(more: str) -> None:
 
 
 def test_time_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mjcf, "CPU_LIMIT", 1)
+    monkeypatch.setattr(source, "CPU_LIMIT", 1)
     bodies = f'<worldbody><replicate count="20000"><body>{MASS}<joint/></body></replicate></worldbody>'
     assert "within 1 s of computing" in refused(f"<mujoco>{bodies}</mujoco>")
 
@@ -283,7 +284,7 @@ def test_mujocos_own_message_comes_through(tmp_path: Path) -> None:
 
 def test_the_child_runs_once_per_content(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
-    monkeypatch.setattr(mjcf, "_try_in_child", calls.append)
+    monkeypatch.setattr(source, "_try_in_child", calls.append)
     text = rig(more='<option timestep="0.00123"/>')
     mjcf.compile(text)
     mjcf.compile(text)

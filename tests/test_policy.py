@@ -18,7 +18,7 @@ from dipc_gym import policy as policies
 from dipc_gym.compensators import StaticGain
 from dipc_gym.controllers import ControllerError
 from dipc_gym.policy import Evaluation, Policy
-from dipc_gym.train import Rig, Training, evaluate
+from dipc_gym.training.train import Rig, Training, evaluate
 
 RNG = np.random.default_rng(7)
 OBSERVATION = np.array([0.1, -0.02, 0.03, 0.4, -0.2, 0.1])

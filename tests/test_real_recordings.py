@@ -18,9 +18,10 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from dipc_gym import mjcf
-from dipc_gym.sim2real import Diagnosis, diagnose, recording
+from dipc_gym import mjcf, recording
+from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.result import Diagnosis
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 SCRIPT = CHECKOUT / "examples" / "real_recordings.py"

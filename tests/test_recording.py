@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real import recording as recordings
-from dipc_gym.sim2real.channels import counted_on, quantum
-from dipc_gym.sim2real.recording import Recorder, Recording, RecordingError, noise, read, resample_commands, write
-from dipc_gym.sim2real.units import FACTORS, factor
+from dipc_gym import recording as recordings
+from dipc_gym.recording import Recorder, Recording, RecordingError, files, noise, read, resample_commands, write
+from dipc_gym.recording.checks import counted_on, quantum
+from dipc_gym.recording.units import FACTORS, factor
 
 SHARED = Path(__file__).parents[1] / "../shared"
 FORMATS = [".csv", ".parquet", ".npz"]
@@ -102,11 +102,11 @@ def test_written_and_read_again_it_has_the_same_bits(
 ) -> None:
     path = tmp_path / f"run{suffix}"
     write(recording, path, overwrite=True)
-    monkeypatch.setattr(recordings, "MIN_SAMPLES", 1)
+    monkeypatch.setattr(files, "MIN_SAMPLES", 1)
     monkeypatch.setattr(mjcf, "controls", lambda model: list(recording.actuator_names))
     monkeypatch.setattr(mjcf, "scalar_sensors", lambda model: list(recording.sensor_names))
-    monkeypatch.setattr(recordings.channels, "notes", lambda recording, model: ())
-    monkeypatch.setattr(recordings, "of_sensor", lambda model, name: "")
+    monkeypatch.setattr(files.checks, "notes", lambda recording, model: ())
+    monkeypatch.setattr(files, "of_sensor", lambda model, name: "")
     again = read(path, None)
     assert (again.actuator_names, again.sensor_names) == (recording.actuator_names, recording.sensor_names)
     for kind in ("time", "commands", "sensors"):
@@ -286,10 +286,10 @@ def test_paths_that_are_no_recordings(tmp_path: Path, model: mujoco.MjModel, mon
     (tmp_path / "folder.csv").mkdir()
     assert "no such recording" in refused(tmp_path / "folder.csv", model)
     path = save(tmp_path / "r.csv", table(run()))
-    monkeypatch.setattr("dipc_gym.sim2real.tables.MAX_BYTES", 100)
+    monkeypatch.setattr("dipc_gym.recording.tables.MAX_BYTES", 100)
     assert "split the recording" in refused(path, model)
     monkeypatch.undo()
-    monkeypatch.setattr("dipc_gym.sim2real.tables.MAX_VALUES", 100)
+    monkeypatch.setattr("dipc_gym.recording.tables.MAX_VALUES", 100)
     assert "too many; split" in refused(path, model)
 
 
@@ -424,7 +424,7 @@ def test_nothing_is_overwritten_or_half_written(tmp_path: Path, suffix: str, mon
         raise KeyboardInterrupt
 
     writer = {".csv": "_write_csv", ".parquet": "_write_parquet", ".npz": "_write_npz"}[suffix]
-    monkeypatch.setattr(f"dipc_gym.sim2real.tables.{writer}", fail)
+    monkeypatch.setattr(f"dipc_gym.recording.tables.{writer}", fail)
     with pytest.raises(KeyboardInterrupt):
         write(small(), path, overwrite=True)
     assert path.read_bytes() == before

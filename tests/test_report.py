@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dipc_gym.sim2real.report import (
+from dipc_gym.sim2real.report.page import (
     VERDICTS,
     Candidate,
     Mismatch,

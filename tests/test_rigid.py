@@ -7,11 +7,12 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from dipc_gym import lqr, mjcf
+from dipc_gym import mjcf
+from dipc_gym.controllers import lqr
 from dipc_gym.identification import Cart, cart, cart_model
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.plant import Plant
 from dipc_gym.rigid import Rigid
-from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import catalogue
 
 RIG = mjcf.from_text((resources.files("dipc_gym") / "rig.xml").read_text())

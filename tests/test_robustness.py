@@ -14,17 +14,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dipc_gym import compare, compensators, sweep
-from dipc_gym.cells import Balancing
+from dipc_gym import compensators, sweep
 from dipc_gym.cli import main
-from dipc_gym.compare import Comparison
 from dipc_gym.compensators import StaticGain
 from dipc_gym.controllers import LQR
+from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.lqr import PRINTED_GAIN
+from dipc_gym.experiments import compare
+from dipc_gym.experiments.cells import Balancing
+from dipc_gym.experiments.compare import Comparison
+from dipc_gym.experiments.robustness import AXES, Axis, Endurance
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Policy
-from dipc_gym.robustness import AXES, Axis, Endurance
 from dipc_gym.runs import Impulse, balance
 
 

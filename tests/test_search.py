@@ -9,13 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dipc_gym.sim2real import pairing, screening, search, selection
-from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.fit import Fit
-from dipc_gym.sim2real.screening import Tried
-from dipc_gym.sim2real.search import Search
-from dipc_gym.sim2real.structure import Term
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.selection import data, screen, search
+from dipc_gym.sim2real.selection.score import compare
+from dipc_gym.sim2real.selection.screen import Tried
+from dipc_gym.sim2real.selection.search import Search
 
 
 @pytest.mark.parametrize(
@@ -72,11 +72,12 @@ def test_a_gap_that_fell_short_beside_one_effect_is_not_tried_beside_others(
         return SimpleNamespace(mse=np.full(9, after.get(name, 1.0)), error=2.0)
 
     search = SimpleNamespace(few=np.arange(9), sketch=sketch, slow=lambda term: term.key == "gap")
-    pairs = []
+    asked: list[Any] = []
     for name in ("gap drag", "gap load", "rub drag"):
         terms = [SimpleNamespace(key=key) for key in name.split()]
-        pairs.append((1.0, SimpleNamespace(), SimpleNamespace(terms=terms, slots=terms, elaborates=lambda _: False)))
-    pairing.sketched(search, pairs, SimpleNamespace(mse=np.full(9, 8.0)))  # type: ignore[arg-type]
+        both = SimpleNamespace(terms=terms, slots=terms, elaborates=lambda _: False)
+        asked.append((1.0, SimpleNamespace(), both))
+    pairs.sketched(search, asked, SimpleNamespace(mse=np.full(9, 8.0)))  # type: ignore[arg-type]
     assert said == tried
 
 
@@ -146,7 +147,7 @@ def test_what_happened_once_is_looked_for_at_the_noise(
 ) -> None:
     """Elsewhere a push in the right moment takes up a little of everything."""
     push = catalogue()["disturbance.pulse"]
-    monkeypatch.setattr("dipc_gym.sim2real.search.places", lambda *_: ["cart"])
+    monkeypatch.setattr("dipc_gym.sim2real.selection.search.places", lambda *_: ["cart"])
     model = SimpleNamespace(dof_frictionloss=np.zeros(1))
     scene = SimpleNamespace(model=model, recordings=[None], at=lambda *_: None)
     search = SimpleNamespace(effects=[push], joints=(), _plain=lambda *_: {})
@@ -204,9 +205,9 @@ def test_windows_of_other_recordings_at_the_time_of_an_odd_one_are_left_aside() 
         start=np.array([0.0, 1.0, 2.0, 3.0] * 2), source=np.repeat([0, 1], 4), times=np.linspace(0, 0.25, 5)[None]
     )
     mse = np.ones(8)
-    assert selection.without_echoes(windows, mse).all()  # type: ignore[arg-type]
+    assert data.without_echoes(windows, mse).all()  # type: ignore[arg-type]
     mse[2] = 1000.0
-    assert np.flatnonzero(~selection.without_echoes(windows, mse)).tolist() == [6]  # type: ignore[arg-type]
+    assert np.flatnonzero(~data.without_echoes(windows, mse)).tolist() == [6]  # type: ignore[arg-type]
 
 
 def test_sketches_know_windows_that_stood_out_before_them() -> None:
@@ -226,12 +227,12 @@ def test_windows_beside_an_odd_one_are_taken_in() -> None:
 
     start, source = np.array([0.25, 0.75, 1.5, 0.25]), np.array([0, 0, 0, 1])
     rest = Rest(start=start, source=source, times=np.linspace(0, 0.25, 5)[None])
-    found = selection.eventful(fitted, np.where(fitted.start == 0.5, 90.0, 1.0), rest, np.ones(4))  # type: ignore[arg-type]
+    found = data.eventful(fitted, np.where(fitted.start == 0.5, 90.0, 1.0), rest, np.ones(4))  # type: ignore[arg-type]
     assert found.tolist() == [True, True, False, False]
-    found = selection.eventful(fitted, np.ones(9), rest, np.array([1.0, 1.0, 90.0, 1.0]))  # type: ignore[arg-type]
+    found = data.eventful(fitted, np.ones(9), rest, np.array([1.0, 1.0, 90.0, 1.0]))  # type: ignore[arg-type]
     assert found.tolist() == [False, False, True, False]
     many = Rest(start=np.arange(9.0), source=np.zeros(9, dtype=int), times=rest.times)
-    assert not selection.eventful(fitted, np.ones(9), many, np.full(9, 90.0)).any()  # type: ignore[arg-type]
+    assert not data.eventful(fitted, np.ones(9), many, np.full(9, 90.0)).any()  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -253,9 +254,9 @@ def test_what_own_numbers_promise_on_a_few_windows_by_chance(
             return Windows(len(few))
 
     monkeypatch.setattr(
-        screening, "_Overlay", lambda count, *_: SimpleNamespace(promise=lambda *_, beside: (promises[count], []))
+        screen, "_Overlay", lambda count, *_: SimpleNamespace(promise=lambda *_, beside: (promises[count], []))
     )
-    found = screening._luck(Windows(9), Windows(9), np.arange(3))  # type: ignore[arg-type]
+    found = screen._luck(Windows(9), Windows(9), np.arange(3))  # type: ignore[arg-type]
     assert found == pytest.approx(luck)
 
 

@@ -16,14 +16,14 @@ from scipy.interpolate import CubicSpline
 from sim2real_rigs import CART, HANGING, NOISE, RK4, TORQUE, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import states
-from dipc_gym.sim2real.document import Document
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.heat import heating_motors, winding_temperatures
-from dipc_gym.sim2real.problem import predict
-from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.simulate import Stepping, cut, grid_step, simulate
-from dipc_gym.sim2real.structure import Structure, Term
+from dipc_gym.sim2real.estimation.problem import predict
+from dipc_gym.sim2real.model.structure import Structure, Term
+from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
+from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
+from dipc_gym.sim2real.simulation.windows import cut
 
 AS_GIVEN = Stepping(0.001)
 FINE = Stepping(0.001, RK4)
@@ -255,7 +255,7 @@ def test_commands_that_change_within_a_step_do_so_to_second_order(text: str, joi
     """Coarse steps come to where fine ones do, in which commands change on the grid."""
     late = rig(text, "timing.delay", "motor", delay=delay)
     run = noisy(late, 4.0)
-    base = states.base_joints(late.model)
+    base = mjcf.base_joints(late.model)
     windows = cut([run], np.ones(run.sensors.shape[1]), 0.25, (0.2, 1.0))
     starts = np.zeros((1, len(windows), 2 * joints))
     coarse, fine = (simulate([late], windows, starts, Stepping(h, RK4), base=base) for h in (0.002, 0.0001))

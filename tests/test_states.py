@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import states
-from dipc_gym.sim2real.recording import Recorder, Recording
+from dipc_gym.recording import Recorder, Recording
+from dipc_gym.sim2real.estimation import states
 
 CART_POLE = """
     <mujoco>
@@ -136,7 +136,7 @@ def test_an_unseen_joint_that_follows_another_needs_no_sensor() -> None:
     with pytest.raises(states.Undetermined, match="joint rotor"):
         states.sensor_map(cart_pole(more=ROTOR))
     rig = cart_pole(POLE + '<jointpos name="motor_side" joint="rotor"/>', follows, ROTOR)
-    assert states.base_joints(rig.model) == ("cart", "pole")
+    assert mjcf.base_joints(rig.model) == ("cart", "pole")
     P, _, _ = states.sensor_map(rig)
     np.testing.assert_allclose(P, [[0, 1], [1, 0]], atol=1e-12)  # the encoder on the motor tells where the cart is
 
@@ -154,13 +154,13 @@ def test_an_unseen_joint_that_follows_another_needs_no_sensor() -> None:
 )
 def test_ties_that_cannot_be_are_refused(custom: str, missing: str) -> None:
     with pytest.raises(mjcf.MjcfError, match=f"no '{missing}' among the joints"):
-        states.base_joints(cart_pole(custom=custom, more=ROTOR).model)
+        mjcf.base_joints(cart_pole(custom=custom, more=ROTOR).model)
 
 
 def test_a_joint_without_a_name_is_refused() -> None:
     rig = physics.load('<mujoco><worldbody><body><joint/><geom size="1"/></body></worldbody></mujoco>')
     with pytest.raises(mjcf.MjcfError, match="joint 0 of the model has no name"):
-        states.base_joints(rig.model)
+        mjcf.base_joints(rig.model)
 
 
 # Motion

@@ -18,11 +18,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from dipc_gym import compare, sweep, train, trainings
-from dipc_gym.compare import Comparison
+from dipc_gym import sweep
+from dipc_gym.experiments import compare
+from dipc_gym.experiments.compare import Comparison
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sweep import Outcome, SweepError
-from dipc_gym.train import Recipe, Training
+from dipc_gym.training import seeds, train
+from dipc_gym.training.train import Recipe, Training
 from dipc_gym.trials.attempt import Attempt
 
 
@@ -216,7 +218,7 @@ def test_a_training_on_ray_is_the_one_made_here(cluster: Any, tmp_path: Path) ->
     recipe = Recipe(steps=1_000, rigs=4, stage=250, rollout=125, batch=250, width=4)
     training = Training(compensator="feedforward", seed=5, recipe=recipe)
     train.run(training, tmp_path / "here", quiet=True)
-    (outcome,) = trainings.run([training], tmp_path / "there", backend="ray")
+    (outcome,) = seeds.run([training], tmp_path / "there", backend="ray")
     assert outcome.failure is None
     for name in ("training.json", "policy.json", "compensator.json"):
         there = tmp_path / "there" / "ppo-feedforward-05" / name

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dipc_gym import cli, train
+from dipc_gym import cli
 from dipc_gym.policy import Policy
-from dipc_gym.train import RECIPES, Recipe, Rig, Training, TrainingError, evaluate
+from dipc_gym.training import train
+from dipc_gym.training.train import RECIPES, Recipe, Rig, Training, TrainingError, evaluate
 
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
-from dipc_gym.learner import SCALES, Learner, ScaledRigs
 from dipc_gym.sb3 import DIPCFrictionVecEnv
+from dipc_gym.training.learner import SCALES, Learner, ScaledRigs
 
 # Two stages each; SAC learns from step 200 on.
 SHORT = {
@@ -194,7 +195,7 @@ def test_results_are_never_overwritten_by_surprise(tmp_path: Path) -> None:
 def test_without_its_packages_training_says_how_to_install_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "dipc_gym.learner", None)
+    monkeypatch.setitem(sys.modules, "dipc_gym.training.learner", None)
     with pytest.raises(ImportError, match=r"pip install -e '\.\[rl\]' in the checkout"):
         train.run(short(), tmp_path / "run")
 

@@ -17,11 +17,10 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.wrappers import NormalizeObservation, RescaleAction
 
 import dipc_gym
-from dipc_gym import compensators, mjcf
+from dipc_gym import compensators, mjcf, recording
 from dipc_gym.compensators import Compensator, CompensatorError, Ideal, RigConstants, Samples, StaticGain
+from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.lqr import PRINTED_GAIN
-from dipc_gym.sim2real import recording
 from dipc_gym.wrappers import ForceCommand, RecordRun, VectorRecordRun
 
 GAIN = StaticGain(newtons_per_volt=4.0)

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real import recording
+from dipc_gym import recording
 
 Array = NDArray[np.float64]
 SENSORS = ("cart", "pole1", "pole2")

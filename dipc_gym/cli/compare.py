@@ -57,9 +57,9 @@ class Compare:
 
     def run(self) -> int:
         """Compare, and print the table."""
-        from dipc_gym import compare
-        from dipc_gym.robustness import AXES
-        from dipc_gym.summary import table
+        from dipc_gym.experiments import compare
+        from dipc_gym.experiments.robustness import AXES
+        from dipc_gym.experiments.tables import table
 
         comparison = compare.Comparison(
             controllers=listed(self.controller),

@@ -61,16 +61,16 @@ class Diagnose:
         """Diagnose, write, and say it in a sentence."""
         import shlex
 
-        from dipc_gym import mjcf
-        from dipc_gym.sim2real import present, recording
+        from dipc_gym import mjcf, recording
+        from dipc_gym.recording.tables import check_format
         from dipc_gym.sim2real.diagnosis import Wishes, diagnose
-        from dipc_gym.sim2real.tables import check_format
+        from dipc_gym.sim2real.report import content
 
         if self.jobs < 0:
             raise ValueError(f"--jobs {self.jobs}: give the number of threads, or 0 for all cores")
         if not self.recordings:
             raise ValueError("name at least one recording after the model")
-        present.check_free(self.out, self.overwrite)
+        content.check_free(self.out, self.overwrite)
         if self.design is not None:
             check_format(self.design)
             free(self.design, self.overwrite)
@@ -84,7 +84,7 @@ class Diagnose:
         for note in found.notes:
             print(f"note: {note}")
         command = shlex.join(["dipc-gym", *sys.argv[1:]])
-        present.save(found, self.out, model=self.model.name, command=command, overwrite=self.overwrite)
+        content.save(found, self.out, model=self.model.name, command=command, overwrite=self.overwrite)
         print(f"\n{found.verdict.upper()}. {found.sentence}")
         for missing in found.missing:
             print(f"  {missing.effect} at {missing.at}, {100 * missing.share:.0f} % of the improvement")

@@ -42,9 +42,8 @@ class Record:
 
     def run(self) -> int:
         """Simulate and write."""
-        from dipc_gym import controllers, runs
-        from dipc_gym.sim2real import recording
-        from dipc_gym.sim2real.tables import check_format
+        from dipc_gym import controllers, recording, runs
+        from dipc_gym.recording.tables import check_format
 
         check_format(self.out)
         free(self.out, self.overwrite)
@@ -97,7 +96,8 @@ class Render:
 
     def run(self) -> int:
         """Draw."""
-        from dipc_gym import controllers, figures, runs
+        from dipc_gym import controllers, runs
+        from dipc_gym.experiments import figures
 
         if self.out is not None:
             free(self.out, self.overwrite)

@@ -12,7 +12,7 @@ import tyro
 from dipc_gym.cli.options import free, pairs
 
 if TYPE_CHECKING:
-    from dipc_gym.train import Training
+    from dipc_gym.training.train import Training
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class TrainPolicy:
 
     def run(self) -> int:
         """Train, try, and say how it did."""
-        from dipc_gym import train
+        from dipc_gym.training import train
 
         given = {"steps": self.steps, "rigs": self.rigs}
         changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
@@ -150,14 +150,14 @@ class TrainPolicy:
         return 0
 
     def _sweep(self, first: Training, count: int) -> int:
-        from dipc_gym import trainings
         from dipc_gym.policy import Policy
+        from dipc_gym.training import seeds
 
         if count < 1:
             raise ValueError(f"--seeds {count}: give the number of policies to train, 1 or more")
         wanted = [replace(first, seed=first.seed + i) for i in range(count)]
         try:
-            outcomes = trainings.run(wanted, self.out, jobs=self.jobs, backend=self.backend, overwrite=self.overwrite)
+            outcomes = seeds.run(wanted, self.out, jobs=self.jobs, backend=self.backend, overwrite=self.overwrite)
         except KeyboardInterrupt:
             print(f"\ninterrupted; the same command goes on with what is finished in {self.out}", file=sys.stderr)
             return 130

@@ -1,18 +1,21 @@
 """Sim-to-real: find, name and model the physics that a simulator leaves out.
 
-`diagnose(model, recordings)` does it all. Data flows one way through the files here: recording, windows and states,
-simulate and fit, evidence and search, judge, diagnosis, present and report.
+`diagnose(model, recordings)` does it all. Data flows one way through the rooms here: a `model` with its `effects` is
+laid over recordings in `simulation` and `estimation`, `selection` compares what may be missing, `verdict` says what it
+comes to, and `report` tells it.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from dipc_gym import recording
+
 if TYPE_CHECKING:
     from dipc_gym.sim2real.diagnosis import diagnose
     from dipc_gym.sim2real.result import Diagnosis
 
-__all__ = ["Diagnosis", "diagnose"]
+__all__ = ["Diagnosis", "diagnose", "recording"]
 
 
 def __getattr__(name: str) -> Any:

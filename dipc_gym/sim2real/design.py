@@ -17,15 +17,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real import states
+from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects.base import is_dcmotor
-from dipc_gym.sim2real.fit import fit
-from dipc_gym.sim2real.numbers import own_numbers
-from dipc_gym.sim2real.problem import Problem
-from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.simulate import Windows, cut, simulate
-from dipc_gym.sim2real.states import Motion
-from dipc_gym.sim2real.structure import Structure, names
+from dipc_gym.sim2real.estimation import states
+from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.model.parameters import own_numbers
+from dipc_gym.sim2real.model.structure import Structure, names
+from dipc_gym.sim2real.simulation.batch import simulate
+from dipc_gym.sim2real.simulation.motion import Motion
+from dipc_gym.sim2real.simulation.motion import starts as initial_states
+from dipc_gym.sim2real.simulation.windows import Windows, cut
 
 Array = NDArray[np.float64]
 
@@ -253,7 +255,7 @@ class _Rig:
         motion = states.estimate(run, self.physics, 1e-2 * noise)
         length = float(self.problem.windows.times.max()) + run.period
         windows = replace(cut([run], noise, length, (0.0, 1.0)), motions=(motion,))
-        starts = states.starts([motion], windows.source, windows.start)
+        starts = initial_states([motion], windows.source, windows.start)
         whole = replace(self.problem, windows=windows, starts=starts)
         return whole.pick(np.unique(np.linspace(1, len(windows) - 1, ENOUGH).round().astype(np.intp)))
 

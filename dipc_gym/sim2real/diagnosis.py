@@ -14,18 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import conventions, evidence, findings, improve, judge, selection, sentences, states
-from dipc_gym.sim2real.conclusion import conclude
-from dipc_gym.sim2real.document import Document
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.sim2real.effects import Effect, catalogue
-from dipc_gym.sim2real.fit import Fit, fit
-from dipc_gym.sim2real.numbers import Number, fixed_masses, own_numbers
-from dipc_gym.sim2real.problem import Problem
-from dipc_gym.sim2real.recording import Recording, RecordingError
+from dipc_gym.sim2real.estimation import evidence, states
+from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.segments import Prepared, prepare
+from dipc_gym.sim2real.model.parameters import Number, fixed_masses, own_numbers
 from dipc_gym.sim2real.result import Diagnosis, Errors, Work
-from dipc_gym.sim2real.search import Search
-from dipc_gym.sim2real.simulate import Stepping
-from dipc_gym.sim2real.windows import Prepared, prepare
+from dipc_gym.sim2real.selection import data
+from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.verdict import conventions, findings, improve, judge, sentences
+from dipc_gym.sim2real.verdict.conclude import conclude
 
 Array = NDArray[np.float64]
 
@@ -100,7 +102,7 @@ def diagnose(
         ValueError: a wish names no number of the model.
 
     Example:
-        >>> from dipc_gym.sim2real import recording
+        >>> from dipc_gym import recording
         >>> model = mjcf.compile("cart.xml")                                    # doctest: +SKIP
         >>> found = diagnose("cart.xml", [recording.read("run.csv", model)])    # doctest: +SKIP
         >>> print(found.sentence)                                               # doctest: +SKIP
@@ -109,8 +111,8 @@ def diagnose(
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given = physics.load(source)
     mjcf.check_supported(given.model, source.name)
-    selection.check_apart(recordings, held_out)
-    recordings, held_out = selection.from_zero(recordings), selection.from_zero(held_out)
+    data.check_apart(recordings, held_out)
+    recordings, held_out = data.from_zero(recordings), data.from_zero(held_out)
     notes = [note for r in (*recordings, *held_out) for note in (f"{r.name}: {n}" for n in r.notes)]
     for note in notes:  # whoever gave degrees for radians would rather know at once
         tell(f"note: {note}")
@@ -124,15 +126,15 @@ def diagnose(
     if not any(np.ptp(r.sensors, axis=0).any() for r in recordings):
         return _cannot_tell("no sensor changes in any of them", IN_MOTION, source, notes, provenance)
     try:
-        prepared = selection.known_past(prepare(source, given, recordings, stepping, span=span, threads=threads))
+        prepared = data.known_past(prepare(source, given, recordings, stepping, span=span, threads=threads))
         judged, judged_span = (held_out, (0.0, 1.0)) if held_out else (recordings, (TRAIN, 1.0))
-        kept = selection.known_past(
+        kept = data.known_past(
             prepare(source, given, judged, stepping, length=prepared.length, span=judged_span, threads=threads)
         )
         if not len(kept.problem.windows):
             raise RecordingError(
                 f"{', '.join(str(r.path or r.name) for r in judged)}: too short to judge by; no window of "
-                f"{prepared.length:.3g} s begins later than {selection.LATE:g} s after the start: record longer"
+                f"{prepared.length:.3g} s begins later than {data.LATE:g} s after the start: record longer"
             )
     except states.Undetermined as error:
         return _cannot_tell(error.reason, error.mend, source, notes, provenance)
@@ -250,7 +252,7 @@ class _Baseline:
 
 def _baseline(prepared: Prepared, held: Problem, own: Stepping, numbers: Sequence[Number]) -> _Baseline:
     """Part the windows, and fit the model as given and recalibrated; `own` is how the model itself steps."""
-    problem, unseen, rest = selection.split(prepared.problem)
+    problem, unseen, rest = data.split(prepared.problem)
     nominal = fit(problem, prepared.structure)
     own_step = ""
     if _predicts_better(replace(problem, stepping=own), nominal):
@@ -258,7 +260,7 @@ def _baseline(prepared: Prepared, held: Problem, own: Stepping, numbers: Sequenc
         problem, unseen, rest, held = (replace(part, stepping=own) for part in (problem, unseen, rest, held))
         nominal = fit(problem, prepared.structure)
     recalibrated = fit(problem, replace(prepared.structure, numbers=tuple(numbers)), starts=nominal.starts, most=20)
-    odd = selection.odd(rest, recalibrated)
+    odd = data.odd(rest, recalibrated)
     if len(odd):
         problem, rest = problem.join(rest.pick(odd)), rest.pick(np.delete(np.arange(len(rest.windows)), odd))
         nominal = fit(problem, prepared.structure)

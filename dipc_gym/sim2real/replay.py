@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym import physics as custom
-from dipc_gym.sim2real import recording as recordings
-from dipc_gym.sim2real import units as si
-from dipc_gym.sim2real.fit import correct_starts, fit
-from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.selection import from_zero
-from dipc_gym.sim2real.simulate import Stepping, Windows, grid_step
-from dipc_gym.sim2real.windows import joined, prepare
+from dipc_gym import recording as recordings
+from dipc_gym.recording import Recording
+from dipc_gym.recording import units as si
+from dipc_gym.sim2real.estimation.fit import correct_starts, fit
+from dipc_gym.sim2real.estimation.segments import joined, prepare
+from dipc_gym.sim2real.selection.data import from_zero
+from dipc_gym.sim2real.simulation.batch import Stepping, grid_step
+from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
 
@@ -236,7 +237,7 @@ def replay(
 
     Example:
         >>> import tempfile
-        >>> from dipc_gym.sim2real import recording
+        >>> from dipc_gym import recording
         >>> folder = Path(tempfile.mkdtemp())
         >>> _ = (folder / "fall.xml").write_text('''
         ...     <mujoco><worldbody><body><joint name="z" type="slide"/><geom size="1"/></body></worldbody>

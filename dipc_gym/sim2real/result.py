@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real import judge
-from dipc_gym.sim2real.fit import Fit
-from dipc_gym.sim2real.problem import Problem
-from dipc_gym.sim2real.recording import Recording
-from dipc_gym.sim2real.search import Search
-from dipc_gym.sim2real.structure import Structure
-from dipc_gym.sim2real.windows import Prepared
+from dipc_gym.recording import Recording
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.segments import Prepared
+from dipc_gym.sim2real.model.structure import Structure
+from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.verdict import judge
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.document import Document
+from dipc_gym.mjcf.edit import Document
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]

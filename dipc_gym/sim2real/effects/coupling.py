@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from dipc_gym.sim2real.document import Document
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Evidence, dof, joint_of
 
 # Of a contact: the smallest that MuJoCo allows. Whatever presses on the contact keeps all but this share of its effect,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from dipc_gym.sim2real.document import Document
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
 
 FELT = 2.0  # Hz, from which a force turns round within a window of a quarter second, and moves less the faster it does

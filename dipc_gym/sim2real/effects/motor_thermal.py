@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from dipc_gym.sim2real.document import Document
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor
 
 COPPER = 0.0039  # 1/K by which copper's resistance grows

@@ -1,0 +1,183 @@
+"""The experiments that a comparison is made of: train one compensator on one rig, balance one rig with one pair."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import compensators, controllers, mjcf, runs
+from dipc_gym.compensators import OutOfRangeWarning
+from dipc_gym.controllers import lqr, normalisation
+from dipc_gym.identification import Sweep
+from dipc_gym.plant import Plant
+from dipc_gym.policy import Policy
+from dipc_gym.runs import Course, Identification, Impulse, identify
+
+Array = NDArray[np.float64]
+
+SETTLED = 20.0  # s; the paper reads deviations off its Fig. 12 after that
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompensatorTraining:
+    """Identify a rig and train one compensator on it.
+
+    Attributes:
+        compensator: registered name, or path of a saved one.
+        plant: the rig.
+        model: its MJCF file; None is the package's.
+        recording: file of the identification run; None simulates it.
+        sweep: the simulated run.
+        seed: of the encoders' noise and of the training.
+        files: what `fingerprints` says of the files that the above names.
+    """
+
+    compensator: str
+    plant: Plant
+    model: str | None
+    recording: str | None
+    sweep: Sweep
+    seed: int
+    files: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return f"train-{label(self.compensator)}-{self.seed:02d}"
+
+    def identification(self) -> Identification:
+        """The run that it is trained on."""
+        return identify(self.plant, model=self.model, from_recording=self.recording, sweep=self.sweep, seed=self.seed)
+
+    def run(self) -> dict[str, Any]:
+        """Train; the result is the compensator's dictionary."""
+        return self.identification().fit(self.compensator, seed=self.seed).to_dict()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Balancing:
+    """Balance a rig with one controller through one compensator.
+
+    Attributes:
+        controller: `lqr`, or path of a policy.
+        compensator: registered name, or path of a saved one.
+        trained: the compensator itself, as a dictionary.
+        plant: the rig.
+        model: its MJCF file; None is the package's.
+        seed: of starting state and noise.
+        seconds: length of the run, s.
+        exact_state: balance with the exact state instead of encoder readings.
+        files: what `fingerprints` says of the files that the above names.
+    """
+
+    controller: str
+    compensator: str
+    trained: dict[str, Any]
+    plant: Plant
+    model: str | None
+    seed: int
+    seconds: float
+    exact_state: bool
+    files: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return f"{label(self.controller)}-{label(self.compensator)}-{self.seed:02d}"
+
+    def course(self, plant: Plant | None = None, impulse: Impulse | None = None) -> tuple[Course, list[str]]:
+        """The run, and what the compensator warned of.
+
+        Args:
+            plant: another rig than the one that the compensator was trained on.
+            impulse: a blow that the cart takes.
+        """
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", OutOfRangeWarning)
+            course = runs.balance(
+                controllers.load(self.controller),
+                compensators.load(self.trained),
+                seconds=self.seconds,
+                seed=self.seed,
+                plant=self.plant if plant is None else plant,
+                model=self.model,
+                exact_state=self.exact_state,
+                impulse=impulse,
+            )
+        return course, [str(w.message) for w in said if issubclass(w.category, OutOfRangeWarning)]
+
+    def run(self) -> dict[str, Any]:
+        """Balance; the result is what tables and figures show of the run."""
+        course, notes = self.course()
+        compensator = compensators.load(self.trained)
+        return {
+            "controller": label(self.controller),
+            "compensator": label(self.compensator),
+            "trained_with": self.trained_with(),
+            "seed": self.seed,
+            **figures(course, self.plant, self.seconds),
+            "cost": _cost(course, lqr.RECOVERED_Q),
+            "cost_printed_q": _cost(course, lqr.PRINTED_Q),
+            "test_mse": None if compensator.figures is None else compensator.figures.test_mse,
+            "parameters": compensator.parameters,
+            "notes": notes,
+        }
+
+    def trained_with(self) -> str | None:
+        """The compensator that the policy was trained with, if it is another than this one."""
+        brain = controllers.load(self.controller)
+        if isinstance(brain, Policy) and brain.compensator != compensators.load(self.trained).name:
+            return brain.compensator
+        return None
+
+
+def figures(course: Course, plant: Plant, seconds: float) -> dict[str, Any]:
+    """What a run of `seconds` comes to: whether and how long it stood, deviations once settled, means over all."""
+    late = np.abs(course.state[course.time >= min(SETTLED, seconds / 4)])
+    found: dict[str, Any] = {
+        "survived": not course.fell,
+        "seconds": len(course.time) * plant.control_period,
+        "force_rms": float(np.sqrt(np.mean(course.force**2))),
+        "voltage_rms": float(np.sqrt(np.mean(course.voltage**2))),
+        "clipped_share": course.clipped / len(course.time),
+    }
+    for key, column, scale in (("cart_m", 0, 1.0), ("pole1_deg", 1, 180 / np.pi), ("pole2_deg", 2, 180 / np.pi)):
+        found[key] = float(late[:, column].max()) * scale if len(late) else None
+    return found
+
+
+def fingerprints(*paths: str | None) -> dict[str, str]:
+    """SHA-256 of the files among what the command line names, so that a changed file is a changed parameter.
+
+    With a model goes what it includes, with a policy its statistics.
+    """
+    named = [path for path in paths if path is not None]
+    named += [str(normalisation.place(path)) for path in named if path.endswith(".zip")]
+    return {path: _digest(Path(path)) for path in named if Path(path).is_file()}
+
+
+def _digest(file: Path) -> str:
+    return mjcf.read(file).sha256 if file.suffix == ".xml" else hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def label(name: str) -> str:
+    """What a controller or compensator is called in tables and file names.
+
+    Example:
+        >>> label("llnf"), label("saved/mine.json"), label("runs/ppo/policy.json")
+        ('llnf', 'mine', 'ppo')
+    """
+    path = Path(name)
+    if path.name == "policy.json" and path.parent.name:
+        return path.parent.name  # what training calls every policy; its folder tells them apart
+    return path.stem if name.endswith((".json", ".zip")) else name
+
+
+def _cost(course: Course, Q: Array) -> float:
+    return float(np.einsum("ni,ij,nj->", course.state, Q, course.state) + lqr.R * course.force @ course.force)

@@ -1,0 +1,165 @@
+"""Medians and spreads of a comparison, and the paper's Table 2 beside them."""
+
+from __future__ import annotations
+
+import itertools
+import platform
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from dipc_gym.controllers import lqr
+
+SCHEMA = "dipc-gym/compare/1"
+
+# Table 2 of the paper: largest deviations of cart (m) and poles (degrees), cost.
+PAPER = {
+    "none": {"cart_m": 0.045, "pole1_deg": 5.0, "pole2_deg": 3.0, "cost": 9.49e6},
+    "mlp": {"cart_m": 0.04, "pole1_deg": 2.0, "pole2_deg": 1.5, "cost": 6.74e6},
+    "llnf": {"cart_m": 0.02, "pole1_deg": 1.0, "pole2_deg": 0.6, "cost": 4.93e6},
+}
+
+
+def summarise(
+    settings: Mapping[str, Any],
+    wanted: Sequence[tuple[str, str]],
+    cells: Sequence[Mapping[str, Any]],
+    notes: Sequence[str],
+    complete: bool,
+    failures: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
+    """Medians and spreads over the seeds; costs and deviations are those of runs that did not fall.
+
+    Args:
+        settings: of the comparison, as plain numbers and strings.
+        wanted: controllers and compensators in the order of the table.
+        cells: what finished runs gave, as `cells/*.json` holds it.
+        notes: what else the reader should know.
+        complete: whether all runs were finished.
+        failures: what went wrong, by the name of the cell.
+    """
+    rows = []
+    pairs = dict.fromkeys((cell["controller"], cell["compensator"]) for cell in cells)
+    for pair in (pair for pair in wanted if pair in pairs):
+        mine = [cell for cell in cells if (cell["controller"], cell["compensator"]) == pair]
+        stood = [cell for cell in mine if cell["survived"]]
+        errors = [cell["test_mse"] for cell in mine if cell["test_mse"] is not None]
+        row: dict[str, Any] = {"controller": pair[0], "compensator": pair[1], "seeds": len(mine)}
+        row["trained_with"] = mine[0]["trained_with"]
+        row["survived"] = len(stood)
+        for key in ("cost", "cost_printed_q", "cart_m", "pole1_deg", "pole2_deg", "force_rms", "voltage_rms"):
+            row[key] = _spread([cell[key] for cell in stood])
+        row["test_mse"] = float(np.median(errors)) if errors else None
+        row["parameters"] = round(float(np.median([cell["parameters"] for cell in mine])))
+        rows.append(row)
+    outside = sorted({cell["compensator"] for cell in cells if cell["notes"]})
+    if outside:
+        notes = [*notes, f"asked far outside their training range in some runs: {', '.join(outside)}"]
+    return {
+        "schema": SCHEMA,
+        "complete": complete,
+        "failures": dict(failures or {}),
+        "rows": rows,
+        "rig_by_rig": _rig_by_rig(cells, wanted),
+        "paper": PAPER,
+        "cost_is": "sum over control periods of x'Qx + F^2, x the simulated state, F the commanded force (N)",
+        "Q": np.diag(lqr.RECOVERED_Q).tolist(),
+        "printed_Q": np.diag(lqr.PRINTED_Q).tolist(),
+        "settings": dict(settings),
+        "notes": list(notes),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: metadata.version(name) for name in ("dipc-gym", "mujoco", "gymnasium", "numpy")},
+        },
+    }
+
+
+def _rig_by_rig(cells: Sequence[Mapping[str, Any]], wanted: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
+    """Each compensator's cost over that of the one before it, on the same rig: rigs differ more than compensators."""
+    costs = {(c["controller"], c["compensator"], c["seed"]): c["cost"] for c in cells if c["survived"]}
+    pairs = []
+    for (controller, before), (same, after) in itertools.pairwise(wanted):
+        rigs = [s for c, name, s in costs if (c, name) == (same, after) and (controller, before, s) in costs]
+        if controller == same and rigs:
+            ratios = [costs[same, after, s] / costs[same, before, s] for s in rigs]
+            pair = {"controller": same, "compensator": after, "than": before, "cost_ratio": _spread(ratios)}
+            pairs.append({**pair, "less_on": sum(ratio < 1 for ratio in ratios), "rigs": len(rigs)})
+    return pairs
+
+
+def table(summary: Mapping[str, Any]) -> str:
+    """The paper's Table 2 beside ours, as text: medians, below them 10th and 90th percentile."""
+    lines: list[tuple[str, ...]] = [_HEAD]
+    for row in summary["rows"]:
+        columns = [(row[key], form) for key, form in _FORMATS.items()]
+        mse = "-" if row["test_mse"] is None else f"{row['test_mse']:.3g}"
+        lines.append(
+            (
+                row["controller"],
+                row["compensator"] + ("*" if row["trained_with"] else ""),
+                f"{row['survived']}/{row['seeds']}",
+                *("-" if c is None else format(c["median"], form) for c, form in columns),
+                mse,
+                str(row["parameters"]),
+            )
+        )
+        spread = ("" if c is None else f"{c['low']:{form}}..{c['high']:{form}}" for c, form in columns)
+        lines.append(("", "", "", *spread, "", ""))
+        paper = summary["paper"].get(row["compensator"]) if row["controller"] == "lqr" else None
+        if paper:
+            lines.append(
+                (
+                    "",
+                    "  paper",
+                    "",
+                    *(format(paper[key], form) if key in paper else "" for key, form in _FORMATS.items()),
+                    "",
+                    "",
+                )
+            )
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    text.insert(1, "-" * len(text[0]))
+    text += [
+        f"rig by rig, {pair['controller']}: {pair['compensator']} costs {pair['cost_ratio']['median']:.2f} times what "
+        f"{pair['than']} costs, less on {pair['less_on']} of {pair['rigs']} rigs"
+        for pair in summary["rig_by_rig"]
+    ]
+    others = {row["controller"]: row["trained_with"] for row in summary["rows"] if row["trained_with"]}
+    text += [f"* {name} was trained with {own}, not with this" for name, own in others.items()]
+    text += [f"failed: {name}: {why}" for name, why in summary["failures"].items()]
+    if not summary["complete"]:
+        text.append("interrupted: this is what was finished")
+    return "\n".join([*text, *(f"note: {note}" for note in summary["notes"])])
+
+
+_HEAD = (
+    "controller",
+    "compensator",
+    "stood",
+    "cart m",
+    "pole 1 deg",
+    "pole 2 deg",
+    "cost J",
+    "printed Q",
+    "force N",
+    "test MSE",
+    "numbers",
+)
+_FORMATS = {
+    "cart_m": ".3f",
+    "pole1_deg": ".2f",
+    "pole2_deg": ".2f",
+    "cost": ".3g",
+    "cost_printed_q": ".3g",
+    "force_rms": ".1f",
+}
+
+
+def _spread(values: Sequence[float]) -> dict[str, float] | None:
+    if not values:
+        return None
+    low, median, high = np.percentile(values, [10, 50, 90]).tolist()
+    return {"median": median, "low": low, "high": high}

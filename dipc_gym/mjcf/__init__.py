@@ -1,0 +1,39 @@
+"""MJCF files: read and compile those of strangers, ask a model what it commands and senses, edit its text."""
+
+from dipc_gym.mjcf.model import (
+    PREFIX,
+    base_joints,
+    check_supported,
+    controls,
+    followers,
+    passive_actuators,
+    scalar_sensors,
+    sensor_addresses,
+    sensor_delays,
+    spread_out,
+    texts,
+    touching_pair,
+)
+from dipc_gym.mjcf.scan import MjcfError
+from dipc_gym.mjcf.source import Source, compile, from_text, quiet_mujoco, read
+
+__all__ = [
+    "PREFIX",
+    "MjcfError",
+    "Source",
+    "base_joints",
+    "check_supported",
+    "compile",
+    "controls",
+    "followers",
+    "from_text",
+    "passive_actuators",
+    "quiet_mujoco",
+    "read",
+    "scalar_sensors",
+    "sensor_addresses",
+    "sensor_delays",
+    "spread_out",
+    "texts",
+    "touching_pair",
+]

@@ -1,0 +1,250 @@
+"""Edit the text of an MJCF file in small, readable steps.
+
+Hypotheses are edits of the user's own XML, so what is fitted and what is written back are one and the same text.
+`MjSpec.to_xml` would drop comments, cut numbers to six digits and turn a dcmotor into raw arrays.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import posixpath
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator, Sequence
+from xml.parsers import expat
+
+from dipc_gym.mjcf.defaults import effective
+from dipc_gym.mjcf.model import FOLLOWS, PASSIVE, PREFIX
+from dipc_gym.mjcf.scan import MjcfError
+from dipc_gym.mjcf.source import Source
+
+# What MuJoCo takes for options that are not written.
+_OPTIONS = {"timestep": "0.002", "gravity": "0 0 -9.81", "iterations": "100", "noslip_iterations": "0"}
+_TAG = re.compile(rb"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>""")
+_WRITTEN = re.compile(r"<!--.*?-->|(<[^!?/>][^>]*?)( ?/)?>", re.DOTALL)
+
+
+class Document:
+    """An MJCF tree with its includes put in place, and the edits that effects need.
+
+    Args:
+        source: a scanned model.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self._layout: dict[str, str] = {}  # start tag as ElementTree writes it -> as its author did
+        self.root, self.head, self.tail = self._parse(source.text)
+        self._inline(self.root)
+
+    def copy(self) -> Document:
+        """A copy to edit."""
+        twin = copy.copy(self)
+        twin.root = copy.deepcopy(self.root)
+        return twin
+
+    def _parse(self, text: str) -> tuple[ET.Element, str, str]:
+        """The tree of an XML text, and what stands before and after it."""
+        root = ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+        data, places = text.encode(), expat.ParserCreate("utf-8")
+        first, last = [], [0]
+
+        def start(tag: str, attributes: dict[str, str]) -> None:
+            first.append(places.CurrentByteIndex)
+            written = _TAG.match(data, first[-1])
+            alone = ET.tostring(ET.Element(tag, attributes), encoding="unicode").removesuffix(" />")
+            if written:
+                self._layout.setdefault(alone, written[0].decode().rstrip("/> \n\t"))
+
+        def end(_: str) -> None:
+            last[0] = places.CurrentByteIndex
+
+        places.StartElementHandler, places.EndElementHandler = start, end
+        places.Parse(data, True)
+        return root, data[: first[0]].decode(), data[data.index(b">", last[0]) + 1 :].decode()
+
+    def _inline(self, parent: ET.Element) -> None:
+        for child in list(parent):
+            if child.tag != "include":
+                self._inline(child)
+                continue
+            name = posixpath.normpath(child.get("file", "").replace("\\", "/"))
+            included, _, _ = self._parse(self.source.files[name].decode("utf-8-sig"))
+            self._inline(included)
+            where = list(parent).index(child)
+            parent.remove(child)
+            for k, element in enumerate(included):
+                parent.insert(where + k, element)
+            if len(included):
+                included[-1].tail = child.tail
+
+    # ------------------------------------------------------------------------------------------------- finding
+
+    def joint(self, name: str) -> ET.Element:
+        """The joint of that name."""
+        return self._named(self.root.iterfind(".//worldbody//joint"), "joint", name)
+
+    def actuator(self, name: str) -> ET.Element:
+        """The actuator of that name."""
+        return self._named(self.root.iterfind("actuator/*"), "actuator", name)
+
+    def sensor(self, name: str) -> ET.Element:
+        """The sensor of that name."""
+        return self._named(self.root.iterfind("sensor/*"), "sensor", name)
+
+    def body(self, name: str) -> ET.Element:
+        """The body of that name."""
+        return self._named(self.root.iterfind(".//worldbody//body"), "body", name)
+
+    def parent(self, element: ET.Element) -> ET.Element:
+        """The element that holds another."""
+        return next(p for p in self.root.iter() if any(child is element for child in p))
+
+    def joint_names(self) -> list[str]:
+        """Joints that stand in the text under a name."""
+        return [name for e in self.root.iterfind(".//worldbody//joint") if (name := e.get("name"))]
+
+    def actuator_names(self) -> list[str]:
+        """Actuators that stand in the text under a name."""
+        return [name for e in self.root.iterfind("actuator/*") if (name := e.get("name"))]
+
+    def _named(self, elements: Iterator[ET.Element] | Iterable[ET.Element], kind: str, name: str) -> ET.Element:
+        for element in elements:
+            if element.get("name") == name:
+                return element
+        raise MjcfError(f"{self.source.name}: no {kind} named {name!r} stands in the text")
+
+    def effective(self, element: ET.Element, attribute: str, default: str = "") -> str:
+        """An attribute of an element: its own, or what the file's default classes give it."""
+        return effective(self.root, element, attribute, default)
+
+    def fresh(self, name: str) -> str:
+        """The name, or one like it if something in the file has it already."""
+        taken, candidate = {element.get("name") for element in self.root.iter()}, name
+        k = 2
+        while candidate in taken:
+            candidate, k = f"{name}_{k}", k + 1
+        return candidate
+
+    def get_option(self, name: str) -> str:
+        """An attribute of `<option>`, or MuJoCo's default for it; of several sections the last one holds."""
+        found = [o.attrib[name] for o in self.root.iterfind("option") if name in o.attrib]
+        return found[-1] if found else _OPTIONS[name]
+
+    @property
+    def timestep(self) -> float:
+        """The model's time step, s."""
+        return float(self.get_option("timestep"))
+
+    def angle(self, joint: ET.Element, radians: float) -> float:
+        """A position of a joint as this file writes it: in degrees for hinges, unless the compiler says radian."""
+        hinge = self.effective(joint, "type", "hinge") == "hinge"
+        in_degrees = all(c.get("angle", "degree") == "degree" for c in self.root.iterfind("compiler"))
+        return math.degrees(radians) if hinge and in_degrees else radians
+
+    # ------------------------------------------------------------------------------------------------- editing
+
+    def section(self, tag: str) -> ET.Element:
+        """A top-level section such as `actuator`, made if it is not there."""
+        found = self.root.findall(tag)
+        if found:
+            return found[-1]
+        self._indent_last(self.root, "  ")
+        made = ET.SubElement(self.root, tag)
+        made.tail = "\n"
+        return made
+
+    def add(self, section: str | ET.Element, tag: str, **attributes: str | float | Sequence[float]) -> ET.Element:
+        """Append an element; an attribute whose name is a Python keyword takes a trailing underscore."""
+        parent = self.section(section) if isinstance(section, str) else section
+        inner = "    " if parent in list(self.root) else "  " * (self._depth(parent) + 1)
+        if len(parent) == 0:
+            parent.text = "\n" + inner
+        else:
+            parent[-1].tail = "\n" + inner
+        element = ET.SubElement(parent, tag)
+        element.tail = "\n" + inner[:-2]
+        self.set(element, **attributes)
+        return element
+
+    def set(self, element: ET.Element, **attributes: str | float | Sequence[float]) -> None:
+        """Write attributes, numbers to their last digit."""
+        for name, value in attributes.items():
+            element.set(name.rstrip("_"), text(value))
+
+    def plain(self, element: ET.Element, **attributes: str) -> None:
+        """Write attributes that hold by default, but only where a default class of the file says otherwise."""
+        for name, value in attributes.items():
+            if self.effective(element, name, value) != value:
+                self.set(element, **{name: value})
+
+    def option(self, **attributes: str | float) -> None:
+        """Set attributes of `<option>`."""
+        found = self.root.findall("option")
+        if not found:
+            found = [ET.Element("option")]
+            found[0].tail = "\n  "
+            self.root.insert(0, found[0])
+        self.set(found[-1], **attributes)
+
+    def at_least(self, **attributes: float) -> None:
+        """Raise attributes of `<option>` to at least these values."""
+        for name, value in attributes.items():
+            if float(self.get_option(name)) < value:
+                self.option(**{name: value})
+
+    def custom(self, effect: str, at: str, data: Sequence[float]) -> None:
+        """Write what MJCF cannot say, for the loader in `dipc_gym.physics`; an entry that is there gets this data."""
+        name = f"{PREFIX}:{effect}:{at}"
+        for entry in self.root.iterfind("custom/numeric"):
+            if entry.get("name") == name:
+                entry.attrib.pop("size", None)
+                self.set(entry, data=list(data))
+                return
+        self.add("custom", "numeric", name=name, data=list(data))
+
+    def follows(self, joint: str, leader: str) -> None:
+        """Say that an unseen joint starts where another one is."""
+        self.add("custom", "text", name=FOLLOWS + joint, data=leader)
+
+    def comment(self, *lines: str) -> None:
+        """Put a comment at the top of the file."""
+        words = "\n       ".join(re.sub("-(?=-)", "- ", line) for line in lines)
+        note = ET.Comment(f" {words} ")
+        note.tail = "\n  "
+        self.root.insert(0, note)
+
+    def passive(self, actuator: str) -> None:
+        """Say that an actuator is a passive element, whose control nobody commands."""
+        self.add("custom", "text", name=PASSIVE + actuator, data="no command")
+
+    def text(self) -> str:
+        """The whole file; tags that nobody changed look as their author wrote them."""
+
+        def written(tag: re.Match[str]) -> str:
+            if not tag[1]:
+                return tag[0]
+            return self._layout.get(tag[1], tag[1]) + ("/>" if tag[2] else ">")
+
+        return self.head + _WRITTEN.sub(written, ET.tostring(self.root, encoding="unicode")) + self.tail
+
+    def _depth(self, element: ET.Element) -> int:
+        depth, here = 0, element
+        while here is not self.root:
+            here, depth = self.parent(here), depth + 1
+        return depth
+
+    @staticmethod
+    def _indent_last(parent: ET.Element, space: str) -> None:
+        if len(parent):
+            parent[-1].tail = "\n" + space
+
+
+def text(value: str | float | Sequence[float]) -> str:
+    """An attribute's text; numbers keep every digit."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, (int, float)):
+        return repr(float(value)).removesuffix(".0")
+    return " ".join(text(float(number)) for number in value)

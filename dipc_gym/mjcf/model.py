@@ -1,0 +1,188 @@
+"""What a compiled model commands and senses, which of its joints lead, and whether the diagnosis can treat it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.mjcf.scan import MjcfError
+
+Array = NDArray[np.float64]
+
+PREFIX = "dipc_gym"  # of what `<custom>` holds for this package
+
+# A `<text>` in `<custom>` with this prefix names an actuator that stands in for a passive force; its control stays 0.
+PASSIVE = "dipc_gym:passive:"
+
+# One with this prefix names a joint behind a gap or a spring; it says which joint it follows.
+FOLLOWS = "dipc_gym:follows:"
+
+SUPPORTED = (
+    "Supported are models with hinge and slide joints and no contacts, with any number of actuators, "
+    "whose scalar sensors determine the joints."
+)
+
+
+def controls(model: mujoco.MjModel) -> list[str]:
+    """Names of the model's controls, in the order of `data.ctrl`.
+
+    A passive actuator (`input="none"`) has no control and no name here. One with several inputs has one name for
+    each: `servo.pos`, `servo.vel`. Controls of elements that `<custom>` calls passive come last and are left out.
+
+    Raises:
+        MjcfError: an actuator with a control has no name.
+    """
+    names = [""] * model.nu
+    passive = {name.removeprefix(PASSIVE) for name in texts(model)}
+    for actuator in range(model.nactuator):
+        name = model.actuator(actuator).name
+        if name in passive:
+            continue
+        first, count = int(model.actuator_ctrladr[actuator]), int(model.actuator_ctrlnum[actuator])
+        if count and not name:
+            raise MjcfError(f"actuator {actuator} has no name; recordings are matched by name, so give it one")
+        for k in range(count):
+            part = mujoco.mj_actuatorInputName(model, actuator, k) or str(k)
+            names[first + k] = name if count == 1 else f"{name}.{part}"
+    commanded = sum(1 for name in names if name)
+    if not all(names[:commanded]):
+        raise MjcfError("passive actuators must come after all that are commanded")
+    return names[:commanded]
+
+
+def passive_actuators(model: mujoco.MjModel) -> list[int]:
+    """Numbers of the actuators that nobody commands: friction, cogging and other forces in an actuator's clothes."""
+    commanded = len(controls(model))
+    return [
+        i for i in range(model.nactuator) if model.actuator_ctrlnum[i] == 0 or model.actuator_ctrladr[i] >= commanded
+    ]
+
+
+def followers(model: mujoco.MjModel) -> dict[str, str]:
+    """Joints behind a gap or a spring, and for each the one where it starts.
+
+    Raises:
+        MjcfError: an entry names a joint that is not there, or a leader that follows another one itself.
+    """
+    found = {name.removeprefix(FOLLOWS): leader for name, leader in texts(model).items() if name.startswith(FOLLOWS)}
+    names = [model.joint(j).name for j in range(model.njnt)]
+    for follower, leader in found.items():
+        for name, known in ((follower, names), (leader, [name for name in names if name not in found])):
+            if name not in known:
+                raise MjcfError(
+                    f"<custom> entry '{FOLLOWS}{follower}': no {name!r} among the joints {', '.join(known)}"
+                )
+    return found
+
+
+def base_joints(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Names of the joints whose state is estimated: all but those that follow another one, unseen.
+
+    Raises:
+        MjcfError: a joint without a name, or an entry of `<custom>` that ties joints which cannot be tied.
+    """
+    return tuple(_ties(model)[0])
+
+
+def spread_out(model: mujoco.MjModel) -> Array:
+    """Matrix (nq, nb) from the base joints to all joints, with followers where their leaders are."""
+    base, leader = _ties(model)
+    return np.array([[float(leader[model.joint(j).name] == name) for name in base] for j in range(model.njnt)])
+
+
+def _ties(model: mujoco.MjModel) -> tuple[list[str], dict[str, str]]:
+    """The base joints, and for every joint the base joint that says where it is."""
+    names = [model.joint(j).name for j in range(model.njnt)]
+    if "" in names:
+        raise MjcfError(f"joint {names.index('')} of the model has no name; reports speak of joints, so name it")
+    leader = followers(model)
+    base = [name for name in names if name not in leader]
+    return base, leader | {name: name for name in base}
+
+
+def texts(model: mujoco.MjModel) -> dict[str, str]:
+    """The `<text>` entries of `<custom>`, by name."""
+    found = {}
+    for i in range(model.ntext):
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, i)
+        start, size = int(model.text_adr[i]), int(model.text_size[i])
+        found[name] = bytes(model.text_data[start : start + size]).rstrip(b"\0").decode(errors="replace")
+    return found
+
+
+def scalar_sensors(model: mujoco.MjModel) -> list[str]:
+    """Names of the sensors that measure one number, in the model's order; unnamed ones are left out."""
+    sensors = (model.sensor(i) for i in range(model.nsensor) if model.sensor_dim[i] == 1)
+    return [sensor.name for sensor in sensors if sensor.name]
+
+
+def sensor_addresses(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Where the `scalar_sensors` stand in `data.sensordata`."""
+    return np.array([model.sensor(name).adr[0] for name in scalar_sensors(model)], dtype=np.intp)
+
+
+def sensor_delays(model: mujoco.MjModel) -> NDArray[np.float64]:
+    """By how much each of the `scalar_sensors` reads late, s."""
+    return np.array([model.sensor_delay[model.sensor(name).id] for name in scalar_sensors(model)])
+
+
+def check_supported(model: mujoco.MjModel, name: str) -> None:
+    """Refuse models that system identification cannot treat.
+
+    Args:
+        model: compiled.
+        name: what messages call it, as its file.
+
+    Raises:
+        MjcfError: free or ball joints, flexible bodies, geoms that can touch, no joint, or no named scalar sensor.
+    """
+    for joint in range(model.njnt):
+        kind = int(model.jnt_type[joint])  # a NumPy integer in a tuple of MuJoCo's enums is not found
+        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            word = "free" if kind == mujoco.mjtJoint.mjJNT_FREE else "ball"
+            raise MjcfError(f"{name}: joint {_label(model.joint(joint))} is a {word} joint. {SUPPORTED}")
+    if model.nflex:
+        raise MjcfError(f"{name}: the model has flexible bodies (flex). {SUPPORTED}")
+    if not model.nv:
+        raise MjcfError(f"{name}: the model has no joints, so nothing in it moves. {SUPPORTED}")
+    if not scalar_sensors(model):
+        raise MjcfError(f"{name}: the model has no named scalar sensor, such as <jointpos name=.../>. {SUPPORTED}")
+    pair = touching_pair(model)
+    if pair:
+        raise MjcfError(
+            f'{name}: geoms {pair[0]} and {pair[1]} can touch. {SUPPORTED} If they never touch, set contype="0" '
+            'conaffinity="0" on them, or <option><flag contact="disable"/></option>.'
+        )
+
+
+def touching_pair(model: mujoco.MjModel) -> tuple[str, str] | None:
+    """The first two geoms whose contact the model allows, or None; by MuJoCo's filters, whatever the geometry."""
+    disabled = model.opt.disableflags
+    if disabled & (mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
+        return None
+    if model.npair:
+        return _label(model.geom(model.pair_geom1[0])), _label(model.geom(model.pair_geom2[0]))
+    weld = model.body_weldid.tolist()
+    parent = [weld[model.body_parentid[body]] for body in weld]  # of the welded group that a body belongs to
+    parents_touch = bool(disabled & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    excluded = set(model.exclude_signature.tolist())
+    type_of, affinity, body_of = model.geom_contype, model.geom_conaffinity, model.geom_bodyid.tolist()
+    solid = [geom for geom in range(model.ngeom) if type_of[geom] or affinity[geom]]
+    for i, g in enumerate(solid):
+        for h in solid[i + 1 :]:
+            a, b = sorted((body_of[g], body_of[h]))
+            if weld[a] == weld[b] or (a << 16) + b in excluded:
+                continue
+            related = weld[a] and weld[b] and (parent[a] == weld[b] or parent[b] == weld[a])
+            if related and not parents_touch:
+                continue
+            if type_of[g] & affinity[h] or type_of[h] & affinity[g]:
+                return _label(model.geom(g)), _label(model.geom(h))
+    return None
+
+
+def _label(element: Any) -> str:
+    return repr(element.name) if element.name else f"number {element.id}"

@@ -1,0 +1,256 @@
+"""What the channels of a recording look like: their noise, and what their owner should know."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.signal import detrend
+
+from dipc_gym.recording.tables import RecordingError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from dipc_gym.recording import Recording
+
+ORDERS = range(3, 8)  # of the differences that remove the motion
+FEWEST = 10  # samples that noise can be estimated from
+BLOCK = 32  # samples over which the differences are averaged before the median is taken
+SLOW = 0.2  # s between samples, beyond which time is more likely in milliseconds
+FAR_HINGE = 4 * math.pi  # rad that a hinge without limits seldom goes beyond
+FAR_SLIDE = 5.0  # m that a slide without limits seldom goes beyond
+STEADY = math.pi / 2  # rad a sample, below which an angle that starts again can be counted on
+MOVES = 10.0  # times its noise: a position that moves less tells nothing of its rate
+LIKE = 0.5  # share of the variance from which one curve is another, scaled
+RATES = {
+    mujoco.mjtSensor.mjSENS_JOINTVEL: mujoco.mjtSensor.mjSENS_JOINTPOS,
+    mujoco.mjtSensor.mjSENS_TENDONVEL: mujoco.mjtSensor.mjSENS_TENDONPOS,
+    mujoco.mjtSensor.mjSENS_ACTUATORVEL: mujoco.mjtSensor.mjSENS_ACTUATORPOS,
+}
+
+
+def noise(recording: Recording) -> NDArray[np.float64]:
+    """Standard deviation of each sensor's own noise, white noise and quantisation together.
+
+    Motion is removed by divided differences of order 3 to 7, scaled so that white noise keeps its size; they are
+    exact for irregular stamps. The order that leaves least is used, and the median over short blocks keeps impacts
+    and stick-slip out. Never less than the quantisation step over sqrt(12).
+
+    Args:
+        recording: at least 10 samples, taken several times faster than the motion.
+
+    Returns:
+        (ns,) in the sensors' units; `inf` for a sensor that never changes, of which nothing is known.
+
+    Raises:
+        RecordingError: fewer than 10 samples.
+    """
+    if len(recording) < FEWEST:
+        raise RecordingError(f"{recording.name}: {len(recording)} samples are too few to tell noise from motion")
+    return np.array([_noise(recording.time, values) for values in recording.sensors.T])
+
+
+def _noise(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:
+    if np.ptp(values) == 0:
+        return math.inf
+    left = [_white(time, values, order) for order in ORDERS]
+    # Not the least itself, which chance makes too small, but the first that is as good.
+    white = next(estimate for estimate in left if estimate <= 1.05 * min(left))
+    return max(white, quantum(values) / math.sqrt(12))
+
+
+def _white(time: NDArray[np.float64], values: NDArray[np.float64], order: int) -> float:
+    """Standard deviation of white noise in a signal that is otherwise a polynomial of lower order nearly everywhere."""
+    stamps = np.lib.stride_tricks.sliding_window_view(time, order + 1)
+    gaps = stamps[:, :, None] - stamps[:, None, :]
+    gaps /= (stamps[:, -1] - stamps[:, 0])[:, None, None]
+    gaps[:, range(order + 1), range(order + 1)] = 1.0
+    weights = 1.0 / gaps.prod(axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    rest = np.einsum("ij,ij->i", weights, np.lib.stride_tricks.sliding_window_view(values, order + 1))
+    parts = np.array_split(rest, max(1, len(rest) // BLOCK))
+    typical = float(np.median([np.mean(part**2) for part in parts]))
+    # Neighbouring differences are correlated, so a block has fewer degrees of freedom than samples, and the median
+    # of chi squared lies below its mean (Wilson and Hilferty 1931).
+    freedom = len(rest) / len(parts) * math.comb(2 * order, order) ** 2 / math.comb(4 * order, 2 * order)
+    return math.sqrt(typical / (1 - 2 / (9 * freedom)) ** 3)
+
+
+def quantum(values: NDArray[np.float64]) -> float:
+    """Step of a quantised signal; 0 where its values are on no lattice.
+
+    The smallest change between neighbouring samples, if nearly all changes are multiples of it and the values come
+    back to the same levels (which those of a noisy signal at constant speed do not).
+    """
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 64 * np.finfo(float).eps * np.max(np.abs(values), initial=0.0)]
+    if not len(steps):
+        return 0.0
+    smallest = float(np.min(steps))
+    multiples = steps[steps < 50 * smallest] / smallest
+    step = smallest * float(np.median(multiples / np.round(multiples)))
+    levels = len(np.unique(values))
+    if np.mean(np.abs(multiples - np.round(multiples)) < 0.05) < 0.95 or levels > np.ptp(values) / step + 2:
+        return 0.0
+    return step
+
+
+def counted_on(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An angle (n,) in rad that starts again after every turn, counted on over the turns; any other as it is.
+
+    One that stays within a turn, jumps by nearly all of it, and moves little between samples otherwise. What turns by
+    more than a quarter between two samples is left alone: it may have gone either way.
+
+    Example:
+        >>> counted_on(np.array([2.9, 3.1, -3.0, -2.8])).round(2).tolist()
+        [2.9, 3.1, 3.28, 3.48]
+    """
+    if np.ptp(angle) > 1.001 * 2 * math.pi or np.max(np.abs(np.diff(angle)), initial=0.0) < math.pi:
+        return angle
+    on = np.unwrap(angle)
+    return on if np.max(np.abs(np.diff(on))) < STEADY else angle
+
+
+def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:
+    """Sentences about what is odd but usable in a recording: sampling, dead or clipped channels, units, rates, limits.
+
+    None of this stops an analysis, since each can be right: a locked joint does not move, and a motor axis may turn
+    a hundred times. But whoever recorded it should know.
+    """
+    found = []
+    if recording.ignored:
+        found.append(f"columns {list(recording.ignored)} are not in the model and are ignored")
+    found += _sampling(recording.time)
+    for kind, names, table in (
+        ("command", recording.actuator_names, recording.commands),
+        ("sensor", recording.sensor_names, recording.sensors),
+    ):
+        for name, values in zip(names, table.T, strict=True):
+            found += _dead_or_clipped(f"{kind} {name!r}", values)
+    for name, values in zip(recording.sensor_names, recording.sensors.T, strict=True):
+        found += _odd_unit(name, values, model)
+    return (*found, *_odd_rates(recording, model), *_beyond_limits(recording, model))
+
+
+def _sampling(time: NDArray[np.float64]) -> list[str]:
+    steps = np.diff(time)
+    middle, longest = float(np.median(steps)), int(np.argmax(steps))
+    found = []
+    if middle > SLOW:
+        found.append(f"samples are {middle:g} s apart; if time is in milliseconds, say --unit time=ms")
+    if steps[longest] > 3 * middle:
+        found.append(
+            f"{np.sum(steps > 3 * middle)} gaps in time, the longest {steps[longest]:.3g} s after "
+            f"{time[longest]:.6g} s where {middle:.3g} s are usual: samples are missing there"
+        )
+    low, high = np.quantile(steps, [0.05, 0.95])
+    if high - low > 0.05 * middle:
+        found.append(
+            f"sampling is irregular: {low:.3g} to {high:.3g} s apart, median {middle:.3g} s (5 to 95 %); "
+            "commands are averaged over the steps of the simulation"
+        )
+    return found
+
+
+def _dead_or_clipped(label: str, values: NDArray[np.float64]) -> list[str]:
+    if np.ptp(values) == 0:
+        return [f"{label} is constant ({values[0]:g} throughout): locked, unused, or not connected?"]
+    return [
+        f"{label} sits at its {which} value, {extreme:g}, for {share:.0%} of the time and gets there at full speed: "
+        "clipped, or against a stop?"
+        for which, extreme in (("lowest", values.min()), ("highest", values.max()))
+        if (share := clipped_share(values, float(extreme))) >= 0.01
+    ]
+
+
+def clipped_share(values: NDArray[np.float64], extreme: float) -> float:
+    """Share of the samples that lie on a plateau at `extreme` which the signal entered or left with a kink.
+
+    A signal that comes to rest slows down before, so its last change is small; a clipped one is cut off while it
+    moves. Commands that move in steps have plateaus everywhere, and none of theirs counts.
+    """
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0]))
+    lengths = np.diff(np.append(starts, len(values)))
+    levels = values[starts]
+    changes = np.abs(np.diff(levels))
+    if len(levels) < 4:
+        return 0.0
+    abrupt = max(5 * quantum(values), 0.05 * float(np.max(changes)))
+    plateau = (levels == extreme) & (lengths >= max(5, 5 * np.median(lengths)))
+    before = np.concatenate([[0.0, 0.0], changes[:-1]])  # the last change but one before each level
+    after = np.concatenate([changes[1:], [0.0, 0.0]])
+    kinked = plateau & (np.maximum(before, after) > abrupt)
+    return float(lengths[kinked].sum() / len(values))
+
+
+def _odd_unit(name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> list[str]:
+    """Whether a joint position is far beyond what its joint can do, or what one expects of it."""
+    sensor = model.sensor(name).id
+    if model.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_JOINTPOS:
+        return []
+    joint = int(model.sensor_objid[sensor])
+    hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+    peak = float(np.max(np.abs(values)))
+    usual = FAR_HINGE if hinge else FAR_SLIDE
+    if model.jnt_limited[joint]:
+        usual = 3 * float(np.max(np.abs(model.jnt_range[joint])))
+    if peak <= usual:
+        return []
+    unit, word, short = ("rad", "degrees", "deg") if hinge else ("m", "millimetres", "mm")
+    return [f"sensor {name!r} reaches {peak:.4g} {unit}; if these are {word}, say --unit {name}={short}"]
+
+
+def _odd_rates(recording: Recording, model: mujoco.MjModel) -> list[str]:
+    """Velocities that are not the rates of the positions beside them: columns interchanged, signs, units."""
+    found: list[str] = []
+    kinds = [(int(model.sensor(name).type[0]), int(model.sensor(name).objid[0])) for name in recording.sensor_names]
+    for (r, (kind, of)), p in itertools.product(enumerate(kinds), range(len(kinds))):
+        if kinds[p] != (RATES.get(mujoco.mjtSensor(kind)), of):
+            continue
+        place, rate = recording.sensors[:, p], recording.sensors[:, r]
+        if np.ptp(rate) == 0 or np.std(place) < MOVES * _noise(recording.time, place):
+            continue
+        found += _odd_rate(recording.time, (recording.sensor_names[p], place), (recording.sensor_names[r], rate))
+    return found
+
+
+def _odd_rate(
+    time: NDArray[np.float64], place: tuple[str, NDArray[np.float64]], rate: tuple[str, NDArray[np.float64]]
+) -> list[str]:
+    """What is wrong with the rate of a position, both with their names."""
+    times, alike = _way(time, place[1], rate[1])
+    if alike > LIKE and 0.5 < times < 2:
+        return []
+    backwards, alike_backwards = _way(time, rate[1], place[1])
+    if alike_backwards > LIKE and 0.5 < backwards < 2:
+        return [f"sensor {place[0]!r} is the rate of sensor {rate[0]!r}: interchanged? Say which is which with --map"]
+    if alike < LIKE:
+        return [f"sensor {rate[0]!r} is not the rate of sensor {place[0]!r}: another joint's, or not calibrated?"]
+    cause = "its sign is reversed" if -2 < times < -0.5 else "check its unit (--unit) and sign"
+    return [f"sensor {rate[0]!r}, integrated, goes {times:.3g} times the way of sensor {place[0]!r}: {cause}"]
+
+
+def _way(time: NDArray[np.float64], place: NDArray[np.float64], rate: NDArray[np.float64]) -> tuple[float, float]:
+    """How many times the way of `place` a rate goes, and which share of its way that is; biases are taken out."""
+    gone, there = detrend(cumulative_trapezoid(rate, time, initial=0)), detrend(place)
+    both = float(gone @ there)
+    return both / float(there @ there), both**2 / float(there @ there) / float(gone @ gone)
+
+
+def _beyond_limits(recording: Recording, model: mujoco.MjModel) -> list[str]:
+    """Commands that MuJoCo would clamp."""
+    found = []
+    for k, name in enumerate(recording.actuator_names):
+        low, high = model.actuator_ctrlrange[k]
+        share = float(np.mean((recording.commands[:, k] < low) | (recording.commands[:, k] > high)))
+        if model.actuator_ctrllimited[k] and share:
+            found.append(
+                f"command {name!r} leaves its ctrlrange {low:g} to {high:g} in {share:.2%} of the samples, where the "
+                "simulation clamps it; check its unit and the model"
+            )
+    return found

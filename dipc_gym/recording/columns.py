@@ -1,0 +1,69 @@
+"""Which column of a file is which command or sensor of the model, and in which unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from dipc_gym.recording.tables import RecordingError
+from dipc_gym.recording.units import factor
+
+COMMAND, SENSOR = "ctrl:", "sensor:"  # prefixes that tell an actuator and a sensor of one name apart
+
+
+def match_columns(
+    where: str, names: Sequence[str], ctrl: Sequence[str], sensor: Sequence[str], mapping: Mapping[str, str]
+) -> dict[str, str]:
+    """Which file column holds which channel; time first, then the model's order."""
+    sides = f"the file has {list(names)}; the model wants ['time'], controls {list(ctrl)} and sensors {list(sensor)}"
+    channels_of: dict[str, list[str]] = {"time": ["time"]}
+    for prefix, wanted in ((COMMAND, ctrl), (SENSOR, sensor)):
+        for name in wanted:
+            channels_of.setdefault(prefix + name, []).append(prefix + name)
+            if name != "time" and not name.startswith((COMMAND, SENSOR)):
+                channels_of.setdefault(name, []).append(prefix + name)
+    for column, name in mapping.items():
+        if column not in names:
+            hint = " (a mapping is FILE_COLUMN=MODEL_NAME)" if name in names else ""
+            raise RecordingError(f"{where}: there is no column {column!r} to map to {name!r}{hint}; {sides}")
+        if name not in channels_of:
+            raise RecordingError(
+                f"{where}: column {column!r} is mapped to {name!r}, which is not in the model; {sides}"
+            )
+    found: dict[str, str] = {}
+    for column in names:
+        meant = channels_of.get(mapping.get(column, column), [])
+        if len(meant) > 1:
+            raise RecordingError(
+                f"{where}: column {column!r} may be an actuator or a sensor, the model has both; "
+                f"name it {meant[0]!r} or {meant[1]!r}"
+            )
+        for channel in meant:
+            if channel in found:
+                raise RecordingError(f"{where}: columns {found[channel]!r} and {column!r} both mean {channel!r}")
+            found[channel] = column
+    order = ["time", *(COMMAND + name for name in ctrl), *(SENSOR + name for name in sensor)]
+    missing = [channel for channel in order if channel not in found]
+    if missing:
+        raise RecordingError(f"{where}: no column for {missing}; {sides}; rename them or use --map COLUMN=NAME")
+    return {channel: found[channel] for channel in order}
+
+
+def unit_factors(where: str, wanted: Mapping[str, str], units: Mapping[str, str]) -> dict[str, float]:
+    """Factor to SI of each channel that a unit is given for."""
+    factors: dict[str, float] = {}
+    for key, unit in units.items():
+        meant = [c for c, column in wanted.items() if key in (column, c)] or [
+            c for c in wanted if key in (c.removeprefix(COMMAND), c.removeprefix(SENSOR))
+        ]
+        if not meant:
+            raise RecordingError(
+                f"{where}: a unit is given for {key!r}, which is neither a column that is used nor a name of the "
+                f"model; there are {list(wanted.values())}"
+            )
+        if len(meant) > 1:
+            raise RecordingError(f"{where}: the unit of {key!r} may mean {meant[0]!r} or {meant[1]!r}; say which")
+        try:
+            factors[meant[0]] = factor(unit)
+        except ValueError as error:
+            raise RecordingError(f"{where}: unit of {key!r}: {error}") from None
+    return factors

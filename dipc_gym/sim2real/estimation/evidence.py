@@ -1,0 +1,168 @@
+"""Gather what is known at each place before anything is fitted there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym.mjcf.model import base_joints
+from dipc_gym.physics import Physics
+from dipc_gym.recording import Recording
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Place, joint_of
+from dipc_gym.sim2real.effects.coupling import inertia_at
+from dipc_gym.sim2real.estimation.states import unexplained_force
+from dipc_gym.sim2real.simulation.motion import Motion
+
+Array = NDArray[np.float64]
+
+AVERAGED = 0.025  # s
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Motion and unexplained force over all recordings.
+
+    Attributes:
+        model: whose force is lacking.
+        recordings: what was measured.
+        time: s, (n,), beginning anew with each recording.
+        position: of each joint, (n, nq).
+        velocity: (n, nv).
+        force: unexplained generalised force, (n, nv).
+        load: that each joint transmits, (n, nv).
+        odd: times at which windows begin that are predicted far worse than most, the worst first, s.
+    """
+
+    model: mujoco.MjModel
+    recordings: tuple[Recording, ...]
+    time: Array
+    position: Array
+    velocity: Array
+    force: Array
+    load: Array
+    odd: tuple[float, ...] = ()
+
+    def at(self, place: Place, name: str, levels: dict[str, float]) -> Evidence:
+        """The evidence at one place; a sensor's or actuator's joint stands for it.
+
+        Args:
+            place: kind of place.
+            name: of the joint, actuator or sensor; anything for the world.
+            levels: dry friction that the structure has at joints.
+        """
+        joint, command, reading, gear = name, np.zeros(0), np.zeros(0), 0.0
+        if place == "actuator":
+            joint = joint_of(self.model, name) or ""
+            joint = mjcf.followers(self.model).get(joint, joint)  # a rotor stands for the joint that it drives
+            k = self.recordings[0].actuator_names.index(name)
+            command = np.concatenate([r.commands[:, k] for r in self.recordings])
+            gear = float(self.model.actuator(name).gear[0])
+        elif place == "sensor":
+            joint = ""
+            k = self.recordings[0].sensor_names.index(name)
+            reading = np.concatenate([r.sensors[:, k] for r in self.recordings])
+        if joint not in self._joints:
+            power = np.sqrt(np.mean(self.force**2, axis=0)) / (np.sqrt(np.mean(self.load**2, axis=0)) + 1e-12)
+            joint = self._joints[int(np.argmax(power))]
+        j = self._joints.index(joint)
+        return Evidence(
+            self.model,
+            self.force[:, j],
+            self.velocity[:, j],
+            self.position[:, j],
+            self.load[:, j],
+            self.time,
+            command,
+            reading,
+            gear,
+            inertia_at(self.model, joint),
+            min(r.period for r in self.recordings),
+            levels.get(joint),
+            name,
+            self.odd,
+        )
+
+    @property
+    def _joints(self) -> list[str]:
+        return list(base_joints(self.model))
+
+
+def scene(
+    physics: Physics,
+    recordings: Sequence[Recording],
+    motions: Sequence[Motion],
+    until: float,
+    odd: Sequence[float] = (),
+) -> Scene:
+    """What a model leaves unexplained.
+
+    Args:
+        physics: the model.
+        recordings: what was measured.
+        motions: of the joints.
+        until: the part of each recording to look at, from its start.
+        odd: times at which windows begin that are predicted far worse than most, s.
+    """
+    model = physics.model
+    parts = []
+    for recording, motion in zip(recordings, motions, strict=True):
+        n = _index(recording, until)
+        force, load = unexplained_force(physics, recording, motion)
+        parts.append((recording.time[:n], motion.position[:n], motion.velocity[:n], force[:n], load[:n]))
+    time, position, velocity, force, load = (np.concatenate(part) for part in zip(*parts, strict=True))
+    cut = tuple(recording.slice(0, _index(recording, until)) for recording in recordings)
+    return Scene(model, cut, time, position, velocity, force, load, tuple(odd))
+
+
+def _index(recording: Recording, share: float) -> int:
+    """The first sample at or after a share of a recording's duration; with all of it, one past the last."""
+    if share >= 1.0:
+        return len(recording)
+    return int(np.searchsorted(recording.time, recording.time[0] + share * recording.duration))
+
+
+def force_errors(
+    physics: Physics, recordings: Sequence[Recording], motions: Sequence[Motion], span: tuple[float, float]
+) -> Array:
+    """Error of the inverse model at each base joint, relative to the force that the joint transmits, (nb,).
+
+    NaN at a joint that transmits none, as of a puck that coasts. Identification by inverse dynamics (Janot, Gautier
+    and Brunot 2019 for one) judges itself by this number. Force and error are averaged over stretches of 25 ms first,
+    as its filters do: no acceleration is known faster than that.
+
+    Args:
+        physics: the model.
+        recordings: what was measured.
+        motions: of the joints.
+        span: the part of each recording to judge, as fractions of its length.
+    """
+    lacking: list[Array] = []
+    transmitted: list[Array] = []
+    for recording, motion in zip(recordings, motions, strict=True):
+        force, load = unexplained_force(physics, recording, motion)
+        low, high = (_index(recording, x) for x in span)
+        mean = max(1, round(AVERAGED / recording.period))
+        count = (high - low) // mean
+        for kept, values in ((lacking, force), (transmitted, load)):
+            kept.append(values[low : low + count * mean].reshape(count, mean, values.shape[1]).mean(axis=1))
+    size = np.linalg.norm(np.concatenate(transmitted), axis=0)
+    return np.asarray(np.linalg.norm(np.concatenate(lacking), axis=0) / np.where(size > 0, size, np.nan))
+
+
+def places(effect: Effect, model: mujoco.MjModel, joints: Sequence[str], recording: Recording) -> list[str]:
+    """Names of the places at which an effect may be missing."""
+    names: dict[Place, list[str]] = {
+        "joint": list(joints),
+        # One with several inputs is no such place: which of them is late or limited would have to be said as well.
+        "actuator": [
+            n for n in recording.actuator_names if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, n) >= 0
+        ],
+        "sensor": list(recording.sensor_names),
+        "world": ["world"],
+    }
+    return [name for name in names[effect.place] if effect.fits(model, name)]

@@ -1,0 +1,103 @@
+"""Windows to predict, and what a structure predicts for them, in units of noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.physics import Physics
+from dipc_gym.sim2real.model.structure import Structure
+from dipc_gym.sim2real.simulation.batch import Stepping, simulate
+from dipc_gym.sim2real.simulation.motion import starts as early
+from dipc_gym.sim2real.simulation.windows import Windows
+
+Array = NDArray[np.float64]
+
+_FAR = 1e6  # times the noise; a simulation that blew up is no worse than this
+_BLOCK = 1.0  # s; neighbouring windows closer than this count as one when errors are compared
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Windows to predict, and what is known of their starts.
+
+    Attributes:
+        windows: what to predict.
+        starts: estimated positions and velocities at each window's start, (n, 2 nb).
+        spread: standard deviation of the estimated starts, (2 nb,).
+        stepping: of the simulation.
+        threads: 0 for all cores.
+        finer: how many times shorter the steps are than structures need, to see what the step costs.
+    """
+
+    windows: Windows
+    starts: Array
+    spread: Array
+    stepping: Stepping
+    threads: int = 0
+    finer: int = 1
+
+    def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Problem:
+        """Some of the windows."""
+        return replace(self, windows=self.windows.pick(which), starts=self.starts[which])
+
+    def join(self, other: Problem) -> Problem:
+        """These windows and others of the same recordings."""
+        return replace(self, windows=self.windows.join(other.windows), starts=np.append(self.starts, other.starts, 0))
+
+    @property
+    def counts(self) -> Array:
+        """Readings in each window, (n,); sensors that never change say nothing and do not count."""
+        return self.windows.valid.sum(axis=1) * float(np.isfinite(self.windows.noise).sum())
+
+    @property
+    def blocks(self) -> NDArray[np.intp]:
+        """A number for each window; windows within a second of one recording share it."""
+        second = np.floor(self.windows.start / _BLOCK).astype(np.intp)
+        _, block = np.unique(np.stack([self.windows.source, second], axis=1), axis=0, return_inverse=True)
+        return block.ravel()
+
+
+def predict(problem: Problem, structure: Structure, Z: Sequence[Array], starts: Array) -> Array:
+    """Readings (variants, n, m, ns) of a structure under several sets of numbers."""
+    made: dict[bytes, Physics] = {}
+    variants = []
+    for z in Z:
+        key = z.tobytes()
+        if key not in made:
+            made[key] = structure.physics(z)
+        variants.append(made[key])
+    return predict_with(problem, structure, variants, starts)
+
+
+def predict_with(problem: Problem, structure: Structure, variants: Sequence[Physics], starts: Array) -> Array:
+    """Readings (variants, n, m, ns) of models that have this structure."""
+    windows, warm = problem.windows, structure.warm
+    return simulate(
+        variants,
+        windows,
+        starts,
+        _stepping(problem, structure),
+        base=structure.base,
+        warm=warm,
+        warm_starts=early(windows.motions, windows.source, windows.start - warm) if warm else None,
+        threads=problem.threads,
+    )
+
+
+def residual(problem: Problem, readings: Array) -> Array:
+    """(observed - readings) / noise, zero where nothing was observed."""
+    rest = (problem.windows.observed - readings) / problem.windows.noise
+    rest = np.nan_to_num(np.clip(rest, -_FAR, _FAR), nan=_FAR)
+    return np.where(problem.windows.valid[..., None], rest, 0.0)
+
+
+def _stepping(problem: Problem, structure: Structure) -> Stepping:
+    """As fine as the structure needs; a model that is to be simulated as it is keeps its own step."""
+    given = problem.stepping
+    finest = math.inf if given.integrator is None else min(structure.finest, structure.own_finest)
+    return replace(given, timestep=min(given.timestep, finest) / problem.finer)

@@ -1,0 +1,190 @@
+"""From recordings and a model to the windows that are predicted: noise, motion, window length, uncertainty of starts.
+
+A window must be long enough for physics to show above the noise, and so short that its start is not forgotten: on a
+rig that balances or tumbles, a start error grows exponentially, and what it explains away grows with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf, recording
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.physics import Physics
+from dipc_gym.recording import Recording, RecordingError
+from dipc_gym.sim2real.estimation import states
+from dipc_gym.sim2real.estimation.problem import Problem, predict
+from dipc_gym.sim2real.model.structure import Structure
+from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.simulation.motion import Motion
+from dipc_gym.sim2real.simulation.motion import starts as initial_states
+from dipc_gym.sim2real.simulation.windows import Windows, cut
+
+Array = NDArray[np.float64]
+
+LENGTH = 0.25  # s, of a window unless the rig asks for shorter ones
+GROWTH = 10.0  # times its size that a start error may grow to within a window
+FEWEST = 12  # samples in a window
+STEADY = 0.9  # share of the windows that must stay below that growth; the rest may tumble over a dead centre
+FINEST = 2.0**-24  # of a sensor's range: nothing real is read to more than 24 bits, and no simulation is as exact
+
+# A start is held to its estimate only loosely, since the window's own samples know it better.
+_LOOSE = 5.0  # times the noise, for a position
+_DIFFERENCED = 0.002  # s over which a position's noise becomes a velocity's
+_ROUGH = 0.05  # of the usual speed, for a velocity
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A prediction problem, and what it was made from.
+
+    Attributes:
+        problem: windows and their estimated starts.
+        structure: the model as it is, with no number free.
+        motions: of the base joints, one for each recording.
+        length: of the windows, s.
+    """
+
+    problem: Problem
+    structure: Structure
+    motions: tuple[Motion, ...]
+    length: float
+
+
+def prepare(
+    source: mjcf.Source,
+    physics: Physics,
+    recordings: Sequence[Recording],
+    stepping: Stepping,
+    *,
+    length: float | None = None,
+    span: tuple[float, float] = (0.0, 1.0),
+    threads: int = 0,
+) -> Prepared:
+    """Cut recordings into windows and estimate where each starts.
+
+    Args:
+        source: text of the model.
+        physics: the same, loaded.
+        recordings: of one rig, with the model's sensors.
+        stepping: of the simulations.
+        length: of a window, s; None means 0.25 s, or less where this model makes start errors grow beyond tenfold.
+        span: the part of each recording to use, as fractions of its duration.
+        threads: of the simulations; 0 for all cores.
+
+    Raises:
+        mjcf.MjcfError: the model cannot be treated (contacts, free joints, no names).
+        states.Undetermined: the sensors do not say where the joints are.
+        RecordingError: no sensor ever changes, or no recording holds a window of that length.
+    """
+    mjcf.check_supported(physics.model, source.name)
+    if length is not None and not (math.isfinite(length) and length > 0):
+        raise ValueError(f"a window of {length} s is no window; give a positive number of seconds")
+    noise = common_noise(recordings)
+    structure = Structure(Document(source), physics.model, mjcf.base_joints(physics.model))
+    motions = tuple(states.estimate(r, physics, noise) for r in recordings)
+    spread = uncertainty(physics, motions, noise)
+
+    def windows(length: float) -> Problem:
+        cuts = replace(_cut(recordings, noise, length, span), motions=motions)
+        begin = initial_states(motions, cuts.source, cuts.start)
+        return Problem(cuts, begin, spread, stepping, threads)
+
+    if length is not None:
+        return Prepared(windows(length), structure, motions, length)
+    longest = windows(LENGTH)
+    length = steady_length(longest, structure, LENGTH)
+    return Prepared(longest if length == LENGTH else windows(length), structure, motions, length)
+
+
+def common_noise(recordings: Sequence[Recording]) -> Array:
+    """Noise of each sensor over several recordings, (ns,): the median of those in which it moves.
+
+    It is infinite for a sensor that moves in none, which gives it no weight, and never less than what 24 bits
+    resolve: simulated recordings without noise would be compared at the level of rounding.
+
+    Raises:
+        RecordingError: no sensor moves in any recording.
+    """
+    each = np.stack([recording.noise(r) for r in recordings])
+    high = np.max([r.sensors.max(axis=0) for r in recordings], axis=0)
+    low = np.min([r.sensors.min(axis=0) for r in recordings], axis=0)
+    moving = [column[np.isfinite(column)] for column in each.T]
+    if not any(len(column) for column in moving):
+        raise RecordingError(
+            f"{recordings[0].path or recordings[0].name}: no sensor changes in it, so there is no motion to predict"
+        )
+    middle = np.array([np.median(column) if len(column) else math.inf for column in moving])
+    return np.maximum(middle, FINEST * (high - low))
+
+
+def uncertainty(physics: Physics, motions: Sequence[Motion], noise: Array) -> Array:
+    """Standard deviation of estimated positions and velocities, (2 nb,), on the generous side."""
+    position = position_noise(physics, noise)
+    speed = np.concatenate([motion.velocity for motion in motions]).std(axis=0)
+    return np.concatenate([_LOOSE * position, _ROUGH * speed + position / _DIFFERENCED])
+
+
+def position_noise(physics: Physics, noise: Array) -> Array:
+    """Noise of the base joints' positions, (nb,), as one reading of all sensors gives them."""
+    P, V, _ = states.sensor_map(physics)
+    seen = ~V.any(axis=1)
+    known = np.where(np.isfinite(noise), noise, noise[np.isfinite(noise)].max())[seen]
+    return np.sqrt(np.sum((states.inverse_map(P[seen], noise[seen]) * known) ** 2, axis=1))
+
+
+def steady_length(problem: Problem, structure: Structure, longest: float) -> float:
+    """Length, s, within which start errors stay below `GROWTH` times their size in most windows.
+
+    Args:
+        problem: windows of the longest length.
+        structure: the model as it is.
+        longest: s.
+    """
+    windows = problem.windows
+    beyond = growth(problem, structure, longest) > GROWTH
+    first = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1), beyond.shape[1])
+    reached = np.array([t[k] if k < len(t) else math.inf for t, k in zip(windows.times, first, strict=True)])
+    limit = float(np.sort(reached)[int((1 - STEADY) * len(reached))])
+    return min(longest, max(limit, FEWEST * windows.period))
+
+
+def growth(problem: Problem, structure: Structure, longest: float) -> Array:
+    """How many times its first size a start error has at each sample, (n, m).
+
+    A start error is one of the noise's size in every position, and in every velocity what moves a free mass by as
+    much within the longest window; a free mass thus reaches 1.4, an unstable mode exp(rate time).
+    """
+    windows = problem.windows
+    alive = np.isfinite(windows.noise)
+    position = position_noise(structure.physics(structure.first), windows.noise)
+    size = np.concatenate([position, position / longest])
+    tries = problem.starts + np.concatenate([np.zeros((1, len(size))), np.diag(size)])[:, None]
+    readings = predict(problem, structure, [structure.first] * len(tries), tries)[..., alive] / windows.noise[alive]
+    moved = np.linalg.norm(readings[1:] - readings[0], axis=0)  # (n, m, sensors)
+    grown = (moved / np.maximum(moved[:, :1], 1.0)).max(axis=2, initial=0.0)
+    return np.where(windows.valid, grown, 0.0)
+
+
+def _cut(recordings: Sequence[Recording], noise: Array, length: float, span: tuple[float, float]) -> Windows:
+    windows = cut(recordings, noise, length, span)
+    if not len(windows):
+        longest = max(recordings, key=lambda r: r.duration)
+        raise RecordingError(
+            f"{longest.path or longest.name}: {longest.duration:.3g} s, sampled every {longest.period:.2g} s, hold no "
+            f"window of {length:g} s in the part from {span[0]:.0%} to {span[1]:.0%}: record "
+            f"{'faster' if 3 * longest.period > length else 'longer'}, for a window has at least 4 samples"
+        )
+    return windows
+
+
+def joined(values: Array, valid: NDArray[np.bool_]) -> Array:
+    """Readings of windows (n, m) end to end, those that are there; NaN between windows, so that a line breaks there."""
+    gap = np.full((len(values), 1), np.nan)
+    kept = np.concatenate([valid, np.ones_like(gap, dtype=bool)], axis=1)
+    return np.concatenate([values, gap], axis=1)[kept][:-1]

@@ -1,0 +1,193 @@
+"""The linearised problem of multiple shooting: what the numbers and the start of each window change.
+
+Every window has a start state of its own, so a fit has many unknowns; they are eliminated window by window (variable
+projection, Golub and Pereyra 1973), which leaves a small problem in the structure's numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.estimation.problem import Problem, predict, residual
+from dipc_gym.sim2real.model.structure import Structure
+
+Array = NDArray[np.float64]
+
+LAG = 0.02  # of the mean log square error that starts could still explain, from which they are corrected
+FAR_OUT = 4.0  # times the usual square error, from which something else happened in a window
+_PROBE = 0.02  # finite difference of a mapped number; smaller ones drown in the kinks of dry friction
+
+
+class Shooting:
+    """A structure laid over windows.
+
+    Args:
+        problem: windows and estimated starts.
+        structure: of the model.
+    """
+
+    def __init__(self, problem: Problem, structure: Structure) -> None:
+        self.problem, self.structure = problem, structure
+        self.nb2 = problem.starts.shape[1]
+        self.nudge = np.maximum(problem.spread, 1e-7)
+        # A sensor with a bias or a lag tells a state only through the model.
+        self.spread = problem.spread * (1e3 if structure.moves_readings else 1.0)
+
+    def residuals(self, Z: Sequence[Array], starts: Array) -> Array:
+        """Of several sets of numbers or starts (variants or 1, n, 2 nb), in units of noise, (variants, n, m, ns)."""
+        readings = predict(self.problem, self.structure, Z, starts)
+        return np.stack([residual(self.problem, one) for one in readings])
+
+    def rows(self, starts: Array, rest: Array) -> Array:
+        """Residuals (n, m, ns) and how far starts are from their estimates, (n, m ns + 2 nb)."""
+        return np.concatenate([rest.reshape(len(starts), -1), (self.problem.starts - starts) / self.spread], axis=1)
+
+    def mse(self, rows: Array) -> Array:
+        """Mean square of each window's rows, (n,)."""
+        return np.einsum("nm,nm->n", rows, rows) / self.problem.counts
+
+    def best_starts(self, tries: Array, rests: Array) -> tuple[Array, Array]:
+        """For each window the start of several (tries, n, 2 nb) that leaves least, and its residual (n, m, ns)."""
+        mse = [self.mse(self.rows(start, rest)) for start, rest in zip(tries, rests, strict=True)]
+        best, each = np.argmin(mse, axis=0), np.arange(tries.shape[1])
+        return tries[best, each], rests[best, each]
+
+    def corrected(
+        self, z: Array, starts: Array, rest: Array, S: Array, others: Sequence[Array] = ()
+    ) -> tuple[Array, Array]:
+        """Starts after a Gauss-Newton step where that is better, and their residual.
+
+        Args:
+            z: mapped numbers, (p,).
+            starts: (n, 2 nb).
+            rest: their residual, (n, m, ns).
+            S: sensitivity to the starts.
+            others: starts to try beside.
+        """
+        ahead = self.nudge * project(S, self.rows(starts, rest)[..., None])[1][..., 0]
+        # A rig at rest needs no other start than the one it has.
+        new = [one for one in (starts + ahead, starts + ahead / 3, *others) if not np.array_equal(one, starts)]
+        if not new:
+            return starts, rest
+        tries = np.stack(new)
+        return self.best_starts(
+            np.append(tries, starts[None], axis=0), np.append(self.residuals([z] * len(new), tries), rest[None], axis=0)
+        )
+
+    def settled(self, z: Array, starts: Array, *, numbers: bool) -> tuple[Array, Array, Array, Array]:
+        """Corrected starts, their residual, and `derivatives` there.
+
+        A joint that sticks may as well start at rest, and the estimate is asked again. Where a straight line did not
+        tell where to start, a second one is drawn from there.
+        """
+        estimate, half = self.problem.starts, self.nb2 // 2
+        still = estimate.copy()
+        still[np.abs(still) < 2 * self.problem.spread * (np.arange(self.nb2) >= half)] = 0.0
+        rest, _, S = self.derivatives(z, starts, numbers=False)
+        starts, rest = self.corrected(z, starts, rest, S, [still, estimate])
+        _, columns, S = self.derivatives(z, starts, rest, numbers=numbers)
+        if self.lags(starts, rest, S):
+            starts, rest = self.corrected(z, starts, rest, S)
+            _, columns, S = self.derivatives(z, starts, rest, numbers=numbers)
+        return starts, rest, columns, S
+
+    def left(self, starts: Array, rest: Array, S: Array) -> Array:
+        """Rows (n, M) less what a further correction of the starts would explain."""
+        return project(S, self.rows(starts, rest)[..., None])[0][..., 0]
+
+    def lags(self, starts: Array, rest: Array, S: Array) -> bool:
+        """Whether a further correction of the starts would explain much."""
+        left, mse = self.mse(self.left(starts, rest, S)), self.mse(self.rows(starts, rest))
+        scale = typical(left)
+        return mean_loss(mse, scale) - mean_loss(left, scale) > LAG
+
+    def derivatives(
+        self, z: Array, starts: Array, rest: Array | None = None, *, numbers: bool = True
+    ) -> tuple[Array, Array, Array]:
+        """How residuals change with the numbers and with the starts; one batch, for a small one costs little less.
+
+        Args:
+            z: mapped numbers, (p,).
+            starts: (n, 2 nb).
+            rest: their residual, (n, m, ns), where it is known.
+            numbers: whether changes with the numbers are asked for.
+
+        Returns:
+            The residual, (n, m, ns); the change of the scaled readings per unit of each mapped number, zeros for the
+            prior appended, (n, M, p), or (n, M, 0); and their sensitivity to the starts, per nudge so that columns are
+            of order one, with the prior's rows, (n, M, 2 nb).
+        """
+        n, probes, steps = len(starts), *(self._probes(z) if numbers else ([], np.zeros(0)))
+        Z = [*probes, *[z] * self.nb2]
+        begin = np.stack([*[starts] * len(probes), *(starts + self.nudge * unit for unit in np.eye(self.nb2))])
+        if rest is None:
+            Z, begin = [*Z, z], np.append(begin, starts[None], axis=0)
+        moved = self.residuals(Z, begin)
+        rest = moved[-1] if rest is None else rest
+        change = np.moveaxis((rest - moved[: len(probes) + self.nb2]).reshape(len(probes) + self.nb2, n, -1), 0, -1)
+        prior = np.broadcast_to(np.diag(self.nudge / self.spread), (n, self.nb2, self.nb2))
+        columns = np.concatenate([change[..., : len(probes)] / steps, np.zeros((n, self.nb2, len(probes)))], axis=1)
+        return rest, columns, np.concatenate([change[..., len(probes) :], prior], axis=1)
+
+    def _probes(self, z: Array) -> tuple[list[Array], Array]:
+        """Numbers with one of them moved at a time, away from a bound, and by how much; infinite where it cannot."""
+        logs = np.array([slot.log for slot in self.structure.slots], dtype=bool)
+        steps = _PROBE * np.maximum(1.0, np.abs(z) * ~logs)
+        probes = []
+        for unit, step in zip(np.eye(len(z)), steps, strict=True):
+            up = self.structure.clip(z + step * unit)
+            probes.append(up if (up - z) @ unit > step / 2 else self.structure.clip(z - step * unit))
+        moved = np.array([probe[i] - z[i] for i, probe in enumerate(probes)])
+        return probes, np.where(np.abs(moved) < 1e-12, np.inf, moved)
+
+    def secant(self, columns: Array, S: Array, step: Array, moved: Array, change: Array) -> tuple[Array, Array]:
+        """`columns` and `sensitivity`, corrected by what a step really changed (Broyden 1965), without a simulation.
+
+        Args:
+            columns: before the step, (n, M, p).
+            S: before the step, (n, M, 2 nb).
+            step: of the mapped numbers, (p,).
+            moved: of the starts, (n, 2 nb).
+            change: of the residual with opposite sign, (n, m, ns).
+        """
+        both = np.concatenate([columns, S], axis=2)
+        u = np.concatenate([np.broadcast_to(step, (len(moved), len(step))), moved / self.nudge], axis=1)
+        rows = change[0].size
+        wrong = change.reshape(len(u), -1) - np.einsum("nmk,nk->nm", both[:, :rows], u)
+        both[:, :rows] += np.einsum("nm,nk->nmk", wrong, u / np.maximum(np.einsum("nk,nk->n", u, u), 1e-12)[:, None])
+        return both[..., : len(step)], both[..., len(step) :]
+
+
+def typical(mse: Array) -> float:
+    """Mean square error that all but a fifth of the windows stay below, at least the noise.
+
+    Errors are compared on this scale: below it they add up as squares do, above it as logarithms, so that a few
+    windows in which something else happened decide nothing. Where no structure comes down to the noise, a median in
+    its place would let a structure win on the quiet half of the windows that fails wherever the motion is fast.
+    """
+    return max(1.0, float(np.quantile(mse, 0.8)))
+
+
+def common_error(mse: Array) -> float:
+    """Root mean square error of windows (n,) in which nothing else happened: a push not yet found counts little."""
+    return float(np.sqrt(np.mean(np.minimum(mse, FAR_OUT * typical(mse)))))
+
+
+def loss(mse: Array, scale: float) -> Array:
+    """Log of the mean square error of windows, (n,), far above a scale, and a share of it below."""
+    return np.log1p(mse / scale)
+
+
+def mean_loss(mse: Array, scale: float) -> float:
+    """Mean of the losses of windows with these mean square errors (n,)."""
+    return float(np.mean(loss(mse, scale)))
+
+
+def project(S: Array, rows: Array) -> tuple[Array, Array]:
+    """Remove from rows (n, M, k) what the starts can explain; also the start steps (n, 2 nb, k) that do so."""
+    Q, R = np.linalg.qr(S)
+    inside = np.swapaxes(Q, 1, 2) @ rows
+    return rows - Q @ inside, np.linalg.solve(R, inside)

@@ -1,0 +1,246 @@
+"""Estimate the joints' motion from the sensors, and the force that the model does not explain.
+
+These estimates propose: they start windows and first guesses, and they are drawn. What is decided is decided by
+simulation, since differentiated encoder noise biases any regression on accelerations.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solveh_banded
+
+from dipc_gym import mjcf
+from dipc_gym.physics import Physics
+from dipc_gym.recording import Recording
+from dipc_gym.sim2real.simulation.motion import Motion
+
+Array = NDArray[np.float64]
+
+
+class Undetermined(ValueError):
+    """The sensors do not determine the joints, so there is no state to start a simulation from.
+
+    Attributes:
+        reason: why, in words.
+        mend: what to do, as a sentence.
+    """
+
+    def __init__(self, reason: str, mend: str) -> None:
+        super().__init__(f"{reason}. {mend}")
+        self.reason, self.mend = reason, mend
+
+
+def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
+    """How the scalar sensors read positions and velocities of the base joints: y = P q + V v + c.
+
+    What the model's `<custom>` entries do to readings is in it, lags and delays excepted.
+
+    Returns:
+        P (ns, nb), V (ns, nb), c (ns,).
+
+    Raises:
+        Undetermined: a sensor is not linear in them, or the position sensors leave a joint free.
+    """
+    model = copy.copy(physics.model)
+    model.sensor_delay[:] = 0
+    data, address = mujoco.MjData(model), mjcf.sensor_addresses(model)
+    base, out = mjcf.base_joints(model), mjcf.spread_out(model)
+    rng = np.random.default_rng(0)
+
+    def read(q: Array, v: Array) -> Array:
+        data.qpos[:], data.qvel[:], data.ctrl[:] = out @ q, out @ v, 0
+        mujoco.mj_forward(model, data)
+        return np.array(physics.sense(data.sensordata)[address])
+
+    nb = len(base)
+    c = read(np.zeros(nb), np.zeros(nb))
+    eye = np.eye(nb)
+    P = np.stack([read(eye[j], np.zeros(nb)) - c for j in range(nb)], axis=1)
+    V = np.stack([read(np.zeros(nb), eye[j]) - c for j in range(nb)], axis=1)
+    names = mjcf.scalar_sensors(model)
+    for _ in range(3):
+        q, v = rng.normal(size=nb), rng.normal(size=nb)
+        off = np.abs(read(q, v) - (P @ q + V @ v + c)) > 1e-6 * (1 + np.abs(P @ q) + np.abs(V @ v))
+        if off.any():
+            raise Undetermined(
+                f"sensor {names[int(np.flatnonzero(off)[0])]!r} is not linear in joint positions and velocities; "
+                "supported are jointpos, jointvel, tendonpos, tendonvel, actuatorpos and actuatorvel on fixed "
+                "transmissions",
+                "Take that sensor out of the model; its column may stay in the recording.",
+            )
+    seen = P[~V.any(axis=1)]
+    if not len(seen) or np.linalg.matrix_rank(seen) < nb:
+        _, s, rows = np.linalg.svd(seen if len(seen) else np.zeros((1, nb)))
+        free = rows[int((s > 1e-9).sum()) :]
+        joints = [name for name, column in zip(base, free.T, strict=True) if np.abs(column).max() > 1e-6]
+        raise Undetermined(
+            f"no position sensor sees joint {', '.join(joints)}, so its state cannot be known",
+            "Add a sensor for it to the model and the recording, or lock the joint in the model.",
+        )
+    return P, V, c
+
+
+def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
+    """Smooth the sensors and invert them to joints.
+
+    Args:
+        recording: with the model's sensors.
+        physics: says how the sensors read the joints.
+        noise: standard deviation of each sensor, (ns,); of a sensor that never changes, infinite.
+
+    Raises:
+        Undetermined: as `sensor_map`.
+    """
+    P, V, c = sensor_map(physics)
+    positional = np.flatnonzero(~V.any(axis=1))
+    smooth = np.stack([smoothed(recording.time, recording.sensors[:, s], noise[s]) for s in positional], axis=1)
+    _undo_lateness(physics, recording.time, smooth, positional)
+    position = (smooth - c[positional]) @ inverse_map(P[positional], noise[positional]).T
+    velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
+    acceleration = np.gradient(velocity, recording.time, axis=0, edge_order=2)
+    return Motion(recording.time, position, velocity, acceleration)
+
+
+def inverse_map(P: Array, noise: Array) -> Array:
+    """Least-squares inverse (nb, ns) of y = P q; sensors that never change count like the noisiest other one.
+
+    They may be dead, or their joint locked: they have to do where nothing else sees the joint.
+    """
+    known = noise[np.isfinite(noise)]
+    weight = 1 / np.where(np.isfinite(noise), noise, known.max(initial=0.0) or 1.0)
+    return np.asarray(np.linalg.pinv(P * weight[:, None]) * weight)
+
+
+def _undo_lateness(physics: Physics, time: Array, smooth: Array, positional: NDArray[np.intp]) -> None:
+    """Lead delayed and lagging sensors (n, ns), in place: what a lag follows is tau dy/dt + y."""
+    address = mjcf.sensor_addresses(physics.model)
+    delays = mjcf.sensor_delays(physics.model)[positional]
+    for k in np.flatnonzero(delays > 0):
+        smooth[:, k] = CubicSpline(time, smooth[:, k])(np.minimum(time + delays[k], time[-1]))
+    for extra in physics.stage("lag"):
+        for k in np.flatnonzero(address[positional] == extra.index):
+            smooth[:, k] += extra.data[0] * np.gradient(smooth[:, k], time, edge_order=2)
+
+
+def smoothed(time: Array, values: Array, noise: float) -> Array:
+    """The smoothest curve (least integral of the squared third derivative) that leaves a residual of size `noise`.
+
+    Args:
+        time: s, (n,), irregular if need be.
+        values: (n,).
+        noise: standard deviation that the residual is to have.
+    """
+    if np.ptp(values) == 0:
+        return values.copy()
+    # The curve may bend as a parabola does at no cost; taken out first, it does not suffer from rounding either.
+    parabola = np.polynomial.Polynomial.fit(time, values, 2)(time)
+    values = values - parabola
+    n, scale = len(time), float(np.median(np.diff(time)))
+    t = time / scale
+    gaps = [t[j:] - t[: n - j] for j in range(4)]
+    m = n - 3
+    rows = np.zeros((4, m))  # third divided differences, times 3!
+    for j in range(4):
+        product = np.ones(m)
+        for k in range(4):
+            if k != j:
+                lo, hi = min(j, k), max(j, k)
+                gap = gaps[hi - lo][lo : lo + m]
+                product = product * (gap if j > k else -gap)
+        rows[j] = 6 / product
+    rows *= np.sqrt(gaps[1][1 : 1 + m])
+    roughness = np.zeros((4, n))
+    for i in range(4):
+        for j in range(i, 4):
+            roughness[3 - (j - i), j : j + m] += rows[i] * rows[j]
+
+    def solve(weight: float) -> Array:
+        banded = weight * roughness
+        banded[3] += 1
+        return np.asarray(solveh_banded(banded, values))
+
+    # Stamps that nearly coincide make the matrix so stiff that its Cholesky factor is lost in rounding.
+    high = min(12.0, 14.0 - math.log10(float(roughness.max())))
+    low = min(-6.0, high)
+    for _ in range(18):
+        middle = (low + high) / 2
+        if np.std(values - solve(10**middle)) < noise:
+            low = middle
+        else:
+            high = middle
+    return parabola + solve(10**low)
+
+
+def unexplained_force(physics: Physics, recording: Recording, motion: Motion) -> tuple[Array, Array]:
+    """Generalised force that the motion needs beyond what the model gives, by inverse dynamics.
+
+    Joints that follow others are taken to move with them, and what acts on them counts for their leaders.
+
+    Returns:
+        The unexplained force (n, nb), N or N m, and the load that each base joint transmits (n, nb).
+    """
+    model, out = physics.model, mjcf.spread_out(physics.model)
+    data = mujoco.MjData(model)
+    level, delay = model.dof_frictionloss.copy(), model.actuator_delay.copy()
+    n = len(motion.time)
+    commands = physics.command(_delayed(model, recording), recording.time)
+    model.actuator_delay[:] = 0
+    gaps = np.diff(motion.time, prepend=motion.time[0])
+    rest, load = np.empty((n, model.nv)), np.empty((n, model.nv))
+    nu = recording.commands.shape[1]
+    position, velocity, acceleration = (x @ out.T for x in (motion.position, motion.velocity, motion.acceleration))
+    for k in range(n):
+        data.time, data.qpos[:], data.qvel[:] = motion.time[k], position[k], velocity[k]
+        data.ctrl[:nu] = commands[k]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        if model.na:
+            data.act[:] += data.act_dot * _relaxed(model, data, gaps[k])
+            mujoco.mj_fwdActuation(model, data)
+        physics.act(data, model.dof_frictionloss, data.qfrc_applied)
+        data.qacc[:] = acceleration[k]
+        mujoco.mj_inverse(model, data)
+        rest[k] = data.qfrc_inverse - data.qfrc_actuator - data.qfrc_applied
+        load[k] = data.qfrc_actuator + data.qfrc_bias
+    model.dof_frictionloss[:], model.actuator_delay[:] = level, delay
+    return rest @ out, load @ out
+
+
+def _delayed(model: mujoco.MjModel, recording: Recording) -> Array:
+    """Commands (n, nu) as they act at their time stamps, each actuator's delay later than they were given."""
+    commands = recording.commands.copy()
+    for i in np.flatnonzero(model.actuator_delay > 0):
+        first = int(model.actuator_ctrladr[i])
+        held = np.searchsorted(recording.time, recording.time - model.actuator_delay[i] + 1e-9, side="right") - 1
+        for c in range(first, min(first + int(model.actuator_ctrlnum[i]), commands.shape[1])):
+            commands[:, c] = recording.commands[np.maximum(held, 0), c]
+    return commands
+
+
+def _relaxed(model: mujoco.MjModel, data: mujoco.MjData, step: float) -> Array:
+    """For how much of a step each activation, (na,), would keep its present rate: it decays with its time constant."""
+    lasting = np.full(model.na, step)
+    for i in np.flatnonzero(model.actuator_actadr >= 0):
+        tau = float(model.actuator_dynprm[i, 0])
+        end = int(model.actuator_actadr[i] + model.actuator_actnum[i])
+        if tau > 0:
+            lasting[model.actuator_actadr[i] : end] = -tau * np.expm1(-step / tau)
+        if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR and model.actuator_dynprm[i, 5] > 0:
+            # MuJoCo keeps the bristles after the winding's temperature and before its current.
+            rate = _bristle_rate(model, int(i), float(data.actuator_velocity[model.actuator_outadr[i]]))
+            lasting[end - 1 - (tau > 0)] = -np.expm1(-rate * step) / rate if rate > 0 else step
+    return lasting
+
+
+def _bristle_rate(model: mujoco.MjModel, motor: int, speed: float) -> float:
+    """Rate at which LuGre's bristles follow the motion, 1/s: stiffness times |v| over the force at that speed."""
+    level, static, velocity = map(float, model.actuator_biasprm[motor, 3:6])
+    force = level + (static - level) * math.exp(-((speed / velocity) ** 2)) if velocity > 0 else level
+    return float(model.actuator_dynprm[motor, 5]) * abs(speed) / max(force, 1e-12)

@@ -1,0 +1,172 @@
+"""The numbers a model has already: what a refit may change before any new physics is considered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from dipc_gym import mjcf
+from dipc_gym.mjcf.edit import Document, text
+from dipc_gym.sim2real.effects.base import is_dcmotor
+
+
+@dataclass(frozen=True)
+class Number:
+    """A positive number of the nominal model.
+
+    Attributes:
+        parameter: MJCF attribute, as `damping`.
+        at: joint, body or actuator.
+        value: in the nominal model; a negative gear counts by its size, and keeps its sign.
+        unit: SI.
+        write: puts another value into a document.
+        sigma: how far, as a ratio, it may plausibly be off; loosely holds what the data does not determine.
+        expected: where its owner expects it; the nominal value if None.
+    """
+
+    parameter: str
+    at: str
+    value: float
+    unit: str
+    write: Callable[[Document, float], None]
+    sigma: float = 0.5
+    expected: float | None = None
+
+    @property
+    def key(self) -> str:
+        """`at.parameter`, as on the command line."""
+        return f"{self.at}.{self.parameter}"
+
+
+def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
+    """Every number of the model that a refit may change, those that are zero left out: they are absent structure."""
+    found: list[Number] = []
+    for name in document.joint_names():
+        if not _exists(model, mujoco.mjtObj.mjOBJ_JOINT, name):
+            continue
+        joint = model.joint(name)
+        dof = int(joint.dofadr[0])
+        turning = model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_HINGE
+        force, length = ("N m", "rad") if turning else ("N", "m")
+        inertia = "kg m^2" if turning else "kg"
+        # Friction is the least known of all: a bearing's damping may be a guess that is off by a factor of fifty.
+        for parameter, value, unit, sigma in (
+            ("damping", model.dof_damping[dof], f"{force} s/{length}", 1.5),
+            ("frictionloss", model.dof_frictionloss[dof], force, 1.5),
+            ("stiffness", model.jnt_stiffness[joint.id], f"{force}/{length}", 0.5),
+            ("armature", model.dof_armature[dof], inertia, 0.5),
+        ):
+            if np.ravel(value)[0] > 0:
+                write = _first_of("joint", name, parameter)
+                found.append(Number(parameter, name, float(np.ravel(value)[0]), unit, write, sigma))
+    for name in document.actuator_names():
+        if not _exists(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name):
+            continue
+        i = model.actuator(name).id
+        if is_dcmotor(model, name):
+            element = document.actuator(name)
+            for parameter, unit in (("resistance", "ohm"), ("motorconst", "N m/A")):
+                values = document.effective(element, parameter, "0").split()
+                if values and float(values[0]) > 0:
+                    found.append(
+                        Number(parameter, name, float(values[0]), unit, _all_of("actuator", name, parameter), 0.3)
+                    )
+        elif model.actuator_ctrlnum[i]:
+            gear = float(model.actuator_gear[i, 0])
+            if gear:
+                write = _first_of("actuator", name, "gear", sign=math.copysign(1.0, gear))
+                found.append(Number("gear", name, abs(gear), "", write, 0.3))
+    for name in _moving_bodies(document, model):
+        write = _mass(model, name)
+        if _takes_mass(document, model, name, write):
+            found.append(Number("mass", name, float(model.body(name).mass[0]), "kg", write, 0.1))
+    return found
+
+
+def fixed_masses(document: Document, model: mujoco.MjModel, numbers: Sequence[Number]) -> list[str]:
+    """A sentence about the moving bodies whose mass no refit can change, if there are any."""
+    free = {n.at for n in numbers if n.parameter == "mass"}
+    fixed = [name for name in _moving_bodies(document, model) if name not in free]
+    if not fixed:
+        return []
+    return [
+        f"The mass of {', '.join(fixed)} is not refitted, for the compiler settings of the model (settotalmass, "
+        "fusestatic, inertiafromgeom) override what is written for it; if it may be wrong, take them out."
+    ]
+
+
+def _moving_bodies(document: Document, model: mujoco.MjModel) -> list[str]:
+    """Names of the bodies that have a mass and joints of their own."""
+    names = [element.get("name", "") for element in document.root.iterfind(".//worldbody//body")]
+    there = [model.body(name) for name in names if _exists(model, mujoco.mjtObj.mjOBJ_BODY, name)]
+    return [body.name for body in there if model.body_dofnum[body.id] and body.mass[0] > 0]
+
+
+def _exists(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
+    """Whether the compiled model has it by this name; what `<replicate>` repeats gets others."""
+    return bool(name) and mujoco.mj_name2id(model, kind, name) >= 0
+
+
+def _first_of(kind: str, name: str, attribute: str, sign: float = 1.0) -> Callable[[Document, float], None]:
+    """Sets the size of an attribute's first number; further ones, as polynomial coefficients, stay."""
+
+    def write(document: Document, value: float) -> None:
+        element = document.joint(name) if kind == "joint" else document.actuator(name)
+        rest = document.effective(element, attribute).split()[1:]
+        document.set(element, **{attribute: " ".join([text(sign * value), *rest])})
+
+    return write
+
+
+def _all_of(kind: str, name: str, attribute: str) -> Callable[[Document, float], None]:
+    """Scales all numbers of an attribute, as torque and back-EMF constant of a motor."""
+
+    def write(document: Document, value: float) -> None:
+        element = document.actuator(name)
+        numbers = [float(word) for word in document.effective(element, attribute, "0").split()]
+        document.set(element, **{attribute: [number * value / numbers[0] for number in numbers]})
+
+    return write
+
+
+def _takes_mass(document: Document, model: mujoco.MjModel, name: str, write: Callable[[Document, float], None]) -> bool:
+    """Whether a mass that is written becomes that of the body and leaves all others as they are."""
+    wanted, edited = model.body_mass.copy(), document.copy()
+    wanted[model.body(name).id] *= 1.1
+    write(edited, float(wanted[model.body(name).id]))
+    try:
+        written = mjcf.compile(document.source.edited(edited.text()), trusted=True).body_mass
+    except mjcf.MjcfError:
+        return False
+    return written.shape == wanted.shape and np.allclose(written, wanted, rtol=1e-6)
+
+
+def _mass(model: mujoco.MjModel, name: str) -> Callable[[Document, float], None]:
+    """Scales a body's mass and inertia together, written as an explicit `<inertial>`."""
+    body = model.body(name)
+    mass, inertia = float(body.mass[0]), body.inertia.copy()
+    place, turn = body.ipos.copy(), body.iquat.copy()
+
+    def write(document: Document, value: float) -> None:
+        element = document.body(name)
+        scaled: Mapping[str, object] = {"mass": value, "diaginertia": list(inertia * value / mass)}
+        inertial = element.find("inertial")
+        if inertial is None:
+            inertial = document.add(element, "inertial", pos=list(place), quat=list(turn))
+            element.remove(inertial)
+            element.insert(0, inertial)
+        elif inertial.get("fullinertia"):
+            del inertial.attrib["fullinertia"]
+            for orientation in ("axisangle", "xyaxes", "zaxis", "euler"):
+                inertial.attrib.pop(orientation, None)
+            document.set(inertial, quat=list(turn))
+        document.set(inertial, **scaled)  # type: ignore[arg-type]
+        for compiler in document.root.iterfind("compiler"):
+            if compiler.get("inertiafromgeom") == "true":  # which would pass over it
+                document.set(compiler, inertiafromgeom="auto")
+
+    return write

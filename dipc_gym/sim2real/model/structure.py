@@ -1,0 +1,248 @@
+"""A structure: the nominal model, the numbers of its own that are free, and the effects added to it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf, physics
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.effects.base import Effect, Parameter
+from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
+from dipc_gym.sim2real.model.parameters import Number
+
+Array = NDArray[np.float64]
+
+WARM = 0.06  # s that bristles, currents and delays need to reach their state
+FAST = 5e-4  # s, longest step for what moves within milliseconds
+FARTHEST = 4.0  # standard deviations of its prior by which an own number may move
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect at a place, with the guess it starts from; the guess also sets the scale of its parameters."""
+
+    effect: Effect
+    at: str
+    guess: Mapping[str, float]
+
+    @property
+    def key(self) -> str:
+        """`effect@place`."""
+        return f"{self.effect.id}@{self.at}"
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One free number of a structure, mapped so that a unit step is a sizeable change.
+
+    Attributes:
+        key: `place.parameter` of an own number, or `effect@place.parameter`.
+        unit: SI.
+        low: smallest value.
+        high: largest value.
+        log: whether the mapped number is a logarithm.
+        scale: value that the mapped number 1 stands for (0 if `log`).
+        sigma: standard deviation of the mapped number's prior; infinite for effects.
+        centre: mean of that prior.
+        fine: relative change that a unit step makes, if `log`.
+        above: key of an earlier number that this one is never smaller than.
+        origin: value that the mapped number 0 stands for (unless `log`).
+    """
+
+    key: str
+    unit: str
+    low: float
+    high: float
+    log: bool
+    scale: float
+    sigma: float = math.inf
+    centre: float = 0.0
+    fine: float = 1.0
+    above: str = ""
+    origin: float = 0.0
+
+    def value(self, z: float) -> float:
+        """The number itself."""
+        value = self.scale * math.exp(min(z * self.fine, 50.0)) if self.log else self.origin + self.scale * z
+        return min(max(value, self.low), self.high)
+
+    def mapped(self, value: float) -> float:
+        """The mapped number of a value."""
+        return math.log(value / self.scale) / self.fine if self.log else (value - self.origin) / self.scale
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Nominal model, free own numbers, added effects.
+
+    Attributes:
+        document: the nominal model's text.
+        model: the nominal model.
+        base: names of its joints.
+        numbers: own numbers that are free.
+        terms: effects added, in the order in which they are written.
+    """
+
+    document: Document
+    model: mujoco.MjModel
+    base: tuple[str, ...]
+    numbers: tuple[Number, ...] = ()
+    terms: tuple[Term, ...] = ()
+    slots: tuple[Slot, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        slots = []
+        for n in self.numbers:
+            centre, reach = math.log((n.expected or n.value) / n.value), FARTHEST * n.sigma
+            low, high = n.value * math.exp(centre - reach), n.value * math.exp(centre + reach)
+            slots.append(Slot(n.key, n.unit, low, high, True, n.value, n.sigma, centre))
+        for term in self.terms:
+            for p in _free(term.effect):
+                guess = term.guess[p.name]
+                scale = p.step or (abs(guess) if guess else _fallback(p.low, p.high))
+                origin = guess if p.step else 0.0
+                above = p.above and f"{term.key}.{p.above}"
+                key = f"{term.key}.{p.name}"
+                slots.append(Slot(key, p.unit, p.low, p.high, p.log, scale, fine=p.fine, above=above, origin=origin))
+        object.__setattr__(self, "slots", tuple(slots))
+
+    @functools.cached_property
+    def first(self) -> Array:
+        """Mapped numbers at the nominal values and the guesses, (p,)."""
+        z = [0.0] * len(self.numbers)
+        for term in self.terms:
+            for p in _free(term.effect):
+                z.append(self.slots[len(z)].mapped(term.guess[p.name]))
+        return np.array(z)
+
+    def clip(self, z: Array) -> Array:
+        """The nearest mapped numbers within bounds."""
+        out = z.copy()
+        for i, slot in enumerate(self.slots):
+            value = slot.value(z[i])
+            if value in (slot.low, slot.high) and (not slot.log or value > 0):
+                out[i] = slot.mapped(value)
+            if slot.above:
+                j = next(j for j, other in enumerate(self.slots) if other.key == slot.above)
+                out[i] = max(out[i], slot.mapped(self.slots[j].value(out[j])))
+        return out
+
+    def with_term(self, term: Term) -> Structure:
+        """This structure and one more effect; effects that the new one contains at that place go."""
+        kept = tuple(t for t in self.terms if not (t.at == term.at and t.effect.id in term.effect.contains))
+        return replace(self, terms=(*kept, term))
+
+    def without(self, key: str) -> Structure:
+        """This structure less one effect."""
+        return replace(self, terms=tuple(t for t in self.terms if t.key != key))
+
+    def elaborates(self, other: Structure) -> bool:
+        """Whether this is another structure with effects in the place of plainer ones that they contain."""
+
+        def plainer(term: Term) -> bool:
+            return any(
+                term.key == t.key or (term.at == t.at and t.effect.id in term.effect.contains) for t in other.terms
+            )
+
+        return len(self.terms) == len(other.terms) and all(plainer(term) for term in self.terms)
+
+    def values(self, z: Array) -> dict[str, float]:
+        """Every free number by key."""
+        return {slot.key: slot.value(x) for slot, x in zip(self.slots, z, strict=True)}
+
+    def term_values(self, z: Array, term: Term) -> dict[str, float]:
+        """Parameters of one effect."""
+        values = self.values(z)
+        return {
+            p.name: term.guess[p.name] if p.fixed else values[f"{term.key}.{p.name}"] for p in term.effect.parameters
+        }
+
+    def write(self, z: Array) -> Document:
+        """The nominal document with these numbers and effects written in."""
+        document, values = self.document.copy(), self.values(z)
+        for number in self.numbers:
+            number.write(document, values[number.key])
+        for term in self.terms:
+            term.effect.edit(document, term.at, self.term_values(z, term))
+        return document
+
+    def physics(self, z: Array) -> physics.Physics:
+        """The compiled model.
+
+        Raises:
+            mjcf.MjcfError: an edit does not compile.
+        """
+        source = self.document.source.edited(self.write(z).text())
+        return physics.from_model(mjcf.compile(source, trusted=True))
+
+    @property
+    def warm(self) -> float:
+        """S to simulate before a window."""
+        return max([self._own_warm, *(term.effect.warm for term in self.terms)])
+
+    @functools.cached_property
+    def _own_warm(self) -> float:
+        """S that the nominal model needs: windings, bristles, lagging sensors and joints behind a gap remember."""
+        if len(self.base) < self.model.njnt:
+            return SWING if np.any(self.model.tendon_stiffness > 0) else SETTLE
+        return WARM if self.model.na > 0 or self._own_lag else 0.0
+
+    @functools.cached_property
+    def _own_lag(self) -> bool:
+        """Whether a sensor of the nominal model lags."""
+        return bool(physics.from_model(self.model).stage("lag"))
+
+    @property
+    def moves_readings(self) -> bool:
+        """Whether an effect, or a late sensor of the model's own, changes what sensors say of a state."""
+        own = self._own_lag or bool(np.any(self.model.sensor_delay > 0))
+        return own or any(term.effect.moves_readings for term in self.terms)
+
+    @property
+    def finest(self) -> float:
+        """Longest step at which every effect can be simulated, s."""
+        return min((term.effect.finest for term in self.terms), default=math.inf)
+
+    @functools.cached_property
+    def own_finest(self) -> float:
+        """Longest step that the model's own currents, bristles, rotors and lags bear under explicit integration, s."""
+        model, kind = self.model, mujoco.mjtDyn
+        finest = FAST if len(self.base) < model.njnt or self._own_lag else math.inf
+        for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
+            if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:
+                finest = min(finest, FAST, numbers[0])
+            if dynamics == kind.mjDYN_DCMOTOR and numbers[5] > 0:  # bristles
+                finest = min(finest, FAST)
+            if dynamics == kind.mjDYN_FILTER:
+                finest = min(finest, numbers[0])
+        return float(finest)
+
+
+def _free(effect: Effect) -> list[Parameter]:
+    return [p for p in effect.parameters if not p.fixed]
+
+
+def _fallback(low: float, high: float) -> float:
+    finite = [abs(b) for b in (low, high) if math.isfinite(b) and b]
+    return 0.1 * max(finite) if finite else 1.0
+
+
+def carry(old: Structure, z: Array, new: Structure) -> Array:
+    """Mapped numbers of `new` that start where `old` stands, and at the guess where `old` has no such number."""
+    values, out = old.values(z), new.first.copy()
+    for i, slot in enumerate(new.slots):
+        if slot.key in values and not (slot.log and values[slot.key] <= 0):
+            out[i] = slot.mapped(values[slot.key])
+    return out
+
+
+def names(terms: Sequence[Term]) -> list[str]:
+    """Keys of terms."""
+    return [term.key for term in terms]

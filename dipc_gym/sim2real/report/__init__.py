@@ -1,0 +1,1 @@
+"""The report: what it says, its plots and its page."""

@@ -1,0 +1,316 @@
+"""The diagnosis as one page that needs nothing else: plain language first, evidence after.
+
+Whoever diagnoses fills a `ReportData`; `write` draws it. Every text in it may come from a stranger's model or
+recording: the template escapes all, and characters that could turn or hide a line are replaced.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.files import write_whole
+from dipc_gym.sim2real.report import plots
+from dipc_gym.sim2real.report.charts import Tone
+from dipc_gym.sim2real.report.wording import clean, measured, number, percent, short, tied
+
+Array = NDArray[np.float64]
+Status = Literal["chosen", "same model here", "not told apart", "ruled out", "screened out"]
+
+VERDICTS = {
+    "consistent": "The model predicts these recordings as well as their noise allows.",
+    "recalibrated": "Some numbers of the model were off. No physics is missing.",
+    "explained": "With the physics that was missing, prediction comes down to the noise.",
+    "partly explained": "The physics named here helps. Some structure is left that no known effect accounts for.",
+    "unexplained": "There is structure beyond noise, and no known effect accounts for it.",
+    "cannot tell": "These recordings cannot decide it.",
+}
+MOST_TRACES, MOST_MAPS, MOST_RESIDUALS, MOST_CANDIDATES = 16, 8, 12, 30  # drawn or listed in full: keeps it below 2 MB
+MOST_LINES = 400  # of the difference
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A sensor on held-out data, predicted window by window; NaN where no window lies.
+
+    Attributes:
+        sensor: its name.
+        unit: SI.
+        recording: name of the file.
+        time: s, rising, (n,).
+        observed: readings, (n,).
+        nominal: prediction of the model as given, (n,).
+        recalibrated: with its own numbers refitted, (n,); None if there is nothing to refit.
+        improved: with what was missing, (n,); None if nothing is.
+    """
+
+    sensor: str
+    unit: str
+    recording: str
+    time: Array
+    observed: Array
+    nominal: Array
+    recalibrated: Array | None = None
+    improved: Array | None = None
+
+    def __post_init__(self) -> None:
+        _same_length(self, "time", "observed", "nominal", "recalibrated", "improved")
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """Force at one joint that a model does not explain: where it sits.
+
+    Attributes:
+        joint: its name.
+        unit: of the force, `N` or `N m`.
+        position_unit: `m` or `rad`; velocity is per second.
+        time: s, (n,); may begin anew with each recording.
+        position: of the joint, (n,).
+        velocity: of the joint, (n,).
+        before: unexplained force without what was missing, (n,).
+        after: unexplained force with it, (n,); None if nothing is missing.
+    """
+
+    joint: str
+    unit: str
+    position_unit: str
+    time: Array
+    position: Array
+    velocity: Array
+    before: Array
+    after: Array | None = None
+
+    def __post_init__(self) -> None:
+        _same_length(self, "time", "position", "velocity", "before", "after")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A hypothesis and what became of it.
+
+    Attributes:
+        effect: id.
+        at: place.
+        words: the effect in plain words.
+        status: what became of it.
+        error: reached by its fit, in units of noise; of a sketch, as that of all windows would be; None if it was not
+            fitted.
+        improvement: mean fall of the log square error against the refitted model, beside what was in place when it was
+            tried; on windows it was not fitted to, or on those of a sketch; None if not fitted.
+        standard_error: of the improvement.
+    """
+
+    effect: str
+    at: str
+    words: str
+    status: Status
+    error: float | None = None
+    improvement: float | None = None
+    standard_error: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.status not in get_args(Status):
+            raise ValueError(f"status of {self.effect}: {self.status!r} is none of {', '.join(get_args(Status))}")
+
+
+@dataclass(frozen=True)
+class SensorResidual:
+    """What prediction leaves of one sensor, in units of its noise.
+
+    Attributes:
+        sensor: its name.
+        time: s, (n,).
+        before: without what was missing, (n,).
+        after: with it, (n,); None if nothing is missing.
+        lags: s, (k,).
+        before_autocorrelation: (k,).
+        after_autocorrelation: (k,); None if nothing is missing.
+        band: half width of the 95 % band of white noise.
+        statement: whether this looks like noise, in one sentence.
+    """
+
+    sensor: str
+    time: Array
+    before: Array
+    after: Array | None
+    lags: Array
+    before_autocorrelation: Array
+    after_autocorrelation: Array | None
+    band: float
+    statement: str
+
+    def __post_init__(self) -> None:
+        _same_length(self, "time", "before", "after")
+        _same_length(self, "lags", "before_autocorrelation", "after_autocorrelation")
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """All that the page shows.
+
+    Attributes:
+        model: name of the model's file.
+        diagnosis: what `diagnosis.json` holds.
+        before: what stands for "before" in maps and residuals.
+        traces: held-out data, the most telling first.
+        maps: where the mismatch sits, the joint with most of it first.
+        candidates: hypotheses, the best first.
+        residuals: per sensor.
+        difference: unified difference of the MJCF, from the model to the improved one; empty if there is none.
+        command: that makes this page again.
+        notes: sentences about the recordings and about the step size.
+    """
+
+    model: str
+    diagnosis: Mapping[str, Any]
+    before: Literal["nominal", "recalibrated"] = "recalibrated"
+    traces: Sequence[Trace] = ()
+    maps: Sequence[Mismatch] = ()
+    candidates: Sequence[Candidate] = ()
+    residuals: Sequence[SensorResidual] = ()
+    difference: str = ""
+    command: str = ""
+    notes: Sequence[str] = ()
+
+
+def write(data: ReportData, path: Path) -> None:
+    """Write the page: one file, no script, no request, at most 2 MB.
+
+    Args:
+        data: what to show.
+        path: of the HTML file.
+
+    Raises:
+        ValueError: unknown verdict.
+
+    Example:
+        >>> import tempfile
+        >>> found = {"verdict": "consistent", "sentence": "Nothing beyond noise."}
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write(ReportData("cart.xml", found), Path(folder, "report.html"))
+        ...     "Nothing beyond noise." in Path(folder, "report.html").read_text(encoding="utf-8")
+        True
+    """
+    write_whole(path, render(data).encode())
+
+
+def render(data: ReportData) -> str:
+    """The page as text; see `write`."""
+    import jinja2
+
+    verdict = data.diagnosis["verdict"]
+    if verdict not in VERDICTS:
+        raise ValueError(f"diagnosis: verdict {verdict!r} is none of {', '.join(VERDICTS)}")
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=clean,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"number": number, "percent": percent, "short": short, "measured": measured, "tied": tied}
+    with np.errstate(all="ignore"):  # a prediction may have diverged; charts leave out what is not finite
+        parts = _parts(data)
+    return environment.get_template("page.html.j2").render(
+        data=data, d=data.diagnosis, gloss=VERDICTS[verdict], **parts
+    )
+
+
+def _parts(data: ReportData) -> dict[str, Any]:
+    """What the template shows, drawn and sorted."""
+    shown, rest, screened = _candidates(data.candidates)
+    first: Tone = "nominal" if data.before == "nominal" else "before"
+    return {
+        "first": first,
+        "fit": _fit(data.diagnosis),
+        "traces": [(trace, *plots.trace(trace)) for trace in data.traces[:MOST_TRACES]],
+        "maps": [(mismatch, plots.mismatch_map(mismatch, first)) for mismatch in data.maps[:MOST_MAPS]],
+        "residuals": [(residual, *plots.residual(residual, first)) for residual in data.residuals[:MOST_RESIDUALS]],
+        "not_drawn": {
+            "traces": data.traces[MOST_TRACES:],
+            "maps": data.maps[MOST_MAPS:],
+            "residuals": data.residuals[MOST_RESIDUALS:],
+        },
+        "candidates": shown,
+        "candidates_left": rest,
+        "screened": screened,
+        "difference": _difference(data.difference),
+    }
+
+
+def _same_length(record: object, *names: str) -> None:
+    values = [(name, getattr(record, name)) for name in names]
+    lengths = {name: np.shape(value) for name, value in values if value is not None}
+    if len(set(lengths.values())) > 1 or any(len(shape) != 1 for shape in lengths.values()):
+        raise ValueError(f"{type(record).__name__}: fields must be vectors of one length, not {lengths}")
+
+
+# ----------------------------------------------------------------------------------------------------------- sections
+
+
+def _fit(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+    """Bars of the held-out error: label, value, width in percent; the floor's place; errors of the training data."""
+    fit = diagnosis.get("fit") or {}
+    held_out, floor = fit.get("held_out") or {}, fit.get("noise_floor")
+    labels = {
+        "nominal": "The model as given",
+        "recalibrated": "Its own numbers refitted",
+        "improved": "With the missing physics",
+    }
+    if all(m["effect"] == "unknown" for m in diagnosis.get("missing") or []):
+        del labels["improved"]
+    known = {k: held_out[k] for k in labels if held_out.get(k) is not None and math.isfinite(held_out[k])}
+    train = fit.get("train") or {}
+    full = max([*known.values(), floor or 0.0, 1e-12]) * 1.02
+    return {
+        "bars": [{"key": k, "label": labels[k], "value": v, "width": 100 * v / full} for k, v in known.items()],
+        "floor": floor,
+        "floor_at": None if floor is None else 100 * floor / full,
+        "first": known.get("nominal"),
+        "last": next((known[k] for k in ("improved", "recalibrated", "nominal") if k in known), None),
+        "train": [(labels[k], train[k]) for k in labels if train.get(k) is not None],
+    }
+
+
+def _candidates(rows: Sequence[Candidate]) -> tuple[list[tuple[Candidate, dict[str, float]]], int, list[Candidate]]:
+    """Rows by what became of them, each with the places of its interval; how many more; those only screened."""
+    order = get_args(Status)
+    fitted = sorted((c for c in rows if c.status != "screened out"), key=lambda c: order.index(c.status))
+    ends = [0.0]
+    for c in fitted:
+        if c.improvement is not None and math.isfinite(c.improvement):
+            margin = 2 * (c.standard_error or 0.0)
+            ends += [c.improvement - margin, c.improvement + margin]
+    low, high = min(ends), max(max(ends), 1e-9)
+    low, high = low - 0.04 * (high - low), high + 0.04 * (high - low)
+
+    def place(value: float) -> float:
+        return 100 * min(max((value - low) / (high - low), 0.0), 1.0)
+
+    found = []
+    for c in fitted[:MOST_CANDIDATES]:
+        at = {"zero": place(0.0)}
+        if c.improvement is not None and math.isfinite(c.improvement):
+            margin = 2 * (c.standard_error or 0.0)
+            left = place(c.improvement - margin)
+            at |= {"middle": place(c.improvement), "left": left, "width": place(c.improvement + margin) - left}
+        found.append((c, at))
+    return found, len(fitted) - len(found), [c for c in rows if c.status == "screened out"]
+
+
+def _difference(text: str) -> list[tuple[str, str]]:
+    """Lines with what they are: file, hunk, add, remove or same."""
+    kinds = (("---", "file"), ("+++", "file"), ("@@", "hunk"), ("+", "add"), ("-", "remove"))
+    lines = text.splitlines()
+    found = [(next((k for mark, k in kinds if line.startswith(mark)), "same"), line) for line in lines[:MOST_LINES]]
+    if len(lines) > MOST_LINES:
+        found.append(("hunk", f"… {len(lines) - MOST_LINES} more lines; compare the two files"))
+    return found

@@ -1,0 +1,1 @@
+"""Which effects a model lacks: hypotheses, screened, fitted and compared."""

@@ -1,0 +1,131 @@
+"""Which windows of the recordings are fitted, which are compared on, and which are left aside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.recording import Recording, RecordingError
+from dipc_gym.sim2real.effects.coupling import SWING
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.segments import Prepared
+from dipc_gym.sim2real.estimation.shooting import FAR_OUT, typical
+from dipc_gym.sim2real.simulation.windows import Windows
+
+Array = NDArray[np.float64]
+
+WINDOWS = 72  # fitted and compared on, two thirds and one third; more say little more
+ODD = 6  # windows in which something else happened, at most
+PLENTY = 36  # windows from which the first ones can be spared
+LATE = 0.05  # s before a window whose commands must be known: they may act late
+APART = 0.05  # s from one window to another that is not beside it
+
+
+def check_apart(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> None:
+    """Refuse to judge by what is fitted.
+
+    Raises:
+        RecordingError: a recording is held out that is fitted as well, whatever its name.
+    """
+    fitted = {r.sha256: str(r.path or r.name) for r in recordings}
+    for r in held_out:
+        if r.sha256 in fitted:
+            raise RecordingError(
+                f"{r.path or r.name}: held out, but the same as {fitted[r.sha256]}, which is fitted; hold out another "
+                "recording, or none: then the last quarter of each is"
+            )
+
+
+def from_zero(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings with their time counted from their first samples: what shakes or pushes the rig has no other clock."""
+    return [
+        r
+        if r.time[0] == 0
+        else replace(
+            r,
+            time=r.time - r.time[0],
+            notes=(*r.notes, f"its clock begins at {r.time[0]:.10g} s; times are counted from there"),
+        )
+        for r in recordings
+    ]
+
+
+def known_past(prepared: Prepared) -> Prepared:
+    """Without windows at the beginning of a recording: a late command, or a rotor that swings, is of before it.
+
+    Of a short recording, windows that a swinging rotor would need are kept.
+    """
+    w = prepared.problem.windows
+    since = w.start - np.array([recording.time[0] for recording in w.recordings])[w.source]
+    settled = since > SWING
+    return replace(prepared, problem=prepared.problem.pick(settled if settled.sum() >= PLENTY else since > LATE))
+
+
+def split(problem: Problem) -> tuple[Problem, Problem, Problem]:
+    """Windows to fit, windows to compare on (every third one), spread evenly over the recordings, and the others."""
+    count, length = len(problem.windows), problem.windows.times.max(initial=0.0)
+    if count < 9:
+        raise RecordingError(
+            f"the recordings hold {count} windows of {length:.3g} s for fitting; at least 9 are needed: record longer"
+        )
+    chosen = np.unique(np.linspace(0, count - 1, min(WINDOWS, count)).round().astype(np.intp))
+    others = np.setdiff1d(np.arange(count), chosen)
+    return problem.pick(np.delete(chosen, np.s_[1::3])), problem.pick(chosen[1::3]), problem.pick(others)
+
+
+def odd_windows(mse: Array, others: Array | None = None) -> NDArray[np.intp]:
+    """Windows that are predicted far worse than most (of others, if given), by mean square errors, the worst first."""
+    worst = np.argsort(-mse)[:ODD]
+    return worst[mse[worst] > FAR_OUT * typical(mse if others is None else others)]
+
+
+def odd(rest: Problem, recalibrated: Fit) -> NDArray[np.intp]:
+    """Windows, of those left aside, in which something happened that the others do not show: a push, a knock."""
+    if not len(rest.windows):
+        return np.zeros(0, dtype=np.intp)
+    mse, _ = evaluate(rest, recalibrated.structure, recalibrated.z)
+    return odd_windows(mse, recalibrated.mse)
+
+
+def eventful(windows: Windows, mse: Array, rest: Windows, rest_mse: Array) -> NDArray[np.bool_]:
+    """Which windows of those left aside are odd or beside one that is, (n,); those tell when it began and ended.
+
+    Args:
+        windows: that are fitted.
+        mse: how well they are predicted.
+        rest: windows left aside.
+        rest_mse: how well these are predicted, (n,).
+    """
+    far = FAR_OUT * typical(mse)
+    if not 0 < np.sum(mse > far) + np.sum(rest_mse > far) <= ODD:
+        return np.zeros(len(rest), dtype=bool)
+    fitted, aside = odd_windows(mse), odd_windows(rest_mse, mse)
+    start = np.append(windows.start[fitted], rest.start[aside])
+    source = np.append(windows.source[fitted], rest.source[aside])
+    return np.asarray((_beside(rest, start) & (rest.source[:, None] == source)).any(axis=1))
+
+
+def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
+    """Which windows to keep, (n,): all but those of other recordings at the time of odd ones.
+
+    Each recording has a clock of its own. What happened once happened in one of them, and an effect that has a time
+    would be held against the others.
+
+    Args:
+        windows: of all recordings.
+        mse: how well they are predicted, (n,); the odd ones are told by it.
+    """
+    far = mse > FAR_OUT * typical(mse)
+    if far.sum() > ODD:  # no event
+        return np.ones(len(mse), dtype=bool)
+    elsewhere = windows.source[:, None] != windows.source[far]
+    return far | ~(_beside(windows, windows.start[far]) & elsewhere).any(axis=1)
+
+
+def _beside(windows: Windows, start: Array) -> NDArray[np.bool_]:
+    """Which windows are at, or next to, those that begin at `start` (k,) on whichever clock, (n, k)."""
+    return np.asarray(np.abs(windows.start[:, None] - start) < windows.times.max() + APART)

@@ -1,0 +1,97 @@
+"""Which hypotheses a search goes on with: by promise, by what they leave, and by what they cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.shooting import mean_loss, typical
+from dipc_gym.sim2real.model.structure import Structure, Term
+from dipc_gym.sim2real.selection.data import odd_windows
+from dipc_gym.sim2real.selection.score import WORTH, Comparison
+from dipc_gym.sim2real.selection.screen import Tried
+
+Array = NDArray[np.float64]
+
+FINALISTS = 6  # hypotheses, or pairs, sketched in a round
+FEW = 18  # windows that a sketch has at least
+AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
+AT_NOISE = 1.05  # times the noise: nothing is left that would tell an elaboration from what it elaborates
+
+
+def alike(difference: Comparison, gained: float) -> bool:
+    """Whether a fit predicts as well as the best: by the standard error, or within a fiftieth of its gain."""
+    return difference.alike and difference.gain < 0.02 * gained + WORTH
+
+
+def updated(tried: Sequence[Tried], news: Sequence[Tried]) -> list[Tried]:
+    """What became of hypotheses: the newest of each, the news first."""
+    known = {one.key for one in news}
+    return [*news, *(one for one in tried if one.key not in known)]
+
+
+def promise(pair: tuple[Tried, Fit]) -> float:
+    """What screening foretold of a hypothesis."""
+    return pair[0].promise
+
+
+def brought(sketch: Fit, before: Array) -> float:
+    """By how much a sketch lowers the log error of its windows from mean square errors `before`, (n,).
+
+    On the scale of the noise, as promises are.
+    """
+    return mean_loss(before, 1.0) - mean_loss(sketch.mse, 1.0)
+
+
+def complete(sketch: Fit) -> bool:
+    """Whether a sketch leaves nothing, in no window."""
+    return sketch.error < AT_NOISE and not len(odd_windows(sketch.mse))
+
+
+def losses(errors: Sequence[Array]) -> list[float]:
+    """Mean loss of each of several fits' mean square errors (n,), on the scale of the best of them."""
+    usual = min(map(typical, errors), default=1.0)
+    return [mean_loss(mse, usual) for mse in errors]
+
+
+def finalists(ranked: Sequence[tuple[Tried, Fit]], count: int) -> list[tuple[Tried, Fit]]:
+    """The most promising hypotheses, and the plainer ones that these elaborate."""
+    first = ranked[:count]
+    plain = {f"{inner}@{tried.term.at}" for tried, _ in first for inner in tried.term.effect.contains}
+    return [*first, *(pair for pair in ranked[count:] if pair[0].key in plain)]
+
+
+def idle(structure: Structure, sketches: Sequence[Fit]) -> bool:
+    """Whether a structure elaborates one of several that leave nothing to it."""
+    return any(sketch.error < AT_NOISE and structure.elaborates(sketch.structure) for sketch in sketches)
+
+
+def few(mse: Array) -> NDArray[np.intp]:
+    """A third of the windows, those with the largest errors (n,) among them."""
+    count = len(mse)
+    if count <= FEW:
+        return np.arange(count)
+    return np.unique(
+        np.append(np.linspace(0, count - 1, max(count // 3, FEW)).round(), np.argsort(-mse)[: FEW // 4])
+    ).astype(np.intp)
+
+
+def cost(fitted: Fit | None) -> tuple[int, int, int, int]:
+    """What the simpler of two structures has less of: numbers, effects, and effects that stock MuJoCo lacks.
+
+    Of names for one and the same model, what acts at a joint goes before what a motor or a sensor would have to do.
+    """
+    assert fitted is not None
+    effects = [term.effect for term in fitted.structure.terms]
+    loaders, elsewhere = sum(e.needs_loader for e in effects), sum(e.place != "joint" for e in effects)
+    return len(fitted.z), len(effects), loaders, elsewhere
+
+
+def as_fitted(fitted: Fit) -> Term:
+    """The last effect of a structure with its fitted numbers for guesses."""
+    term = fitted.structure.terms[-1]
+    return replace(term, guess=fitted.structure.term_values(fitted.z, term))

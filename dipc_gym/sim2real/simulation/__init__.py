@@ -1,0 +1,1 @@
+"""Simulate windows of recordings with many variants of a model at once."""

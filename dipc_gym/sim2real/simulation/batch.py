@@ -1,0 +1,399 @@
+"""Simulate windows of recordings with many variants of a model at once: the one place where fits meet MuJoCo.
+
+Everything above this file sees a function from models and start states to predicted readings. A faster simulator
+would replace this file alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import batch as mjbatch
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym.physics import Physics, stack
+from dipc_gym.sim2real.simulation.commands import first_moments, held_mean, per_step
+from dipc_gym.sim2real.simulation.dry_friction import DryFriction
+from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
+from dipc_gym.sim2real.simulation.windings import steady_currents
+from dipc_gym.sim2real.simulation.windows import Windows
+
+Array = NDArray[np.float64]
+
+# Sizes of buffers that recorded commands do not need: delays are taken out of the model.
+_LAYOUT = frozenset({"actuator_history", "actuator_historyadr", "sensor_history", "sensor_historyadr"})
+
+# Default of MuJoCo's solref time constant; shorter ones were chosen with the time step in mind and scale with it.
+_SOFT = 0.02
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """How finely, and by which rule, a model is simulated.
+
+    Attributes:
+        timestep: longest step, s; shortened so that a whole number of steps fits one sample.
+        integrator: MuJoCo's, or None for the model's own. With one of its choice, dry friction is not left to
+            MuJoCo's constraint either, but to `stick.DryFriction`, which locates reversals inside the step.
+    """
+
+    timestep: float
+    integrator: mujoco.mjtIntegrator | None = None
+
+    def on(self, model: mujoco.MjModel, step: float) -> mujoco.MjModel:
+        """The model with this integrator at a step of `step` seconds; where it diverges, it is not restarted."""
+        given = model.opt.timestep
+        model.opt.timestep = step
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        if self.integrator is not None:
+            model.opt.integrator = self.integrator
+        stiff = is_stiff(model)
+        model.dof_solref[stiff, 0] = np.maximum(model.dof_solref[stiff, 0] * step / given, 2 * step)
+        return model
+
+
+def is_stiff(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Whether the friction of each degree of freedom has a time constant chosen with the time step in mind, (nv,)."""
+    return np.asarray((model.dof_solref[:, 0] > 0) & (model.dof_solref[:, 0] < _SOFT))
+
+
+def grid_step(windows: Windows, stepping: Stepping) -> float:
+    """The simulation step, s: the longest within the stepping of which a whole number fits the sample period."""
+    step = windows.period / math.ceil(windows.period / stepping.timestep - 1e-6)
+    return stepping.timestep if abs(step / stepping.timestep - 1) < 1e-6 else step  # stamps are rounded
+
+
+def simulate(
+    variants: Sequence[Physics],
+    windows: Windows,
+    starts: Array,
+    stepping: Stepping,
+    *,
+    base: Sequence[str],
+    warm: float = 0.0,
+    warm_starts: Array | None = None,
+    threads: int = 0,
+) -> Array:
+    """Predict the sensors of every window with every variant.
+
+    Args:
+        variants: models of one structure with different numbers.
+        windows: what to predict.
+        starts: positions and velocities of the base joints at each window's start, (variants or 1, n, 2 nb).
+        stepping: integrator and step.
+        base: names of the nb joints that `starts` describes; others begin where the joint that they follow does.
+        warm: s simulated before each window, so that bristles, currents and gaps reach their state.
+        warm_starts: as `starts`, at `warm` seconds before each window; needed if `warm` is positive.
+        threads: for MuJoCo's batch; 0 means all cores.
+
+    Returns:
+        Readings (variants, n, m, ns); huge or not a number from where a simulation diverged.
+    """
+    n, count = len(windows), len(variants)
+    starts = np.broadcast_to(starts, (count, n, starts.shape[-1]))
+    runs, track = _Runs(variants, windows, stepping, base, threads), None
+    if warm > 0:
+        assert warm_starts is not None
+        before = math.ceil(warm / runs.step - 1e-9)
+        # How a window is approached does not depend on its own start, which fits vary most.
+        distinct = list({id(variant): variant for variant in variants}.values())
+        approach = runs if len(distinct) == count else _Runs(distinct, windows, stepping, base, threads)
+        approach.begin(-before, np.broadcast_to(warm_starts, (len(distinct), *starts.shape[1:])))
+        track = approach.run(-before, before, record=bool(runs.physics.stage("lag")))
+        if track is not None:
+            track = np.append(track, approach.readings()[:, None], axis=1)
+        if approach is not runs:
+            which = np.array([next(i for i, one in enumerate(distinct) if one is variant) for variant in variants])
+            rows = (which[:, None] * n + np.arange(n)).ravel()
+            runs.sims.state[:] = approach.sims.state[rows]
+            track = None if track is None else track[rows]
+        runs.put_back(starts)
+    else:
+        runs.begin(0, starts)
+    ahead = runs.late.max(axis=1, keepdims=True) - runs.late
+    nstep = math.floor((windows.times.max() + ahead.max(initial=0.0)) / runs.step + 1e-6) + 2
+    readings = runs.run(0, nstep, record=True)
+    assert readings is not None
+    readings = _sense(runs.physics, readings, track, runs.step)
+    readings = readings[..., mjcf.sensor_addresses(runs.sims.model)].reshape(count, n, nstep, -1)
+    out = _at_samples(readings, windows.times, runs.step)
+    for k, sensor in np.argwhere(ahead > 0):
+        one = readings[k, None, :, :, sensor, None]
+        out[k, :, :, sensor] = _at_samples(one, windows.times + ahead[k, sensor], runs.step)[0, ..., 0]
+    return out
+
+
+class _Runs:
+    """Every window with every variant, side by side in one batch."""
+
+    def __init__(
+        self, variants: Sequence[Physics], windows: Windows, stepping: Stepping, base: Sequence[str], threads: int
+    ) -> None:
+        self.variants, self.windows = variants, windows
+        self.step = grid_step(windows, stepping)
+        models = [stepping.on(_copy(variant.model), self.step) for variant in variants]
+        self.delays = np.stack([_take_delays(model) for model in models])
+        # Seen from the sensor that reads latest, commands act later by as much, and all others read ahead of it: so a
+        # window begins with the state that this sensor shows, and nothing before it has to be simulated.
+        self.late = np.stack([_take_sensor_delays(model) for model in models])
+        self.delays += self.late.max(axis=1, keepdims=True)
+        if stepping.integrator is not None:
+            self.delays += np.stack([steady_currents(model, self.step) for model in models])
+        level = np.stack([model.dof_frictionloss.copy() for model in models])
+        self._exact = stepping.integrator is not None
+        located = self._exact and bool((level > 0).any())
+        if located:
+            for model in models:
+                model.dof_frictionloss[:] = 0
+        which = np.repeat(np.arange(len(variants)), len(windows))
+        self.physics = stack(variants, which)
+        for model in models:
+            _leave_out_idle(model, dry=bool(self.physics.stage("friction")) and not located)
+        # More simulations than this at a time fall out of the cache and win nothing.
+        self.sims = mjbatch.Batch(models[0], len(which), threads)
+        _spread(self.sims, models, which)
+        self.dry = DryFriction(self.sims, level[which]) if located else None
+        self._base, self._hidden, self._leaders = _addresses(models[0], base)
+
+    def begin(self, at: int, starts: Array) -> None:
+        """Begin `at` steps after each window's start, from positions and velocities (variants, n, 2 nb)."""
+        begin = self.windows.start + at * self.step
+        self.sims.time[:] = (begin - self.late.max(axis=1, keepdims=True)).ravel()
+        _warm_windings(self.sims, self.variants, self.delays, self.windows)
+        self._place(starts)
+
+    def put_back(self, starts: Array) -> None:
+        """Put the joints at positions and velocities (variants, n, 2 nb).
+
+        Whatever hides behind a gap keeps its place relative to them.
+        """
+        qpos, qvel = self.sims.qpos, self.sims.qvel
+        apart = qpos[:, self._hidden] - qpos[:, self._leaders]
+        faster = qvel[:, self._hidden] - qvel[:, self._leaders]
+        self._place(starts)
+        qpos[:, self._hidden] += apart
+        qvel[:, self._hidden] += faster
+
+    def _place(self, starts: Array) -> None:
+        qpos, qvel, nb = self.sims.qpos, self.sims.qvel, len(self._base)
+        flat = starts.reshape(-1, 2 * nb)
+        qpos[:, self._base], qvel[:, self._base] = flat[:, :nb], flat[:, nb:]
+        qpos[:, self._hidden], qvel[:, self._hidden] = qpos[:, self._leaders], qvel[:, self._leaders]
+
+    def readings(self) -> Array:
+        """What the model's sensors say now, (sims, nsensordata)."""
+        sensed = self.sims.bind("sensordata")
+        self.sims.forward()
+        return np.array(sensed)
+
+    def run(self, first: int, nstep: int, *, record: bool) -> Array | None:
+        """Advance under the recorded commands, from the `first` step after each window's start on.
+
+        Returns:
+            Readings (sims, nstep, nsensordata) at the beginning of each step, or None if nothing is recorded.
+        """
+        sims, physics, dry = self.sims, self.physics, self.dry
+        ctrl = per_step(held_mean, self.windows, self.delays, self.step, first, nstep).reshape(sims.nsim, nstep, -1)
+        ctrl = physics.command(ctrl.swapaxes(0, 1)).swapaxes(0, 1)
+        late = self._late_changes(first, nstep) if self._exact else None
+        if dry is None and late is None and not physics.acts:
+            out = sims.rollout(nstep, ctrl, record=("sensordata",) if record else ())
+            return out.get("sensordata")
+        readings = np.empty((nstep, sims.nsim, sims.model.nsensordata)) if record else None
+        sensed, commanded, applied = sims.bind("sensordata"), sims.bind("ctrl"), sims.bind("qfrc_applied")
+        forces = np.zeros((sims.nsim, sims.model.nv))
+        level = sims.expand("dof_frictionloss") if dry is None else dry.level
+        if physics.stage("friction"):
+            sims.bind("qfrc_actuator"), sims.bind("qfrc_bias"), sims.bind("qacc")
+        pressed = physics.pressed
+        if dry is not None:
+            dry.begin()
+        for k in range(nstep):
+            commanded[:] = ctrl[:, k]
+            if pressed:
+                _forward_to_the_middle(sims, self.step)
+            physics.act(sims, level, forces, self.step)
+            now = None if readings is None else readings[k]
+            if dry is not None:
+                dry.step(forces, now, sensed)
+            else:
+                applied[:] = forces
+                sims.step()
+                if now is not None:
+                    now[:] = sensed
+            if late is not None:
+                sticks = sims.qvel == 0
+                for state, behind in zip((sims.qpos, sims.qvel), late, strict=True):
+                    state[:] -= np.where(sticks, 0.0, behind[k])
+        return None if readings is None else readings.swapaxes(0, 1)
+
+    def _late_changes(self, first: int, nstep: int) -> tuple[Array, Array] | None:
+        """What commands that change within steps do to the state, beyond what their means do.
+
+        A change late in a step, rather than spread over it, moves less by then: the state x, with dx/dt = A x + B u,
+        falls behind that under the mean command by A B times the first moment of u about the step's middle, to first
+        order in the step. In a loop that feeds back noise that is as much as the noise itself, and passes for a soft
+        coupling.
+
+        Returns:
+            What positions and velocities fall behind by in each step, (nstep, sims, nv) each; None where no command
+            changes within a step. A and B are those of the present state.
+        """
+        sims = self.sims
+        moments = per_step(first_moments, self.windows, self.delays, self.step, first, nstep)
+        if not moments.any():
+            return None
+        accelerated = sims.bind("qacc")  # before the call that fills it
+        sims.ctrl[:] = 0
+        sims.forward()
+        still, speed = accelerated.copy(), sims.qvel.copy()
+        gained = np.zeros((2, sims.nsim, moments.shape[-1], sims.model.nv))
+        for control in range(moments.shape[-1]):
+            sims.ctrl[:, control] = 1
+            sims.forward()
+            gained[0, :, control] = accelerated - still
+            sims.ctrl[:, control] = 0
+            sims.qvel[:] = speed + self.step * gained[0, :, control]
+            sims.forward()
+            gained[1, :, control] = (accelerated - still) / self.step
+            sims.qvel[:] = speed
+        places, speeds = np.einsum("ikc,sicv->skiv", moments.reshape(sims.nsim, nstep, -1), gained)
+        return places, speeds
+
+
+def _forward_to_the_middle(sims: mjbatch.Batch, step: float) -> None:
+    """Leave in a batch the forces of the middle of the step that begins now, and its state as it is.
+
+    The friction that they press on is held over the step. The drive of the step before would make it late, which passes
+    for a delay; the drive of its beginning is off by what the motor's speed changes until its middle.
+    """
+    sims.forward()
+    place, speed = sims.qpos.copy(), sims.qvel.copy()
+    sims.qpos[:] += step / 2 * speed
+    sims.qvel[:] += step / 2 * sims.qacc
+    sims.forward()
+    sims.qpos[:], sims.qvel[:] = place, speed
+
+
+def _copy(model: mujoco.MjModel) -> mujoco.MjModel:
+    import copy
+
+    return copy.copy(model)
+
+
+def _take_delays(model: mujoco.MjModel) -> Array:
+    """Delay of each control, s, (nu,); taken out of the model, since recorded commands can simply be read earlier."""
+    delays = np.zeros(model.nu)
+    for i in range(model.nactuator):
+        first = int(model.actuator_ctrladr[i])
+        delays[first : first + int(model.actuator_ctrlnum[i])] = model.actuator_delay[i]
+    model.actuator_delay[:] = 0
+    return delays
+
+
+def _take_sensor_delays(model: mujoco.MjModel) -> Array:
+    """Delay of each scalar sensor, s, (ns,); taken out of the model, since its readings can simply be read earlier."""
+    delays = mjcf.sensor_delays(model)
+    model.sensor_delay[:] = 0
+    return delays
+
+
+def _leave_out_idle(model: mujoco.MjModel, *, dry: bool) -> None:
+    """Switch off what takes time in every step and has nothing to do.
+
+    Contacts, of which supported models have none, and constraints where there is no limit, equality or friction.
+
+    Args:
+        model: to change.
+        dry: whether friction may be written into it later.
+    """
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    limited = model.neq or model.jnt_limited.any() or model.tendon_limited.any()
+    if not (limited or dry or model.dof_frictionloss.any() or model.tendon_frictionloss.any()):
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+
+
+def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArray[np.intp]) -> None:
+    """Give every simulation the fields in which its variant differs from the first."""
+    if len(models) == 1:
+        return
+    for name in sorted(mjbatch.MODEL_FIELDS - _LAYOUT):
+        field = name.removeprefix("opt.")
+        values = [np.asarray(getattr(model.opt if field != name else model, field)) for model in models]
+        # Hundreds of small arrays: comparing them as numbers takes ten times as long.
+        first = values[0].tobytes()
+        if all(value.tobytes() == first for value in values[1:]):
+            continue
+        sims.expand(name)[...] = np.stack(values)[which].reshape(sims.expand(name).shape)
+
+
+def _addresses(model: mujoco.MjModel, base: Sequence[str]) -> tuple[list[int], list[int], list[int]]:
+    """Where the base joints stand, those hidden behind a gap or a spring, and the base joint that each follows.
+
+    Positions and velocities have the same addresses: all joints are hinges and slides.
+    """
+    leaders = mjcf.followers(model)
+    hidden = sorted(leaders)
+    each = (base, hidden, [leaders[name] for name in hidden])
+    at, behind, lead = ([int(model.joint(name).dofadr[0]) for name in names] for names in each)
+    return at, behind, lead
+
+
+def _warm_windings(sims: mjbatch.Batch, variants: Sequence[Physics], delays: Array, windows: Windows) -> None:
+    """Give every winding that heats the temperature it has at the simulation's start; its motor's first activation."""
+    n = len(windows)
+    for motor in heating_motors(variants[0].model):
+        if len(windows.motions) != len(windows.recordings):
+            name = variants[0].model.actuator(motor).name
+            raise ValueError(f"how hot {name} is depends on its motion; give the windows their recordings' motions")
+        temperature = sims.act[:, int(variants[0].model.actuator_actadr[motor])]
+        for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
+            mine = np.tile(windows.source == i, len(variants))
+            begin = sims.time.reshape(len(variants), n)[0, windows.source == i]
+            temperature[mine] = winding_temperatures(variants, delays, motor, recording, motion, begin).ravel()
+
+
+def _sense(physics: Physics, readings: Array, track: Array | None, step: float) -> Array:
+    """Apply what the sensors do to the model's readings (sims, nstep, nsensordata).
+
+    Args:
+        physics: what they do.
+        readings: of the model, from each window's start on.
+        track: readings before that, where sensors remember them; the last are of the start, as it was approached.
+        step: between readings, s.
+    """
+    if not physics.stage("lag"):
+        return physics.sense(readings.swapaxes(0, 1)).swapaxes(0, 1)
+    if track is None:
+        whole = readings
+    else:
+        # The joints were put back to where the window starts; what a sensor remembers moves along.
+        whole = np.concatenate([track[:, :-1] + readings[:, :1] - track[:, -1:], readings], axis=1)
+    out = np.empty_like(whole)
+    memory = physics.sensor_memory(whole[:, 0])
+    for k in range(whole.shape[1]):
+        out[:, k] = physics.sense(whole[:, k], memory, step if k else 0.0)
+    return out[:, -readings.shape[1] :]
+
+
+def _at_samples(readings: Array, times: Array, step: float) -> Array:
+    """Readings on the grid (variants, n, nstep, ns), interpolated at sample times (n, m) by a local cubic."""
+    along = times / step
+    nearest = np.rint(along).astype(np.intp)
+    rows = np.arange(len(times))[:, None]
+    if np.abs(along - nearest).max() < 1e-6:
+        return readings[:, rows, nearest]
+    first = np.clip(np.floor(along).astype(np.intp) - 1, 0, readings.shape[2] - 4)
+    x = along - first
+    weights = [
+        -(x - 1) * (x - 2) * (x - 3) / 6,
+        x * (x - 2) * (x - 3) / 2,
+        -x * (x - 1) * (x - 3) / 2,
+        x * (x - 1) * (x - 2) / 6,
+    ]
+    return np.asarray(sum(w[..., None] * readings[:, rows, first + j] for j, w in enumerate(weights)))

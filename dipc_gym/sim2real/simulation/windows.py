@@ -1,0 +1,107 @@
+"""Windows: short stretches of recordings, each predicted from an initial state of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.recording import Recording
+from dipc_gym.sim2real.simulation.motion import Motion
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Short stretches of recordings, each predicted from a start state of its own.
+
+    Attributes:
+        recordings: where they were cut from.
+        source: index into `recordings`, (n,).
+        start: time stamp at which each begins, s, (n,).
+        times: sample times after the start, s, (n, m).
+        observed: readings, (n, m, ns); zero where `valid` is False.
+        valid: which samples exist, (n, m); windows of irregular recordings differ in count.
+        noise: standard deviation of each sensor's noise, (ns,).
+        motions: of the base joints in each recording; only motors that heat need them.
+    """
+
+    recordings: tuple[Recording, ...]
+    source: NDArray[np.intp]
+    start: Array
+    times: Array
+    observed: Array
+    valid: NDArray[np.bool_]
+    noise: Array
+    motions: tuple[Motion, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Windows:
+        """Some of the windows."""
+        return replace(
+            self,
+            source=self.source[which],
+            start=self.start[which],
+            times=self.times[which],
+            observed=self.observed[which],
+            valid=self.valid[which],
+        )
+
+    def join(self, other: Windows) -> Windows:
+        """These windows and others of the same recordings."""
+        return replace(
+            self,
+            source=np.append(self.source, other.source),
+            start=np.append(self.start, other.start),
+            times=np.append(self.times, other.times, 0),
+            observed=np.append(self.observed, other.observed, 0),
+            valid=np.append(self.valid, other.valid, 0),
+        )
+
+    @property
+    def period(self) -> float:
+        """Shortest median sample period among the recordings, s."""
+        return min(recording.period for recording in self.recordings)
+
+
+def cut(recordings: Sequence[Recording], noise: Array, length: float, span: tuple[float, float]) -> Windows:
+    """Cut recordings into windows that lie end to end.
+
+    Args:
+        recordings: with the same sensors.
+        noise: standard deviation of each sensor's noise, (ns,).
+        length: s.
+        span: the part of each recording to use, as fractions of its duration.
+
+    Returns:
+        The windows in order of recording and time; an incomplete one at the end is dropped.
+    """
+    parts: list[tuple[int, int, int]] = []
+    for i, recording in enumerate(recordings):
+        t = recording.time
+        last = t[0] + span[1] * (t[-1] - t[0]) + 1e-9
+        # A window holds the samples before its end, the first sample of the next one excluded.
+        first = int(np.searchsorted(t, t[0] + span[0] * (t[-1] - t[0]) - 1e-9))
+        while first < len(t) and t[first] + length <= last + recording.period:
+            stop = int(np.searchsorted(t, t[first] + length - 1e-3 * recording.period))
+            if stop - first >= 4:
+                parts.append((i, first, stop))
+            first = max(stop, first + 1)
+    count = max((stop - first for _, first, stop in parts), default=0)
+    shape = (len(parts), count)
+    times, valid = np.zeros(shape), np.zeros(shape, dtype=bool)
+    observed = np.zeros((*shape, len(noise)))
+    for k, (i, first, stop) in enumerate(parts):
+        n = stop - first
+        times[k, :n] = recordings[i].time[first:stop] - recordings[i].time[first]
+        times[k, n:] = times[k, n - 1]
+        observed[k, :n] = recordings[i].sensors[first:stop]
+        valid[k, :n] = True
+    source = np.array([i for i, _, _ in parts], dtype=np.intp)
+    start = np.array([recordings[i].time[first] for i, first, _ in parts])
+    return Windows(tuple(recordings), source, start, times, observed, valid, noise)

@@ -1,0 +1,177 @@
+"""What a search comes to: effects that held-out data do not speak against, each beside what could stand in for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from dipc_gym.sim2real.effects.base import LEAVES
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.model.structure import names
+from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.prune import prune
+from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.verdict import judge, sentences, sparse
+
+SWAPS = 3  # effects that may give way to rivals after the search
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """What is left of a search.
+
+    Attributes:
+        fitted: with the fewest own numbers changed.
+        rivals: of each of its effects, by key; none from when Ctrl-C ended the comparison.
+        notes: effects that held-out data strike off, in words.
+        others: with other own numbers changed, as many, that predict as well.
+    """
+
+    fitted: Fit
+    rivals: dict[str, list[judge.Rival]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    others: list[Fit] = field(default_factory=list)
+
+
+def conclude(search: Search) -> Conclusion:
+    """Judge the effects that a search accepted; rivals that predict clearly better, or need less, take their places.
+
+    Which of two effects is there may show only when a third is in place, which was added after one of them. What
+    held-out data strike off ends that: the search would only add it again.
+
+    Args:
+        search: that has run.
+    """
+    for swaps in range(SWAPS + 1):
+        try:
+            upheld, fewest, notes = _upheld(search)
+        except KeyboardInterrupt:
+            _interrupted(search)
+            return Conclusion(search.path[-1], _rivals(search, search.path[-1]))
+        rivals = _rivals(search, upheld)
+        rival = _successor(search, upheld, [rival for group in rivals.values() for rival in group])
+        if notes or rival is None or search.interrupted or swaps == SWAPS:
+            break
+        search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer numbers'}")
+        search.replace_last(rival.fitted)
+    return Conclusion(fewest, rivals, notes, _others(search, upheld, fewest))
+
+
+def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.Rival | None:
+    """The rival that takes a structure's place: one that predicts clearly better, or needs fewer numbers.
+
+    Of several that predict better alike, the simplest. One that is the same model here with fewer numbers goes before
+    a pair of effects that was accepted together, and so never compared with plainer ones.
+    """
+    if better := sorted((r for r in rivals if r.better), key=lambda rival: judge.unseen_error(search, rival.fitted)):
+        alike = [rival for rival in better if search.alike(better[0].fitted, rival.fitted, upheld)]
+        return min(alike, key=lambda rival: ranking.cost(rival.fitted))
+    same = [_alone(search, rival, upheld) for rival in rivals if rival.same]
+    plainer = [rival for rival in same if len(rival.fitted.z) < len(upheld.z)]
+    return min(plainer, key=lambda one: (len(one.fitted.z), judge.unseen_error(search, one.fitted)), default=None)
+
+
+def _alone(search: Search, rival: judge.Rival, upheld: Fit) -> judge.Rival:
+    """A rival that is the same model, without what is idle beside it.
+
+    A constant force on one pole and the other's sensor with a bias can be together what one biased sensor is alone.
+    """
+    terms = rival.fitted.structure.terms
+    if len(terms) < 2 or search.interrupted:
+        return rival
+    try:
+        fitted = prune(search, rival.fitted)
+    except KeyboardInterrupt:
+        _interrupted(search)
+        return rival
+    return replace(rival, fitted=fitted) if search.compare(upheld, fitted).alike else rival
+
+
+def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
+    """The last accepted fit that held-out data do not speak against, also with the fewest own numbers changed, and
+    notes on what they strike off.
+
+    What the best of dozens of effects takes up of structure that no catalogue has need not be there the next time.
+    Held-out data may strike an effect off; they never add one.
+    """
+    path, notes = search.path, list[str]()
+    upheld = path[-1]
+    fewest, error = _with_fewest_numbers(search, upheld)
+    for before in reversed(path[:-1]):
+        if error <= judge.AT_FLOOR:
+            break
+        simpler, without = _with_fewest_numbers(search, before)
+        if not judge.refuted(without, error):
+            break
+        kept = names(simpler.structure.terms)
+        added = [term for term in fewest.structure.terms if term.key not in kept]
+        notes.append(sentences.refutation(added or fewest.structure.terms, without, error))
+        upheld, fewest, error = before, simpler, without
+    if error <= judge.AT_FLOOR:
+        return upheld, fewest, notes
+    named, why = _believable(search, upheld, error)
+    return named, fewest if named is upheld else _with_fewest_numbers(search, named)[0], notes + why
+
+
+def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[str]]:
+    """A fit without effects that only stand in for what is left beside them, and notes on those.
+
+    What is told from other causes by when it acts alone (a push, a motor that heats) is named only where next to
+    nothing is left, and what leaves more than a third of a mismatch may have nothing to do with it.
+    """
+    recalibrated = judge.held_out_error(search.held, search.path[0])
+    notes, left = list[str](), error
+    for term in upheld.structure.terms:
+        if term.effect.leaves < LEAVES and error - 1 > term.effect.leaves * (recalibrated - 1):
+            notes.append(sentences.not_alone(term, error))
+            upheld = search.without(upheld, term.key)
+            left = judge.held_out_error(search.held, upheld)
+    if upheld.structure.terms and left - 1 > LEAVES * (recalibrated - 1):
+        # Without an event that it was fitted beside, an effect may do harm.
+        why = sentences.too_little if left < recalibrated else sentences.refutation
+        return search.path[0], [*notes, why(upheld.structure.terms, recalibrated, left)]
+    return upheld, notes
+
+
+def _with_fewest_numbers(search: Search, fitted: Fit) -> tuple[Fit, float]:
+    """A fit with the fewest own numbers changed, as long as held-out data do not speak for the others; its error there.
+
+    Where few windows tell a number, the others may not miss it.
+    """
+    fewest = sparse.fewest_numbers(search, fitted)
+    error = judge.held_out_error(search.held, fewest)
+    if error <= judge.AT_FLOOR:
+        return fewest, error
+    with_all = judge.held_out_error(search.held, fitted)
+    return (fitted, with_all) if judge.refuted(with_all, error) else (fewest, error)
+
+
+def _others(search: Search, upheld: Fit, fewest: Fit) -> list[Fit]:
+    """With other own numbers changed; none if Ctrl-C ended the comparison."""
+    if search.interrupted:
+        return []
+    try:
+        return sparse.other_numbers(search, upheld, fewest)
+    except KeyboardInterrupt:
+        _interrupted(search)
+        return []
+
+
+def _interrupted(search: Search) -> None:
+    """Ask nothing more, and say so."""
+    search.interrupted = True
+    search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
+
+
+def _rivals(search: Search, full: Fit) -> dict[str, list[judge.Rival]]:
+    """What could stand in the place of each effect; nothing from when Ctrl-C ended that."""
+    found: dict[str, list[judge.Rival]] = {}
+    for term in full.structure.terms:
+        found[term.key] = []
+        if search.interrupted:
+            continue
+        try:
+            search.tell(f"what could stand in for {term.key}?")
+            found[term.key] = judge.rivals(search, full, term)
+        except KeyboardInterrupt:
+            _interrupted(search)
+    return found

@@ -1,0 +1,188 @@
+"""What was found, as diagnosis.json lists it: effects with sizes, intervals and rivals; own numbers that changed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.problem import Problem, predict, residual
+from dipc_gym.sim2real.estimation.shooting import typical
+from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.result import Errors, Missing
+from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.verdict import improve, judge, sentences
+from dipc_gym.sim2real.verdict.conclude import Conclusion
+
+Array = NDArray[np.float64]
+
+AT_LIMIT = 1e-3  # share of itself, from which a number stands at its limit
+FREE = 1.0  # standard deviation, as a logarithm, of a number of which nothing is known
+
+
+def changed_numbers(final: Fit, wide: Array) -> list[dict[str, Any]]:
+    """Own numbers that had to change, as diagnosis.json lists them, with intervals of +- `wide` mapped numbers (p,)."""
+    out = []
+    for i, number in enumerate(final.structure.numbers):
+        if abs(final.z[i]) < improve.NEGLIGIBLE:
+            continue
+        value = final.structure.slots[i].value(final.z[i])
+        entry = {"parameter": number.parameter, "at": number.at, "was": number.value, "value": value}
+        if np.isfinite(wide[i]):
+            entry |= {"low": value * math.exp(-wide[i]), "high": value * math.exp(wide[i])}
+        out.append(entry | {"unit": number.unit})
+    return out
+
+
+def beyond_limits(problem: Problem, held: Problem, recalibrated: Fit) -> list[str]:
+    """Note on own numbers that would explain all, were they allowed to be further off than their kind is taken to be.
+
+    Args:
+        problem: windows to fit.
+        held: held-out windows.
+        recalibrated: the model's own numbers refitted, within their limits.
+    """
+    numbers, slots = recalibrated.structure.numbers, recalibrated.structure.slots
+    values = [slot.value(z) for slot, z in zip(slots, recalibrated.z, strict=True)]
+    stand = [min(v / slot.low, slot.high / v) < 1 + AT_LIMIT for v, slot in zip(values, slots, strict=True)]
+    if not any(stand):
+        return []
+    wider = tuple(replace(n, sigma=max(n.sigma, FREE)) if at else n for n, at in zip(numbers, stand, strict=True))
+    freed = fit(problem, replace(recalibrated.structure, numbers=wider), recalibrated.z, recalibrated.starts, most=20)
+    error = judge.held_out_error(held, freed)
+    if error > judge.AT_FLOOR:
+        return []
+    reached = [slot.value(z) for slot, z in zip(freed.structure.slots, freed.z, strict=True)]
+    far = [(n, value) for n, value, at in zip(numbers, reached, stand, strict=True) if at]
+    names = " and ".join(f"{n.parameter} of {n.at} ({value:.3g} for {n.value:.3g} {n.unit})" for n, value in far)
+    priors = " ".join(f"--prior {n.key}={n.value:g}+-{n.value:g}" for n, _ in far)
+    return [
+        f"Without any new physics {names} would explain these recordings too, to {error:.3g} times the noise; that is "
+        f"further off than a number of its kind is taken to be. If it may be, say so: {priors}."
+    ]
+
+
+def step_shift(final: Fit, problem: Problem) -> Array:
+    """How far each mapped number is off because steps have a length, (p,).
+
+    Twice what it would move by if they were halved, as errors of first order do; bristles and contacts have such. It
+    is told from what halved steps change in the predictions.
+    """
+    if not len(final.z):
+        return np.zeros(0)
+    fine = replace(problem, finer=2 * problem.finer)
+    change = final.raw - residual(fine, predict(fine, final.structure, [final.z], final.starts[None])[0])
+    change = change.reshape(len(change), -1)
+    w = 1.0 / (typical(final.mse) + final.mse + np.sum(change**2, axis=1) / problem.counts) / problem.counts
+    prior = np.diag([1 / slot.sigma**2 for slot in final.structure.slots]) / problem.counts.mean() * w.sum()
+    curvature = np.einsum("n,nij->ij", w, final.quadratics.A) + prior
+    # A Jacobian that starts have been eliminated from leaves out of the change what they could explain.
+    slope = np.einsum("n,nmk,nm->k", w, final.jacobian[:, : change.shape[1]], change)
+    return np.asarray(2 * np.abs(np.linalg.pinv(curvature, hermitian=True) @ slope))
+
+
+def choice_shift(fitted: Fit, others: Sequence[Fit]) -> Array:
+    """How far each mapped number moves if other own numbers were wrong than those that changed, (p,).
+
+    Args:
+        fitted: with the fewest own numbers changed.
+        others: with as many others changed, that predict as well.
+    """
+    shift = np.zeros(len(fitted.z))
+    for other in others:
+        known = {slot.key: z for slot, z in zip(other.structure.slots, other.z, strict=True)}
+        there = np.array([known.get(slot.key, 0.0) for slot in fitted.structure.slots])  # nominal numbers map to zero
+        shift = np.maximum(shift, np.abs(there - fitted.z))
+    return shift
+
+
+def missing_effects(search: Search, found: Conclusion, errors: Errors, verdict: str, wide: Array) -> list[Missing]:
+    """The effects that a search came to, the strongest first.
+
+    Args:
+        search: that has run.
+        found: what it came to.
+        errors: on held-out windows.
+        verdict: see `judge.verdict`.
+        wide: half widths of the intervals of the mapped numbers, (p,).
+    """
+    final = found.fitted
+    missing = []
+    for term in final.structure.terms:
+        units = improve.place_units(final.structure, term)
+        sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
+        # With structure left, an interval would tell how sure a wrong model is of its number; what happened once
+        # leaves no blocks to resample.
+        known = wide if verdict == "explained" and not term.effect.once else np.full(len(final.z), np.inf)
+        rivals = [one for one in found.rivals[term.key] if _name(one.term) != _name(term)]
+        tried = sorted((_rival(rival, search.held, errors) for rival in rivals), key=lambda one: one["held_out"])
+        missing.append(
+            Missing(
+                term.effect.name,
+                term.at,
+                sentence,
+                judge.share(search, final, term.key),
+                _parameters(final, term, units, known),
+                tuple(_each_once([_name(rival.term) for rival in rivals if rival.same])),
+                tuple(_each_once(tried)),
+                term.effect.needs_loader,
+            )
+        )
+    return sorted(missing, key=lambda one: -one.share)
+
+
+def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[str, dict[str, Any]]:
+    """Numbers of an effect with units and 90 % intervals of +- `wide` mapped numbers (p,), where that is finite."""
+    parameters: dict[str, dict[str, Any]] = {}
+    names = {f"{term.key}.{p.name}": p.name for p in term.effect.parameters}
+    for slot, z, half in zip(final.structure.slots, final.z, wide, strict=True):
+        if slot.key not in names:
+            continue
+        name = names[slot.key]
+        parameters[name] = {"value": slot.value(z), "unit": units[name]}
+        if np.isfinite(half):
+            low, high = sorted((slot.value(z - half), slot.value(z + half)))
+            parameters[name] |= {"low": low, "high": high, "level": 0.9}
+    return parameters
+
+
+def _rival(rival: judge.Rival, held: Problem, errors: Errors) -> dict[str, Any]:
+    """One of the other effects that were tried, with its error on held-out data relative to the nominal model's."""
+    return {
+        **_name(rival.term),
+        "held_out": round(judge.held_out_error(held, rival.fitted) / max(errors.nominal, 1e-12), 6),
+        "ruled_out": rival.ruled_out,
+    }
+
+
+def _name(term: Term) -> dict[str, str]:
+    """What an effect is called, whichever of its laws it follows, and where it acts."""
+    return {"effect": term.effect.name, "at": term.at}
+
+
+def _each_once(named: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Of several laws of one effect at one place the first."""
+    kept: dict[tuple[str, str], dict[str, Any]] = {}
+    for one in named:
+        kept.setdefault((one["effect"], one["at"]), one)
+    return list(kept.values())
+
+
+def with_unknown(
+    missing: list[Missing], errors: Errors, search: Search, final: Fit, joints: Sequence[str]
+) -> list[Missing]:
+    """Add what no effect of the catalogue explains; first, if what was found merely stands in for it."""
+    left = max(errors.improved - 1, 0.0) / max(errors.recalibrated - 1, 1e-9)
+    place = judge.locate(search.look(final), joints)[0]
+    unknown = Missing(
+        "unknown",
+        place.at,
+        f"Something acts at {place.at} that no effect in the catalogue accounts for; it {sentences.verb(place.where)}.",
+        float(np.clip(left, 0, 1)),
+    )
+    return [unknown, *missing] if not missing or left > judge.STANDS_IN else [*missing, unknown]

@@ -1,0 +1,283 @@
+"""Judge a finished search: how sure each number is, what could stand in an effect's place, and the verdict."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from dipc_gym.sim2real.estimation.evidence import Scene
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.model.structure import Structure, Term, names
+from dipc_gym.sim2real.selection.ranking import AT_FLOOR
+from dipc_gym.sim2real.selection.score import WORTH, compare
+from dipc_gym.sim2real.selection.screen import Tried, excludes
+from dipc_gym.sim2real.selection.search import Search
+
+Array = NDArray[np.float64]
+
+SURE = 0.95  # quantile to which an interval reaches on either side: 90 % lie within
+FEWEST_BLOCKS = 3  # that tell how much a number depends on which of them there are
+SMALL = 1e-3  # of the motion within a window: a smaller mismatch is called missing physics only if it has a pattern
+PATTERN = 0.1  # share of the variance of the unexplained force that goes with something, from which it has one
+REFUTED = 1.05  # times the error on held-out data without an effect, from which it is not named after all
+STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect in the place of one that was chosen.
+
+    Attributes:
+        term: what was tried instead.
+        fitted: the structure with it; to a few windows only, where that was enough to rule it out.
+        same: whether it is the same model here: at the noise, and no window tells the two apart.
+        ruled_out: whether it predicts clearly worse.
+        better: whether it predicts clearly better.
+    """
+
+    term: Term
+    fitted: Fit
+    same: bool
+    ruled_out: bool
+    better: bool = False
+
+
+def unseen_error(search: Search, fitted: Fit) -> float:
+    """Root mean square error on windows between the fitted ones, in units of noise."""
+    return float(np.sqrt(np.mean(search.unseen_mse(fitted))))
+
+
+def intervals(fitted: Fit, problem: Problem) -> Array:
+    """Half widths of 90 % intervals of the mapped numbers, (p,), from blocks of a second, whatever is left over.
+
+    The delete-one jackknife over blocks: correlation within a block is allowed for, a wrong model is not. Where few
+    blocks carry most of what is known of a number, it is wider than the sandwich estimator, which is then too narrow
+    (MacKinnon and White 1985). On the windows' quadratics it costs no simulation. Infinite where there are too few
+    blocks, or where no reading depends on a number.
+    """
+    q, counts = fitted.quadratics, problem.counts
+    if not len(fitted.z):
+        return np.zeros(0)
+    w = weights(fitted.mse) / counts
+    prior = np.diag([1 / slot.sigma**2 for slot in fitted.structure.slots]) / counts.mean() * w.sum()
+    _, block = np.unique(problem.blocks, return_inverse=True)
+    count, p = int(block.max()) + 1, len(fitted.z)
+    if count < FEWEST_BLOCKS:
+        return np.full(p, np.inf)
+    curvature, slope = np.zeros((count, p, p)), np.zeros((count, p))
+    np.add.at(curvature, block, w[:, None, None] * q.A)
+    np.add.at(slope, block, w[:, None] * q.b)
+    rest = np.linalg.pinv(curvature.sum(axis=0) + prior - curvature, hermitian=True)
+    moved = np.einsum("bij,bj->bi", rest, slope)
+    half = stdtrit(count - 1, SURE) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0))
+    told = np.einsum("nii->i", q.A) > 1.0  # else doubling a number would change less than the noise of one reading
+    return np.where(told, half, np.inf)
+
+
+def share(search: Search, full: Fit, key: str) -> float:
+    """How much of the improvement over the recalibrated model is lost without one effect, all else refitted."""
+    if len(full.structure.terms) == 1:
+        return 1.0
+    best, worst = unseen_error(search, full), unseen_error(search, search.path[0])
+    without = unseen_error(search, search.without(full, key))
+    return float(np.clip((without - best) / max(worst - best, 1e-9), 0.0, 1.0))
+
+
+def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
+    """Try other effects in the place of one.
+
+    Those that came close in its round, those it is mistaken for, a single effect that stands for it and another one,
+    and two that stand for it alone.
+    """
+    error = unseen_error(search, full)
+    found: list[Rival] = []
+    search.remember(full)
+    for others, structure, before in _stand_ins(search, full, term, provisional=error > AT_FLOOR):
+        swapped = before.fitted if before else search.remembered(structure)
+        if swapped is None:
+            sketch = before.sketch if before else search.sketch(full, structure)
+            if sketch is None:
+                continue
+            if search.behind(sketch, full):
+                if len(others) == 1:
+                    found.append(Rival(others[0], sketch, same=False, ruled_out=True))
+                continue
+            swapped = search.full(full, sketch)
+        if swapped is None:
+            continue
+        search.remember(swapped)
+        difference = search.compare(full, swapped)
+        reached = unseen_error(search, swapped)
+        close = difference.alike and difference.gain < 5 * WORTH
+        same = close and difference.gain < WORTH and reached < max(AT_FLOOR, 1.02 * error)
+        better = len(others) == 1 and _better(search, swapped, full)
+        if same or len(others) == 1:
+            found += [Rival(other, swapped, same, not close, better) for other in others]
+    return found
+
+
+def _better(search: Search, swapped: Fit, full: Fit) -> bool:
+    """Whether a rival predicts clearly better; at the noise, with no more numbers, beyond chance is enough."""
+    gained = search.compare(swapped, full)
+    if gained.clear:
+        return search.confirmed(swapped, full)
+    closely = unseen_error(search, swapped) < AT_FLOOR and len(swapped.z) <= len(full.z)
+    unseen = compare(search.unseen_mse(swapped), search.unseen_mse(full), search.unseen.blocks)
+    return closely and gained.told and unseen.gain > 0
+
+
+def _stand_ins(
+    search: Search, full: Fit, term: Term, *, provisional: bool
+) -> Iterator[tuple[list[Term], Structure, Tried | None]]:
+    """Effects to try in the place of one, the structure with them, and what its round made of it if it was tried.
+
+    Where structure is left, names are provisional, and telling them from what promised little is worth less.
+    """
+    everything = {t.key: t for round_ in search.rounds for t in round_}
+    own = next((r for r in search.rounds if any(t.key == term.key and t.fitted for t in r)), [])
+    present = {x.key for x in full.structure.terms}
+    listed = set(term.effect.rivals)
+    others = [
+        t
+        for t in own
+        if t.key not in present
+        and term.effect.id not in t.term.effect.contains
+        and (t.fitted is not None or (t.term.effect.id in listed and (t.sketch is not None or not provisional)))
+    ]
+    others.sort(key=lambda t: (t.score, -t.promise))
+    rest = full.structure.without(term.key)
+    fitting = (
+        t for t in others if not any(t.term.at == x.at and excludes(x.effect, t.term.effect) for x in rest.terms)
+    )
+    for other in itertools.islice(fitting, 3 if provisional else 5):
+        structure = rest.with_term(other.term)
+        same = other.sketch is not None and set(names(other.sketch.structure.terms)) == set(names(structure.terms))
+        yield [other.term], structure, other if same else None
+    for tried in everything.values():
+        inside = [
+            t for t in full.structure.terms if t.at == tried.term.at and t.effect.id in tried.term.effect.contains
+        ]
+        if len(inside) > 1 and term.key in {t.key for t in inside}:
+            yield [tried.term], full.structure.with_term(tried.term), None
+    parts = [everything.get(f"{inner}@{term.at}") for inner in term.effect.contains]
+    if len(parts) > 1 and all(part is not None and part.key not in present for part in parts):
+        terms = [part.term for part in parts if part is not None]
+        yield terms, functools.reduce(Structure.with_term, terms, rest), None
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where a mismatch sits.
+
+    Attributes:
+        at: joint.
+        share: of the unexplained force, each joint's measured by what it transmits.
+        where: region, in words.
+        explained: share of the variance of its unexplained force that goes with one of velocity, position, load, time.
+    """
+
+    at: str
+    share: float
+    where: str
+    explained: float
+
+    @property
+    def has_pattern(self) -> bool:
+        """Whether the unexplained force goes with anything."""
+        return self.explained >= PATTERN
+
+
+def locate(scene: Scene, joints: Sequence[str]) -> list[Located]:
+    """Which joints carry the unexplained force, and in which region of motion; the largest share first."""
+    size = np.sqrt(np.mean(scene.force**2, axis=0))
+    scale = np.sqrt(np.mean(scene.load**2, axis=0)) + 0.05 * np.sqrt(np.mean(scene.load**2, axis=0)).max() + 1e-12
+    power = (size / scale) ** 2
+    total = float(power.sum()) or 1.0
+    found = [Located(joint, float(power[j] / total), *_region(scene, j)) for j, joint in enumerate(joints)]
+    return sorted(found, key=lambda x: -x.share)
+
+
+def _region(scene: Scene, j: int) -> tuple[str, float]:
+    """What the unexplained force at a joint goes with, and how far: the quantity whose bins explain most of it."""
+    force = scene.force[:, j]
+    if not np.any(force):
+        return "nowhere", 0.0
+    v, q, load, t = scene.velocity[:, j], scene.position[:, j], scene.load[:, j], scene.time
+    explained = {
+        name: _explained(force, quantity)
+        for name, quantity in (("velocity", v), ("position", q), ("load", load), ("time", t))
+    }
+    best = max(explained, key=lambda name: explained[name])
+    most, percent = explained[best], f"{100 * explained[best]:.0f} % of its variance"
+    if most < PATTERN:
+        return "spread over position, velocity, load and time alike", most
+    if best != "velocity":
+        return f"goes with {best} ({percent})", most
+    slow = np.abs(v) < 0.2 * np.std(v)
+    forward, backward = force[~slow & (v > 0)], force[~slow & (v < 0)]
+    step = abs(float(np.mean(forward) - np.mean(backward))) if len(forward) and len(backward) else 0.0
+    slope = abs(float(np.polyfit(v, force, 1)[0])) * 2 * float(np.std(v))
+    if step > 1.5 * slope or np.mean(np.abs(force[slow])) > 1.3 * np.mean(np.abs(force[~slow])):
+        return f"changes sign with velocity, at reversals ({percent})", most
+    return f"grows with velocity ({percent})", most
+
+
+def _explained(force: Array, quantity: Array, bins: int = 24) -> float:
+    """Share of the variance of the force between bins of a quantity (correlation ratio)."""
+    edges = np.quantile(quantity, np.linspace(0, 1, bins + 1)[1:-1])
+    which = np.searchsorted(edges, quantity)
+    counts = np.bincount(which, minlength=bins)
+    means = np.bincount(which, force, minlength=bins) / np.maximum(counts, 1)
+    variance = float(np.var(force))
+    return float(np.sum(counts * (means - np.mean(force)) ** 2) / len(force) / variance) if variance > 0 else 0.0
+
+
+def negligible(recalibrated: float, motion: float, located: Located) -> bool:
+    """Whether a mismatch beyond the noise is not worth a name: small beside the motion, and without a pattern.
+
+    Real recordings always hold a little structure beyond noise, and the best of dozens of effects takes up some of it.
+
+    Args:
+        recalibrated: error of the refitted model, in units of noise.
+        motion: within a window, in units of noise.
+        located: where the mismatch sits, the joint that carries most of it.
+    """
+    return recalibrated < SMALL * motion and not located.has_pattern
+
+
+def refuted(without: float, error: float) -> bool:
+    """Whether held-out data speak against an effect: they are predicted clearly worse than without it."""
+    return error > AT_FLOOR and error > REFUTED * without
+
+
+def held_out_error(held: Problem, fitted: Fit) -> float:
+    """Root mean square error on held-out windows, in units of noise."""
+    mse, _ = evaluate(held, fitted.structure, fitted.z)
+    return float(np.sqrt(np.mean(mse)))
+
+
+def verdict(errors: Sequence[float], small: bool, terms: int, changed: int) -> str:
+    """The verdict from errors on held-out windows, in units of noise.
+
+    Args:
+        errors: of the model as given, of the recalibrated and of the improved one.
+        small: whether what refitted numbers leave is `negligible`.
+        terms: how many effects were found.
+        changed: how many own numbers had to change.
+    """
+    nominal, recalibrated, improved = errors
+    if terms:
+        return "explained" if improved <= AT_FLOOR else "partly explained"
+    if nominal <= AT_FLOOR:
+        return "consistent"
+    if recalibrated <= AT_FLOOR or small:
+        better = nominal - recalibrated > 0.2 * (nominal - 1)
+        return "recalibrated" if changed and better else "consistent"
+    return "unexplained"

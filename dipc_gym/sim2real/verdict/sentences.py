@@ -1,0 +1,166 @@
+"""A diagnosis in plain words: what is missing, what is left, what to record next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from dipc_gym.sim2real.model.parameters import Number
+from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.result import Errors, Missing
+from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.verdict.conventions import Convention
+
+
+def verb(where: str) -> str:
+    """What the unexplained force does, as the end of a sentence."""
+    return where if where.startswith(("goes", "grows", "changes")) else f"is {where}"
+
+
+def in_one_sentence(
+    verdict: str, missing: Sequence[Missing], changed: Sequence[dict[str, Any]], errors: Errors, *, others: bool = False
+) -> str:
+    """What happened, in words that a rig's owner understands.
+
+    Args:
+        verdict: see `judge.verdict`.
+        missing: effects that were found.
+        changed: own numbers that had to change.
+        errors: on held-out windows, in units of noise.
+        others: whether other numbers would have done as well.
+    """
+    goes = "falls" if errors.improved < errors.nominal else "goes"
+    fall = f"On held-out data the error {goes} from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
+    known = " ".join(m.sentence for m in missing if m.effect != "unknown")
+    rest = ""
+    if errors.improved > ranking.AT_FLOOR:
+        rest = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
+    if verdict == "consistent":
+        return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.3g} times the noise.{rest}"
+    if verdict == "recalibrated":
+        names = ", ".join(f"{c['parameter']} of {c['at']}" for c in changed)
+        instead = " (or others, which predict as well: see the notes)" if others else ""
+        return f"No physics is missing; wrong numbers were: {names}{instead}. {fall}.{rest}"
+    if verdict == "explained":
+        return f"The model lacks this: {known} {fall}; what is left looks like noise."
+    if verdict == "partly explained":
+        return f"{known} That helps, but structure is left that no known effect accounts for. {fall}."
+    return f"{missing[0].sentence if missing else ''} {fall}.".strip()
+
+
+def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = False) -> str:
+    """What to record to settle what is left.
+
+    Args:
+        verdict: see `judge.verdict`.
+        missing: effects that were found.
+        others: whether other own numbers than those that changed would have done as well.
+    """
+    open_ = [(m, s) for m in missing for s in m.same_here]
+    if open_:
+        m, s = open_[0]
+        return (
+            f"On this rig with this data {m.effect} at {m.at} and {s['effect']} at {s['at']} are one model. To tell "
+            "them apart, record what moves one and not the other: other speeds, other positions, another load, or a "
+            "second sensor."
+        )
+    doubt = [(m, r) for m in missing for r in m.rivals if not r["ruled_out"]]
+    if doubt:
+        m, r = doubt[0]
+        return (
+            f"{r['effect']} at {r['at']} predicts nearly as well as {m.effect} at {m.at}. Record slow reversals and "
+            "fast steps over the whole range for a minute."
+        )
+    if verdict in ("partly explained", "unexplained"):
+        return (
+            "Repeat one short command many times over several minutes, at rest in between: what changes from one time "
+            "to the next depends on time or temperature, what does not depends on the state."
+        )
+    if others:
+        return (
+            "Which of the model's numbers were wrong is open (see the notes): weigh or measure one of them and say so "
+            "with --fix or --prior."
+        )
+    return "Nothing is open. Record again when the rig is changed."
+
+
+def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
+    """Notes where predictions and forces disagree on whether the improved model is better."""
+    notes = []
+    for at, e in force.items():
+        if errors.improved < 0.9 * errors.recalibrated and e.improved > 1.1 * e.recalibrated:
+            better, worse = "predicts motion better", "forces"
+        elif errors.improved > 1.1 * errors.recalibrated and e.improved < 0.9 * e.recalibrated:
+            better, worse = "explains forces better", "motion"
+        else:
+            continue
+        notes.append(
+            f"The improved model {better} than the recalibrated one, but {worse} at {at} worse on the same held-out "
+            f"data (force error {100 * e.recalibrated:.3g} to {100 * e.improved:.3g} %, prediction error "
+            f"{errors.recalibrated:.3g} to {errors.improved:.3g} times the noise)."
+        )
+    return notes
+
+
+def own_step(step: float, fine: float) -> str:
+    """Note on recordings that the model predicts as it steps, and not as it would move; the error of fine steps."""
+    return (
+        f"At its own step of {1e3 * step:g} ms and with its integrator the model predicts these recordings to the "
+        f"noise, in fine steps to {fine:.3g} times the noise: they look simulated at that step, and are judged at it."
+    )
+
+
+def conventions(found: Sequence[Convention], given: float, error: float) -> tuple[str, str]:
+    """Why nothing can be told of recordings that count otherwise than the model, and what to do.
+
+    Args:
+        found: conventions any one of which would mend it.
+        given: error of the model as given, in units of noise.
+        error: with a convention changed.
+    """
+    reason = (
+        f"they seem to {', or to '.join(one.words for one in found)} (with that changed, the model as given is off by "
+        f"{error:.3g} times the noise instead of {given:.3g})"
+    )
+    mend = ", or ".join(dict.fromkeys(one.mend for one in found))
+    return reason, f"{mend[0].upper()}{mend[1:]}, and diagnose again: whatever is fitted over that is nonsense."
+
+
+def other_numbers(changed: Sequence[dict[str, Any]], others: Sequence[Sequence[Number]]) -> list[str]:
+    """Note on own numbers that may have been wrong in place of those that were changed."""
+    if not changed or not others:
+        return []
+    names = " and ".join(f"{one['parameter']} of {one['at']}" for one in changed)
+    instead = "; ".join(" and ".join(f"{number.parameter} of {number.at}" for number in other) for other in others)
+    return [
+        f"These recordings do not tell whether {names} had to change, or others that predict as well: {instead}. Weigh "
+        "or measure one of them and say so with --fix."
+    ]
+
+
+def refutation(terms: Sequence[Term], before: float, after: float) -> str:
+    """Note on effects that fit the recordings and fail on held-out data, with the errors there, in units of noise."""
+    return (
+        f"{' and '.join(term.key for term in terms)} would explain the recordings that were fitted, but held-out data "
+        f"speak against it (the error rises from {before:.3g} to {after:.3g} times the noise), "
+        "so it is not named."
+    )
+
+
+def not_alone(term: Term, left: float) -> str:
+    """Note on what is told by when it acts, where more is left; the error on held-out data, in units of noise."""
+    return (
+        f"{term.key} would explain a part, but it is told from other causes by when it acts alone, and held-out data "
+        f"hold more that it does not explain ({left:.3g} times the noise); that may have the same cause, so it is not "
+        "named."
+    )
+
+
+def too_little(terms: Sequence[Term], before: float, after: float) -> str:
+    """Note on effects that leave much of the mismatch, with the errors on held-out data, in units of noise."""
+    left = 100 * (after - 1) / (before - 1)
+    return (
+        f"{' and '.join(term.key for term in terms)} would take up part of the mismatch (the error on held-out data "
+        f"falls from {before:.3g} to {after:.3g} times the noise), but {left:.0f} % of it is left; what "
+        "causes that may cause this part too, so it is not named."
+    )

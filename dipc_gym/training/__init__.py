@@ -1,0 +1,1 @@
+"""Training of policies: one, or a sweep of them."""

@@ -1,0 +1,445 @@
+"""Training of balancing policies with stable-baselines3: progress, checkpoints, and going on after a kill.
+
+Training is cut into stages, each with fresh episodes and a random state of its own, made from the seed and the number
+of the stage. A checkpoint stands at the end of each, so a training that was killed and goes on gives the same policy
+as one that was not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import math
+import shutil
+import time
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import ENV_ID, compensators
+from dipc_gym.compensators import Compensator, OutOfRangeWarning
+from dipc_gym.experiments import cells
+from dipc_gym.files import write_whole
+from dipc_gym.plant import Plant
+from dipc_gym.policy import Evaluation, Policy
+from dipc_gym.runs import identify
+
+Array = NDArray[np.float64]
+Algorithm = Literal["ppo", "sac"]
+
+SCHEMA = "dipc-gym/training/1"
+WATCHED, REPORTED = 10_000, 20_000  # first seeds of the runs that choose the policy, and of those that judge it
+LOOKS = 8  # how often in a training the policy is tried
+RUNS, SECONDS = 10, 80.0  # of every trial
+FILES = ("training.json", "checkpoint.pt", "policy.json", "compensator.json", "curve.csv")
+
+
+class TrainingError(ValueError):
+    """A training that cannot be started or continued; the message says what to do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """How an algorithm learns; the values were found on seeds from 100 on.
+
+    Attributes:
+        steps: control periods of the whole training.
+        rigs: environments side by side.
+        stage: control periods of one rig between two checkpoints; 12,000 are 60 s.
+        hold: control periods that a command lasts while it learns; the policy then commands anew in each. SAC learns
+            from what a single command does to the value; in 5 ms that probably drowns in the error of the value.
+        exact_state: learn from the simulation's state instead of encoder readings, on which the policy then acts. A
+            command that lasts has nothing to average the steps of an encoder, and the rates worked out from these are
+            mostly steps.
+        rate: learning rate at the start; it falls linearly to a twentieth.
+        gamma: discount of a control period.
+        reward: factor on the environment's reward, which keeps the value near 1.
+        batch: size of a minibatch.
+        width: of the two hidden layers.
+        rollout: PPO: periods of each rig before an update.
+        epochs: PPO: passes over a rollout.
+        trace: PPO: lambda of the advantage estimate.
+        first_spread: PPO: logarithm of the first standard deviation of the commands, in shares of the limit.
+        buffer: SAC: commands that are remembered, with what came of them.
+        warm_up: SAC: random commands at the start.
+        updates: SAC: gradient steps for one command to each rig.
+        follow: SAC: share by which the target networks approach the critics at every gradient step.
+        first_entropy: SAC: first weight of entropy beside the scaled reward.
+    """
+
+    steps: int = 768_000
+    rigs: int = 32
+    stage: int = 12_000
+    hold: int = 1
+    exact_state: bool = False
+    rate: float = 5e-4
+    gamma: float = 0.995
+    reward: float = 0.02
+    batch: int = 1_000
+    width: int = 64
+    rollout: int = 250
+    epochs: int = 10
+    trace: float = 0.98
+    first_spread: float = -1.0
+    buffer: int = 300_000
+    warm_up: int = 5_000
+    updates: int = 1
+    follow: float = 0.01
+    first_entropy: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "rigs", "stage", "hold", "batch", "width", "rollout", "epochs", "buffer", "updates"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise TrainingError(f"{name} is {value!r}; it must be a whole number above zero")
+
+
+RECIPES: dict[str, Recipe] = {
+    "ppo": Recipe(),
+    "sac": Recipe(
+        steps=192_000,
+        rigs=16,
+        stage=8_000,
+        hold=8,
+        exact_state=True,
+        rate=1e-3,
+        gamma=0.9975,
+        reward=0.05,
+        batch=256,
+        warm_up=2_000,
+        updates=16,
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """What is trained, on which rig.
+
+    Attributes:
+        algorithm: `"ppo"` or `"sac"`.
+        compensator: registered name, identified on a simulated run of the rig, or a saved one (`.json`). With `none`
+            the policy commands the voltage itself.
+        seed: of weights, exploration, starting states and identification.
+        limit: largest force that the policy may command, N; for voltage, what exerts it on the blocked cart.
+        plant: file of the rig's plant; None is the default rig. Numbers may be distributions.
+        model: MJCF file of the rig; None is the package's.
+        recipe: how; None is the algorithm's own.
+
+    Raises:
+        TrainingError: something that cannot be.
+    """
+
+    algorithm: Algorithm = "ppo"
+    compensator: str = "llnf"
+    seed: int = 0
+    limit: float = 60.0
+    plant: str | None = None
+    model: str | None = None
+    recipe: Recipe = dataclasses.field(default_factory=Recipe)
+
+    def __post_init__(self) -> None:
+        if self.algorithm not in RECIPES:
+            raise TrainingError(f"there is no algorithm {self.algorithm!r}; there are {', '.join(RECIPES)}")
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise TrainingError(f"the seed is {self.seed!r}; it must be a whole number, zero or more")
+        if not (math.isfinite(self.limit) and self.limit > 0):
+            raise TrainingError(f"the limit is {self.limit}; it must be a number of newtons above zero")
+        if not self.compensator.endswith(".json"):
+            compensators.registry.kind(self.compensator)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What `training.json` holds, without the digests of the files that are named."""
+        return {"schema": SCHEMA, **dataclasses.asdict(self)}
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Where a policy acts: the environment, behind a compensator or not.
+
+    Attributes:
+        compensator: what stands in front, and None where the policy commands the voltage.
+        name: of the compensator.
+        limit: largest command, N or V.
+        newtons_per_volt: the motor's gain.
+        plant: as the environment takes it.
+        model: MJCF file, or None.
+    """
+
+    compensator: Compensator | None
+    name: str
+    limit: float
+    newtons_per_volt: float
+    plant: str | None = None
+    model: str | None = None
+
+    @classmethod
+    def of(cls, training: Training) -> Rig:
+        """Identify a rig and fit its compensator.
+
+        Raises:
+            ValueError: plant, model or compensator cannot be used.
+        """
+        env: Any = gymnasium.make(ENV_ID, plant=training.plant, model=training.model).unwrapped
+        plant: Plant = env.plant
+        identified = identify(plant, model=training.model, seed=training.seed)
+        compensator = identified.fit(training.compensator, seed=training.seed)
+        gain = identified.cart.constants.newtons_per_volt
+        direct = compensator.name == "none"
+        return cls(
+            None if direct else compensator,
+            compensator.name,
+            min(training.limit / gain, plant.supply) if direct else training.limit,
+            gain,
+            training.plant,
+            training.model,
+        )
+
+    def many(self, count: int, steps: int | None, *, exact_state: bool = False) -> Any:
+        """So many of them, reset as soon as they end."""
+        from dipc_gym.wrappers import VectorForceCommand
+
+        envs = gymnasium.make_vec(
+            ENV_ID,
+            num_envs=count,
+            vectorization_mode="vector_entry_point",
+            plant=self.plant,
+            model=self.model,
+            exact_state=exact_state,
+            max_episode_steps=steps,
+            autoreset_mode="SameStep",
+            threads=1,  # the other core is for another training
+        )
+        return envs if self.compensator is None else VectorForceCommand(envs, self.compensator)
+
+
+def evaluate(
+    policy: Policy, rig: Rig, *, runs: int = RUNS, seconds: float = SECONDS, first_seed: int = REPORTED
+) -> Evaluation:
+    """Let a policy balance a rig, all runs side by side.
+
+    Args:
+        policy: what commands.
+        rig: what is balanced.
+        runs: how many, with starting states of their own.
+        seconds: length of a run, s.
+        first_seed: of the first run, the others counting up.
+
+    Raises:
+        ControllerError: the policy was trained with another compensator.
+    """
+    policy.require(rig.name)
+    envs = rig.many(runs, None)
+    period = envs.unwrapped.plant.control_period
+    steps = round(seconds / period)
+    standing, held, returns = np.ones(runs, dtype=bool), np.full(runs, steps), np.zeros(runs)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OutOfRangeWarning)
+        observations, _ = envs.reset(seed=first_seed)
+        for k in range(steps):
+            observations, rewards, fell, _, _ = envs.step(policy.command(observations)[:, None])
+            returns[standing] += rewards[standing]
+            held[standing & fell] = k + 1
+            standing &= ~fell
+            if not standing.any():
+                break
+    envs.close()
+    times = tuple(seconds if up else h * period for up, h in zip(standing, held.tolist(), strict=True))
+    seeds = tuple(range(first_seed, first_seed + runs))
+    return Evaluation(seconds, seeds, times, float(np.median(returns / steps)))
+
+
+# ------------------------------------------------------------------------------------------------ the training
+
+
+@dataclass(frozen=True)
+class Look:
+    """How the policy did at one moment of its training.
+
+    Attributes:
+        steps: control periods so far.
+        seconds: of wall time so far, trials included.
+        standing: runs out of ten that stood for 80 s.
+        held: median time that runs lasted, s.
+        reward: median over the runs of return over the largest possible.
+    """
+
+    steps: int
+    seconds: float
+    standing: int
+    held: float
+    reward: float
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """What the best policy has the most of."""
+        return self.standing, self.reward
+
+
+def run(
+    training: Training, out: str | Path, *, resume: bool = False, overwrite: bool = False, quiet: bool = False
+) -> Policy:
+    """Train a policy and leave it in a folder.
+
+    The folder gets `policy.json` (the best so far, by ten runs of 80 s at eight moments of the training), `curve.csv`
+    (these trials), `compensator.json`, `training.json`, `tensorboard/` and `checkpoint.pt`, which is replaced at the
+    end of every stage, and whole at any moment.
+
+    Args:
+        training: what to train.
+        out: the folder, new or empty.
+        resume: go on from the folder's checkpoint; the training must be the same. Without a checkpoint, from the start.
+        overwrite: replace what an earlier training left in the folder.
+        quiet: show no progress bar.
+
+    Returns:
+        The best policy, judged by ten runs that did not choose it.
+
+    Raises:
+        TrainingError: the folder's training is another, or its checkpoint is broken.
+        FileExistsError: the folder is not empty, and neither `resume` nor `overwrite` is set.
+        OSError: the disk is full; the last checkpoint is whole.
+        KeyboardInterrupt: the last checkpoint is whole.
+        ImportError: stable-baselines3 or torch is not installed.
+    """
+    try:
+        from dipc_gym.training.learner import Learner
+    except ImportError as missing:
+        raise ImportError(
+            f"training a policy needs {missing.name}: pip install -e '.[rl]' in the checkout"
+        ) from missing
+    from tqdm import tqdm
+
+    rig = Rig.of(training)
+    out = _folder(training, Path(out), resume=resume, overwrite=overwrite)
+    learner = Learner(training, rig, out / "tensorboard")
+    looks: list[Look] = []
+    if resume and (out / "checkpoint.pt").exists():
+        looks = restore(learner, out / "checkpoint.pt")
+    elif rig.compensator is not None:
+        compensators.save(rig.compensator, out / "compensator.json")
+    recipe = training.recipe
+    began = time.monotonic() - (looks[-1].seconds if looks else 0.0)
+    every = math.ceil(recipe.steps / LOOKS)
+    bar = tqdm(total=recipe.steps, initial=learner.steps, desc="train", unit=" periods", unit_scale=True, disable=quiet)
+
+    def watch() -> None:
+        bar.update(learner.steps - bar.n)
+        if learner.steps >= every * (len(looks) + 1) and learner.steps < recipe.steps:
+            look()
+
+    def look() -> None:
+        policy = learner.policy()
+        found = evaluate(policy, rig, runs=RUNS, first_seed=WATCHED)
+        best = max((past.rank for past in looks), default=(-1, 0.0))
+        seconds = round(time.monotonic() - began, 1)
+        looks.append(Look(learner.steps, seconds, found.standing, float(np.median(found.held)), found.reward))
+        _write_curve(looks, out)
+        if looks[-1].rank > best:
+            dataclasses.replace(policy, evaluation=found).save(out / "policy.json")
+        learner.log({"eval/standing": found.standing, "eval/reward": found.reward})
+        bar.set_postfix_str(f"{found.standing} of {RUNS} stood, reward {found.reward:.3f}")
+
+    try:
+        while learner.steps < recipe.steps:
+            learner.learn(learner.steps // (recipe.stage * recipe.rigs), watch)
+            if learner.steps >= recipe.steps:
+                look()
+            _checkpoint(learner, looks, out)
+    except OSError as error:
+        said = f"{error.strerror} after {learner.steps:,} control periods; the last checkpoint is whole"
+        raise OSError(error.errno, f"{said}: make room, then --resume", str(out)) from error
+    finally:
+        bar.close()
+    best = Policy.load(out / "policy.json")
+    best = dataclasses.replace(best, evaluation=evaluate(best, rig, runs=RUNS))
+    best.save(out / "policy.json")
+    return best
+
+
+def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> Path:
+    """Make the folder, clear it, or see that it holds this training."""
+    note = out / "training.json"
+    files = cells.fingerprints(training.compensator, training.plant, training.model)
+    wanted = json.loads(json.dumps({**training.to_dict(), "files": files}))
+    if resume and note.exists():
+        try:
+            there = json.loads(note.read_bytes())
+            flat, other = _flat(wanted), _flat(there)
+            kept = dict(there.get("files", {}))
+        except (ValueError, AttributeError, LookupError, TypeError, RecursionError):
+            raise TrainingError(f"{note}: cannot be read; start anew with --overwrite") from None
+        for key in flat.keys() | other.keys():
+            if flat.get(key) != other.get(key):
+                raise TrainingError(
+                    f"{note}, {key}: this training was begun with {other.get(key)!r}, not {flat.get(key)!r}; "
+                    "resume with the same, or train into another folder"
+                )
+        for path, digest in files.items():
+            if kept.get(path) != digest:
+                raise TrainingError(
+                    f"{path}: not the file that the training of {note} was begun with; put that back, or train into "
+                    "another folder"
+                )
+        return out
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if not out.is_dir() or not overwrite:
+            raise FileExistsError(
+                f"{out} exists and is not empty; choose another folder, or say --resume or --overwrite"
+            )
+        for name in FILES:
+            (out / name).unlink(missing_ok=True)
+        shutil.rmtree(out / "tensorboard", ignore_errors=True)
+    out.mkdir(parents=True, exist_ok=True)
+    write_whole(note, (json.dumps(wanted, indent=2) + "\n").encode())
+    return out
+
+
+def _flat(training: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in training.items() if key not in ("recipe", "files")} | {
+        f"recipe.{key}": value for key, value in training["recipe"].items()
+    }
+
+
+def _checkpoint(learner: Any, looks: list[Look], out: Path) -> None:
+    """Write where the training stands; what was there stays until the new one is whole."""
+    import torch
+
+    buffer = io.BytesIO()
+    rows = [dataclasses.asdict(look) for look in looks]
+    torch.save({"schema": SCHEMA, "looks": rows, "learner": learner.state()}, buffer)
+    write_whole(out / "checkpoint.pt", buffer.getvalue())
+
+
+def _write_curve(looks: list[Look], out: Path) -> None:
+    rows = [dataclasses.asdict(look) for look in looks]
+    lines = [",".join(rows[0]), *(",".join(map(str, row.values())) for row in rows)]
+    write_whole(out / "curve.csv", "".join(line + "\n" for line in lines).encode())
+
+
+def restore(learner: Any, path: Path) -> list[Look]:
+    """Put a learner where a checkpoint stands, executing nothing in it.
+
+    Returns:
+        The trials so far.
+
+    Raises:
+        TrainingError: it is no checkpoint of this training.
+    """
+    import torch
+
+    try:
+        stored = torch.load(path, map_location="cpu", weights_only=True)
+        if stored["schema"] != SCHEMA:
+            raise TrainingError(f"it is of the form {stored['schema']!r}; this version of dipc-gym writes {SCHEMA!r}")
+        learner.restore(stored["learner"])
+        return [Look(**row) for row in stored["looks"]]
+    except Exception as error:  # whatever a broken or hostile file makes torch raise
+        first = (str(error).splitlines() or [type(error).__name__])[0]
+        raise TrainingError(f"{path}: no checkpoint of this training ({first}); start anew with --overwrite") from None
