@@ -508,6 +508,8 @@ def test_dead_and_clipped_channels_are_noted(tmp_path: Path, model: mujoco.MjMod
     assert "command 'motor' is constant" in noted(tmp_path, model, motor=np.zeros(2000))
     clipped = np.clip(columns["motor"], -20.0, 4.0)
     assert "command 'motor' sits at its highest value, 4," in noted(tmp_path, model, motor=clipped)
+    switched = np.where(np.sin(np.arange(2000) / 90) > 0.2, 5.0, 0.0)
+    assert "sits at" not in noted(tmp_path, model, motor=switched)
     coarse = np.round(np.clip(columns["cart"], -0.08, 1.0) / 2e-5) * 2e-5
     assert "sensor 'cart' sits at its lowest value, -0.08" in noted(tmp_path, model, cart=coarse)
 

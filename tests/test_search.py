@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.selection import data, screen, search
+from dipc_gym.sim2real.selection import data, pairs, screen, search
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.search import Search

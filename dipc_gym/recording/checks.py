@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 ORDERS = range(3, 8)  # of the differences that remove the motion
 FEWEST = 10  # samples that noise can be estimated from
 BLOCK = 32  # samples over which the differences are averaged before the median is taken
+SWITCHED = 0.95  # share of samples at either extreme from which a channel is switched between two levels, not cut off
 SLOW = 0.2  # s between samples, beyond which time is more likely in milliseconds
 FAR_HINGE = 4 * math.pi  # rad that a hinge without limits seldom goes beyond
 FAR_SLIDE = 5.0  # m that a slide without limits seldom goes beyond
@@ -160,6 +161,8 @@ def _sampling(time: NDArray[np.float64]) -> list[str]:
 def _dead_or_clipped(label: str, values: NDArray[np.float64]) -> list[str]:
     if np.ptp(values) == 0:
         return [f"{label} is constant ({values[0]:g} throughout): locked, unused, or not connected?"]
+    if np.mean((values == values.min()) | (values == values.max())) > SWITCHED:
+        return []
     return [
         f"{label} sits at its {which} value, {extreme:g}, for {share:.0%} of the time and gets there at full speed: "
         "clipped, or against a stop?"
