@@ -90,6 +90,28 @@ def friction_along(data: Array, now: Moment) -> Array:
     return np.maximum(at + share * (above - at), 0.0)
 
 
+def table(data: Array, x: Array) -> Array:
+    """A table, piecewise linear and constant outside; data (..., 2 k): its knots, increasing, then its values there."""
+    knots, values = np.split(data, 2, axis=-1)
+    share = np.clip((np.asarray(x)[..., None] - knots[..., :-1]) / np.diff(knots, axis=-1), 0.0, 1.0)
+    return np.asarray(values[..., 0] + np.sum(share * np.diff(values, axis=-1), axis=-1))
+
+
+def friction_table(data: Array, now: Moment) -> Array:
+    """Dry friction as a table of position; data: at least two positions, increasing, then as many levels."""
+    return np.maximum(table(data, now.position), 0.0)
+
+
+def command_map(data: Array, now: Moment) -> Array:
+    """Command mapped by a table; data: at least two commands, increasing, then as many that they act as.
+
+    Outside the table a command acts as much more or less than the table's end as it is beyond it.
+    """
+    knots, _ = np.split(data, 2, axis=-1)
+    inside = np.clip(now.value, knots[..., 0], knots[..., -1])
+    return table(data, inside) + (now.value - inside)
+
+
 def friction_wave(data: Array, now: Moment) -> Array:
     """Dry friction level + sine sin(a) + cosine cos(a), a = 2 pi q / wavelength; data: these four numbers."""
     angle = 2 * np.pi * now.position / data[..., 3]
@@ -111,12 +133,18 @@ def pulse_force(data: Array, now: Moment) -> Array:
     return np.where((now.time >= data[..., 1]) & (now.time < data[..., 1] + data[..., 2]), data[..., 0], 0.0)
 
 
+MOST_KNOTS = 256  # of a table in a file
+
+_TABLES = frozenset({"friction.table", "motor.map"})
+
 _rules: dict[str, tuple[Stage, Rule]] = {
     "motor.deadzone": ("command", deadzone),
     "sensor.gain": ("sensor", sensor_gain),
     "sensor.bias": ("sensor", sensor_bias),
     "timing.sensor_lag": ("lag", lag),
     "friction.position": ("friction", friction_along),
+    "friction.table": ("friction", friction_table),
+    "motor.map": ("command", command_map),
     "friction.wave": ("friction", friction_wave),
     "friction.load": ("friction", friction_under_load),
     "disturbance.periodic": ("force", periodic_force),
@@ -196,7 +224,7 @@ class Physics:
     @property
     def pressed(self) -> bool:
         """Whether dry friction may depend on the forces at its joint, and not on where it is alone."""
-        alone = (friction_along, friction_wave)
+        alone = (friction_along, friction_table, friction_wave)
         return any(extra.stage == "friction" and _rules[extra.effect][1] not in alone for extra in self.extras)
 
     def command(self, ctrl: Array, time: Array | float = 0.0) -> Array:
@@ -327,6 +355,9 @@ def from_model(model: mujoco.MjModel) -> Physics:
             usable = bool(np.all(np.isfinite([*extra.data, *np.ravel(tried)])))
         except (IndexError, ValueError):
             usable = False
+        if extra.effect in _TABLES:
+            knots = extra.data[: len(extra.data) // 2]
+            usable = usable and 4 <= len(extra.data) <= 2 * MOST_KNOTS and bool(np.all(np.diff(knots) > 0))
         if not usable or (extra.stage == "lag" and extra.data[0] <= 0):
             raise mjcf.MjcfError(
                 f"<custom> entry '{mjcf.PREFIX}:{extra.effect}:{extra.at}' has the numbers {extra.data.tolist()}, "

@@ -76,7 +76,7 @@ def _conclude(
     monkeypatch.setattr(sparse, "fewest_numbers", lambda _, fit: fit)
     monkeypatch.setattr(sparse, "other_numbers", lambda *_: [])
     monkeypatch.setattr(judge, "unseen_error", lambda _, fit: errors[fit.name])
-    monkeypatch.setattr(judge, "held_out_error", lambda _, fit: errors[fit.name])
+    monkeypatch.setattr(judge, "error_on", lambda _, fit: errors[fit.name])
     return conclude.conclude(search), asked  # type: ignore[arg-type]
 
 

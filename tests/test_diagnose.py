@@ -15,10 +15,11 @@ import pytest
 
 from dipc_gym import cli, mjcf, physics, recording
 from dipc_gym.recording import Recording, RecordingError
-from dipc_gym.sim2real.diagnosis import Wishes, diagnose
+from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation import evidence
 from dipc_gym.sim2real.estimation.segments import prepare
+from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis, Errors
@@ -162,7 +163,7 @@ def test_numbers_are_refitted_to_the_step_where_that_makes_up_for_it(
     assert found.held_out is not None
     other = replace(work.final, z=work.final.z + 0.05)
     monkeypatch.setattr(improve, "fit", lambda *_, **__: other)
-    monkeypatch.setattr(judge, "held_out_error", lambda _, fitted: refitted if fitted is other else error)
+    monkeypatch.setattr(judge, "error_on", lambda _, fitted: refitted if fitted is other else error)
     given = physics.load(work.source)
     text, note = improve.improved_model(work.source, given, work.prepared, work.final, found.held_out)
     fine = mujoco.MjModel.from_xml_string(text).dof_damping[0] == found.recalibrated[0]["value"]
@@ -511,7 +512,7 @@ def test_command_line_writes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixt
     needed = ["meshes", "more.xml", "plate.xml"]
     assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "improved.xml", *needed, "report.html"]
     mujoco.MjModel.from_xml_path(str(out / "improved.xml"))
-    assert json.loads((out / "diagnosis.json").read_text())["schema"] == "dipc-gym/diagnosis/1"
+    assert json.loads((out / "diagnosis.json").read_text())["schema"] == "dipc-gym/diagnosis/2"
     assert cli.main(["diagnose", str(model), str(csv), "--out", str(out)]) == 2
     assert "not empty" in capsys.readouterr().err
 

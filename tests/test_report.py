@@ -194,7 +194,7 @@ def example(verdict: str = "explained", seed: int = 0) -> ReportData:
     noise = NOISE / float(np.sqrt(np.nanmean((s["nominal"] - s["observed"]) ** 2)))
     missing = {"explained": [STRIBECK], "partly explained": [STRIBECK, DELAY, UNKNOWN], "unexplained": [UNKNOWN]}
     diagnosis: dict[str, Any] = {
-        "schema": "dipc-gym/diagnosis/1",
+        "schema": "dipc-gym/diagnosis/2",
         "verdict": verdict,
         "sentence": SENTENCES[verdict],
         "located": [

@@ -63,7 +63,8 @@ class Diagnose:
 
         from dipc_gym import mjcf, recording
         from dipc_gym.recording.tables import check_format
-        from dipc_gym.sim2real.diagnosis import Wishes, diagnose
+        from dipc_gym.sim2real.diagnosis import diagnose
+        from dipc_gym.sim2real.model.parameters import Wishes
         from dipc_gym.sim2real.report import content
 
         if self.jobs < 0:

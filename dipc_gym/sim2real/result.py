@@ -136,7 +136,7 @@ class Diagnosis:
                 },
             }
         return {
-            "schema": "dipc-gym/diagnosis/1",
+            "schema": "dipc-gym/diagnosis/2",
             "verdict": self.verdict,
             "sentence": self.sentence,
             "located": [

@@ -34,6 +34,8 @@ class Parameter:
         fixed: whether it stays at its guess, as the range that a table covers.
         above: name of an earlier parameter of the effect that it is never smaller than.
         step: a sizeable change of a number that has no natural zero, as a time; 0 where its own size tells.
+        sigma: standard deviation, in steps, of its prior about the first guess; values of a table have one, for a knot
+            that no motion comes near would else be free.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Parameter:
     fixed: bool = False
     above: str = ""
     step: float = 0.0
+    sigma: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -141,6 +144,7 @@ class Effect(ABC):
         moves_readings: whether it changes what sensors say of a state, so that estimated starts mean little.
         linear: parameters in proportion to which, taken together, its response grows from nothing.
         levels: parameters that are levels of dry friction.
+        free: whether its law takes any shape, as a table; such effects are asked where no formula comes to the noise.
         once: whether it happened once, so that other recordings cannot confirm it.
         leaves: share of a mismatch that it may leave and be named. Small for an effect that is told from others by when
             it acts alone: what it leaves may act then as well.
@@ -148,7 +152,7 @@ class Effect(ABC):
 
     id: ClassVar[str]
     place: ClassVar[Place]
-    parameters: ClassVar[tuple[Parameter, ...]]
+    parameters: tuple[Parameter, ...]
     rivals: ClassVar[tuple[str, ...]] = ()
     contains: ClassVar[tuple[str, ...]] = ()
     law: ClassVar[str] = ""
@@ -156,8 +160,9 @@ class Effect(ABC):
     warm: ClassVar[float] = 0.0
     needs_loader: ClassVar[bool] = False
     moves_readings: ClassVar[bool] = False
-    linear: ClassVar[tuple[str, ...]] = ()
-    levels: ClassVar[tuple[str, ...]] = ()
+    linear: tuple[str, ...] = ()
+    levels: tuple[str, ...] = ()
+    free: ClassVar[bool] = False
     once: ClassVar[bool] = False
     leaves: ClassVar[float] = LEAVES
 
@@ -169,6 +174,10 @@ class Effect(ABC):
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Whether it can be missing there: False where the model has it already, or it makes no sense."""
         return True
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """The effect with its first guesses; one with a free shape takes the shape that the evidence asks for."""
+        return [(self, values) for values in self.guesses(evidence)]
 
     @abstractmethod
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
@@ -233,7 +242,17 @@ def passive_motor(document: Document, name: str, joint: str, **physics: Sequence
 
 
 def passive_rate(document: Document, name: str, joint: str, rate: float, limits: tuple[float, float]) -> None:
-    """A force rate * velocity on a joint, held between limits; MuJoCo drops the rate where the gain is zero."""
+    """A force rate * velocity on a joint, held between limits."""
+    passive_ramp(document, name, joint, (0, 0, rate), limits)
+
+
+def passive_ramp(
+    document: Document, name: str, joint: str, ramp: tuple[float, float, float], limits: tuple[float, float]
+) -> None:
+    """A force constant + per_position * position + per_speed * velocity on a joint, held between limits.
+
+    MuJoCo drops the last two where the gain is zero, and takes no empty range.
+    """
     name = document.fresh(name)
     element = document.add(
         "actuator",
@@ -242,9 +261,9 @@ def passive_rate(document: Document, name: str, joint: str, rate: float, limits:
         joint=joint,
         gainprm=1,
         biastype="affine",
-        biasprm=(0, 0, rate),
+        biasprm=ramp,
         forcelimited="true",
-        forcerange=limits,
+        forcerange=(limits[0], max(limits[1], limits[0] + 1e-12)),
     )
     document.plain(element, dyntype="none", gaintype="fixed")
     shield(document, element)

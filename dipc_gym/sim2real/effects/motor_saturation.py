@@ -10,14 +10,23 @@ import numpy as np
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor
 
+LEAST = 0.1  # of what was asked for, that a drive which saturates still gives
+
 
 class Saturation(Effect):
     """A limit of the drive below the largest command that was sent."""
 
     id = "motor.saturation"
     place = "actuator"
-    parameters = (Parameter("limit", "command", 0.0),)
     rivals = ("motor.back_emf", "drag.quadratic", "motor.thermal")
+
+    def __init__(self, least: float = 0.0) -> None:
+        self.parameters = (Parameter("limit", "command", least),)
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """With a limit that leaves the drive a tenth of its command: one that does nothing explains nothing."""
+        most = float(np.quantile(np.abs(evidence.command), 0.999)) if len(evidence.command) else 0.0
+        return [(Saturation(LEAST * most), values) for values in self.guesses(evidence)]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Four shares of the largest command."""
@@ -40,8 +49,15 @@ class TorqueLimit(Effect):
 
     id = "motor.saturation:torque"
     place = "actuator"
-    parameters = (Parameter("limit", "N m", 0.0),)
     rivals = ("motor.saturation", "motor.thermal", "drag.quadratic")
+
+    def __init__(self, least: float = 0.0) -> None:
+        self.parameters = (Parameter("limit", "N m", least),)
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """With a limit that leaves the drive a tenth of what it gave."""
+        most = float(np.quantile(np.abs(evidence.load), 0.999)) / (abs(evidence.gear) or 1.0)
+        return [(TorqueLimit(LEAST * most), values) for values in self.guesses(evidence)]
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """On a DC motor; of a plain one, force and command are the same thing."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -53,6 +54,13 @@ class Problem:
     def counts(self) -> Array:
         """Readings in each window, (n,); sensors that never change say nothing and do not count."""
         return self.windows.valid.sum(axis=1) * float(np.isfinite(self.windows.noise).sum())
+
+    @functools.cached_property
+    def motion(self) -> float:
+        """Root mean square of how far readings move within a window, in units of noise."""
+        w = self.windows
+        moved = (w.observed - w.observed[:, :1]) / w.noise
+        return float(np.sqrt(np.sum(np.where(w.valid[..., None], moved, 0.0) ** 2) / self.counts.sum()))
 
     @property
     def blocks(self) -> NDArray[np.intp]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -97,6 +97,42 @@ def fixed_masses(document: Document, model: mujoco.MjModel, numbers: Sequence[Nu
         f"The mass of {', '.join(fixed)} is not refitted, for the compiler settings of the model (settotalmass, "
         "fusestatic, inertiafromgeom) override what is written for it; if it may be wrong, take them out."
     ]
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the owner of a rig knows.
+
+    Attributes:
+        fix: own numbers that are right, as `cart.mass`.
+        prior: own numbers with mean and standard deviation.
+    """
+
+    fix: tuple[str, ...] = ()
+    prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def apply(self, numbers: Sequence[Number]) -> list[Number]:
+        """The numbers that are free, with their priors.
+
+        Raises:
+            ValueError: a name that is no number of the model.
+        """
+        known = [n.key for n in numbers]
+        for key in (*self.fix, *self.prior):
+            if key not in known:
+                raise ValueError(f"--fix or --prior {key!r}: the model's numbers are {', '.join(known)}")
+        out = []
+        for number in numbers:
+            if number.key in self.fix:
+                continue
+            if number.key in self.prior:
+                mean, spread = self.prior[number.key]
+                if not (0 < mean < math.inf and 0 < spread < math.inf):
+                    raise ValueError(f"--prior {number.key}: mean and spread must be positive and finite")
+                # Of the log-normal distribution with this mean and spread, whose reach stays finite.
+                number = replace(number, sigma=math.sqrt(math.log1p((spread / mean) ** 2)), expected=mean)
+            out.append(number)
+        return out
 
 
 def _moving_bodies(document: Document, model: mujoco.MjModel) -> list[str]:

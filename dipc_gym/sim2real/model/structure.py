@@ -49,7 +49,7 @@ class Slot:
         high: largest value.
         log: whether the mapped number is a logarithm.
         scale: value that the mapped number 1 stands for (0 if `log`).
-        sigma: standard deviation of the mapped number's prior; infinite for effects.
+        sigma: standard deviation of the mapped number's prior; infinite for effects that have none.
         centre: mean of that prior.
         fine: relative change that a unit step makes, if `log`.
         above: key of an earlier number that this one is never smaller than.
@@ -110,7 +110,9 @@ class Structure:
                 origin = guess if p.step else 0.0
                 above = p.above and f"{term.key}.{p.above}"
                 key = f"{term.key}.{p.name}"
-                slots.append(Slot(key, p.unit, p.low, p.high, p.log, scale, fine=p.fine, above=above, origin=origin))
+                slots.append(
+                    Slot(key, p.unit, p.low, p.high, p.log, scale, p.sigma, fine=p.fine, above=above, origin=origin)
+                )
         object.__setattr__(self, "slots", tuple(slots))
 
     @functools.cached_property

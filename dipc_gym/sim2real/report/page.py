@@ -27,6 +27,7 @@ VERDICTS = {
     "consistent": "The model predicts these recordings as well as their noise allows.",
     "recalibrated": "Some numbers of the model were off. No physics is missing.",
     "explained": "With the physics that was missing, prediction comes down to the noise.",
+    "modelled": "Prediction comes down to the noise with a law that has no name: a fit, not yet an understanding.",
     "partly explained": "The physics named here helps. Some structure is left that no known effect accounts for.",
     "unexplained": "There is structure beyond noise, and no known effect accounts for it.",
     "cannot tell": "These recordings cannot decide it.",

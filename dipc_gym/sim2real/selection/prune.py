@@ -45,4 +45,8 @@ def _swap(search: Search, current: Fit, term: Term, effect: str) -> Fit | None:
     values = current.structure.term_values(current.z, term)
     levels = [values[name] for name in term.effect.levels]
     evidence = scene.at(other.place, term.at, {term.at: float(np.mean(levels))} if levels else {})
-    return search.near(current, rest.with_term(Term(other, term.at, dict(other.guesses(evidence)[0]))))
+    proposals = other.proposals(evidence)
+    if not proposals:
+        return None
+    shaped, guess = proposals[0]
+    return search.near(current, rest.with_term(Term(shaped, term.at, dict(guess))))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real.effects.base import Effect, dof
+from dipc_gym.sim2real.effects.base import LEAVES, Effect, dof
 from dipc_gym.sim2real.estimation.evidence import Scene, places
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit
 from dipc_gym.sim2real.estimation.problem import Problem
@@ -53,7 +53,7 @@ class Search:
         problem: windows to fit.
         unseen: windows to compare on, between those.
         rest: windows left aside; `attend` takes in those that matter later.
-        held: held-out windows, for judging what the search comes to.
+        validation: windows apart from these, that what the search comes to is validated by.
         effects: the catalogue.
         joints: base joints.
         look: gives the evidence for a fit, and with it the times, s, at which windows begin that are odd.
@@ -65,6 +65,7 @@ class Search:
         few: the windows of `problem` that are sketched on; what stands out later comes at the end, and older sketches
             know only those before.
         interrupted: whether Ctrl-C ended the search.
+        shapes: whether laws of any shape are asked as well: where no formula comes down to the noise.
         path: the fits that were accepted one after another, the first without effects.
         screened: hypotheses of the last round, by what they were laid over and how much worse that is than the
             present fit.
@@ -73,7 +74,7 @@ class Search:
     problem: Problem
     unseen: Problem
     rest: Problem
-    held: Problem
+    validation: Problem
     effects: Sequence[Effect]
     joints: tuple[str, ...]
     look: Callable[..., Scene]
@@ -83,6 +84,7 @@ class Search:
     few: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     rounds: list[list[Tried]] = field(default_factory=list)
     interrupted: bool = False
+    shapes: bool = False
     path: list[Fit] = field(default_factory=list)
     screened: list[tuple[Fit, float, list[Tried]]] = field(default_factory=list)
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
@@ -129,14 +131,14 @@ class Search:
         levels = {joint: level for joint, level in friction.items() if level > 0}
         terms, found = current.structure.terms, []
         for effect in self.effects:
-            if effect.once and not quiet(current):
+            if (effect.once and not quiet(current)) or (effect.free and not self.shapes):
                 continue
             for at in places(effect, current.structure.model, self.joints, scene.recordings[0]):
                 if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):
                     continue
                 evidence = scene.at(effect.place, at, levels)
                 plain = self._plain(current, effect, at)
-                found += [Term(effect, at, {**guess, **plain}) for guess in effect.guesses(evidence)]
+                found += [Term(shaped, at, {**guess, **plain}) for shaped, guess in effect.proposals(evidence)]
         return found
 
     @staticmethod
@@ -454,7 +456,22 @@ class Search:
     def run(self, start: Fit, most: int = MOST_EFFECTS) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
         self.few, self.path = ranking.few(start.mse), [start]
+        named = self._add(most)
+        if named.error <= AT_FLOOR or self.small or self.interrupted:
+            return named
+        self.tell("no formula comes down to the noise; asking for laws of any shape")
+        self.shapes = True
+        self._without_clocks()
         return self._add(most)
+
+    def _without_clocks(self) -> None:
+        """Take out what is told by when it acts alone: beside a law of the state it may have nothing to do."""
+        current = self.path[-1]
+        clocks = [term.key for term in current.structure.terms if term.effect.leaves < LEAVES]
+        for key in clocks:
+            current = self.without(current, key)
+        if clocks:
+            self.path.append(current)
 
     def replace_last(self, better: Fit) -> Fit:
         """Put a fit in the place of the one that `run` came to, and add what earns its place beside it."""

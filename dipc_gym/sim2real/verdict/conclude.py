@@ -1,4 +1,4 @@
-"""What a search comes to: effects that held-out data do not speak against, each beside what could stand in for it."""
+"""What a search comes to: effects that validation data do not speak against, each beside what could stand in for it."""
 
 from __future__ import annotations
 
@@ -22,13 +22,15 @@ class Conclusion:
     Attributes:
         fitted: with the fewest own numbers changed.
         rivals: of each of its effects, by key; none from when Ctrl-C ended the comparison.
-        notes: effects that held-out data strike off, in words.
+        notes: effects that validation data strike off, or that stay without a name, in words.
+        unnamed: keys of effects that improve predictions, but not by enough to be believed.
         others: with other own numbers changed, as many, that predict as well.
     """
 
     fitted: Fit
     rivals: dict[str, list[judge.Rival]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    unnamed: frozenset[str] = frozenset()
     others: list[Fit] = field(default_factory=list)
 
 
@@ -36,14 +38,14 @@ def conclude(search: Search) -> Conclusion:
     """Judge the effects that a search accepted; rivals that predict clearly better, or need less, take their places.
 
     Which of two effects is there may show only when a third is in place, which was added after one of them. What
-    held-out data strike off ends that: the search would only add it again.
+    validation data strike off ends that: the search would only add it again.
 
     Args:
         search: that has run.
     """
     for swaps in range(SWAPS + 1):
         try:
-            upheld, fewest, notes = _upheld(search)
+            upheld, fewest, notes, unnamed = _upheld(search)
         except KeyboardInterrupt:
             _interrupted(search)
             return Conclusion(search.path[-1], _rivals(search, search.path[-1]))
@@ -53,7 +55,7 @@ def conclude(search: Search) -> Conclusion:
             break
         search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer numbers'}")
         search.replace_last(rival.fitted)
-    return Conclusion(fewest, rivals, notes, _others(search, upheld, fewest))
+    return Conclusion(fewest, rivals, notes, unnamed, _others(search, upheld, fewest))
 
 
 def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.Rival | None:
@@ -86,12 +88,12 @@ def _alone(search: Search, rival: judge.Rival, upheld: Fit) -> judge.Rival:
     return replace(rival, fitted=fitted) if search.compare(upheld, fitted).alike else rival
 
 
-def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
-    """The last accepted fit that held-out data do not speak against, also with the fewest own numbers changed, and
-    notes on what they strike off.
+def _upheld(search: Search) -> tuple[Fit, Fit, list[str], frozenset[str]]:
+    """The last accepted fit that validation data do not speak against, also with the fewest own numbers changed; notes
+    on what they strike off, and the keys of effects that stay without a name.
 
     What the best of dozens of effects takes up of structure that no catalogue has need not be there the next time.
-    Held-out data may strike an effect off; they never add one.
+    Validation data may strike an effect off; they never add one.
     """
     path, notes = search.path, list[str]()
     upheld = path[-1]
@@ -107,41 +109,45 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str]]:
         notes.append(sentences.refutation(added or fewest.structure.terms, without, error))
         upheld, fewest, error = before, simpler, without
     if error <= judge.AT_FLOOR:
-        return upheld, fewest, notes
-    named, why = _believable(search, upheld, error)
-    return named, fewest if named is upheld else _with_fewest_numbers(search, named)[0], notes + why
+        return upheld, fewest, notes, frozenset()
+    named, why, unnamed = _believable(search, upheld, error)
+    return named, fewest if named is upheld else _with_fewest_numbers(search, named)[0], notes + why, unnamed
 
 
-def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[str]]:
-    """A fit without effects that only stand in for what is left beside them, and notes on those.
+def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[str], frozenset[str]]:
+    """A fit without effects of the clock that only stand in for what is left beside them; which of its effects stay
+    without a name, and notes on both.
 
-    What is told from other causes by when it acts alone (a push, a motor that heats) is named only where next to
-    nothing is left, and what leaves more than a third of a mismatch may have nothing to do with it.
+    What is told from other causes by when it acts alone (a push, a motor that heats) is a law of the clock, which no
+    other recording of the rig shares: it stays only where next to nothing is left. A law of the state is named where
+    windows that no fit has touched are clearly better predicted with it than without it, all else refitted; how much
+    is left beside it is no matter.
     """
-    recalibrated = judge.held_out_error(search.held, search.path[0])
-    notes, left = list[str](), error
+    recalibrated = judge.error_on(search.validation, search.path[0])
+    notes = list[str]()
     for term in upheld.structure.terms:
         if term.effect.leaves < LEAVES and error - 1 > term.effect.leaves * (recalibrated - 1):
             notes.append(sentences.not_alone(term, error))
             upheld = search.without(upheld, term.key)
-            left = judge.held_out_error(search.held, upheld)
-    if upheld.structure.terms and left - 1 > LEAVES * (recalibrated - 1):
-        # Without an event that it was fitted beside, an effect may do harm.
-        why = sentences.too_little if left < recalibrated else sentences.refutation
-        return search.path[0], [*notes, why(upheld.structure.terms, recalibrated, left)]
-    return upheld, notes
+    unnamed = set[str]()
+    for term in upheld.structure.terms:
+        gained = judge.apart(search, upheld, search.without(upheld, term.key))
+        if not (gained.clear and gained.gain > judge.NAMED):
+            unnamed.add(term.key)
+            notes.append(sentences.no_name(term, gained.gain))
+    return upheld, notes, frozenset(unnamed)
 
 
 def _with_fewest_numbers(search: Search, fitted: Fit) -> tuple[Fit, float]:
-    """A fit with the fewest own numbers changed, as long as held-out data do not speak for the others; its error there.
+    """A fit with the fewest own numbers changed, as long as validation data do not speak for the others; its error.
 
     Where few windows tell a number, the others may not miss it.
     """
     fewest = sparse.fewest_numbers(search, fitted)
-    error = judge.held_out_error(search.held, fewest)
+    error = judge.error_on(search.validation, fewest)
     if error <= judge.AT_FLOOR:
         return fewest, error
-    with_all = judge.held_out_error(search.held, fitted)
+    with_all = judge.error_on(search.validation, fitted)
     return (fitted, with_all) if judge.refuted(with_all, error) else (fewest, error)
 
 

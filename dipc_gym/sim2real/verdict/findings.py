@@ -21,6 +21,7 @@ from dipc_gym.sim2real.verdict.conclude import Conclusion
 
 Array = NDArray[np.float64]
 
+WIDEST = 50.0  # half width of an interval, as a logarithm, from which on it says nothing; a number is mapped no further
 AT_LIMIT = 1e-3  # share of itself, from which a number stands at its limit
 FREE = 1.0  # standard deviation, as a logarithm, of a number of which nothing is known
 
@@ -33,18 +34,18 @@ def changed_numbers(final: Fit, wide: Array) -> list[dict[str, Any]]:
             continue
         value = final.structure.slots[i].value(final.z[i])
         entry = {"parameter": number.parameter, "at": number.at, "was": number.value, "value": value}
-        if np.isfinite(wide[i]):
+        if wide[i] < WIDEST:
             entry |= {"low": value * math.exp(-wide[i]), "high": value * math.exp(wide[i])}
         out.append(entry | {"unit": number.unit})
     return out
 
 
-def beyond_limits(problem: Problem, held: Problem, recalibrated: Fit) -> list[str]:
+def beyond_limits(problem: Problem, validation: Problem, recalibrated: Fit) -> list[str]:
     """Note on own numbers that would explain all, were they allowed to be further off than their kind is taken to be.
 
     Args:
         problem: windows to fit.
-        held: held-out windows.
+        validation: windows that no fit has touched.
         recalibrated: the model's own numbers refitted, within their limits.
     """
     numbers, slots = recalibrated.structure.numbers, recalibrated.structure.slots
@@ -54,7 +55,7 @@ def beyond_limits(problem: Problem, held: Problem, recalibrated: Fit) -> list[st
         return []
     wider = tuple(replace(n, sigma=max(n.sigma, FREE)) if at else n for n, at in zip(numbers, stand, strict=True))
     freed = fit(problem, replace(recalibrated.structure, numbers=wider), recalibrated.z, recalibrated.starts, most=20)
-    error = judge.held_out_error(held, freed)
+    error = judge.error_on(validation, freed)
     if error > judge.AT_FLOOR:
         return []
     reached = [slot.value(z) for slot, z in zip(freed.structure.slots, freed.z, strict=True)]
@@ -101,26 +102,31 @@ def choice_shift(fitted: Fit, others: Sequence[Fit]) -> Array:
     return shift
 
 
-def missing_effects(search: Search, found: Conclusion, errors: Errors, verdict: str, wide: Array) -> list[Missing]:
+def missing_effects(
+    search: Search, found: Conclusion, test: Problem, errors: Errors, verdict: str, wide: Array
+) -> list[Missing]:
     """The effects that a search came to, the strongest first.
 
     Args:
         search: that has run.
         found: what it came to.
-        errors: on held-out windows.
+        test: windows to judge by.
+        errors: on these.
         verdict: see `judge.verdict`.
         wide: half widths of the intervals of the mapped numbers, (p,).
     """
     final = found.fitted
     missing = []
     for term in final.structure.terms:
+        if term.key in found.unnamed:
+            continue
         units = improve.place_units(final.structure, term)
         sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
         # With structure left, an interval would tell how sure a wrong model is of its number; what happened once
         # leaves no blocks to resample.
         known = wide if verdict == "explained" and not term.effect.once else np.full(len(final.z), np.inf)
         rivals = [one for one in found.rivals[term.key] if _name(one.term) != _name(term)]
-        tried = sorted((_rival(rival, search.held, errors) for rival in rivals), key=lambda one: one["held_out"])
+        tried = sorted((_rival(rival, test, errors) for rival in rivals), key=lambda one: one["held_out"])
         missing.append(
             Missing(
                 term.effect.name,
@@ -134,6 +140,20 @@ def missing_effects(search: Search, found: Conclusion, errors: Errors, verdict: 
             )
         )
     return sorted(missing, key=lambda one: -one.share)
+
+
+def named_alone(final: Fit) -> list[Missing]:
+    """The effects of a fit by name and place alone, where how much each is worth could not be worked out."""
+    found = []
+    for term in final.structure.terms:
+        units = improve.place_units(final.structure, term)
+        values = final.structure.term_values(final.z, term)
+        nothing = np.full(len(final.z), np.inf)
+        parameters = _parameters(final, term, units, nothing)
+        sentence = term.effect.sentence(term.at, values, units)
+        loader = term.effect.needs_loader
+        found.append(Missing(term.effect.name, term.at, sentence, 0.0, parameters, needs_loader=loader))
+    return found
 
 
 def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[str, dict[str, Any]]:
@@ -151,11 +171,11 @@ def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -
     return parameters
 
 
-def _rival(rival: judge.Rival, held: Problem, errors: Errors) -> dict[str, Any]:
-    """One of the other effects that were tried, with its error on held-out data relative to the nominal model's."""
+def _rival(rival: judge.Rival, test: Problem, errors: Errors) -> dict[str, Any]:
+    """One of the other effects that were tried, with its error on test data relative to the nominal model's."""
     return {
         **_name(rival.term),
-        "held_out": round(judge.held_out_error(held, rival.fitted) / max(errors.nominal, 1e-12), 6),
+        "held_out": round(judge.error_on(test, rival.fitted) / max(errors.nominal, 1e-12), 6),
         "ruled_out": rival.ruled_out,
     }
 

@@ -39,13 +39,13 @@ def improved_model(
     count = len(coarse.windows)
     some = coarse.pick(np.unique(np.linspace(0, count - 1, min(36, count)).round().astype(np.intp)))
     written, enough = final, judge.AT_FLOOR * max(errors.improved, 1.0)
-    error = judge.held_out_error(some, final)
+    error = judge.error_on(some, final)
     note = ""
     if error > enough:
         # Numbers that make up for a step are wrong at any other; they are worth having where they do make up for it.
         with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
             again = fit(some, structure, final.z, most=4)
-            if (refitted := judge.held_out_error(some, again)) <= enough:
+            if (refitted := judge.error_on(some, again)) <= enough:
                 written, error = again, refitted
     if error > enough:
         note = (
@@ -76,7 +76,7 @@ def _advice(some: Problem, own: Stepping, final: Fit, enough: float) -> str:
     stiff = is_stiff(final.structure.physics(final.z).model).any()
     for shorter in SHORTER:
         step = own.timestep / shorter
-        error = judge.held_out_error(replace(some, stepping=Stepping(step, None)), final)
+        error = judge.error_on(replace(some, stepping=Stepping(step, None)), final)
         if error <= enough:
             also = f" and each solreffriction {shorter} times shorter as well" if stiff else ""
             return f"With a timestep of {1e3 * step:g} ms{also} it predicts to {error:.3g} times the noise."

@@ -16,7 +16,7 @@ from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import Structure, Term, names
 from dipc_gym.sim2real.selection.ranking import AT_FLOOR
-from dipc_gym.sim2real.selection.score import WORTH, compare
+from dipc_gym.sim2real.selection.score import WORTH, Comparison, compare
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.search import Search
 
@@ -26,7 +26,8 @@ SURE = 0.95  # quantile to which an interval reaches on either side: 90 % lie wi
 FEWEST_BLOCKS = 3  # that tell how much a number depends on which of them there are
 SMALL = 1e-3  # of the motion within a window: a smaller mismatch is called missing physics only if it has a pattern
 PATTERN = 0.1  # share of the variance of the unexplained force that goes with something, from which it has one
-REFUTED = 1.05  # times the error on held-out data without an effect, from which it is not named after all
+REFUTED = 1.05  # times the error on validation data without an effect, from which it is not named after all
+NAMED = 0.1  # fall of the mean log square error by which an effect must improve predictions to be named
 STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
 
 
@@ -253,28 +254,40 @@ def negligible(recalibrated: float, motion: float, located: Located) -> bool:
 
 
 def refuted(without: float, error: float) -> bool:
-    """Whether held-out data speak against an effect: they are predicted clearly worse than without it."""
+    """Whether validation data speak against an effect: they are predicted clearly worse than without it."""
     return error > AT_FLOOR and error > REFUTED * without
 
 
-def held_out_error(held: Problem, fitted: Fit) -> float:
-    """Root mean square error on held-out windows, in units of noise."""
-    mse, _ = evaluate(held, fitted.structure, fitted.z)
+def error_on(problem: Problem, fitted: Fit) -> float:
+    """Root mean square error on windows that no fit has touched, in units of noise."""
+    mse, _ = evaluate(problem, fitted.structure, fitted.z)
     return float(np.sqrt(np.mean(mse)))
 
 
-def verdict(errors: Sequence[float], small: bool, terms: int, changed: int) -> str:
+def apart(search: Search, new: Fit, old: Fit) -> Comparison:
+    """How much better one fit predicts than another on windows that no fit has touched, validation among them."""
+    after, before = (
+        np.append(search.unseen_mse(one), evaluate(search.validation, one.structure, one.z)[0]) for one in (new, old)
+    )
+    blocks = search.unseen.blocks
+    return compare(after, before, np.append(blocks, search.validation.blocks + blocks.max(initial=0) + 1))
+
+
+def verdict(errors: Sequence[float], small: bool, terms: int, changed: int, unnamed: int = 0) -> str:
     """The verdict from errors on held-out windows, in units of noise.
 
     Args:
         errors: of the model as given, of the recalibrated and of the improved one.
         small: whether what refitted numbers leave is `negligible`.
-        terms: how many effects were found.
+        terms: how many effects were found and named.
+        unnamed: how many improve predictions without a name.
         changed: how many own numbers had to change.
     """
     nominal, recalibrated, improved = errors
     if terms:
         return "explained" if improved <= AT_FLOOR else "partly explained"
+    if unnamed:
+        return "modelled" if improved <= AT_FLOOR else "unexplained"
     if nominal <= AT_FLOOR:
         return "consistent"
     if recalibrated <= AT_FLOOR or small:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -156,11 +157,9 @@ def not_alone(term: Term, left: float) -> str:
     )
 
 
-def too_little(terms: Sequence[Term], before: float, after: float) -> str:
-    """Note on effects that leave much of the mismatch, with the errors on held-out data, in units of noise."""
-    left = 100 * (after - 1) / (before - 1)
+def no_name(term: Term, gain: float) -> str:
+    """Note on an effect that improves predictions by less than it would have to; the fall of the log square error."""
     return (
-        f"{' and '.join(term.key for term in terms)} would take up part of the mismatch (the error on held-out data "
-        f"falls from {before:.3g} to {after:.3g} times the noise), but {left:.0f} % of it is left; what "
-        "causes that may cause this part too, so it is not named."
+        f"{term.key} improves predictions of windows that no fit has touched by {100 * (1 - math.exp(-gain / 2)):.0f} "
+        "%, which is too little, or too uneven, to be believed; improved.xml holds it, and it is not named."
     )

@@ -1,0 +1,62 @@
+"""Friction that is any function of speed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.effects.base import Evidence, Values, dry
+from dipc_gym.sim2real.effects.law import Array, Law
+from dipc_gym.sim2real.effects.tables import grow, odd_force_of_speed
+
+SLOW = 0.05  # of the usual speed, below which an estimated velocity does not tell the direction of motion
+
+
+class FrictionOfSpeed(Law):
+    """Friction against motion whose size depends on speed alone, in whatever way; at rest it holds.
+
+    Coulomb, Stribeck, viscous and quadratic laws are all such; this one has the shape that the data ask for.
+    """
+
+    id = "friction.speed"
+    place = "joint"
+    law = "dry friction"
+    of = "speed"
+    unit = "N"
+    input_unit = "m/s"
+    lowest = 0.0
+    rivals = ("friction.position:law", "friction.asymmetric")
+    contains = ("friction.coulomb", "friction.stribeck", "friction.viscous", "drag.quadratic")
+
+    def __init__(self, knots: Sequence[float] = (), values: Sequence[float] = ()) -> None:
+        super().__init__(knots, values)
+        self.levels = tuple(p.name for p in self.parameters[:1])
+        self.linear = tuple(p.name for p in self.parameters)
+
+    def table(self, evidence: Evidence) -> tuple[Array, Array]:
+        """Force that opposes motion, by speed."""
+        moves = np.abs(evidence.velocity) > SLOW * evidence.speed_scale
+        velocity, time = evidence.velocity[moves], evidence.time[moves]
+        beside = [np.ones_like(velocity)]
+        knots, more = grow(np.abs(velocity), evidence.force[moves], -np.sign(velocity), beside, time)
+        knots[0] = 0.0
+        level = 0.0 if evidence.level is None else evidence.level
+        return knots, np.maximum(level + more, 0.05 * evidence.dry_level)
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """Dry friction of the level at rest, and what speed adds to it or takes away."""
+        levels = self.values(values)
+        dry(document, at, max(levels[0], 1e-9))
+        odd_force_of_speed(document, f"{at}_speed", at, self.knots, np.subtract(levels, levels[0]).tolist())
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        levels, force = self.values(values), unit[self.parameters[0].name]
+        most = self.knots[-1]
+        per = "rad/s" if force.startswith("N m") else "m/s"
+        return (
+            f"Friction at {at} that depends on speed: {levels[0]:.3g} {force} at rest, {min(levels):.3g} to "
+            f"{max(levels):.3g} {force} up to {most:.3g} {per}."
+        )

@@ -1,0 +1,72 @@
+"""A law of any shape: an effect whose parameters are the values of a table."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+
+Array = NDArray[np.float64]
+
+LOOSE = 5.0  # standard deviation of a value's prior, in sizes of the whole law
+
+
+class Law(Effect):
+    """An effect with a free shape.
+
+    In the catalogue it has none yet; `proposals` gives one that the evidence asks for. Knots stay where they are, their
+    values are fitted.
+
+    Args:
+        knots: inputs at which the law has its values, increasing; none in the catalogue.
+        values: first guess there.
+    """
+
+    free = True
+    of: str  # what the law depends on, in words
+    input_unit: str
+    unit: str
+    lowest = -np.inf  # value
+
+    def __init__(self, knots: Sequence[float] = (), values: Sequence[float] = ()) -> None:
+        self.knots, self.first = tuple(map(float, knots)), tuple(map(float, values))
+        size = float(np.max(np.abs(self.first), initial=0.0)) or 1.0
+        names = [f"value_{k + 1}" for k in range(len(self.knots))]
+        self.parameters = tuple(
+            Parameter(name, self.unit, self.lowest, step=0.3 * size, sigma=LOOSE / 0.3) for name in names
+        )
+
+    @abstractmethod
+    def table(self, evidence: Evidence) -> tuple[Array, Array] | None:
+        """Knots and values that the evidence asks for; None where it asks for nothing."""
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """The law with the shape that the evidence asks for."""
+        asked = self.table(evidence)
+        if asked is None:
+            return []
+        shaped = type(self)(asked[0].tolist(), asked[1].tolist())
+        return [(shaped, shaped.guess)]
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Of a law that has its shape, the values it was given."""
+        return [self.guess] if self.knots else []
+
+    @property
+    def guess(self) -> dict[str, float]:
+        """First values, by name."""
+        return {p.name: value for p, value in zip(self.parameters, self.first, strict=True)}
+
+    def values(self, values: Values) -> list[float]:
+        """The values of the table, in the order of its knots."""
+        return [values[p.name] for p in self.parameters]
+
+    def where(self, values: Values, unit: Mapping[str, str]) -> str:
+        """Range and place of the largest value, in words."""
+        table = self.values(values)
+        most = self.knots[int(np.argmax(np.abs(table)))]
+        return f"{min(table):.3g} to {max(table):.3g} {unit[self.parameters[0].name]}, largest near {most:.3g}"

@@ -1,0 +1,140 @@
+"""Laws of any shape, as tables: where knots have to lie, and a table as elements of MJCF.
+
+A table is piecewise linear between its knots and constant outside. Knots are proposed from the unexplained force, where
+a table costs one linear regression; its values are then fitted in simulation, like every other parameter. The growth
+is LOLIMOT's idea (Nelles 1996) in one dimension: the knot that removes most of what is left comes next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.effects.base import passive_ramp
+
+Array = NDArray[np.float64]
+
+BINS = 64  # of the range of the input; no knot lies closer to another than one of them
+MOST_KNOTS = 14  # of a table
+FEWEST = 20  # samples between two knots
+BLOCK = 1.0  # s; alternating blocks choose knots and confirm them
+SPARE = 0.03  # share of what knots gain on the confirming blocks that a table with fewer of them may forgo
+COVERED = 0.005  # share of the samples beyond either end of a table
+
+
+def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: Array) -> tuple[Array, Array]:
+    """Knots and values of the table g in force = carrier g(x) + what goes with the regressors beside it.
+
+    Knots are added one at a time; how many of them stay is decided by blocks of time that did not choose them.
+
+    Args:
+        x: input of the table, (n,).
+        force: to be explained, (n,).
+        carrier: what the table is multiplied by, (n,).
+        beside: regressors with free weights, (n,) each.
+        time: s, (n,).
+
+    Returns:
+        Knots (k,), increasing, and the table's values there, (k,); k is at least 2.
+    """
+    low, high = (float(v) for v in np.quantile(x, [COVERED, 1 - COVERED]))
+    high = max(high, low + 1e-9 * max(1.0, abs(low)))
+    edges = np.linspace(low, high, BINS + 1)
+    confirming = np.floor(time / BLOCK).astype(np.intp) % 2 == 1
+    if confirming.all() or not confirming.any():
+        confirming = np.arange(len(x)) % 2 == 1
+    sums = [
+        _Sums(edges, x[part], force[part], carrier[part], [regressor[part] for regressor in beside])
+        for part in (~confirming, confirming)
+    ]
+    both = _Sums(edges, x, force, carrier, beside)
+    counts = np.append(0, np.cumsum(np.histogram(x, edges)[0]))
+    grown = [[0, BINS]]
+    while len(grown[-1]) < MOST_KNOTS:
+        tries = [sorted([*grown[-1], k]) for k in range(1, BINS) if _room(k, grown[-1], counts)]
+        if not tries:
+            break
+        grown.append(min(tries, key=lambda knots: sums[0].left(knots, sums[0].weights(knots))))
+    # A narrow spot takes three knots, of which the first alone gains nothing: tables are grown first, then compared.
+    left = [sums[1].left(knots, sums[0].weights(knots)) for knots in grown]
+    enough = min(left) + SPARE * (left[0] - min(left))
+    chosen = next(knots for knots, after in zip(grown, left, strict=True) if after <= enough)
+    return edges[chosen], both.weights(chosen)[: len(chosen)]
+
+
+def _room(k: int, chosen: Sequence[int], counts: NDArray[np.intp]) -> bool:
+    """Whether there are samples enough on either side of a new knot."""
+    below, above = max(c for c in chosen if c < k or c == 0), min(c for c in chosen if c > k or c == BINS)
+    return k not in chosen and min(counts[k] - counts[below], counts[above] - counts[k]) >= FEWEST
+
+
+class _Sums:
+    """Normal equations of a table on a fine grid and of the regressors beside it; coarser tables are subspaces."""
+
+    def __init__(self, edges: Array, x: Array, force: Array, carrier: Array, beside: Sequence[Array]) -> None:
+        along = np.clip((x - edges[0]) / (edges[-1] - edges[0]) * BINS, 0.0, BINS - 1e-9)
+        below = along.astype(np.intp)
+        columns = np.zeros((len(x), BINS + 1 + len(beside)))
+        rows = np.arange(len(x))
+        columns[rows, below] = carrier * (1 - (along - below))
+        columns[rows, below + 1] += carrier * (along - below)
+        columns[:, BINS + 1 :] = np.stack(beside, axis=1) if len(beside) else 0.0
+        self.normal, self.right, self.total = columns.T @ columns, columns.T @ force, float(force @ force)
+        self.size = max(float(np.trace(self.normal)), 1e-300) / len(self.normal)
+
+    def _hats(self, knots: Sequence[int]) -> Array:
+        """A coarse table's values on the fine grid, and the other regressors as they are."""
+        others = len(self.right) - BINS - 1
+        out = np.zeros((len(self.right), len(knots) + others))
+        out[: BINS + 1, : len(knots)] = np.stack(
+            [np.interp(np.arange(BINS + 1), knots, unit) for unit in np.eye(len(knots))], axis=1
+        )
+        out[BINS + 1 :, len(knots) :] = np.eye(others)
+        return out
+
+    def weights(self, knots: Sequence[int]) -> Array:
+        """Least-squares values at the knots, then weights of the other regressors; a trace of ridge for empty bins."""
+        hats = self._hats(knots)
+        normal = hats.T @ self.normal @ hats
+        return np.asarray(np.linalg.solve(normal + 1e-6 * self.size * np.eye(len(normal)), hats.T @ self.right))
+
+    def left(self, knots: Sequence[int], weights: Array) -> float:
+        """Sum of squares that these weights leave."""
+        fine = self._hats(knots) @ weights
+        return float(self.total - 2 * fine @ self.right + fine @ self.normal @ fine)
+
+
+def force_of_position(
+    document: Document, name: str, joint: str, knots: Sequence[float], values: Sequence[float]
+) -> None:
+    """A force on a joint that is a table of its position: a ramp for each stretch between two knots."""
+    offset = float(values[0])
+    for k in range(len(knots) - 1):
+        rise, stretch = values[k + 1] - values[k], knots[k + 1] - knots[k]
+        # Each ramp runs from 0 to its rise; the first one carries the value that holds before its stretch.
+        start = offset if k == 0 else 0.0
+        slope = rise / stretch
+        constant = start - slope * knots[k]
+        low, high = sorted((start, start + rise))
+        passive_ramp(document, f"{name}_{k + 1}", joint, (constant, slope, 0.0), (low, high))
+
+
+def odd_force_of_speed(
+    document: Document, name: str, joint: str, knots: Sequence[float], excess: Sequence[float]
+) -> None:
+    """A force against motion that is a table of speed: -sign(v) times the table, zero at rest.
+
+    Args:
+        document: to edit.
+        name: of the elements, numbered.
+        joint: that it acts on.
+        knots: speeds, the first of them 0.
+        excess: what the table says there, the first 0.
+    """
+    slopes = np.append(np.diff(excess) / np.diff(knots), 0.0)
+    for k, bend in enumerate(-np.diff(slopes)):
+        limit = abs(float(bend)) * float(knots[k + 1])
+        passive_ramp(document, f"{name}_{k + 1}", joint, (0.0, 0.0, -float(bend)), (-limit, limit))

@@ -1,0 +1,154 @@
+"""What a finished search comes to on test data, which no choice has seen: errors, intervals, shares, the verdict.
+
+Every stage may fail alone: what was found before it stands, and a note says what is lacking.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dipc_gym import mjcf
+from dipc_gym.recording import Recording
+from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.result import Diagnosis, Errors, Work
+from dipc_gym.sim2real.selection.baseline import Baseline
+from dipc_gym.sim2real.selection.case import Case
+from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.simulation.motion import Motion
+from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
+from dipc_gym.sim2real.verdict.conclude import Conclusion
+from dipc_gym.sim2real.verdict.late import Late
+
+
+def judgement(
+    case: Case,
+    base: Baseline,
+    search: Search,
+    found: Conclusion,
+    located: Sequence[judge.Located],
+    provenance: dict[str, Any],
+    late: Late,
+) -> Diagnosis:
+    """Judge what a search came to by test data.
+
+    Args:
+        case: data.
+        base: what was known before the search.
+        search: that has run.
+        found: what it came to.
+        located: where the mismatch sat before it.
+        provenance: versions, inputs, seed.
+        late: runs stages, and keeps what was found where one fails.
+    """
+    source, prepared, nominal, recalibrated = case.given.source, case.prepared, base.nominal, base.recalibrated
+    joints, notes = prepared.structure.base, [*found.notes]
+    open_choice = late(
+        "Whether other numbers would do",
+        lambda: findings.choice_shift(found.fitted, found.others),
+        lambda: np.full(len(found.fitted.z), np.inf),
+    )
+    final, test = found.fitted, base.test
+    if base.fine is None:
+        # The search compares; what it came to is fitted, judged and reported at half the step.
+        coarse = final
+        final = late("A fit at half the step", lambda: search.refine(coarse), lambda: coarse)
+        test = test if final is coarse else replace(test, finer=2)
+    found = replace(found, fitted=final)
+    three = (nominal, recalibrated, final)
+    fitted = Errors(*(f.error for f in three))
+    train = late(
+        "The error on windows to compare on",
+        lambda: Errors(*(judge.unseen_error(search, f) for f in three)),
+        lambda: fitted,
+    )
+    if train.recalibrated > judge.AT_FLOOR and not search.interrupted:
+        notes += late(
+            "Whether numbers further off would do",
+            lambda: findings.beyond_limits(base.problem, base.validation, recalibrated),
+            list[str],
+        )
+    errors = late("The error on test data", lambda: Errors(*(judge.error_on(test, f) for f in three)), lambda: fitted)
+    force = late(
+        "The error of forces",
+        lambda: _force_errors(three, joints, case.given.tested, case.test_motions, case.given.test_span),
+        dict[str, Errors],
+    )
+    notes += sentences.disagreement(errors, force)
+    wide = late(
+        "The intervals of the numbers",
+        lambda: judge.intervals(final, search.problem) + findings.step_shift(final, search.problem) + open_choice,
+        lambda: np.full(len(final.z), np.inf),
+    )
+    changed = late("Which numbers changed", lambda: findings.changed_numbers(final, wide), list[dict[str, Any]])
+    small = judge.negligible(errors.recalibrated, case.test.motion, located[0])
+    named_terms = [term for term in final.structure.terms if term.key not in found.unnamed]
+    verdict = judge.verdict(
+        (errors.nominal, errors.recalibrated, errors.improved),
+        small,
+        len(named_terms),
+        len(changed),
+        len(final.structure.terms) - len(named_terms),
+    )
+    missing = late(
+        "How much each effect is worth",
+        lambda: findings.missing_effects(search, found, test, errors, verdict, wide),
+        lambda: findings.named_alone(final),
+    )
+    if search.interrupted:
+        notes.append("The search was interrupted: effects may be lacking, and not all rivals were compared.")
+    if verdict == "consistent":
+        changed = []
+    notes += sentences.other_numbers(changed, [other.structure.numbers for other in found.others])
+    if verdict in ("partly explained", "unexplained"):
+        named = missing
+        missing = late(
+            "Where what is left acts",
+            lambda: findings.with_unknown(named, errors, search, final, joints),
+            lambda: named,
+        )
+    improved = source.text
+    if verdict != "consistent":
+        improved, step_note = late(
+            "What the improved model costs at its own step",
+            lambda: improve.improved_model(source, case.given.physics, prepared, final, errors),
+            lambda: (final.structure.write(final.z).text(), ""),
+        )
+        notes += [step_note] if step_note else []
+    return Diagnosis(
+        verdict,
+        sentences.in_one_sentence(verdict, missing, changed, errors, others=bool(found.others)),
+        tuple(located),
+        tuple(missing),
+        tuple(changed),
+        train,
+        errors,
+        force,
+        sentences.next_experiment(verdict, missing, others=bool(changed and found.others)),
+        improved,
+        files_of(source, improved),
+        (*notes, *late.notes),
+        provenance,
+        Work(source, case.given.recordings, test, prepared, nominal, recalibrated, final, search, found.rivals),
+    )
+
+
+def files_of(source: mjcf.Source, text: str) -> dict[str, bytes]:
+    """What a text made from this source asks for; what was included stands in the text itself."""
+    return {name: source.files[name] for name in mjcf.from_text(text, source.folder).files}
+
+
+def _force_errors(
+    fits: Sequence[Fit],
+    joints: Sequence[str],
+    tested: Sequence[Recording],
+    motions: Sequence[Motion],
+    span: tuple[float, float],
+) -> dict[str, Errors]:
+    """Errors of the inverse models at each joint."""
+    forces = [evidence.force_errors(f.structure.physics(f.z), tested, motions, span) for f in fits]
+    return {joint: Errors(*map(float, e)) for joint, e in zip(joints, np.stack(forces).T, strict=True)}
