@@ -80,14 +80,21 @@ def lag(data: Array, now: Moment) -> Array:
 
 def friction_along(data: Array, now: Moment) -> Array:
     """Dry friction interpolated over position; data: first and last position, then levels at equal distances."""
-    first, last, levels = data[..., 0], data[..., 1], data[..., 2:]
-    count = levels.shape[-1]
-    along = np.clip((now.position - first) / (last - first) * (count - 1), 0.0, count - 1.000001)
-    below = np.nan_to_num(along).astype(np.intp)  # of a simulation that diverged; `share` hands it on
-    share = along - below
-    at = np.take_along_axis(levels, below[..., None], -1)[..., 0]
-    above = np.take_along_axis(levels, below[..., None] + 1, -1)[..., 0]
-    return np.maximum(at + share * (above - at), 0.0)
+    first, last = data[..., 0], data[..., 1]
+    return np.maximum(_tabulated(data[..., 2:], (now.position - first) / (last - first)), 0.0)
+
+
+def _tabulated(table: Array, share: Array) -> Array:
+    """A table (..., k) of equal distances at a share of its length; beyond its ends it goes on as it ends."""
+    if not isinstance(table, np.ndarray):  # of the engine, which writes code for it
+        return table.at(share)
+    last = table.shape[-1] - 1
+    along = np.clip(share * last, 0.0, last)
+    # Not a number of a simulation that diverged; `along` hands it on.
+    below = np.maximum(np.minimum(np.nan_to_num(along).astype(np.intp), last - 1), 0)
+    at = np.take_along_axis(table, below[..., None], -1)[..., 0]
+    above = np.take_along_axis(table, below[..., None] + 1, -1)[..., 0]
+    return np.asarray(at + (along - below) * (above - at))
 
 
 def table(data: Array, x: Array) -> Array:
@@ -95,11 +102,6 @@ def table(data: Array, x: Array) -> Array:
     knots, values = np.split(data, 2, axis=-1)
     share = np.clip((np.asarray(x)[..., None] - knots[..., :-1]) / np.diff(knots, axis=-1), 0.0, 1.0)
     return np.asarray(values[..., 0] + np.sum(share * np.diff(values, axis=-1), axis=-1))
-
-
-def friction_table(data: Array, now: Moment) -> Array:
-    """Dry friction as a table of position; data: at least two positions, increasing, then as many levels."""
-    return np.maximum(table(data, now.position), 0.0)
 
 
 def command_map(data: Array, now: Moment) -> Array:
@@ -130,12 +132,13 @@ def periodic_force(data: Array, now: Moment) -> Array:
 
 def pulse_force(data: Array, now: Moment) -> Array:
     """A constant force from start on for a duration; data: force, start, duration."""
-    return np.where((now.time >= data[..., 1]) & (now.time < data[..., 1] + data[..., 2]), data[..., 0], 0.0)
+    over = now.time - data[..., 1] >= data[..., 2]
+    return np.where(now.time >= data[..., 1], np.where(over, 0.0, data[..., 0]), 0.0)
 
 
 MOST_KNOTS = 256  # of a table in a file
 
-_TABLES = frozenset({"friction.table", "motor.map"})
+_TABLES = frozenset({"motor.map"})
 
 _rules: dict[str, tuple[Stage, Rule]] = {
     "motor.deadzone": ("command", deadzone),
@@ -143,7 +146,6 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     "sensor.bias": ("sensor", sensor_bias),
     "timing.sensor_lag": ("lag", lag),
     "friction.position": ("friction", friction_along),
-    "friction.table": ("friction", friction_table),
     "motor.map": ("command", command_map),
     "friction.wave": ("friction", friction_wave),
     "friction.load": ("friction", friction_under_load),
@@ -167,6 +169,11 @@ def register(effect: str, stage: Stage, rule: Rule) -> None:
     if effect in _rules:
         raise ValueError(f"an effect {effect!r} is registered already")
     _rules[effect] = (stage, rule)
+
+
+def rules() -> list[tuple[str, Stage, Rule]]:
+    """Every effect that the loader understands: id, stage, rule."""
+    return [(effect, stage, rule) for effect, (stage, rule) in _rules.items()]
 
 
 @dataclass(frozen=True)
@@ -224,7 +231,7 @@ class Physics:
     @property
     def pressed(self) -> bool:
         """Whether dry friction may depend on the forces at its joint, and not on where it is alone."""
-        alone = (friction_along, friction_table, friction_wave)
+        alone = (friction_along, friction_wave)
         return any(extra.stage == "friction" and _rules[extra.effect][1] not in alone for extra in self.extras)
 
     def command(self, ctrl: Array, time: Array | float = 0.0) -> Array:

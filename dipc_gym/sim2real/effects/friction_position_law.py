@@ -9,7 +9,7 @@ import numpy as np
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Evidence, Values, dry
 from dipc_gym.sim2real.effects.law import Array, Law
-from dipc_gym.sim2real.effects.tables import grow
+from dipc_gym.sim2real.effects.tables import BINS, grow
 
 
 class FrictionOfPosition(Law):
@@ -42,7 +42,8 @@ class FrictionOfPosition(Law):
         levels = self.values(values)
         mean = np.trapezoid(levels, self.knots) / (self.knots[-1] - self.knots[0])
         dry(document, at, max(float(mean), 1e-9))
-        document.custom("friction.table", at, [*self.knots, *levels])
+        even = np.linspace(self.knots[0], self.knots[-1], BINS + 1)  # every knot is one of these
+        document.custom("friction.position", at, [even[0], even[-1], *np.interp(even, self.knots, levels)])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -1,0 +1,73 @@
+"""Compiled code beside MuJoCo: a program that says something else is refused."""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.engine.layout import Head, Joint
+from dipc_gym.engine.program import Program, Uncovered
+from dipc_gym.engine.run import rates
+from dipc_gym.physics import Physics
+
+Array = NDArray[np.float64]
+
+STATES = 6  # random states compared
+TOLERANCE = 1e-9  # of the largest acceleration, and of the largest rate
+
+
+def check(program: Program, parameters: Array, source: Physics) -> None:
+    """Compare accelerations and rates of hidden states with MuJoCo's at random states.
+
+    Args:
+        program: of the model.
+        parameters: those of `source`, (k,).
+        source: the model.
+
+    Raises:
+        Uncovered: they differ; the message says where.
+    """
+    rng = np.random.default_rng(0)
+    model = copy.copy(source.model)
+    model.dof_frictionloss[:] = 0.0
+    model.actuator_delay[:], model.sensor_delay[:] = 0.0, 0.0
+    model.actuator_actearly[:] = False
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data = mujoco.MjData(model)
+    smooth = parameters.copy()
+    first = int(program.codes[Head.JOINT_NUMBERS])
+    smooth[first + Joint.FRICTION : first + model.nv * Joint.SIZE : Joint.SIZE] = 0.0
+    n, size = model.nv, _sizes(model)
+    applied, levels = np.zeros(n), np.zeros(n)
+    for _ in range(STATES):
+        data.qpos[:] = model.qpos0 + rng.normal(size=n) * size
+        data.qvel[:] = rng.normal(size=n) * size
+        data.act[:] = 0.01 * rng.normal(size=model.na)
+        data.ctrl[:] = rng.normal(size=model.nu)
+        data.qfrc_applied[:] = 0.0
+        data.time = float(rng.uniform(0, 10))
+        mujoco.mj_forward(model, data)
+        if source.acts:
+            applied[:], levels[:] = 0.0, 0.0
+            source.act(data, levels, applied)
+            data.qfrc_applied[:] = applied - np.sign(data.qvel) * levels
+            mujoco.mj_forward(model, data)
+        states = np.zeros(program.nx)
+        states[:n], states[n : 2 * n], states[2 * n : 2 * n + model.na] = data.qpos, data.qvel, data.act
+        found = rates(program, smooth, states, data.ctrl.copy(), data.time)
+        for what, ours, theirs in (
+            ("accelerations", found[n : 2 * n], data.qacc),
+            ("rates of hidden states", found[2 * n : 2 * n + model.na], data.act_dot),
+        ):
+            if len(theirs) and not np.allclose(ours, theirs, rtol=TOLERANCE, atol=TOLERANCE * np.abs(theirs).max()):
+                worst = int(np.argmax(np.abs(ours - theirs)))
+                raise Uncovered(f"{what} that differ from MuJoCo's: {ours[worst]:.9g}, not {theirs[worst]:.9g}")
+
+
+def _sizes(model: mujoco.MjModel) -> Array:
+    """How far joints are moved: angles by about a radian, slides by about the model's size."""
+    slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    return np.where(slides, 0.1 * model.stat.extent, 1.0)

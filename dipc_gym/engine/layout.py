@@ -1,0 +1,160 @@
+"""Where what stands in the arrays that compiled code reads: the contract between `program` and `loop`."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+JOINTS = 16  # most joints of a model
+STATES = 128  # most states
+CONTROLS = 32  # most commands
+SENSORS = 64  # most sensors
+STOPS = 16  # most tendons with stops
+
+
+class Head(IntEnum):
+    """Whole numbers at the beginning of a program."""
+
+    JOINTS = 0
+    STATES = 1
+    CONTROLS = 2
+    ELEMENTS = 3
+    ELEMENT_AT = 4  # index of the first element's numbers
+    SENSORS = 5
+    SENSOR_AT = 6
+    LAWS = 7
+    LAW_AT = 8
+    WEIGHED = 9  # whether a law asks for the weight on a joint
+    JOINT_NUMBERS = 10  # index of the first joint's parameters
+    DELAYS = 11  # index of the controls' delays among the parameters
+    PARAMETERS = 12  # how many there are
+    SAMPLES = 13  # of each sensor in a window
+    STOPS = 14  # how many elements are stops, which push on what the rest leaves
+    LATE = 15  # index of the delay of the sensor that reads latest, among the parameters
+    SIZE = 16
+
+
+class Joint(IntEnum):
+    """Parameters of a joint."""
+
+    DAMPING = 0  # and two more coefficients
+    STIFFNESS = 3  # and two more
+    REST = 6
+    ARMATURE = 7
+    FRICTION = 8
+    SIZE = 9
+
+
+class Kind(IntEnum):
+    """What an element is."""
+
+    PLAIN = 0
+    FILTERED = 1
+    INTEGRATED = 2
+    MOTOR = 3
+    SPRING = 4
+    STOP = 5
+
+
+class Element(IntEnum):
+    """Whole numbers of an element."""
+
+    KIND = 0
+    TERMS = 1  # joints that it acts on
+    TERM_AT = 2  # index of the first term's joint
+    CONTROL = 3  # -1 for none
+    STATE = 4  # -1 for none
+    NUMBERS = 5  # index of its first parameter
+    FEATURES = 6
+    SIZE = 7
+
+
+class Feature(IntEnum):
+    """What a motor has; bits."""
+
+    WINDING = 1
+    HEAT = 2
+    BRISTLES = 4
+    COGS = 8
+
+
+class Force(IntEnum):
+    """Parameters of an element; those of a term, its coefficient, follow."""
+
+    LOWEST_COMMAND = 0
+    HIGHEST_COMMAND = 1
+    LOWEST = 2
+    HIGHEST = 3
+    GAIN = 4  # and by length and speed; of a motor resistance, constant, growth with temperature
+    BIAS = 7  # and by length and speed; of a motor temperature at which the resistance holds, ambient
+    TIME = 10  # constant of a filter or winding
+    COGS = 11  # amplitude, poles, phase
+    BRISTLES = 14  # Coulomb, static, Stribeck velocity, stiffness, damping
+    HEAT = 19  # resistance, capacity
+    SIZE = 21
+
+
+class Spring(IntEnum):
+    """Parameters of a tendon: a spring with a gap, or a stop (in the same places)."""
+
+    LOWEST = 0  # length from which it pulls
+    HIGHEST = 1
+    STIFFNESS = 2  # and two more; of a stop its pull back per length
+    DAMPING = 5  # and two more; of a stop its pull back per speed
+    WEIGHT = 8  # of a stop: what its compliance adds to what it pushes on
+    SIZE = 9
+
+
+class Sensor(IntEnum):
+    """Whole numbers of a sensor."""
+
+    STATE = 0  # that it reads
+    FACTOR = 1  # index of the parameter that it is multiplied with
+    LAG = 2  # index of the state that follows it, -1 for none
+    TIME = 3  # index of the lag's time constant
+    AHEAD = 4  # index of how much later than the window's samples it is read
+    SIZE = 5
+
+
+class Law(IntEnum):
+    """Whole numbers of what `<custom>` adds to a joint."""
+
+    RULE = 0
+    JOINT = 1
+    NUMBERS = 2  # index of its first number
+    COUNT = 3
+    SIZE = 4
+
+
+class Row(IntEnum):
+    """Whole numbers of a simulation."""
+
+    WINDOW = 0
+    PARAMETERS = 1
+    DIRECTIONS = 2
+    COMMANDS = 3  # first sample in the table of commands
+    STAMPS = 4  # first stamp in the table of stamps
+    COUNT = 5  # of stamps
+    SIZE = 6
+
+
+class At(IntEnum):
+    """Addresses that a run is given."""
+
+    PROGRAM = 0
+    PARAMETERS = 1
+    PARAMETER_TANGENTS = 2
+    STARTS = 3
+    START_TANGENTS = 4
+    ENDS = 5
+    END_TANGENTS = 6
+    ROWS = 7
+    STAMPS = 8
+    COMMANDS = 9
+    COMMAND_TANGENTS = 10
+    TIMES = 11
+    READINGS = 12
+    READING_TANGENTS = 13
+    STEP = 14  # longest step, s
+    UNTIL = 15  # of each window, s after its start
+    CLOCK = 16  # time at each window's start, s
+    SIZE = 17

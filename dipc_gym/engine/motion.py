@@ -1,0 +1,291 @@
+"""Rates of a program's states at one moment, as code: accelerations with joints that slide or stick, and hidden states.
+
+A joint that slides feels dry friction as a force against its direction. One that sticks has no acceleration, and what holds
+it is worked out beside: when that asks for more than friction gives, the joint lets go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from llvmlite import ir
+
+from dipc_gym.engine.forces import Attached, Rule, laws
+from dipc_gym.engine.layout import JOINTS, STOPS, Element, Head, Joint, Kind, Spring
+from dipc_gym.engine.values import (
+    INT,
+    LANES,
+    POINTER,
+    VECTOR,
+    VOID,
+    Code,
+    Index,
+    Number,
+    Numbers,
+    Value,
+    integer,
+    maximum,
+    where,
+)
+from dipc_gym.physics import Moment
+
+# program, parameters (2), commands (2), directions, time (2), states (2), rates (2), holding (2), levels (2)
+ARGUMENTS = [POINTER] * 16
+
+
+def write_rates(module: ir.Module, rules: Sequence[tuple[Rule, bool]], *, tangents: bool) -> ir.Function:
+    """Write the function that sets rates, holding forces and levels of friction.
+
+    Args:
+        module: to write into.
+        rules: what `<custom>` may add to joints, and whether each is a level of dry friction.
+        tangents: whether derivatives are worked out.
+    """
+    code = Code(module, "rates", ARGUMENTS, tangents=tangents, internal=True)
+    _Rates(code, rules).write()
+    return code.finish()
+
+
+class _Rates:
+    def __init__(self, code: Code, rules: Sequence[tuple[Rule, bool]]) -> None:
+        arguments = code.function.args
+        self.code, self.rules = code, rules
+        self.program = arguments[0]
+        self.primal = ir.Function(code.module, ir.FunctionType(VOID, [POINTER] * 5), "primal")
+        self.tangent = ir.Function(code.module, ir.FunctionType(VOID, [POINTER] * 8), "tangent")
+        self.numbers = code.numbers(arguments[1], arguments[2])
+        self.commands = code.numbers(arguments[3], arguments[4])
+        self.directions = code.numbers(arguments[5])
+        self.time = code.numbers(arguments[6], arguments[7])
+        self.states = code.numbers(arguments[8], arguments[9])
+        self.rates = code.numbers(arguments[10], arguments[11])
+        self.holding = code.numbers(arguments[12], arguments[13])
+        self.levels = code.numbers(arguments[14], arguments[15])
+        self.n = code.whole(self.program, Head.JOINTS)
+        self.speeds = self.states.since(self.n)
+        self.accelerations = self.rates.since(self.n)
+        self.forces, self.drives = code.scratch(JOINTS), code.scratch(JOINTS)
+        self.bias = code.scratch(JOINTS)
+        self.total = code.scratch(JOINTS)
+        self.slope = code.scratch(JOINTS)
+        self.matrix = code.scratch(JOINTS * JOINTS, plain=True)
+        self.factor = code.scratch(JOINTS * JOINTS, plain=True)
+        self.attached = Attached(code, self.program, self.numbers, self.commands, self.states, self.time[1].plain)
+
+    def own(self, k: Index, what: Joint) -> Value:
+        first = self.code.whole(self.program, Head.JOINT_NUMBERS)
+        return self.numbers[self.code.sum(first, self.code.sum(self.code.product(k, int(Joint.SIZE)), int(what)))]
+
+    def stuck(self, k: Index) -> ir.Value:
+        code = self.code
+        return code.all_of(self.directions[k].equals(0.0), self.levels.plain(k) > 0)
+
+    def write(self) -> None:
+        code, n = self.code, self.n
+        with code.count(code.whole(self.program, Head.STATES)) as k:
+            self.rates[k] = 0.0
+        with code.count(n) as k:
+            self.rates[k] = self.speeds[k]
+        self.attached.on_joints(self.forces)
+        self.attached.by_elements(self.forces, self.drives, self.rates)
+        arguments = [self.states.place, self.speeds.place, self.numbers.place, self.matrix.place, self.bias.place]
+        code.at.call(self.primal, arguments)
+        with code.count(n) as k:
+            at = code.sum(code.product(k, n), k)
+            self.matrix[at] = self.matrix[at] + self.own(k, Joint.ARMATURE).plain
+            self.levels[k] = self.own(k, Joint.FRICTION)
+        self._laws()
+        self._factorise()
+        with code.count(n) as k:
+            slides = self.directions[k] * self.levels[k]
+            self.forces[k] = self.forces[k] - where(self.stuck(k), code.value(0.0), code.value(slides))
+            self.total[k] = self.forces[k]
+        self._solve()
+        with code.when(code.below(integer(0), code.whole(self.program, Head.STOPS))):
+            self._contacts()
+        self._hold()
+
+    def _laws(self) -> None:
+        code = self.code
+        if not self.rules:
+            return
+        with code.when(code.below(ir.Constant(INT, 0), code.whole(self.program, Head.LAWS))):
+            if code.tangents:
+                with code.when(code.equal(code.whole(self.program, Head.WEIGHED), 1)):
+                    still = code.scratch(JOINTS)
+                    with code.count(self.n) as k:
+                        still[k] = 0.0
+                    self._kernel_tangent(still, self.bias.beside)
+
+            def moment(joint: Index) -> Moment:
+                return Moment(
+                    time=self.time[0],
+                    position=self.states[joint],
+                    drive=self.drives[joint],
+                    weight=self.bias[joint],
+                    value=code.value(0.0),
+                )
+
+            with laws(code, self.program, self.numbers, [rule for rule, _ in self.rules], moment) as (which, joint, says):
+                for k, (_, dry) in enumerate(self.rules):
+                    into = self.levels if dry else self.forces
+                    with code.when(code.equal(which, k)):
+                        into[joint] = says if dry else into[joint] + says
+
+    def _kernel_tangent(self, accelerations: Numbers, out: ir.Value) -> None:
+        states, speeds, numbers = self.states, self.speeds, self.numbers
+        beside = [states.beside, speeds.beside, numbers.beside]
+        arguments = [states.place, speeds.place, accelerations.place, numbers.place, *beside, out]
+        self.code.at.call(self.tangent, arguments)
+
+    def _factorise(self) -> None:
+        """L D L' of the mass matrix, with those of a unit matrix for the rows of joints that stick."""
+        code, n, matrix, factor = self.code, self.n, self.matrix, self.factor
+        with code.count(n) as i:
+            row = code.product(i, n)
+            held = self.stuck(i)
+            with code.count(code.sum(i, 1)) as j:
+                either = code.any_of(held, self.stuck(j))
+                unit = where(code.equal(i, j), code.value(1.0), code.value(0.0))
+                entry = code.scratch(1, plain=True)
+                entry[0] = where(either, unit, matrix[code.sum(row, j)])
+                other = code.product(j, n)
+                with code.count(j) as k:
+                    product = factor[code.sum(row, k)] * factor[code.sum(other, k)]
+                    entry[0] = entry[0] - product * factor[code.sum(code.product(k, n), k)]
+                below = code.below(j, i)
+                pivot = factor[code.sum(other, j)]
+                factor[code.sum(row, j)] = entry[0] / where(below, pivot, code.value(1.0))
+
+    def _backwards(self, numbers: Numbers) -> None:
+        """Solve with the factors, in place; numbers and tangents alike."""
+        code, n, factor = self.code, self.n, self.factor
+        with code.count(n) as i:
+            with code.count(i) as j:
+                numbers[i] = numbers[i] - factor[code.sum(code.product(i, n), j)] * numbers[j]
+        with code.count(n) as i:
+            numbers[i] = numbers[i] / factor[code.sum(code.product(i, n), i)]
+        with code.count(n) as back:
+            i = code.at.sub(code.sum(n, -1), back)
+            with code.count(n, code.sum(i, 1)) as j:
+                numbers[i] = numbers[i] - factor[code.sum(code.product(j, n), i)] * numbers[j]
+
+    def _solve(self) -> None:
+        """Accelerations under `total`; with their tangents the change of the forces that they need, in `slope`."""
+        code, n, a = self.code, self.n, self.accelerations
+        with code.count(n) as k:
+            pull = self.total.plain(k) - self.bias.plain(k)
+            a[k] = where(self.stuck(k), code.value(0.0), pull)
+        self._backwards(Numbers(code, a.place, None))
+        if not code.tangents:
+            return
+        self._kernel_tangent(a, self.slope.beside)
+        with code.count(n) as k:
+            self.slope.set_plain(k, 0.0)
+            armature = self.own(k, Joint.ARMATURE) * a.plain(k)
+            self.slope[k] = self.slope[k] + (armature - armature.plain)
+            pull = self.total[k] - self.slope[k]
+            a_tangent = where(self.stuck(k), code.value(0.0), pull)
+            code.at.store(_tangent(a_tangent), code.offset(a.beside, k, VECTOR), align=8)
+        lanes = _Lanes(code, a.beside)
+        with code.count(n) as i:
+            with code.count(i) as j:
+                lanes.take(i, self.factor[code.sum(code.product(i, n), j)], j)
+        with code.count(n) as i:
+            lanes.divide(i, self.factor[code.sum(code.product(i, n), i)])
+        with code.count(n) as back:
+            i = code.at.sub(code.sum(n, -1), back)
+            with code.count(n, code.sum(i, 1)) as j:
+                lanes.take(i, self.factor[code.sum(code.product(j, n), i)], j)
+
+    def _contacts(self) -> None:
+        """Push back where a tendon is at a stop, by as much as MuJoCo's soft constraint does."""
+        code, n, attached = self.code, self.n, self.attached
+        answer, pushes = code.scratch(JOINTS, plain=True), code.scratch(STOPS)
+        with code.count(STOPS) as k:
+            pushes[k] = 0.0
+        stops = code.whole(self.program, Head.STOPS)
+        # What stops push on each other is small, for each keeps a ten thousandth of what presses on it.
+        sweeps = code.at.select(code.below(ir.Constant(INT, 1), stops), integer(3), integer(1))
+        number = code.counter()
+        with code.count(sweeps):
+            number.set(0)
+            with code.count(n) as k:
+                self.total[k] = self.forces[k]
+            with attached.elements() as element:
+                kind = code.whole(element, Element.KIND)
+                with code.when(code.equal(kind, int(Kind.STOP))):
+                    own = self.numbers.since(code.whole(element, Element.NUMBERS))
+                    coefficients, stop = own.since(Spring.SIZE), number.get()
+                    length, speed = attached.reach(element, coefficients)
+                    over, under = length - own[Spring.HIGHEST], own[Spring.LOWEST] - length
+                    # Seen along the way out of the stop.
+                    away = where(over > 0, code.value(-1.0), code.value(1.0))
+                    depth = maximum(over, under)
+                    before = pushes[stop]
+                    pushes[stop] = 0.0
+                    with code.when(depth > 0):
+                        wanted = own[Spring.STIFFNESS] * depth - own[Spring.DAMPING] * (away * speed)
+                        with code.count(n) as k:
+                            answer[k] = 0.0
+                        terms, first = code.whole(element, Element.TERMS), code.whole(element, Element.TERM_AT)
+                        present, gives = code.scratch(1), code.scratch(1, plain=True)
+                        present[0], gives[0] = 0.0, 0.0
+                        with code.count(terms) as t:
+                            joint = code.whole(self.program, code.sum(first, t))
+                            factor = where(self.stuck(joint), code.value(0.0), coefficients.plain(t))
+                            answer[joint] = answer[joint] + factor
+                            present[0] = present[0] + coefficients[t] * self.accelerations[joint]
+                        self._backwards(answer)
+                        with code.count(terms) as t:
+                            joint = code.whole(self.program, code.sum(first, t))
+                            gives[0] = gives[0] + coefficients.plain(t) * answer[joint]
+                        alone = away * present[0] - gives[0] * before
+                        push = (wanted - alone) / (gives[0] + own[Spring.WEIGHT])
+                        pushes[stop] = maximum(push, 0.0)
+                        attached.push(element, coefficients, away * pushes[stop], self.total)
+                    number.set(code.sum(stop, 1))
+            self._solve()
+
+    def _hold(self) -> None:
+        """What friction has to give where joints stick."""
+        code, n = self.code, self.n
+        with code.count(n) as k:
+            self.holding[k] = 0.0
+            with code.when(self.stuck(k)):
+                needed = code.scratch(1)
+                needed[0] = self.bias.plain(k) - self.total[k] + self._slope(k)
+                with code.count(n) as j:
+                    first = code.at.select(code.below(j, k), k, j)
+                    second = code.at.select(code.below(j, k), j, k)
+                    entry = self.matrix[code.sum(code.product(first, n), second)]
+                    needed[0] = needed[0] + entry * self.accelerations[j]
+                self.holding[k] = needed[0]
+
+    def _slope(self, k: Index) -> Number:
+        return self.slope[k] if self.code.tangents else 0.0
+
+
+class _Lanes:
+    """Tangents in memory, without their numbers."""
+
+    def __init__(self, code: Code, place: ir.Value) -> None:
+        self.code, self.place = code, place
+
+    def _get(self, k: Index) -> ir.Value:
+        return self.code.at.load(self.code.offset(self.place, k, VECTOR), align=8, typ=VECTOR)
+
+    def _set(self, k: Index, lanes: ir.Value) -> None:
+        self.code.at.store(lanes, self.code.offset(self.place, k, VECTOR), align=8)
+
+    def take(self, k: Index, factor: Value, other: Index) -> None:
+        at = self.code.at
+        product = at.fmul(self.code.splat(factor.primal), self._get(other), flags=("contract",))
+        self._set(k, at.fsub(self._get(k), product, flags=("contract",)))
+
+    def divide(self, k: Index, by: Value) -> None:
+        self._set(k, self.code.at.fdiv(self._get(k), self.code.splat(by.primal)))
+
+
+def _tangent(value: Value) -> ir.Value:
+    return value.tangent if value.tangent is not None else ir.Constant(VECTOR, [0.0] * LANES)

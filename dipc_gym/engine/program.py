@@ -1,0 +1,366 @@
+"""A compiled `mjModel` as a program of the engine: whole numbers that say what is there, and parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf, physics
+from dipc_gym.engine import layout, rigid
+from dipc_gym.engine.layout import Element, Feature, Force, Head, Joint, Kind, Law, Sensor, Spring
+from dipc_gym.physics import Physics
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+_LIMITLESS = 1e30
+
+
+class Uncovered(Exception):  # noqa: N818 - it is no error: another simulator takes over
+    """A model has what the engine does not simulate; the message says what and where."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """What a model has, without its numbers.
+
+    Attributes:
+        tree: joints and links.
+        codes: whole numbers that the compiled loop reads.
+        sensors: names, in the order in which they are read.
+        states: hidden states.
+    """
+
+    tree: rigid.Tree
+    codes: Whole = field(repr=False)
+    sensors: tuple[str, ...]
+    states: int
+
+    @property
+    def nx(self) -> int:
+        """States, lags of sensors included."""
+        return int(self.codes[Head.STATES])
+
+
+def read(variants: Sequence[Physics]) -> tuple[Program, Array]:
+    """The program of a model and its parameters in several variants, (variants, parameters).
+
+    Args:
+        variants: one structure with different numbers.
+
+    Raises:
+        Uncovered: the engine does not simulate something in it, or the variants have different structures.
+    """
+    written = [_Writer(variant) for variant in variants]
+    first = written[0]
+    for one in written[1:]:
+        if one.tree != first.tree or one.ints != first.ints:
+            raise Uncovered("variants differ in more than numbers")
+    parameters = np.array([one.numbers for one in written])
+    tree = rigid.fix(first.tree, parameters[:, : first.tree.count])
+    codes = np.array(first.ints, dtype=np.int64)
+    names = tuple(mjcf.scalar_sensors(variants[0].model))
+    return Program(tree, codes, names, first.hidden), parameters
+
+
+class _Writer:
+    """Reads one model."""
+
+    def __init__(self, source: Physics) -> None:
+        model = source.model
+        self.model, self.physics = model, source
+        _check_covered(model)
+        self.tree, numbers = rigid.tree_of(model)
+        self.numbers: list[float] = numbers.tolist()
+        self.ints: list[int] = [0] * int(Head.SIZE)
+        self.hidden = 0
+        self._joints()
+        elements = [*self._tendons(), *self._actuators()]
+        self.ints[Head.DELAYS] = len(self.numbers)
+        delays = np.zeros(model.nu)
+        for i in range(model.nactuator):
+            first = int(model.actuator_ctrladr[i])
+            delays[first : first + int(model.actuator_ctrlnum[i])] = model.actuator_delay[i]
+        # Seen from the sensor that reads latest, commands act later by as much.
+        self.numbers += (delays + mjcf.sensor_delays(model).max(initial=0.0)).tolist()
+        lags = self._sensors()
+        self._laws()
+        self.ints[Head.ELEMENT_AT], self.ints[Head.ELEMENTS] = len(self.ints), len(elements)
+        self.ints += [number for element in elements for number in element]
+        self.ints[Head.JOINTS] = model.nv
+        self.ints[Head.CONTROLS] = model.nu
+        self.ints[Head.STATES] = 2 * model.nv + self.hidden + lags
+        self.ints[Head.PARAMETERS] = len(self.numbers)
+        for what, most, count in (
+            ("joints", layout.JOINTS, model.nv),
+            ("states", layout.STATES, self.ints[Head.STATES]),
+            ("controls", layout.CONTROLS, model.nu),
+            ("sensors", layout.SENSORS, self.ints[Head.SENSORS]),
+            ("tendons with limits", layout.STOPS, self.ints[Head.STOPS]),
+        ):
+            if count > most:
+                raise Uncovered(f"{count} {what}, more than {most}")
+
+    def _joints(self) -> None:
+        model = self.model
+        self.ints[Head.JOINT_NUMBERS] = len(self.numbers)
+        damped = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER
+        sprung = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_SPRING
+        for k in range(model.nv):
+            damping = [float(model.dof_damping[k]), *np.ravel(model.dof_dampingpoly[k]).tolist()]
+            armature, by = float(model.dof_armature[k]), int(model.jnt_actuatorid[k])
+            if by >= 0:  # the one actuator whose damping and armature the joint feels
+                gear = float(model.actuator_gear[model.actuator_outadr[by], 0])
+                armature += float(model.actuator_armature[by]) * gear**2
+                more = [float(model.actuator_damping[by]), *np.ravel(model.actuator_dampingpoly[by]).tolist()]
+                damping = [x + y * gear**2 for x, y in zip(damping, more, strict=True)]
+            stiffness = [float(model.jnt_stiffness[k]), *np.ravel(model.jnt_stiffnesspoly[k]).tolist()]
+            rest = float(model.qpos_spring[model.jnt_qposadr[k]])
+            friction = float(model.dof_frictionloss[k])
+            self.numbers += [x * damped for x in damping] + [x * sprung for x in stiffness]
+            self.numbers += [rest, armature, friction]
+
+    def _element(
+        self, kind: Kind, dofs: Sequence[int], coefficients: Sequence[float], numbers: Sequence[float], **more: int
+    ) -> list[int]:
+        element = [0] * int(Element.SIZE)
+        element[Element.KIND] = int(kind)
+        element[Element.TERMS], element[Element.TERM_AT] = len(dofs), len(self.ints)
+        element[Element.CONTROL], element[Element.STATE] = more.get("control", -1), more.get("state", -1)
+        element[Element.NUMBERS], element[Element.FEATURES] = len(self.numbers), more.get("features", 0)
+        self.ints += list(dofs)
+        self.numbers += [*numbers, *coefficients]
+        return element
+
+    def _along(self, tendon: int) -> tuple[list[int], list[float]]:
+        """Joints of a fixed tendon, and their coefficients."""
+        model = self.model
+        first = int(model.tendon_adr[tendon])
+        span = range(first, first + int(model.tendon_num[tendon]))
+        if any(model.wrap_type[w] != mujoco.mjtWrap.mjWRAP_JOINT for w in span):
+            raise Uncovered(f"tendon {model.tendon(tendon).name!r} is not a fixed one")
+        return [int(model.wrap_objid[w]) for w in span], [float(model.wrap_prm[w]) for w in span]
+
+    def _tendons(self) -> list[list[int]]:
+        model, elements = self.model, []
+        stops = []
+        for t in range(model.ntendon):
+            name = model.tendon(t).name
+            dofs, coefficients = self._along(t)
+            if model.tendon_frictionloss[t] or model.tendon_armature[t] or model.tendon_actfrclimited[t]:
+                raise Uncovered(f"tendon {name!r} has friction, armature or a limited force")
+            low, high = model.tendon_lengthspring[t]
+            stiffness = [float(model.tendon_stiffness[t]), *np.ravel(model.tendon_stiffnesspoly[t]).tolist()]
+            damping = [float(model.tendon_damping[t]), *np.ravel(model.tendon_dampingpoly[t]).tolist()]
+            if any(stiffness) or any(damping):
+                spring = [float(low), float(high), *stiffness, *damping]
+                elements.append(self._element(Kind.SPRING, dofs, coefficients, [*spring, *[0.0] * (Spring.SIZE - 8)]))
+            if model.tendon_limited[t]:
+                stops.append(self._stop(t, name, dofs, coefficients))
+        self.ints[Head.STOPS] = len(stops)
+        return elements + stops
+
+    def _stop(self, t: int, name: str, dofs: list[int], coefficients: list[float]) -> list[int]:
+        """A limit whose solver parameters make it a spring and a damper; see MuJoCo's documentation on solref."""
+        model = self.model
+        pull, drag = model.tendon_solref_lim[t]
+        least, most = model.tendon_solimp_lim[t][:2]
+        if pull >= 0 or drag > 0 or least != most or model.tendon_margin[t]:
+            raise Uncovered(f"tendon {name!r} has a limit that is no spring (solreflimit not negative, or a margin)")
+        share = float(np.clip(least, 1e-4, 0.9999))
+        low, high = (float(x) for x in model.tendon_range[t])
+        soft = (1 - share) / share * float(model.tendon_invweight0[t])
+        numbers = [low, high, -pull / share, 0.0, 0.0, -drag / share, 0.0, 0.0, soft]
+        return self._element(Kind.STOP, dofs, coefficients, numbers)
+
+    def _actuators(self) -> list[list[int]]:
+        return [self._actuator(i) for i in range(self.model.nactuator)]
+
+    def _actuator(self, i: int) -> list[int]:
+        model, kinds = self.model, mujoco.mjtDyn
+        name = model.actuator(i).name
+        where = f"actuator {name!r}"
+        gear = float(model.actuator_gear[model.actuator_outadr[i], 0])
+        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
+            dofs, coefficients = [int(model.actuator_trnid[i, 0])], [gear]
+        elif model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON:
+            dofs, along = self._along(int(model.actuator_trnid[i, 0]))
+            coefficients = [gear * c for c in along]
+            if model.actuator_damping[i] or model.actuator_armature[i] or np.any(model.actuator_dampingpoly[i]):
+                raise Uncovered(f"{where} has damping or armature on a tendon")
+        else:
+            raise Uncovered(f"{where} acts neither on a joint nor on a tendon")
+        if model.actuator_actlimited[i]:
+            raise Uncovered(f"{where} has a limited activation")
+        if model.actuator_plugin[i] >= 0:
+            raise Uncovered(f"{where} is a plugin")
+        numbers = [0.0] * int(Force.SIZE)
+        control = self._control(i, where, numbers)
+        if model.actuator_forcelimited[i]:
+            numbers[Force.LOWEST], numbers[Force.HIGHEST] = (float(x) for x in model.actuator_forcerange[i])
+        else:
+            numbers[Force.LOWEST], numbers[Force.HIGHEST] = -_LIMITLESS, _LIMITLESS
+        dynamics = int(model.actuator_dyntype[i])
+        if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR:
+            return self._motor(i, where, numbers, dofs, coefficients, control)
+        gains, biases = mujoco.mjtGain, mujoco.mjtBias
+        if model.actuator_gaintype[i] == gains.mjGAIN_FIXED:
+            numbers[Force.GAIN] = float(model.actuator_gainprm[i, 0])
+        elif model.actuator_gaintype[i] == gains.mjGAIN_AFFINE:
+            numbers[Force.GAIN : Force.GAIN + 3] = model.actuator_gainprm[i, :3].tolist()
+        else:
+            raise Uncovered(f"{where} has a gain that is neither fixed nor affine")
+        if model.actuator_biastype[i] == biases.mjBIAS_AFFINE:
+            numbers[Force.BIAS : Force.BIAS + 3] = model.actuator_biasprm[i, :3].tolist()
+        elif model.actuator_biastype[i] != biases.mjBIAS_NONE:
+            raise Uncovered(f"{where} has a bias that is not affine")
+        if dynamics == kinds.mjDYN_NONE:
+            return self._element(Kind.PLAIN, dofs, coefficients, numbers, control=control)
+        found = {
+            int(kinds.mjDYN_INTEGRATOR): Kind.INTEGRATED,
+            int(kinds.mjDYN_FILTER): Kind.FILTERED,
+            int(kinds.mjDYN_FILTEREXACT): Kind.FILTERED,
+        }.get(dynamics)
+        if found is None or model.actuator_actnum[i] != 1:
+            raise Uncovered(f"{where} has dynamics that are neither a filter nor an integrator")
+        numbers[Force.TIME] = max(float(model.actuator_dynprm[i, 0]), 1e-12)
+        return self._element(found, dofs, coefficients, numbers, control=control, state=self._state(i))
+
+    def _control(self, i: int, where: str, numbers: list[float]) -> int:
+        """Index of an actuator's control, or -1; its limits go into `numbers`."""
+        model = self.model
+        numbers[Force.LOWEST_COMMAND], numbers[Force.HIGHEST_COMMAND] = -_LIMITLESS, _LIMITLESS
+        count = int(model.actuator_ctrlnum[i])
+        if count > 1:
+            raise Uncovered(f"{where} takes {count} commands")
+        if not count:
+            return -1
+        control = int(model.actuator_ctrladr[i])
+        if model.actuator_ctrllimited[control]:
+            limits = model.actuator_ctrlrange[control]
+            numbers[Force.LOWEST_COMMAND], numbers[Force.HIGHEST_COMMAND] = (float(x) for x in limits)
+        return control
+
+    def _motor(
+        self, i: int, where: str, numbers: list[float], dofs: list[int], coefficients: list[float], control: int
+    ) -> list[int]:
+        model = self.model
+        if int(model.actuator_ctrlspec[i]) not in (mujoco.mjtCtrlInput.mjINPUT_VOLTAGE, mujoco.mjtCtrlInput.mjINPUT_NONE):
+            raise Uncovered(f"{where} has a controller on board")
+        gain, bias, dynamics = (
+            np.asarray(x[i], dtype=float).tolist()
+            for x in (model.actuator_gainprm, model.actuator_biasprm, model.actuator_dynprm)
+        )
+        if any(gain[4:]) or any(bias[6:]) or any(dynamics[7:]):
+            raise Uncovered(f"{where} has a controller on board")
+        if dynamics[1]:
+            raise Uncovered(f"{where} has a limited rate of its current")
+        numbers[Force.GAIN : Force.GAIN + 3] = gain[:3]
+        numbers[Force.BIAS], numbers[Force.BIAS + 1] = gain[3], dynamics[4]
+        numbers[Force.TIME] = dynamics[0]
+        numbers[Force.COGS : Force.COGS + 3] = bias[:3]
+        numbers[Force.BRISTLES : Force.BRISTLES + 5] = [*bias[3:6], dynamics[5], dynamics[6]]
+        numbers[Force.HEAT : Force.HEAT + 2] = dynamics[2:4]
+        features = 0
+        for feature, there in (
+            (Feature.WINDING, dynamics[0] > 0),
+            (Feature.HEAT, dynamics[2] > 0),
+            (Feature.BRISTLES, dynamics[5] > 0),
+            (Feature.COGS, True),
+        ):
+            features |= int(feature) * bool(there)
+        counted = bin(features & ~int(Feature.COGS)).count("1")
+        if counted != int(model.actuator_actnum[i]):
+            raise Uncovered(f"{where} has {model.actuator_actnum[i]} hidden states where {counted} are known")
+        state = self._state(i) if counted else -1
+        return self._element(Kind.MOTOR, dofs, coefficients, numbers, control=control, state=state, features=features)
+
+    def _state(self, i: int) -> int:
+        """Index of an actuator's first hidden state, which is MuJoCo's."""
+        self.hidden = self.model.na
+        return int(self.model.actuator_actadr[i])
+
+    def _sensors(self) -> int:
+        """Sensors; how many of them lag."""
+        model, kinds = self.model, mujoco.mjtSensor
+        self.hidden = model.na
+        lags = {extra.index: float(extra.data[0]) for extra in self.physics.stage("lag")}
+        found, late = [], 0
+        latest = float(mjcf.sensor_delays(model).max(initial=0.0))
+        self.ints[Head.LATE] = len(self.numbers)
+        self.numbers.append(latest)
+        for name in mjcf.scalar_sensors(model):
+            sensor = model.sensor(name).id
+            what, at = int(model.sensor_type[sensor]), int(model.sensor_objid[sensor])
+            factor = 1.0
+            if what in (kinds.mjSENS_JOINTPOS, kinds.mjSENS_JOINTVEL):
+                state = at + model.nv * (what == kinds.mjSENS_JOINTVEL)
+            elif (
+                what in (kinds.mjSENS_ACTUATORPOS, kinds.mjSENS_ACTUATORVEL)
+                and model.actuator_trntype[at] == mujoco.mjtTrn.mjTRN_JOINT
+            ):
+                state = int(model.actuator_trnid[at, 0]) + model.nv * (what == kinds.mjSENS_ACTUATORVEL)
+                factor = float(model.actuator_gear[model.actuator_outadr[at], 0])
+            else:
+                raise Uncovered(f"sensor {name!r} reads neither a joint's position nor its speed")
+            if model.sensor_cutoff[sensor]:
+                raise Uncovered(f"sensor {name!r} has a cutoff")
+            numbers = [0] * int(Sensor.SIZE)
+            numbers[Sensor.STATE], numbers[Sensor.FACTOR] = state, len(self.numbers)
+            numbers[Sensor.LAG], numbers[Sensor.TIME], numbers[Sensor.AHEAD] = -1, len(self.numbers) + 1, len(self.numbers) + 2
+            tau = lags.get(int(model.sensor_adr[sensor]))
+            if tau is not None:
+                numbers[Sensor.LAG] = 2 * model.nv + self.hidden + late
+                late += 1
+            self.numbers += [factor, tau or 0.0, latest - float(model.sensor_delay[sensor])]
+            found.append(numbers)
+        self.ints[Head.SENSOR_AT], self.ints[Head.SENSORS] = len(self.ints), len(found)
+        self.ints += [number for numbers in found for number in numbers]
+        return late
+
+    def _laws(self) -> None:
+        known, laws = [name for name, _, _ in rules()], []
+        for extra in self.physics.extras:
+            if extra.stage not in ("friction", "force"):
+                continue
+            law = [0] * int(Law.SIZE)
+            law[Law.RULE], law[Law.JOINT] = known.index(extra.effect), extra.index
+            law[Law.NUMBERS], law[Law.COUNT] = len(self.numbers), len(extra.data)
+            self.numbers += extra.data.tolist()
+            laws.append(law)
+        self.ints[Head.LAW_AT], self.ints[Head.LAWS] = len(self.ints), len(laws)
+        self.ints[Head.WEIGHED] = int(self.physics.pressed)
+        self.ints += [number for law in laws for number in law]
+
+
+def rules() -> list[tuple[str, physics.Rule, bool]]:
+    """What `<custom>` may add to joints: id, law, whether it is a level of dry friction."""
+    return [(name, rule, stage == "friction") for name, stage, rule in physics.rules() if stage in ("friction", "force")]
+
+
+def _check_covered(model: mujoco.MjModel) -> None:
+    """Raise for what the engine leaves out."""
+    kinds = mujoco.mjtJoint
+    if any(int(kind) not in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE) for kind in model.jnt_type):
+        raise Uncovered("a joint that is neither hinge nor slide")
+    for what, there in (
+        ("an equality constraint", model.neq > 0),
+        ("a limited joint", bool(model.jnt_limited.any())),
+        ("a limited actuator force at a joint", bool(model.jnt_actfrclimited.any())),
+        ("a spring that yields", bool(np.any(model.jnt_springyield)) or bool(np.any(model.tendon_springyield))),
+        ("a medium with density, viscosity or wind", bool(model.opt.density or model.opt.viscosity)),
+        ("a flexible body", model.nflex > 0),
+        ("a mocap body", model.nmocap > 0),
+        ("a plugin", model.nplugin > 0),
+        ("actuation switched off", bool(model.opt.disableactuator)),
+    ):
+        if there:
+            raise Uncovered(what)
+    switches = mujoco.mjtDisableBit
+    for switch in (switches.mjDSBL_ACTUATION, switches.mjDSBL_CLAMPCTRL, switches.mjDSBL_LIMIT):
+        if model.opt.disableflags & switch:
+            raise Uncovered(f"the flag {switch.name}")

@@ -1,0 +1,244 @@
+"""Programs on windows: arrays in, readings and their derivatives out."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.engine import machine
+from dipc_gym.engine.kernel import write_kernel
+from dipc_gym.engine.layout import At, Head, Row
+from dipc_gym.engine.loop import write_loop
+from dipc_gym.engine.program import Program, rules
+from dipc_gym.engine.rigid import Tree
+from dipc_gym.engine.values import LANES
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Held commands of all recordings, one after the other.
+
+    Attributes:
+        stamps: from which on each sample is held, s, (samples,).
+        values: (sets, samples, controls); a set for each way in which commands reach the model.
+    """
+
+    stamps: Array
+    values: Array
+
+
+@dataclass(frozen=True)
+class Jobs:
+    """What is to be simulated.
+
+    Attributes:
+        parameters: (variants, k).
+        starts: states at each window's start, (variants, windows, nx).
+        clock: time stamp of each window's start, s, (windows,).
+        first: sample of `commands` from which each window reads, (windows,).
+        count: samples from there on, (windows,).
+        commands: all of them.
+        which: set of commands that each variant gets, (variants,).
+        times: at which sensors are read after the start, s, (windows, sensors, samples).
+        until: s after the start to which each window is simulated, (windows,).
+    """
+
+    parameters: Array
+    starts: Array
+    clock: Array
+    first: Whole
+    count: Whole
+    commands: Commands
+    which: Whole
+    times: Array
+    until: Array
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Ways in which the first variant may change.
+
+    Attributes:
+        parameters: change of the parameters, (d, k).
+        starts: change of the starts, (d, windows, nx).
+        commands: change of the commands, (d, samples, controls), or None.
+    """
+
+    parameters: Array
+    starts: Array
+    commands: Array | None = None
+
+
+def run(program: Program, jobs: Jobs, step: float, *, threads: int = 0) -> tuple[Array, Array]:
+    """Simulate every window with every variant.
+
+    Args:
+        program: of the model.
+        jobs: what to simulate.
+        step: longest step, s.
+        threads: 0 for all cores.
+
+    Returns:
+        Readings (variants, windows, sensors, samples), not a number from where one diverged, and the states at the end,
+        (variants, windows, nx).
+    """
+    variants, windows, nx = jobs.starts.shape
+    rows = np.zeros((variants, windows, int(Row.SIZE)), dtype=np.int64)
+    rows[..., Row.PARAMETERS] = np.arange(variants)[:, None]
+    rows[..., Row.COMMANDS] = jobs.which[:, None] * len(jobs.commands.stamps) + jobs.first
+    out = np.empty((variants, windows, *jobs.times.shape[1:]))
+    ends = np.empty((variants, windows, nx))
+    _call(program, jobs, rows, jobs.starts, step, threads, out, ends, {})
+    return out, ends
+
+
+def differentiate(
+    program: Program, jobs: Jobs, directions: Directions, step: float, *, threads: int = 0
+) -> tuple[Array, Array, Array, Array]:
+    """Simulate every window with one variant, and how readings change in some directions.
+
+    Args:
+        program: of the model.
+        jobs: what to simulate; one variant.
+        directions: ways to change.
+        step: longest step, s.
+        threads: 0 for all cores.
+
+    Returns:
+        Readings (windows, sensors, samples), their changes (d, windows, sensors, samples), the states at the end
+        (windows, nx), and their changes (d, windows, nx).
+    """
+    (_, windows, nx), count = jobs.starts.shape, len(directions.parameters)
+    packs = max(1, -(-count // LANES))
+    rows = np.zeros((packs, windows, int(Row.SIZE)), dtype=np.int64)
+    rows[..., Row.DIRECTIONS] = np.arange(packs)[:, None]
+    pack = np.arange(packs)[:, None] if directions.commands is not None else 0
+    rows[..., Row.COMMANDS] = pack * len(jobs.commands.stamps) + jobs.first
+    starts = np.repeat(jobs.starts, packs, axis=0)
+    values = jobs.commands.values[jobs.which[0]]
+    commands = np.repeat(values[None], packs if directions.commands is not None else 1, axis=0)
+    changed = directions.commands if directions.commands is not None else np.zeros((LANES, *values.shape))
+    out = np.empty((packs, windows, *jobs.times.shape[1:]))
+    ends = np.empty((packs, windows, nx))
+    tangents = {
+        At.PARAMETER_TANGENTS: _packed(directions.parameters, packs),
+        At.START_TANGENTS: _packed(directions.starts, packs),
+        At.COMMAND_TANGENTS: _packed(changed, len(commands)),
+        At.READING_TANGENTS: np.zeros((*out.shape, LANES)),
+        At.END_TANGENTS: np.zeros((*ends.shape, LANES)),
+    }
+    moved = Jobs(**{**vars(jobs), "commands": Commands(jobs.commands.stamps, commands)})
+    _call(program, moved, rows, starts, step, threads, out, ends, tangents)
+    readings, states = (
+        np.moveaxis(tangents[at], -1, 1).reshape(packs * LANES, *shape)[:count]
+        for at, shape in ((At.READING_TANGENTS, out.shape[1:]), (At.END_TANGENTS, ends.shape[1:]))
+    )
+    return out[0], readings, ends[0], states
+
+
+def _packed(directions: Array, packs: int) -> Array:
+    """Directions (d, ...) in packs of LANES, (packs, ..., LANES)."""
+    whole = np.zeros((packs * LANES, *directions.shape[1:]))
+    whole[: len(directions)] = directions
+    return np.ascontiguousarray(np.moveaxis(whole.reshape(packs, LANES, *directions.shape[1:]), 1, -1))
+
+
+def _call(
+    program: Program,
+    jobs: Jobs,
+    rows: Whole,
+    starts: Array,
+    step: float,
+    threads: int,
+    out: Array,
+    ends: Array,
+    tangents: dict[At, Array],
+) -> None:
+    rows[..., Row.WINDOW] = np.arange(rows.shape[1])
+    rows[..., Row.STAMPS], rows[..., Row.COUNT] = jobs.first, jobs.count
+    codes = program.codes.copy()
+    codes[Head.SAMPLES] = jobs.times.shape[2]
+    arrays: dict[At, NDArray[np.generic]] = {
+        At.PROGRAM: codes,
+        At.PARAMETERS: jobs.parameters,
+        At.STARTS: starts,
+        At.ENDS: ends,
+        At.ROWS: rows,
+        At.STAMPS: jobs.commands.stamps,
+        At.COMMANDS: jobs.commands.values if not tangents else jobs.commands.values,
+        At.TIMES: jobs.times,
+        At.READINGS: out,
+        At.STEP: np.array([step]),
+        At.UNTIL: jobs.until,
+        At.CLOCK: jobs.clock,
+        **tangents,
+    }
+    kept = {at: np.ascontiguousarray(array) for at, array in arrays.items()}
+    table = (ctypes.c_void_p * int(At.SIZE))()
+    for at, array in kept.items():
+        table[at] = array.ctypes.data
+    function = _function(program.tree, bool(tangents))
+    count = rows.shape[0] * rows.shape[1]
+    workers = min(threads or os.cpu_count() or 1, max(1, count // 4))
+    if workers == 1:
+        function(table, 0, count)
+        return
+    # Rows differ in what they cost; small shares even that out.
+    borders = np.linspace(0, count, 4 * workers + 1).astype(int)
+    list(_pool(workers).map(lambda ends: function(table, *ends), zip(borders[:-1].tolist(), borders[1:].tolist())))
+
+
+@functools.lru_cache(maxsize=4)
+def _pool(workers: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(workers, thread_name_prefix="engine")
+
+
+@functools.lru_cache(maxsize=256)
+def _function(tree: Tree, tangents: bool) -> object:
+    """The compiled function; calls of it let other threads run."""
+    library = machine.load([_loop(tangents), write_kernel(tree)], ["run", "probe"])
+    function = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(library.addresses["run"])
+    function.library = library
+    return function
+
+
+def rates(program: Program, parameters: Array, states: Array, commands: Array, time: float) -> Array:
+    """Rates of the states (nx,) of a model whose joints all slide in the direction of their motion.
+
+    Args:
+        program: of the model.
+        parameters: (k,).
+        states: (nx,).
+        commands: (controls,).
+        time: s.
+    """
+    n = program.codes[Head.JOINTS]
+    function = _function(program.tree, False)
+    probe = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 16)(function.library.addresses["probe"])
+    signs, out, rest = np.sign(states[n : 2 * n]), np.zeros(len(states)), np.zeros((2, n))
+    now = np.array([time, 1e-12])
+    arrays = (program.codes, parameters, None, commands, None, signs, now, None, states, None, out, None)
+    arrays = (*arrays, rest[0], None, rest[1], None)
+    probe(*(None if array is None else array.ctypes.data for array in arrays))
+    return out
+
+
+@functools.lru_cache(maxsize=2)
+def _loop(tangents: bool) -> str:
+    return str(write_loop([(rule, dry) for _, rule, dry in rules()], tangents=tangents))
+
+
+def stamps_of(recorded: Sequence[Array], values: Sequence[Array]) -> tuple[Commands, Whole]:
+    """Commands of several recordings, and where each begins among them."""
+    begin = np.cumsum([0, *(len(stamps) for stamps in recorded)])[:-1]
+    return Commands(np.concatenate(list(recorded)), np.concatenate(list(values))[None]), begin.astype(np.int64)

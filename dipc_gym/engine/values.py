@@ -1,0 +1,484 @@
+"""Numbers that write code: LLVM instructions by arithmetic on Python objects, with tangents beside.
+
+A `Value` is a number that will exist when the code runs. Arithmetic on it appends instructions. With each number go, where
+wanted, its derivatives in `LANES` directions, as one vector: forward differentiation by the rules of calculus, one
+vector operation for all directions. Factors of zero and one vanish while the code is written, which is how the
+structure of a model (joints along axes, bodies in a plane) makes its code short.
+
+NumPy's functions work on values (NEP 13 and 18), so that a law written for arrays becomes code as it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+
+LANES = 8
+REAL, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
+POINTER = ir.PointerType()
+VECTOR = ir.VectorType(REAL, LANES)
+VOID = ir.VoidType()
+_FUSED = ("contract",)  # a product and a sum may become one rounding
+
+Index = Any  # int, or an LLVM integer
+
+
+class Code:
+    """Writes one function.
+
+    Args:
+        module: of the function.
+        name: of the function.
+        arguments: types.
+        returns: type.
+        tangents: whether numbers carry derivatives.
+        internal: whether only functions of the same module call it.
+    """
+
+    def __init__(
+        self,
+        module: ir.Module,
+        name: str,
+        arguments: Sequence[ir.Type],
+        *,
+        returns: ir.Type | None = None,
+        tangents: bool = False,
+        internal: bool = False,
+    ) -> None:
+        self.module, self.tangents = module, tangents
+        self.function = ir.Function(module, ir.FunctionType(returns or ir.VoidType(), arguments), name)
+        if internal:
+            self.function.linkage = "internal"
+            self.function.attributes.add("noinline")
+        self._entry = self.function.append_basic_block("entry")
+        self.at = ir.IRBuilder(self.function.append_basic_block("body"))
+        self._scratch = ir.IRBuilder(self._entry)
+        self._body = self.at.block
+
+    def finish(self, result: ir.Value | None = None) -> ir.Function:
+        """End the function."""
+        if result is None:
+            self.at.ret_void()
+        else:
+            self.at.ret(result)
+        self._scratch.branch(self._body)
+        return self.function
+
+    # Memory
+
+    def scratch(self, count: int, *, plain: bool = False) -> Numbers:
+        """Memory for numbers of this call, without tangents if `plain`."""
+        place = self._scratch.alloca(REAL, count)
+        place.align = 64
+        beside = None
+        if self.tangents and not plain:
+            beside = self._scratch.alloca(VECTOR, count)
+            beside.align = 64
+        return Numbers(self, place, beside)
+
+    def counter(self, value: int = 0) -> Counter:
+        """A whole number that changes."""
+        counter = Counter(self, self._scratch.alloca(INT))
+        counter.set(value)
+        return counter
+
+    def numbers(self, place: ir.Value, beside: ir.Value | None = None) -> Numbers:
+        """Numbers in memory, and their tangents there."""
+        return Numbers(self, place, beside if self.tangents else None)
+
+    def whole(self, place: ir.Value, index: Index) -> ir.Value:
+        """A whole number in memory."""
+        return self.at.load(self._element(place, index, INT), typ=INT)
+
+    def pointer(self, place: ir.Value, index: Index) -> ir.Value:
+        """An address in memory."""
+        return self.at.load(self._element(place, index, POINTER), typ=POINTER)
+
+    def offset(self, place: ir.Value, index: Index, kind: ir.Type = REAL) -> ir.Value:
+        """The address `index` elements further on."""
+        return self._element(place, index, kind)
+
+    def _element(self, place: ir.Value, index: Index, kind: ir.Type) -> ir.Value:
+        return self.at.gep(place, [integer(index)], inbounds=True, source_etype=kind)
+
+    # Numbers
+
+    def value(self, number: Number) -> Value:
+        """A number as a value."""
+        return number if isinstance(number, Value) else Value(self, ir.Constant(REAL, float(number)))
+
+    def splat(self, number: ir.Value) -> ir.Value:
+        """The same number in all lanes."""
+        first = self.at.insert_element(ir.Constant(VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+        return self.at.shuffle_vector(first, ir.Constant(VECTOR, ir.Undefined), zeros)
+
+    def call(self, name: str, *numbers: ir.Value) -> ir.Value:
+        """A function of real numbers from the C library."""
+        function = self.module.globals.get(name)
+        if function is None:
+            function = ir.Function(self.module, ir.FunctionType(REAL, [REAL] * len(numbers)), name)
+            function.attributes.add("nounwind")
+        return self.at.call(function, numbers)
+
+    def intrinsic(self, name: str, *numbers: ir.Value) -> ir.Value:
+        """One of LLVM's own functions of real numbers."""
+        return self.at.call(self.module.declare_intrinsic(name, [REAL]), numbers)
+
+    # Flow
+
+    @contextmanager
+    def count(self, to: Index, start: Index = 0) -> Iterator[ir.Value]:
+        """Repeat with an index from `start` up to `to`, excluded."""
+        ahead = self.at.block
+        head, body, end = (self.function.append_basic_block(name) for name in ("head", "repeat", "after"))
+        self.at.branch(head)
+        self.at.position_at_end(head)
+        index = self.at.phi(INT)
+        index.add_incoming(integer(start), ahead)
+        self.at.cbranch(self.at.icmp_signed("<", index, integer(to)), body, end)
+        self.at.position_at_end(body)
+        yield index
+        index.add_incoming(self.at.add(index, ir.Constant(INT, 1)), self.at.block)
+        self.at.branch(head)
+        self.at.position_at_end(end)
+
+    @contextmanager
+    def repeat(self) -> Iterator[Callable[[ir.Value], None]]:
+        """Repeat until the function that it gives is called with a true condition."""
+        body, end = self.function.append_basic_block("again"), self.function.append_basic_block("done")
+        self.at.branch(body)
+        self.at.position_at_end(body)
+
+        def stop(condition: ir.Value) -> None:
+            on = self.function.append_basic_block("on")
+            self.at.cbranch(condition, end, on)
+            self.at.position_at_end(on)
+
+        yield stop
+        self.at.branch(body)
+        self.at.position_at_end(end)
+
+    @contextmanager
+    def when(self, condition: ir.Value) -> Iterator[None]:
+        """Only if a condition holds."""
+        with self.at.if_then(condition):
+            yield
+
+    @contextmanager
+    def either(self, condition: ir.Value) -> Iterator[tuple[Any, Any]]:
+        """One of two branches: `with code.either(c) as (then, otherwise)`."""
+        with self.at.if_else(condition) as branches:
+            yield branches
+
+    def all_of(self, *conditions: ir.Value) -> ir.Value:
+        """Whether all conditions hold."""
+        result = conditions[0]
+        for condition in conditions[1:]:
+            result = self.at.and_(result, condition)
+        return result
+
+    def any_of(self, *conditions: ir.Value) -> ir.Value:
+        """Whether one of them holds."""
+        result = conditions[0]
+        for condition in conditions[1:]:
+            result = self.at.or_(result, condition)
+        return result
+
+    def equal(self, index: ir.Value, other: Index) -> ir.Value:
+        """Whether whole numbers are equal."""
+        return self.at.icmp_signed("==", index, integer(other))
+
+    def below(self, index: ir.Value, other: Index) -> ir.Value:
+        """Whether a whole number is smaller than another."""
+        return self.at.icmp_signed("<", index, integer(other))
+
+    def sum(self, index: ir.Value, other: Index) -> ir.Value:
+        """Sum of whole numbers."""
+        return self.at.add(index, integer(other))
+
+    def product(self, index: ir.Value, other: Index) -> ir.Value:
+        """Product of whole numbers."""
+        return self.at.mul(index, integer(other))
+
+
+def integer(index: Index) -> ir.Value:
+    """A Python integer as LLVM's; LLVM's as they are."""
+    return index if isinstance(index, ir.Value) else ir.Constant(INT, int(index))
+
+
+@dataclass(frozen=True)
+class Counter:
+    """A whole number in memory."""
+
+    code: Code
+    place: ir.Value
+
+    def get(self) -> ir.Value:
+        """Its value now."""
+        return self.code.at.load(self.place, typ=INT)
+
+    def set(self, value: Index) -> None:
+        """Change it."""
+        self.code.at.store(integer(value), self.place)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers in memory, read and written by index."""
+
+    code: Code
+    place: ir.Value
+    beside: ir.Value | None
+
+    def __getitem__(self, index: Index) -> Value:
+        at, tangent = self.code.at, None
+        if self.beside is not None:
+            tangent = at.load(self.code.offset(self.beside, index, VECTOR), align=8, typ=VECTOR)
+        return Value(self.code, at.load(self.code.offset(self.place, index), typ=REAL), tangent)
+
+    def __setitem__(self, index: Index, number: Number) -> None:
+        at, value = self.code.at, self.code.value(number)
+        at.store(value.primal, self.code.offset(self.place, index))
+        if self.beside is not None:
+            tangent = value.tangent if value.tangent is not None else ir.Constant(VECTOR, [0.0] * LANES)
+            at.store(tangent, self.code.offset(self.beside, index, VECTOR), align=8)
+
+    def plain(self, index: Index) -> Value:
+        """A number without its tangent: a decision, or where a tangent is of no use."""
+        return Value(self.code, self.code.at.load(self.code.offset(self.place, index), typ=REAL))
+
+    def set_plain(self, index: Index, number: Number) -> None:
+        """Change a number and leave its tangent."""
+        self.code.at.store(self.code.value(number).primal, self.code.offset(self.place, index))
+
+    def since(self, index: Index) -> Numbers:
+        """The numbers from one on."""
+        beside = None if self.beside is None else self.code.offset(self.beside, index, VECTOR)
+        return Numbers(self.code, self.code.offset(self.place, index), beside)
+
+
+Number = Any  # a Value, or a Python number
+
+
+class Value:
+    """A number that will exist when the code runs, and its tangent."""
+
+    __slots__ = ("code", "primal", "tangent")
+
+    def __init__(self, code: Code, primal: ir.Value, tangent: ir.Value | None = None) -> None:
+        self.code, self.primal = code, primal
+        self.tangent = tangent if code.tangents else None
+
+    @property
+    def plain(self) -> Value:
+        """The number without its tangent."""
+        return Value(self.code, self.primal)
+
+    def _scaled(self, by: ir.Value) -> ir.Value | None:
+        """The tangent times a number."""
+        if self.tangent is None:
+            return None
+        return self.code.at.fmul(self.tangent, self.code.splat(by), flags=_FUSED)
+
+    def _chain(self, primal: ir.Value, slope: Callable[[], ir.Value]) -> Value:
+        """A function's value with the tangent that its slope gives."""
+        return Value(self.code, primal, None if self.tangent is None else self._scaled(slope()))
+
+    def __add__(self, other: Number) -> Value:
+        if not isinstance(other, Value):
+            if other == 0:
+                return self
+            other = self.code.value(other)
+        at = self.code.at
+        return Value(self.code, at.fadd(self.primal, other.primal, flags=_FUSED), _sum(at, self.tangent, other.tangent))
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Value:
+        at = self.code.at
+        return Value(self.code, at.fneg(self.primal), None if self.tangent is None else at.fneg(self.tangent))
+
+    def __sub__(self, other: Number) -> Value:
+        if not isinstance(other, Value):
+            return self + -other
+        at = self.code.at
+        tangent = self.tangent
+        if other.tangent is not None:
+            tangent = at.fneg(other.tangent) if tangent is None else at.fsub(tangent, other.tangent, flags=_FUSED)
+        return Value(self.code, at.fsub(self.primal, other.primal, flags=_FUSED), tangent)
+
+    def __rsub__(self, other: Number) -> Value:
+        return -self if other == 0 else self.code.value(other) - self
+
+    def __mul__(self, other: Number) -> Number:
+        if not isinstance(other, Value):
+            if other == 0:
+                return 0.0
+            if other == 1:
+                return self
+            if other == -1:
+                return -self
+            other = self.code.value(other)
+        at = self.code.at
+        product = at.fmul(self.primal, other.primal, flags=_FUSED)
+        return Value(self.code, product, _sum(at, self._scaled(other.primal), other._scaled(self.primal)))
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Number) -> Value:
+        if not isinstance(other, Value):
+            return self.code.value(self * (1.0 / other))
+        at = self.code.at
+        quotient = at.fdiv(self.primal, other.primal)
+        if self.tangent is None and other.tangent is None:
+            return Value(self.code, quotient)
+        inverse = at.fdiv(ir.Constant(REAL, 1.0), other.primal)
+        back = other._scaled(at.fneg(at.fmul(quotient, inverse)))
+        return Value(self.code, quotient, _sum(at, self._scaled(inverse), back))
+
+    def __rtruediv__(self, other: Number) -> Number:
+        return 0.0 if other == 0 else self.code.value(other) / self
+
+    def __pow__(self, power: int) -> Number:
+        if power == 2:
+            return self * self
+        return NotImplemented
+
+    def __abs__(self) -> Value:
+        return where(self < 0, -self, self)
+
+    def __lt__(self, other: Number) -> ir.Value:
+        return self._compare("<", other)
+
+    def __gt__(self, other: Number) -> ir.Value:
+        return self._compare(">", other)
+
+    def __le__(self, other: Number) -> ir.Value:
+        return self._compare("<=", other)
+
+    def __ge__(self, other: Number) -> ir.Value:
+        return self._compare(">=", other)
+
+    def equals(self, other: Number) -> ir.Value:
+        """Whether the numbers are equal."""
+        return self._compare("==", other)
+
+    def _compare(self, how: str, other: Number) -> ir.Value:
+        return self.code.at.fcmp_ordered(how, self.primal, self.code.value(other).primal)
+
+    def floor(self) -> ir.Value:
+        """The whole number below."""
+        return self.code.at.fptosi(self.code.intrinsic("llvm.floor", self.primal), INT)
+
+    def ceil(self) -> ir.Value:
+        """The whole number above."""
+        return self.code.at.fptosi(self.code.intrinsic("llvm.ceil", self.primal), INT)
+
+    def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        law = _UFUNCS.get(function)
+        if law is None or method != "__call__" or options:
+            return NotImplemented
+        inputs = tuple(x.item() if isinstance(x, np.ndarray | np.generic) else x for x in inputs)
+        return law(*inputs)
+
+    def __array_function__(self, function: Any, types: Any, inputs: Any, options: Any) -> Any:
+        law = _FUNCTIONS.get(function)
+        return NotImplemented if law is None or options else law(*inputs)
+
+
+def _sum(at: ir.IRBuilder, one: ir.Value | None, other: ir.Value | None) -> ir.Value | None:
+    if one is None or other is None:
+        return other if one is None else one
+    return at.fadd(one, other, flags=_FUSED)
+
+
+def where(condition: ir.Value, one: Number, other: Number) -> Value:
+    """One number or the other."""
+    value = one if isinstance(one, Value) else other
+    code = value.code
+    one, other = code.value(one), code.value(other)
+    tangent = None
+    if one.tangent is not None or other.tangent is not None:
+        none = ir.Constant(VECTOR, [0.0] * LANES)
+        tangent = code.at.select(condition, one.tangent or none, other.tangent or none)
+    return Value(code, code.at.select(condition, one.primal, other.primal), tangent)
+
+
+def sin(x: Value) -> Value:
+    """Sine."""
+    return x._chain(x.code.call("sin", x.primal), lambda: x.code.call("cos", x.primal))
+
+
+def cos(x: Value) -> Value:
+    """Cosine."""
+    return x._chain(x.code.call("cos", x.primal), lambda: x.code.at.fneg(x.code.call("sin", x.primal)))
+
+
+def sin_cos(x: Value) -> tuple[Value, Value]:
+    """Sine and cosine, each of which is the other's slope."""
+    s, c = x.code.call("sin", x.primal), x.code.call("cos", x.primal)
+    return x._chain(s, lambda: c), x._chain(c, lambda: x.code.at.fneg(s))
+
+
+def exp(x: Value) -> Value:
+    """Exponential."""
+    primal = x.code.call("exp", x.primal)
+    return x._chain(primal, lambda: primal)
+
+
+def tanh(x: Value) -> Value:
+    """Hyperbolic tangent."""
+    y = x.code.call("tanh", x.primal)
+    return x._chain(y, lambda: (1.0 - Value(x.code, y) * Value(x.code, y)).primal)
+
+
+def sqrt(x: Value) -> Value:
+    """Square root."""
+    y = x.code.intrinsic("llvm.sqrt", x.primal)
+    return x._chain(y, lambda: x.code.at.fdiv(ir.Constant(REAL, 0.5), y))
+
+
+def sign(x: Value) -> Value:
+    """-1, 0 or 1."""
+    return where(x > 0, x.code.value(1.0), where(x < 0, x.code.value(-1.0), x.code.value(0.0)))
+
+
+def maximum(x: Number, y: Number) -> Value:
+    """The larger one; NaN if the first is."""
+    code = x.code if isinstance(x, Value) else y.code
+    return where(code.value(x) < y, y, x)
+
+
+def minimum(x: Number, y: Number) -> Value:
+    """The smaller one; NaN if the first is."""
+    code = x.code if isinstance(x, Value) else y.code
+    return where(code.value(x) > y, y, x)
+
+
+_UFUNCS: dict[Any, Callable[..., Any]] = {
+    np.add: lambda x, y: x + y,
+    np.subtract: lambda x, y: x - y,
+    np.multiply: lambda x, y: x * y,
+    np.divide: lambda x, y: x / y,
+    np.negative: lambda x: -x,
+    np.absolute: abs,
+    np.sign: sign,
+    np.sin: sin,
+    np.cos: cos,
+    np.exp: exp,
+    np.tanh: tanh,
+    np.sqrt: sqrt,
+    np.square: lambda x: x * x,
+    np.maximum: maximum,
+    np.minimum: minimum,
+}
+_FUNCTIONS: dict[Any, Callable[..., Any]] = {
+    np.where: where,
+    np.clip: lambda x, low, high: minimum(maximum(x, low), high),
+}

@@ -1,0 +1,290 @@
+"""Windows through the engine: what `simulate` asks of it, and exact derivatives besides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym.engine import Uncovered, program
+from dipc_gym.engine.check import check
+from dipc_gym.engine.layout import Head, Sensor
+from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK
+from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
+from dipc_gym.physics import Moment, Physics
+from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
+
+if TYPE_CHECKING:
+    from dipc_gym.sim2real.simulation.windows import Windows
+
+Array = NDArray[np.float64]
+
+_checked: set[bytes] = set()
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """Windows and variants as the engine takes them.
+
+    Attributes:
+        variants: models of one structure.
+        windows: what to predict.
+        base: names of the joints that starts describe.
+        step: longest step, s.
+        program: of the structure.
+        parameters: of the variants, (variants, k).
+    """
+
+    variants: tuple[Physics, ...]
+    windows: Windows
+    base: tuple[str, ...]
+    step: float
+    program: program.Program
+    parameters: Array
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The first variant's model."""
+        return self.variants[0].model
+
+    @property
+    def _dofs(self) -> tuple[list[int], list[int], list[int]]:
+        """Where the base joints stand, those that follow one of them, and which each of these follows."""
+        leaders = mjcf.followers(self.model)
+        hidden = sorted(leaders)
+        each = (self.base, hidden, [leaders[name] for name in hidden])
+        at, behind, lead = ([int(self.model.joint(name).dofadr[0]) for name in names] for names in each)
+        return at, behind, lead
+
+    @property
+    def _lags(self) -> list[tuple[int, int, float]]:
+        """State of each lag, the state that its sensor reads, and the factor, which is a number of no variant."""
+        codes = self.program.codes
+        first = int(codes[Head.SENSOR_AT])
+        sensors = codes[first : first + int(codes[Head.SENSORS]) * int(Sensor.SIZE)].reshape(-1, int(Sensor.SIZE))
+        return [
+            (int(one[Sensor.LAG]), int(one[Sensor.STATE]), float(self.parameters[0, one[Sensor.FACTOR]]))
+            for one in sensors
+            if one[Sensor.LAG] >= 0
+        ]
+
+    def commands(self) -> Commands:
+        """Recorded commands as the model sees them; one set if no variant changes them."""
+        recordings = self.windows.recordings
+        nu = self.model.nu
+        padded = [np.pad(r.commands, ((0, 0), (0, nu - r.commands.shape[1]))) for r in recordings]
+        whole = np.concatenate(padded)
+        changed = bool(self.variants[0].stage("command"))
+        values = np.stack([variant.command(whole) for variant in self.variants]) if changed else whole[None]
+        return Commands(np.concatenate([r.time for r in recordings]), values)
+
+    def jobs(self, at: float, length: Array, times: Array, starts: Array, commands: Commands) -> Jobs:
+        """Simulations of every window from `at` seconds after its start on.
+
+        Args:
+            at: s.
+            length: to simulate, s, (windows,).
+            times: at which sensors are read after that, (windows, sensors, samples).
+            starts: states, (variants, windows, nx).
+            commands: of all recordings.
+        """
+        windows, codes = self.windows, self.program.codes
+        clock = windows.start + at
+        delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + self.model.nu]
+        most = float(delays.max(initial=0.0))
+        first, count = np.zeros((2, len(windows)), dtype=np.int64)
+        begin = 0
+        for i, recording in enumerate(windows.recordings):
+            mine = windows.source == i
+            early = np.searchsorted(recording.time, clock[mine] - most - 1e-6, side="right") - 1
+            early = np.maximum(early, 0)
+            late = np.searchsorted(recording.time, clock[mine] + length[mine] + 1e-6, side="right") + 1
+            first[mine] = begin + early
+            count[mine] = np.minimum(late, len(recording.time)) - early
+            begin += len(recording.time)
+        sets = np.arange(len(starts)) if len(commands.values) > 1 else np.zeros(len(starts), dtype=np.int64)
+        return Jobs(self.parameters[: len(starts)], starts, clock, first, count, commands, sets, times, length)
+
+    def begun(self, at: float, starts: Array) -> Array:
+        """States (variants, windows, nx) that begin at positions and velocities of base joints (variants, n, 2 nb)."""
+        base, hidden, leaders = self._dofs
+        n, nb = self.model.nv, len(base)
+        states = np.zeros((len(self.variants), len(self.windows), self.program.nx))
+        for part in (0, 1):
+            states[..., [part * n + k for k in base]] = starts[..., part * nb : (part + 1) * nb]
+            states[..., [part * n + k for k in hidden]] = states[..., [part * n + k for k in leaders]]
+        self._heat(states, at)
+        for lag, state, factor in self._lags:
+            states[..., lag] = factor * states[..., state]
+        return states
+
+    def put_back(self, states: Array, starts: Array) -> Array:
+        """States (..., nx) with base joints at positions and velocities (..., 2 nb).
+
+        What hides behind a gap keeps its place relative to them, and what a sensor remembers moves along. All of it is
+        linear, so tangents are put back in the same way.
+        """
+        base, hidden, leaders = self._dofs
+        n, nb = self.model.nv, len(base)
+        out = states.copy()
+        for part in (0, 1):
+            at, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
+            out[..., at] = starts[..., part * nb : (part + 1) * nb]
+            out[..., behind] += out[..., lead] - states[..., lead]
+        for lag, state, factor in self._lags:
+            out[..., lag] += factor * (out[..., state] - states[..., state])
+        return out
+
+    def _heat(self, states: Array, at: float) -> None:
+        """Give every winding that heats the temperature that it has `at` seconds after each window's start."""
+        windows, codes = self.windows, self.program.codes
+        for motor in heating_motors(self.model):
+            if len(windows.motions) != len(windows.recordings):
+                name = self.model.actuator(motor).name
+                raise ValueError(f"how hot {name} is depends on its motion; give the windows their recordings' motions")
+            state = 2 * self.model.nv + int(self.model.actuator_actadr[motor])
+            delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + self.model.nu]
+            for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
+                mine = windows.source == i
+                begin = windows.start[mine] + at - self.parameters[0, codes[Head.LATE]]
+                args = (self.variants, delays, motor, recording, motion, begin)
+                states[:, mine, state] = winding_temperatures(*args)
+
+    def sampled(self) -> tuple[Array, Array]:
+        """Sample times of every sensor (windows, sensors, samples), and how long windows are simulated for them."""
+        windows, count = self.windows, len(self.program.sensors)
+        times = np.ascontiguousarray(np.broadcast_to(windows.times[:, None], (len(windows), count, windows.times.shape[1])))
+        late = self.parameters[:, self.program.codes[Head.LATE]].max()
+        return times, windows.times.max(axis=1) + late
+
+    def sensed(self, readings: Array, variant: Physics) -> Array:
+        """What the rig's sensors say where the model's say `readings` (..., sensors, samples)."""
+        address = mjcf.sensor_addresses(self.model).tolist()
+        out = readings
+        for extra in variant.stage("sensor"):
+            if out is readings:
+                out = readings.copy()
+            k, zero = address.index(extra.index), np.zeros(())
+            out[..., k, :] = extra(Moment(zero, zero, zero, zero, out[..., k, :]))
+        return out
+
+
+def compiled(variants: Sequence[Physics], windows: Windows, base: Sequence[str], step: float) -> Compiled:
+    """Windows and variants for the engine.
+
+    Raises:
+        Uncovered: the engine does not simulate something in the model, or it is not what MuJoCo makes of it.
+    """
+    what, parameters = program.read(variants)
+    key = repr(what.tree).encode() + what.codes.tobytes()
+    if key not in _checked:
+        check(what, parameters[0], variants[0])
+        _checked.add(key)
+    return Compiled(tuple(variants), windows, tuple(base), step, what, parameters)
+
+
+def predicted(
+    of: Compiled, starts: Array, which: NDArray[np.intp], warm: float, warm_starts: Array | None, threads: int
+) -> Array:
+    """Readings (rows, windows, samples, sensors) of several rows.
+
+    Args:
+        of: distinct variants and windows.
+        starts: positions and velocities of the base joints, (rows, windows, 2 nb).
+        which: variant of each row, (rows,).
+        warm: s simulated before each window.
+        warm_starts: as `starts`, `warm` seconds before, (1 or variants, windows, 2 nb).
+        threads: 0 for all cores.
+    """
+    commands = of.commands()
+    if warm > 0:
+        assert warm_starts is not None
+        far = np.broadcast_to(warm_starts, (len(of.variants), *starts.shape[1:]))
+        nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
+        length = np.full(len(of.windows), warm)
+        _, ends = run(of.program, of.jobs(-warm, length, nothing, of.begun(-warm, far), commands), of.step, threads=threads)
+        states = of.put_back(ends[which], starts)
+    else:
+        rows = replace(of, variants=tuple(of.variants[k] for k in which), parameters=of.parameters[which])
+        states = rows.begun(0.0, starts)
+    times, length = of.sampled()
+    rows = replace(of, parameters=of.parameters[which])
+    jobs = rows.jobs(0.0, length, times, states, commands)
+    if len(commands.values) > 1:
+        jobs = replace(jobs, which=which.astype(np.int64))
+    readings, _ = run(of.program, jobs, of.step, threads=threads)
+    said = np.stack([of.sensed(one, of.variants[k]) for one, k in zip(readings, which, strict=True)])
+    return np.ascontiguousarray(np.swapaxes(said, 2, 3))
+
+
+def derivatives(
+    of: Compiled, steps: Array, starts: Array, warm: float, warm_starts: Array | None, threads: int
+) -> tuple[Array, Array, Array]:
+    """Readings of the first variant and how they change with numbers and starts.
+
+    Args:
+        of: the variant itself, and for each number one in which it is a little larger.
+        steps: by how much, (p,).
+        starts: positions and velocities of the base joints, (windows, 2 nb).
+        warm: s simulated before each window.
+        warm_starts: as `starts`, `warm` seconds before.
+        threads: 0 for all cores.
+
+    Returns:
+        Readings (windows, samples, sensors), their change per unit of each number (p, ...), and per unit of each start
+        (2 nb, ...).
+
+    Raises:
+        Uncovered: a number changes the geometry, whose derivatives the engine leaves out.
+    """
+    count, nb2 = len(steps), starts.shape[1]
+    change = (of.parameters[1:] - of.parameters[0]) / steps[:, None]
+    links = change[:, GRAVITY : of.program.tree.count].reshape(count, -1, LINK)
+    if links[..., :GEOMETRY].any():
+        raise Uncovered("derivatives by the geometry of joints")
+    commands = of.commands()
+    moved = None
+    if len(commands.values) > 1:
+        moved = np.zeros((count + nb2, *commands.values.shape[1:]))
+        moved[:count] = (commands.values[1:] - commands.values[0]) / steps[:, None, None]
+    one = replace(of, variants=of.variants[:1], parameters=of.parameters[:1])
+    commands = Commands(commands.stamps, commands.values[:1])
+    along = np.zeros((count + nb2, of.parameters.shape[1]))
+    along[:count] = change
+    unit = np.zeros((count + nb2, *starts.shape))
+    unit[count:] = np.eye(nb2)[:, None, :]
+    if warm > 0:
+        assert warm_starts is not None
+        far = np.broadcast_to(warm_starts, starts.shape)
+        begun = of.begun(-warm, np.broadcast_to(far, (len(of.variants), *starts.shape)))
+        begin = (begun[1:] - begun[0]) / steps[:, None, None]
+        nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
+        jobs = one.jobs(-warm, np.full(len(of.windows), warm), nothing, begun[:1], commands)
+        directions = Directions(change, begin, None if moved is None else moved[:count])
+        _, _, ends, changes = differentiate(of.program, jobs, directions, of.step, threads=threads)
+        whole = np.concatenate([changes, np.zeros((nb2, *changes.shape[1:]))])
+        states, tangents = of.put_back(ends, starts), of.put_back(whole, unit)
+    else:
+        begun = of.begun(0.0, np.broadcast_to(starts, (len(of.variants), *starts.shape)))
+        states = begun[0]
+        tangents = np.concatenate([(begun[1:] - begun[0]) / steps[:, None, None], np.zeros((nb2, *begun.shape[1:]))])
+        tangents[count:] = of.put_back(tangents[count:], unit[count:])
+    times, length = of.sampled()
+    jobs = one.jobs(0.0, length, times, states[None], commands)
+    readings, changes, _, _ = differentiate(
+        of.program, jobs, Directions(along, tangents, moved), of.step, threads=threads
+    )
+    said = of.sensed(readings, of.variants[0])
+    if of.variants[0].stage("sensor"):
+        # A map of one reading: its slope, and what the numbers change in it.
+        slope = (of.sensed(readings + 1.0, of.variants[0]) - said)[None]
+        changes = slope * changes
+        for k in range(count):
+            changes[k] += (of.sensed(readings, of.variants[k + 1]) - said) / steps[k]
+    said, changes = np.swapaxes(said, 1, 2), np.swapaxes(changes, 2, 3)
+    return np.ascontiguousarray(said), changes[:count], changes[count:]
