@@ -37,6 +37,7 @@ MOST_EFFECTS = 6  # that are added
 FULLY = 3  # sketches that are fitted to all windows, beside the plainer ones that they elaborate
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
 IN_TURN = 0.25  # share of the largest promise from which what takes fine steps is sketched if nothing else will do
+SHAPES = 6  # laws of any shape that are sketched in a round whatever they promise
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 IN_REACH = 3.0  # times the noise, from which a fit may yet come down to it
@@ -280,7 +281,10 @@ class Search:
             [start for start, share in worth if share > self.least(start[0].term)],
             FINALISTS if current.error > ranking.AT_NOISE else FINALISTS // 2,
         )
-        sketched = self._sketches(first, starts, current)
+        # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already, such
+        # a guess promises nothing as it stands. Only its fit tells.
+        laws = [start for start in ranked if start[0].term.effect.free and start not in first]
+        sketched = self._sketches([*first, *laws[:SHAPES]], starts, current)
         if _at_noise(sketched):
             return sketched
         slow = [start for start, share in worth if self.slow(start[0].term) and IN_TURN < share <= KEEPS_UP]
@@ -353,10 +357,16 @@ class Search:
         return sorted(scored, key=lambda tried: tried.score)
 
     def _bases(self, current: Fit) -> list[Fit]:
-        """What effects are tried on top of: the present fit, and at first the nominal numbers where it left them."""
-        if self.anchor is None or current.structure.terms or np.abs(current.z - self.anchor.z).max(initial=0.0) < 0.1:
+        """What effects are tried on top of: the present fit, and at first the nominal numbers where it left them.
+
+        Numbers that made up for a formula are in the way of a law, so laws are tried on what was before it as well.
+        """
+        begin = self.path[0]
+        before = [begin] if self.shapes and current.structure.terms else []
+        if self.anchor is None or (current.structure.terms and not before):
             return [current]
-        return [current, self.anchor]
+        far = np.abs(begin.z - self.anchor.z).max(initial=0.0) >= 0.1
+        return [current, *before, *([self.anchor] if far else [])]
 
     def _screen(self, base: Fit, current: Fit) -> tuple[Fit, float, list[Tried]]:
         """A base, by how much it is worse than `current`, and what hypotheses promise on top of it."""
