@@ -165,11 +165,10 @@ class _Run:
             step = code.scratch(1)
             step[0] = each
             alive = code.counter(1)
-            with code.count(count):
-                with code.when(code.equal(alive.get(), 1)):
-                    self.left[0] = step[0]
-                    self._step()
-                    alive.set(code.at.select(self._fine(), integer(1), integer(0)))
+            with code.count(count), code.when(code.equal(alive.get(), 1)):
+                self.left[0] = step[0]
+                self._step()
+                alive.set(code.at.select(self._fine(), integer(1), integer(0)))
             self.time[0] = end  # sums of steps gather rounding
             finished = self.until - self.time.plain(0) <= SOON
             stop(code.any_of(finished, code.equal(alive.get(), 0)))
@@ -269,16 +268,15 @@ class _Run:
         """Let joints go that need more than friction gives."""
         code = self.code
         again = code.counter(1)
-        with code.count(self.nv):
+        with code.count(self.nv), code.when(code.equal(again.get(), 1)):
+            again.set(0)
+            with code.count(self.nv) as k:
+                needed, stuck = self.holding[k].plain, self._stuck(k, self.levels)
+                with code.when(code.all_of(stuck, abs(needed) > self.levels[k].plain)):
+                    self.signs[k] = -sign(needed)
+                    again.set(1)
             with code.when(code.equal(again.get(), 1)):
-                again.set(0)
-                with code.count(self.nv) as k:
-                    needed, stuck = self.holding[k].plain, self._stuck(k, self.levels)
-                    with code.when(code.all_of(stuck, abs(needed) > self.levels[k].plain)):
-                        self.signs[k] = -sign(needed)
-                        again.set(1)
-                with code.when(code.equal(again.get(), 1)):
-                    self._rates(self.state, self.slope, self.holding, self.levels)
+                self._rates(self.state, self.slope, self.holding, self.levels)
 
     def _stuck(self, k: Index, levels: Numbers) -> ir.Value:
         return self.code.all_of(self.signs[k].equals(0.0), levels.plain(k) > 0)
@@ -315,23 +313,22 @@ class _Run:
         gone = code.scratch(1)
         gone[0] = share * whole[0]
         done = code.counter(0)
-        with code.count(NEWTON) as k:
-            with code.when(code.equal(done.get(), 0)):
-                self._go(self.state, self.slope, gone[0].plain, self.ahead)
-                now = self.time[0]
-                self.time[0] = now + gone[0].plain
-                self._rates(self.ahead, self.rate, self.after, self.after_levels)
-                self.time[0] = now
-                step = -self._speed(self.ahead, joint).plain / self.rate[code.sum(self.nv, joint)].plain
-                target = gone.plain(0) + step
-                inside = code.all_of(target >= 0, target <= whole[0])
-                near = abs(step) < 1e-13 + 1e-9 * whole[0]
-                good = code.any_of(near, code.equal(k, NEWTON - 1))
-                with code.either(code.any_of(good, code.at.not_(inside))) as (then, otherwise):
-                    with then:
-                        done.set(1)
-                    with otherwise:
-                        gone[0] = target
+        with code.count(NEWTON) as k, code.when(code.equal(done.get(), 0)):
+            self._go(self.state, self.slope, gone[0].plain, self.ahead)
+            now = self.time[0]
+            self.time[0] = now + gone[0].plain
+            self._rates(self.ahead, self.rate, self.after, self.after_levels)
+            self.time[0] = now
+            step = -self._speed(self.ahead, joint).plain / self.rate[code.sum(self.nv, joint)].plain
+            target = gone.plain(0) + step
+            inside = code.all_of(target >= 0, target <= whole[0])
+            near = abs(step) < 1e-13 + 1e-9 * whole[0]
+            good = code.any_of(near, code.equal(k, NEWTON - 1))
+            with code.either(code.any_of(good, code.at.not_(inside))) as (then, otherwise):
+                with then:
+                    done.set(1)
+                with otherwise:
+                    gone[0] = target
         # To first order from here: the numbers hardly move, and tangents learn how the moment does.
         rate = self.rate[code.sum(self.nv, joint)]
         late = -self._speed(self.ahead, joint) / rate.plain
@@ -347,9 +344,8 @@ class _Run:
         """If what holds a joint outgrows its friction, go to that moment instead."""
         code = self.code
         any_stuck = code.counter(0)
-        with code.count(self.nv) as k:
-            with code.when(self._stuck(k, self.levels)):
-                any_stuck.set(1)
+        with code.count(self.nv) as k, code.when(self._stuck(k, self.levels)):
+            any_stuck.set(1)
         with code.when(code.all_of(code.below(event.get(), 0), code.equal(any_stuck.get(), 1))):
             now = self.time[0]
             self.time[0] = now + self.left[0]
@@ -458,9 +454,8 @@ class _Run:
         code = self.code
         with code.count(self.nx) as k:
             self.ends[k] = self.state[k]
-        with code.count(self.ns) as k:
-            with code.count(self.samples, code.whole(self.read, k)) as sample:
-                self.readings[code.sum(code.product(k, self.samples), sample)] = float("nan")
+        with code.count(self.ns) as k, code.count(self.samples, code.whole(self.read, k)) as sample:
+            self.readings[code.sum(code.product(k, self.samples), sample)] = float("nan")
 
 
 def _follow(before: Value, followed: Value, after: Value, duration: Value, tau: Value) -> Value:

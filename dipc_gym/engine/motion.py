@@ -160,9 +160,8 @@ class _Rates:
     def _backwards(self, numbers: Numbers) -> None:
         """Solve with the factors, in place; numbers and tangents alike."""
         code, n, factor = self.code, self.n, self.factor
-        with code.count(n) as i:
-            with code.count(i) as j:
-                numbers[i] = numbers[i] - factor[code.sum(code.product(i, n), j)] * numbers[j]
+        with code.count(n) as i, code.count(i) as j:
+            numbers[i] = numbers[i] - factor[code.sum(code.product(i, n), j)] * numbers[j]
         with code.count(n) as i:
             numbers[i] = numbers[i] / factor[code.sum(code.product(i, n), i)]
         with code.count(n) as back:
@@ -188,9 +187,8 @@ class _Rates:
             a_tangent = where(self.stuck(k), code.value(0.0), pull)
             code.at.store(_tangent(a_tangent), code.offset(a.beside, k, VECTOR), align=8)
         lanes = _Lanes(code, a.beside)
-        with code.count(n) as i:
-            with code.count(i) as j:
-                lanes.take(i, self.factor[code.sum(code.product(i, n), j)], j)
+        with code.count(n) as i, code.count(i) as j:
+            lanes.take(i, self.factor[code.sum(code.product(i, n), j)], j)
         with code.count(n) as i:
             lanes.divide(i, self.factor[code.sum(code.product(i, n), i)])
         with code.count(n) as back:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import layout, rigid
-from dipc_gym.engine.layout import Element, Feature, Force, Head, Joint, Kind, Law, Sensor, Spring
+from dipc_gym.engine.layout import Element, Feature, Force, Head, Kind, Law, Sensor, Spring
 from dipc_gym.physics import Physics
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ Whole = NDArray[np.int64]
 _LIMITLESS = 1e30
 
 
-class Uncovered(Exception):  # noqa: N818 - it is no error: another simulator takes over
+class Uncovered(Exception):
     """A model has what the engine does not simulate; the message says what and where."""
 
 

@@ -78,7 +78,7 @@ def tree_of(model: mujoco.MjModel) -> tuple[Tree, Array]:
         links[i, 12] = model.qpos0[model.jnt_qposadr[i]]
     for body in range(1, model.nbody):
         i = int(last[body])
-        if i < 0 or model.body_mass[body] == 0 and not model.body_inertia[body].any():
+        if i < 0 or (model.body_mass[body] == 0 and not model.body_inertia[body].any()):
             continue
         mass, arm = float(model.body_mass[body]), turns[i].T @ (data.xipos[body] - origins[i])
         axes = turns[i].T @ data.ximat[body].reshape(3, 3)

@@ -9,6 +9,8 @@ import numpy as np
 from dipc_gym.sim2real.estimation.evidence import places
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.score import LARGE
 
 if TYPE_CHECKING:
     from dipc_gym.sim2real.selection.search import Search
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
 def prune(search: Search, current: Fit) -> Fit:
     """Take out effects that do not earn their place any more; put plainer ones in the place of idle numbers."""
     for term in current.structure.terms:
+        plain = term.effect.linear and not (term.effect.contains or term.effect.once or term.effect.free)
+        if plain and ranking.foretold_loss(current, term, search.problem.counts) > LARGE:
+            continue  # needed beyond doubt, without a refit
         rest = current.structure.without(term.key)
         less = search.near(current, rest) if rest.terms else None
         plainer = [_swap(search, current, term, inner) for inner in term.effect.contains]

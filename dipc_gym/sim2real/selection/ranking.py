@@ -58,6 +58,27 @@ def losses(errors: Sequence[Array]) -> list[float]:
     return [mean_loss(mse, usual) for mse in errors]
 
 
+def foretold_loss(fitted: Fit, term: Term, counts: Array) -> float:
+    """Rise of the mean log square error without an effect that grows from nothing, by a fit's quadratics.
+
+    Args:
+        fitted: with the effect.
+        term: the effect; its parameters are set to zero, all others may make up for it.
+        counts: readings in each window, (n,).
+    """
+    slots, z, q = fitted.structure.slots, fitted.z, fitted.quadratics
+    gone = [i for i, slot in enumerate(slots) if slot.key.startswith(f"{term.key}.") and not slot.log]
+    others = [i for i in range(len(z)) if i not in gone]
+    weight = 1.0 / (1.0 + fitted.mse) / counts
+    A, b = np.einsum("n,nij->ij", weight, q.A), weight @ q.b
+    step = np.zeros(len(z))
+    step[gone] = [slots[i].mapped(0.0) - z[i] for i in gone]
+    right = b[others] - A[np.ix_(others, gone)] @ step[gone]
+    step[others] = np.linalg.lstsq(A[np.ix_(others, others)], right, rcond=1e-9)[0]
+    after = np.maximum(q.after(step), 0.0) / counts
+    return float(np.mean(np.log1p(after) - np.log1p(fitted.mse)))
+
+
 def finalists(ranked: Sequence[tuple[Tried, Fit]], count: int) -> list[tuple[Tried, Fit]]:
     """The most promising hypotheses, and the plainer ones that these elaborate."""
     first = ranked[:count]

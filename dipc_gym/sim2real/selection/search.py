@@ -23,7 +23,7 @@ from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.shooting import common_error, mean_loss
 from dipc_gym.sim2real.model.structure import Structure, Term, carry, names
-from dipc_gym.sim2real.selection import data, pairs, ranking, screen
+from dipc_gym.sim2real.selection import data, groups, pairs, ranking, screen
 from dipc_gym.sim2real.selection.events import attend, quiet
 from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.ranking import AT_FLOOR, FINALISTS
@@ -41,7 +41,7 @@ SHAPES = 6  # laws of any shape that are sketched in a round whatever they promi
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 IN_REACH = 3.0  # times the noise, from which a fit may yet come down to it
-EARNS = 0.25  # share of the excess error that an effect must remove where it does not come down to the noise
+EARNS = 0.1  # share of the excess error that an effect must remove where it does not come down to the noise
 MOST_ANEW = 30  # steps of a fit that is begun anew, from guesses that may be far off
 LAWS = 0.02  # of what effects brought, that their laws may leave
 
@@ -231,6 +231,10 @@ class Search:
         most = ranking.promise(ranked[0]) if ranked else 0.0
         sketched = self._in_turn(ranked, starts, current)
         self.rounds.append(ranking.updated([tried for tried, _ in ranked], [tried for tried, _ in sketched]))
+        if len(self.joints) > 1 and not _at_noise(sketched):
+            together = groups.best(self, ranked, [one.sketch for one, _ in sketched if one.sketch], current)
+            if together is not None:
+                return together
         both_promise = [] if _at_noise(sketched) or current.error < AT_FLOOR else pairs.promising(self)
         # Where two promise far more than any one does, and come down to the noise, one by one would lead astray.
         early = [pair for pair in both_promise if pair[0] > most + LARGE]
