@@ -13,8 +13,8 @@ from typing import Any
 
 from llvmlite import ir
 
-from dipc_gym.engine.forces import Rule
-from dipc_gym.engine.layout import CONTROLS, JOINTS, SENSORS, STATES, At, Head, Row, Sensor
+from dipc_gym.engine.forces import Rule, Stops
+from dipc_gym.engine.layout import CONTROLS, JOINTS, SENSORS, STATES, STOPS, At, Head, Row, Sensor
 from dipc_gym.engine.motion import ARGUMENTS, write_rates
 from dipc_gym.engine.values import INT, POINTER, VECTOR, Code, Index, Numbers, Value, exp, integer, sign, where
 
@@ -22,6 +22,7 @@ EVENTS = 8  # looked for within one step; what is left over is a small error
 NEWTON = 4  # iterations for the moment of an event
 SOON = 1e-9  # s; changes of commands nearer than this are one
 FOLLOWED = 0.5  # time constant, in steps, that Runge-Kutta follows safely
+SLIGHT = 1e-12  # depth in a stop from which it surely touches, m or rad
 FAR = 1e12  # speeds beyond are of a simulation that diverged
 
 
@@ -97,7 +98,7 @@ class _Run:
         self.nv, self.nx = code.whole(self.program, Head.JOINTS), code.whole(self.program, Head.STATES)
         self.nu, self.ns = code.whole(self.program, Head.CONTROLS), code.whole(self.program, Head.SENSORS)
         self.samples = code.whole(self.program, Head.SAMPLES)
-        self.commands, self.signs = code.scratch(CONTROLS), code.scratch(JOINTS, plain=True)
+        self.commands, self.signs = code.scratch(CONTROLS), code.scratch(JOINTS + STOPS, plain=True)
         self.time, self.clock = code.scratch(1), code.scratch(2)
         self.state, self.slope = code.scratch(STATES), code.scratch(STATES)
         self.ahead, self.rate = code.scratch(STATES), code.scratch(STATES)
@@ -147,7 +148,7 @@ class _Run:
         self._begin(row)
         with code.count(self.nx) as k:
             self.state[k] = self.starts[k]
-        with code.count(self.nv) as k:
+        with code.count(JOINTS + STOPS) as k:
             self.signs[k] = 0.0
         with code.count(self.ns) as k:
             self._set(self.read, k, 0)
@@ -259,11 +260,18 @@ class _Run:
             stop(code.any_of(self.left.plain(0) <= 0, code.at.not_(self._fine())))
 
     def _directions(self) -> None:
-        """Give moving joints without a direction the one of their motion."""
+        """Give moving joints without a direction the one of their motion; say which stops touch."""
         code = self.code
         with code.count(self.nv) as k:
             v, s = self._speed(self.state, k).plain, self.signs[k]
             self.signs[k] = where(code.any_of(s.equals(0.0), s * v < 0), sign(v), s)
+        with self._stops(self.state) as (stop, depth, _):
+            touches = self.signs[stop]
+            deep = where(depth.plain > SLIGHT, code.value(1.0), touches)
+            self.signs[stop] = where(depth.plain < -SLIGHT, code.value(0.0), deep)
+
+    def _stops(self, states: Numbers) -> Any:
+        return Stops(self.code, self.program, self.numbers, states)
 
     def _release(self) -> None:
         """Let joints go that need more than friction gives."""
@@ -284,7 +292,7 @@ class _Run:
         return self.code.all_of(self.signs[k].equals(0.0), levels.plain(k) > 0)
 
     def _find_reversal(self, event: Any) -> None:
-        """If a joint turns round, go to that moment instead."""
+        """If a joint turns round or a stop is met, go to that moment instead."""
         code = self.code
         first = code.scratch(1, plain=True)
         first[0] = 2.0
@@ -305,25 +313,56 @@ class _Run:
                 with code.when(at < first[0]):
                     first[0] = at
                     event.set(k)
-        with code.when(code.at.icmp_signed(">=", event.get(), integer(0))):
-            self._reach_reversal(event.get(), first[0])
+        with self._stops(self.ahead) as (stop, depth, rate):
+            end = depth.plain
+            with code.when(code.all_of(self.signs[stop].equals(0.0), end > 0)):
+                at = 1.0 - end / (rate.plain * self.left.plain(0))
+                at = where(code.all_of(at > 0, at <= 1), at, code.value(0.5))
+                with code.when(at < first[0]):
+                    first[0] = at
+                    event.set(stop)
+        found = event.get()
+        with code.when(code.at.icmp_signed(">=", found, integer(0))):
+            with code.either(code.below(found, JOINTS)) as (reversal, touch):
+                with reversal:
+                    self._reach(first[0], lambda: self._turning(found))
+                    self.ahead[code.sum(self.nv, found)] = 0.0
+                    self.signs[found] = 0.0
+                with touch:
+                    self._reach(first[0], lambda: self._touching(found))
+                    self.signs[found] = 1.0
 
-    def _reach_reversal(self, joint: ir.Value, share: Value) -> None:
+    def _turning(self, joint: ir.Value) -> tuple[Value, Value]:
+        """Speed of a joint where the step has come to, and how fast it changes."""
+        return self._speed(self.ahead, joint), self.rate[self.code.sum(self.nv, joint)].plain
+
+    def _touching(self, wanted: ir.Value) -> tuple[Value, Value]:
+        """Depth in a stop where the step has come to, and how fast it changes."""
+        code = self.code
+        out = code.scratch(2)
+        with self._stops(self.ahead) as (stop, depth, rate):
+            with code.when(code.equal(stop, wanted)):
+                out[0], out[1] = depth, rate
+        return out[0], out[1].plain
+
+    def _reach(self, share: Value, measure: Any) -> None:
+        """Go to the moment at which a measure, as a number and its rate, is zero; `part` is the time that takes."""
         code = self.code
         whole = code.scratch(1, plain=True)
         whole[0] = self.left.plain(0)
-        gone = code.scratch(1)
+        gone = code.scratch(1, plain=True)
         gone[0] = share * whole[0]
         done = code.counter(0)
         with code.count(NEWTON) as k:
             with code.when(code.equal(done.get(), 0)):
-                self._go(self.state, self.slope, gone[0].plain, self.ahead)
+                self._go(self.state, self.slope, gone[0], self.ahead)
                 now = self.time[0]
-                self.time[0] = now + gone[0].plain
+                self.time[0] = now + gone[0]
                 self._rates(self.ahead, self.rate, self.after, self.after_levels)
                 self.time[0] = now
-                step = -self._speed(self.ahead, joint).plain / self.rate[code.sum(self.nv, joint)].plain
-                target = gone.plain(0) + step
+                value, rate = measure()
+                step = -value.plain / rate
+                target = gone[0] + step
                 inside = code.all_of(target >= 0, target <= whole[0])
                 near = abs(step) < 1e-13 + 1e-9 * whole[0]
                 good = code.any_of(near, code.equal(k, NEWTON - 1))
@@ -333,15 +372,13 @@ class _Run:
                     with otherwise:
                         gone[0] = target
         # To first order from here: the numbers hardly move, and tangents learn how the moment does.
-        rate = self.rate[code.sum(self.nv, joint)]
-        late = -self._speed(self.ahead, joint) / rate.plain
-        usable = code.all_of(abs(late.plain) < 1e-3 * whole[0], abs(rate.plain) > 0)
+        value, rate = measure()
+        late = -value / rate
+        usable = code.all_of(abs(late.plain) < 1e-3 * whole[0], abs(rate) > 0)
         late = where(usable, late, code.value(0.0))
         with code.count(self.nx) as k:
             self.ahead[k] = self.ahead[k] + late * self.rate[k].plain
-        self.ahead[code.sum(self.nv, joint)] = 0.0
-        self.signs[joint] = 0.0
-        self.part[0] = gone[0].plain + late
+        self.part[0] = gone[0] + late
 
     def _find_release(self, event: Any) -> None:
         """If what holds a joint outgrows its friction, go to that moment instead."""

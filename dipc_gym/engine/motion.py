@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from llvmlite import ir
 
-from dipc_gym.engine.forces import Attached, Rule, laws
+from dipc_gym.engine.forces import Attached, Rule, depth_of, laws
 from dipc_gym.engine.layout import JOINTS, STOPS, Element, Head, Joint, Kind, Spring
 from dipc_gym.engine.values import (
     INT,
@@ -217,14 +217,10 @@ class _Rates:
                 with code.when(code.equal(kind, int(Kind.STOP))):
                     own = self.numbers.since(code.whole(element, Element.NUMBERS))
                     coefficients, stop = own.since(Spring.SIZE), number.get()
-                    length, speed = attached.reach(element, coefficients)
-                    over, under = length - own[Spring.HIGHEST], own[Spring.LOWEST] - length
-                    # Seen along the way out of the stop.
-                    away = where(over > 0, code.value(-1.0), code.value(1.0))
-                    depth = maximum(over, under)
+                    depth, away, speed = depth_of(attached, element, own)
                     before = pushes[stop]
                     pushes[stop] = 0.0
-                    with code.when(depth > 0):
+                    with code.when(self.directions[code.sum(stop, JOINTS)] > 0):
                         wanted = own[Spring.STIFFNESS] * depth - own[Spring.DAMPING] * (away * speed)
                         with code.count(n) as k:
                             answer[k] = 0.0

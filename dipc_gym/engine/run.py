@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.engine import machine
 from dipc_gym.engine.kernel import write_kernel
-from dipc_gym.engine.layout import At, Head, Row
+from dipc_gym.engine.layout import JOINTS, STOPS, At, Head, Row
 from dipc_gym.engine.loop import write_loop
 from dipc_gym.engine.program import Program, rules
 from dipc_gym.engine.rigid import Tree
@@ -212,7 +212,9 @@ def _function(tree: Tree, tangents: bool) -> object:
     return function
 
 
-def rates(program: Program, parameters: Array, states: Array, commands: Array, time: float) -> Array:
+def rates(
+    program: Program, parameters: Array, states: Array, commands: Array, time: float, touching: Sequence[bool] = ()
+) -> Array:
     """Rates of the states (nx,) of a model whose joints all slide in the direction of their motion.
 
     Args:
@@ -221,11 +223,14 @@ def rates(program: Program, parameters: Array, states: Array, commands: Array, t
         states: (nx,).
         commands: (controls,).
         time: s.
+        touching: which stops are met, in the order of tendons that have some.
     """
     n = program.codes[Head.JOINTS]
     function = _function(program.tree, False)
     probe = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 16)(function.library.addresses["probe"])
-    signs, out, rest = np.sign(states[n : 2 * n]), np.zeros(len(states)), np.zeros((2, n))
+    signs = np.zeros(JOINTS + STOPS)
+    signs[:n], signs[JOINTS : JOINTS + len(touching)] = np.sign(states[n : 2 * n]), touching
+    out, rest = np.zeros(len(states)), np.zeros((2, n))
     now = np.array([time, 1e-12])
     arrays = (program.codes, parameters, None, commands, None, signs, now, None, states, None, out, None)
     arrays = (*arrays, rest[0], None, rest[1], None)

@@ -244,7 +244,7 @@ def derivatives(
     """
     count, nb2 = len(steps), starts.shape[1]
     change = (of.parameters[1:] - of.parameters[0]) / steps[:, None]
-    links = change[:, GRAVITY : of.program.tree.count].reshape(count, -1, LINK)
+    links = change[:, GRAVITY : of.program.tree.count].reshape(count, len(of.program.tree.parents), LINK)
     if links[..., :GEOMETRY].any():
         raise Uncovered("derivatives by the geometry of joints")
     commands = of.commands()

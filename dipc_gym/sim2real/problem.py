@@ -6,17 +6,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.engine import Uncovered
 from dipc_gym.physics import Physics
-from dipc_gym.sim2real.simulate import Stepping, Windows, simulate
+from dipc_gym.sim2real.compiled import compiled, derivatives
+from dipc_gym.sim2real.simulate import Stepping, Windows, grid_step, simulate
 from dipc_gym.sim2real.states import starts as early
 from dipc_gym.sim2real.structure import Structure
 
 Array = NDArray[np.float64]
 
-_FAR = 1e6  # times the noise; a simulation that blew up is no worse than this
+FAR = 1e6  # times the noise; a simulation that blew up is no worse than this
 _BLOCK = 1.0  # s; neighbouring windows closer than this count as one when errors are compared
 
 
@@ -88,10 +91,40 @@ def predict_with(problem: Problem, structure: Structure, variants: Sequence[Phys
     )
 
 
+def sensitivities(
+    problem: Problem, structure: Structure, z: Array, probes: Sequence[Array], starts: Array
+) -> tuple[Array, Array, Array] | None:
+    """What a structure predicts, and how that changes with its numbers and its starts.
+
+    Args:
+        problem: windows to predict.
+        structure: of the model.
+        z: its mapped numbers, (p,).
+        probes: for each number all of them, that one a little larger or smaller; how a model's own numbers follow from
+            them is a smooth map, for which a difference will do.
+        starts: (n, 2 nb).
+
+    Returns:
+        Readings (n, m, ns), their change per unit of each number (p, n, m, ns), and per unit of each start
+        (2 nb, n, m, ns); None where the engine does not simulate the model or its change.
+    """
+    stepping, windows, warm = _stepping(problem, structure), problem.windows, structure.warm
+    if stepping.integrator != mujoco.mjtIntegrator.mjINT_RK4:
+        return None
+    steps = np.array([probe[i] - z[i] for i, probe in enumerate(probes)])
+    try:
+        variants = [structure.physics(one) for one in (z, *probes)]
+        of = compiled(variants, windows, structure.base, grid_step(windows, stepping))
+        begin = early(windows.motions, windows.source, windows.start - warm) if warm else None
+        return derivatives(of, steps, starts, warm, begin, problem.threads)
+    except Uncovered:
+        return None
+
+
 def residual(problem: Problem, readings: Array) -> Array:
     """(observed - readings) / noise, zero where nothing was observed."""
     rest = (problem.windows.observed - readings) / problem.windows.noise
-    rest = np.nan_to_num(np.clip(rest, -_FAR, _FAR), nan=_FAR)
+    rest = np.nan_to_num(np.clip(rest, -FAR, FAR), nan=FAR)
     return np.where(problem.windows.valid[..., None], rest, 0.0)
 
 
