@@ -19,6 +19,7 @@ from dipc_gym.sim2real.structure import Structure
 
 Array = NDArray[np.float64]
 
+_RK4 = mujoco.mjtIntegrator.mjINT_RK4
 FAR = 1e6  # times the noise; a simulation that blew up is no worse than this
 _BLOCK = 1.0  # s; neighbouring windows closer than this count as one when errors are compared
 
@@ -66,13 +67,7 @@ class Problem:
 
 def predict(problem: Problem, structure: Structure, Z: Sequence[Array], starts: Array) -> Array:
     """Readings (variants, n, m, ns) of a structure under several sets of numbers."""
-    made: dict[bytes, Physics] = {}
-    variants = []
-    for z in Z:
-        key = z.tobytes()
-        if key not in made:
-            made[key] = structure.physics(z)
-        variants.append(made[key])
+    variants = [structure.physics(z) for z in Z]
     return predict_with(problem, structure, variants, starts)
 
 
@@ -105,12 +100,11 @@ def sensitivities(
         starts: (n, 2 nb).
 
     Returns:
-        Readings (n, m, ns), their change per unit of each number (p, n, m, ns), and per unit of each start
+        Readings (n, m, ns) of the engine, whatever the problem's integrator, their change per unit of each number (p, n, m, ns), and per unit of each start
         (2 nb, n, m, ns); None where the engine does not simulate the model or its change.
     """
-    stepping, windows, warm = _stepping(problem, structure), problem.windows, structure.warm
-    if stepping.integrator != mujoco.mjtIntegrator.mjINT_RK4:
-        return None
+    windows, warm = problem.windows, structure.warm
+    stepping = _stepping(replace(problem, stepping=replace(problem.stepping, integrator=_RK4)), structure)
     steps = np.array([probe[i] - z[i] for i, probe in enumerate(probes)])
     try:
         variants = [structure.physics(one) for one in (z, *probes)]

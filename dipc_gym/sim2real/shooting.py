@@ -130,7 +130,7 @@ class Shooting:
             prior appended, (n, M, p), or (n, M, 0); and their sensitivity to the starts, per nudge so that columns are
             of order one, with the prior's rows, (n, M, 2 nb).
         """
-        exact = self._exact(z, starts, numbers=numbers)
+        exact = self._exact(z, starts, rest, numbers=numbers)
         if exact is not None:
             return exact
         n, probes, steps = len(starts), *(self._probes(z) if numbers else ([], np.zeros(0)))
@@ -145,8 +145,13 @@ class Shooting:
         columns = np.concatenate([change[..., : len(probes)] / steps, np.zeros((n, self.nb2, len(probes)))], axis=1)
         return rest, columns, np.concatenate([change[..., len(probes) :], prior], axis=1)
 
-    def _exact(self, z: Array, starts: Array, *, numbers: bool) -> tuple[Array, Array, Array] | None:
-        """`derivatives` by the engine; None where it does not simulate the model."""
+    def _exact(
+        self, z: Array, starts: Array, rest: Array | None, *, numbers: bool
+    ) -> tuple[Array, Array, Array] | None:
+        """`derivatives` by the engine; None where it does not simulate the model.
+
+        Where MuJoCo simulates by a rule of its own, residuals are MuJoCo's, and only their slopes the engine's.
+        """
         n, (probes, steps) = len(starts), self._probes(z, _TOUCH) if numbers else ([], np.zeros(0))
         free = np.flatnonzero(np.isfinite(steps))
         if len(free) < len(steps):
@@ -155,7 +160,12 @@ class Shooting:
         if found is None:
             return None
         readings, by_numbers, by_starts = found
-        rest = residual(self.problem, readings)
+        if self.problem.stepping.integrator is None and not np.isfinite(readings[self.problem.windows.valid]).all():
+            return None
+        if rest is None:
+            rest = residual(self.problem, readings)
+            if self.problem.stepping.integrator is None:
+                rest = self.residuals([z], starts[None])[0]
         told = self.problem.windows.valid[..., None] & np.isfinite(readings) & (np.abs(rest) < FAR)
         slopes = np.where(told, np.concatenate([by_numbers, by_starts]), 0.0) / self.problem.windows.noise
         change = np.moveaxis(np.nan_to_num(slopes).reshape(len(slopes), n, -1), 0, -1)
