@@ -1,7 +1,7 @@
 """Forces of what is attached to joints, as code: springs, dampers, motors and tendons, and what `<custom>` adds.
 
-The formulas are MuJoCo's, with its hidden states (currents, temperatures, bristles) as the differential equations that it
-steps, not as the steps.
+The formulas are MuJoCo's, with its hidden states (currents, temperatures, bristles) as the differential equations that
+it steps, not as the steps.
 """
 
 from __future__ import annotations
@@ -124,7 +124,14 @@ class Attached:
         return slots[1]
 
     def _motor(
-        self, element: ir.Value, own: Numbers, volts: Value, length: Value, speed: Value, place: ir.Value, rates: Numbers
+        self,
+        element: ir.Value,
+        own: Numbers,
+        volts: Value,
+        length: Value,
+        speed: Value,
+        place: ir.Value,
+        rates: Numbers,
     ) -> Value:
         """Torque of a DC motor; its states are temperature, bristles' bend and current, those of them that it has."""
         code = self.code

@@ -1,9 +1,10 @@
 """Windows through time, as code: any program, any mechanics, one function for all.
 
-Runge-Kutta's fourth order between events. Commands are held between the moments at which they change, delays included, and
-no step crosses such a moment. Where a joint would turn round, the step ends at that moment, which Newton's method finds; the
-last of its iterations is differentiated, so that derivatives know how the moment moves (the jump, or saltation, of
-sensitivities at events). Where what holds a joint grows beyond its friction, likewise.
+Runge-Kutta's fourth order between events. Commands are held between the moments at which they change, delays included,
+and no step crosses such a moment. Where a joint would turn round or a tendon comes to a stop, the step ends at that
+moment, which Newton's method finds; the last of its iterations is differentiated, so that derivatives know how the
+moment moves (the jump, or saltation, of sensitivities at events). Where what holds a joint grows beyond its friction,
+likewise.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ FAR = 1e12  # speeds beyond are of a simulation that diverged
 
 
 def write_loop(rules: Sequence[tuple[Rule, bool]], *, tangents: bool) -> ir.Module:
-    """The module with `run(addresses, first row, last row)`, and `probe`, which is `motion.write_rates` for a check.
+    """The module with `run(addresses, first row, last row)`, and `probe`, the rates at one moment.
 
     Args:
         rules: what `<custom>` may add to joints, and whether each is a level of dry friction.
@@ -53,8 +54,8 @@ def write_loop(rules: Sequence[tuple[Rule, bool]], *, tangents: bool) -> ir.Modu
 def _write_advance(code: Code, rates: ir.Function) -> None:
     """States after a step of the fourth order, from the states and their rates at its beginning.
 
-    Arguments are those of `rates` with the states at the beginning, the step in the place of the holding forces, and the
-    states at the end in the place of the levels.
+    Arguments are those of `rates` with the states at the beginning, the step in the place of the holding forces, and
+    the states at the end in the place of the levels.
     """
     args = list(code.function.args)
     n = code.whole(args[0], Head.STATES)
@@ -127,9 +128,7 @@ class _Run:
         self.stamps = code.numbers(code.offset(at[At.STAMPS], code.whole(entry, Row.STAMPS)))
         self.stamp_count = code.whole(entry, Row.COUNT)
         rows = code.product(row, self.nx)
-        self.starts = code.numbers(
-            code.offset(at[At.STARTS], rows), code.offset(at[At.START_TANGENTS], rows, VECTOR)
-        )
+        self.starts = code.numbers(code.offset(at[At.STARTS], rows), code.offset(at[At.START_TANGENTS], rows, VECTOR))
         self.ends = code.numbers(code.offset(at[At.ENDS], rows), code.offset(at[At.END_TANGENTS], rows, VECTOR))
         each = code.product(self.ns, self.samples)
         self.times = code.numbers(code.offset(at[At.TIMES], code.product(window, each)))
@@ -166,11 +165,10 @@ class _Run:
             step = code.scratch(1)
             step[0] = each
             alive = code.counter(1)
-            with code.count(count):
-                with code.when(code.equal(alive.get(), 1)):
-                    self.left[0] = step[0]
-                    self._step()
-                    alive.set(code.at.select(self._fine(), integer(1), integer(0)))
+            with code.count(count), code.when(code.equal(alive.get(), 1)):
+                self.left[0] = step[0]
+                self._step()
+                alive.set(code.at.select(self._fine(), integer(1), integer(0)))
             self.time[0] = end  # sums of steps gather rounding
             finished = self.until - self.time.plain(0) <= SOON
             stop(code.any_of(finished, code.equal(alive.get(), 0)))
@@ -277,16 +275,15 @@ class _Run:
         """Let joints go that need more than friction gives."""
         code = self.code
         again = code.counter(1)
-        with code.count(self.nv):
+        with code.count(self.nv), code.when(code.equal(again.get(), 1)):
+            again.set(0)
+            with code.count(self.nv) as k:
+                needed, stuck = self.holding[k].plain, self._stuck(k, self.levels)
+                with code.when(code.all_of(stuck, abs(needed) > self.levels[k].plain)):
+                    self.signs[k] = -sign(needed)
+                    again.set(1)
             with code.when(code.equal(again.get(), 1)):
-                again.set(0)
-                with code.count(self.nv) as k:
-                    needed, stuck = self.holding[k].plain, self._stuck(k, self.levels)
-                    with code.when(code.all_of(stuck, abs(needed) > self.levels[k].plain)):
-                        self.signs[k] = -sign(needed)
-                        again.set(1)
-                with code.when(code.equal(again.get(), 1)):
-                    self._rates(self.state, self.slope, self.holding, self.levels)
+                self._rates(self.state, self.slope, self.holding, self.levels)
 
     def _stuck(self, k: Index, levels: Numbers) -> ir.Value:
         return self.code.all_of(self.signs[k].equals(0.0), levels.plain(k) > 0)
@@ -322,15 +319,13 @@ class _Run:
                     first[0] = at
                     event.set(stop)
         found = event.get()
-        with code.when(code.at.icmp_signed(">=", found, integer(0))):
-            with code.either(code.below(found, JOINTS)) as (reversal, touch):
-                with reversal:
-                    self._reach(first[0], lambda: self._turning(found))
-                    self.ahead[code.sum(self.nv, found)] = 0.0
-                    self.signs[found] = 0.0
-                with touch:
-                    self._reach(first[0], lambda: self._touching(found))
-                    self.signs[found] = 1.0
+        with code.when(code.all_of(code.below(integer(-1), found), code.below(found, JOINTS))):
+            self._reach(first[0], lambda: self._turning(found))
+            self.ahead[code.sum(self.nv, found)] = 0.0
+            self.signs[found] = 0.0
+        with code.when(code.below(integer(JOINTS - 1), found)):
+            self._reach(first[0], lambda: self._touching(found))
+            self.signs[found] = 1.0
 
     def _turning(self, joint: ir.Value) -> tuple[Value, Value]:
         """Speed of a joint where the step has come to, and how fast it changes."""
@@ -340,9 +335,8 @@ class _Run:
         """Depth in a stop where the step has come to, and how fast it changes."""
         code = self.code
         out = code.scratch(2)
-        with self._stops(self.ahead) as (stop, depth, rate):
-            with code.when(code.equal(stop, wanted)):
-                out[0], out[1] = depth, rate
+        with self._stops(self.ahead) as (stop, depth, rate), code.when(code.equal(stop, wanted)):
+            out[0], out[1] = depth, rate
         return out[0], out[1].plain
 
     def _reach(self, share: Value, measure: Any) -> None:
@@ -353,24 +347,23 @@ class _Run:
         gone = code.scratch(1, plain=True)
         gone[0] = share * whole[0]
         done = code.counter(0)
-        with code.count(NEWTON) as k:
-            with code.when(code.equal(done.get(), 0)):
-                self._go(self.state, self.slope, gone[0], self.ahead)
-                now = self.time[0]
-                self.time[0] = now + gone[0]
-                self._rates(self.ahead, self.rate, self.after, self.after_levels)
-                self.time[0] = now
-                value, rate = measure()
-                step = -value.plain / rate
-                target = gone[0] + step
-                inside = code.all_of(target >= 0, target <= whole[0])
-                near = abs(step) < 1e-13 + 1e-9 * whole[0]
-                good = code.any_of(near, code.equal(k, NEWTON - 1))
-                with code.either(code.any_of(good, code.at.not_(inside))) as (then, otherwise):
-                    with then:
-                        done.set(1)
-                    with otherwise:
-                        gone[0] = target
+        with code.count(NEWTON) as k, code.when(code.equal(done.get(), 0)):
+            self._go(self.state, self.slope, gone[0], self.ahead)
+            now = self.time[0]
+            self.time[0] = now + gone[0]
+            self._rates(self.ahead, self.rate, self.after, self.after_levels)
+            self.time[0] = now
+            value, rate = measure()
+            step = -value.plain / rate
+            target = gone[0] + step
+            inside = code.all_of(target >= 0, target <= whole[0])
+            near = abs(step) < 1e-13 + 1e-9 * whole[0]
+            good = code.any_of(near, code.equal(k, NEWTON - 1))
+            with code.either(code.any_of(good, code.at.not_(inside))) as (then, otherwise):
+                with then:
+                    done.set(1)
+                with otherwise:
+                    gone[0] = target
         # To first order from here: the numbers hardly move, and tangents learn how the moment does.
         value, rate = measure()
         late = -value / rate
@@ -384,9 +377,8 @@ class _Run:
         """If what holds a joint outgrows its friction, go to that moment instead."""
         code = self.code
         any_stuck = code.counter(0)
-        with code.count(self.nv) as k:
-            with code.when(self._stuck(k, self.levels)):
-                any_stuck.set(1)
+        with code.count(self.nv) as k, code.when(self._stuck(k, self.levels)):
+            any_stuck.set(1)
         with code.when(code.all_of(code.below(event.get(), 0), code.equal(any_stuck.get(), 1))):
             now = self.time[0]
             self.time[0] = now + self.left[0]
@@ -495,9 +487,8 @@ class _Run:
         code = self.code
         with code.count(self.nx) as k:
             self.ends[k] = self.state[k]
-        with code.count(self.ns) as k:
-            with code.count(self.samples, code.whole(self.read, k)) as sample:
-                self.readings[code.sum(code.product(k, self.samples), sample)] = float("nan")
+        with code.count(self.ns) as k, code.count(self.samples, code.whole(self.read, k)) as sample:
+            self.readings[code.sum(code.product(k, self.samples), sample)] = float("nan")
 
 
 def _follow(before: Value, followed: Value, after: Value, duration: Value, tau: Value) -> Value:
@@ -508,4 +499,3 @@ def _follow(before: Value, followed: Value, after: Value, duration: Value, tau: 
     slope = (after - before) / safe
     later = decay * followed + (after - tau * slope) - decay * (before - tau * slope)
     return where(short, later, followed)
-

@@ -1,12 +1,13 @@
 """Rates of a program's states at one moment, as code: accelerations with joints that slide or stick, and hidden states.
 
-A joint that slides feels dry friction as a force against its direction. One that sticks has no acceleration, and what holds
-it is worked out beside: when that asks for more than friction gives, the joint lets go.
+A joint that slides feels dry friction as a force against its direction. One that sticks has no acceleration, and what
+holds it is worked out beside: when that asks for more than friction gives, the joint lets go.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from llvmlite import ir
 
@@ -118,7 +119,8 @@ class _Rates:
                     self._kernel_tangent(still, self.bias.beside)
 
             def moment(joint: Index) -> Moment:
-                return Moment(
+                values: Any = Moment  # made for arrays; values stand in for them
+                return values(
                     time=self.time[0],
                     position=self.states[joint],
                     drive=self.drives[joint],
@@ -126,7 +128,8 @@ class _Rates:
                     value=code.value(0.0),
                 )
 
-            with laws(code, self.program, self.numbers, [rule for rule, _ in self.rules], moment) as (which, joint, says):
+            plain = [rule for rule, _ in self.rules]
+            with laws(code, self.program, self.numbers, plain, moment) as (which, joint, says):
                 for k, (_, dry) in enumerate(self.rules):
                     into = self.levels if dry else self.forces
                     with code.when(code.equal(which, k)):
@@ -160,9 +163,8 @@ class _Rates:
     def _backwards(self, numbers: Numbers) -> None:
         """Solve with the factors, in place; numbers and tangents alike."""
         code, n, factor = self.code, self.n, self.factor
-        with code.count(n) as i:
-            with code.count(i) as j:
-                numbers[i] = numbers[i] - factor[code.sum(code.product(i, n), j)] * numbers[j]
+        with code.count(n) as i, code.count(i) as j:
+            numbers[i] = numbers[i] - factor[code.sum(code.product(i, n), j)] * numbers[j]
         with code.count(n) as i:
             numbers[i] = numbers[i] / factor[code.sum(code.product(i, n), i)]
         with code.count(n) as back:
@@ -188,9 +190,8 @@ class _Rates:
             a_tangent = where(self.stuck(k), code.value(0.0), pull)
             code.at.store(_tangent(a_tangent), code.offset(a.beside, k, VECTOR), align=8)
         lanes = _Lanes(code, a.beside)
-        with code.count(n) as i:
-            with code.count(i) as j:
-                lanes.take(i, self.factor[code.sum(code.product(i, n), j)], j)
+        with code.count(n) as i, code.count(i) as j:
+            lanes.take(i, self.factor[code.sum(code.product(i, n), j)], j)
         with code.count(n) as i:
             lanes.divide(i, self.factor[code.sum(code.product(i, n), i)])
         with code.count(n) as back:

@@ -24,7 +24,7 @@ Number = Any
 Vector = list[Number]
 
 GEOMETRY = 12  # numbers of a link: rotation (9) and place (3) in its parent's frame
-LINK = 24  # and position at which the joint is not turned, mass, its first (3) and second moments (6), share that floats
+LINK = 24  # and the position that counts as not moved, mass, first (3) and second moments (6), share that floats
 GRAVITY = 3  # numbers before those of the links
 
 _EXACT = 1e-13  # what is nearer to 0, 1 or -1 than this, in units of its kind, is that
@@ -59,7 +59,9 @@ def tree_of(model: mujoco.MjModel) -> tuple[Tree, Array]:
         place[body] = place[carrier] + turned[carrier] @ model.body_pos[body]
         turned[body] = turned[carrier] @ turned[body]
     last = np.full(model.nbody, -1)  # link that carries each body
-    parents, turns, origins = [], [], []
+    parents: list[int] = []
+    turns: list[Array] = []
+    origins: list[Array] = []
     for body in range(1, model.nbody):
         last[body] = last[model.body_parentid[body]]
         first = int(model.body_jntadr[body])
@@ -81,9 +83,10 @@ def tree_of(model: mujoco.MjModel) -> tuple[Tree, Array]:
         links[i, 12] = model.qpos0[model.jnt_qposadr[i]]
     for body in range(1, model.nbody):
         i = int(last[body])
-        if i < 0 or model.body_mass[body] == 0 and not model.body_inertia[body].any():
+        if i < 0 or (model.body_mass[body] == 0 and not model.body_inertia[body].any()):
             continue
-        mass, arm = float(model.body_mass[body]), turns[i].T @ (place[body] + turned[body] @ model.body_ipos[body] - origins[i])
+        mass, centre = float(model.body_mass[body]), place[body] + turned[body] @ model.body_ipos[body]
+        arm = turns[i].T @ (centre - origins[i])
         axes = turns[i].T @ turned[body] @ own[body]
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))

@@ -100,8 +100,9 @@ def sensitivities(
         starts: (n, 2 nb).
 
     Returns:
-        Readings (n, m, ns) of the engine, whatever the problem's integrator, their change per unit of each number (p, n, m, ns), and per unit of each start
-        (2 nb, n, m, ns); None where the engine does not simulate the model or its change.
+        Readings (n, m, ns) of the engine, whatever the problem's integrator, their change per unit of each number
+        (p, n, m, ns), and per unit of each start (2 nb, n, m, ns); None where the engine does not simulate the model
+        or its change.
     """
     windows, warm = problem.windows, structure.warm
     stepping = _stepping(replace(problem, stepping=replace(problem.stepping, integrator=_RK4)), structure)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
+from dipc_gym.physics import Physics
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects.base import Effect, Parameter
 from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
@@ -190,7 +191,7 @@ class Structure:
         return self._made[key]
 
     @functools.cached_property
-    def _made(self) -> dict[bytes, physics.Physics]:
+    def _made(self) -> dict[bytes, Physics]:
         """Models compiled lately, by their numbers; a fit asks for the same ones again."""
         return {}
 
