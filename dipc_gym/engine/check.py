@@ -40,7 +40,7 @@ def check(program: Program, parameters: Array, source: Physics) -> None:
     smooth = parameters.copy()
     first = int(program.codes[Head.JOINT_NUMBERS])
     smooth[first + Joint.FRICTION : first + model.nv * Joint.SIZE : Joint.SIZE] = 0.0
-    n, size = model.nv, _sizes(model)
+    n, size, limited = model.nv, _sizes(model), model.tendon_limited.astype(bool)
     applied, levels = np.zeros(n), np.zeros(n)
     for _ in range(STATES):
         data.qpos[:] = model.qpos0 + rng.normal(size=n) * size
@@ -57,7 +57,9 @@ def check(program: Program, parameters: Array, source: Physics) -> None:
             mujoco.mj_forward(model, data)
         states = np.zeros(program.nx)
         states[:n], states[n : 2 * n], states[2 * n : 2 * n + model.na] = data.qpos, data.qvel, data.act
-        found = rates(program, smooth, states, data.ctrl.copy(), data.time)
+        limits, length = model.tendon_range[limited], data.ten_length[limited]
+        met = (length < limits[:, 0]) | (length > limits[:, 1])
+        found = rates(program, smooth, states, data.ctrl.copy(), data.time, met.tolist())
         for what, ours, theirs in (
             ("accelerations", found[n : 2 * n], data.qacc),
             ("rates of hidden states", found[2 * n : 2 * n + model.na], data.act_dot),

@@ -61,10 +61,10 @@ class _Fixed(Sequence[Any]):
     """
 
     def __init__(self, tree: Tree, numbers: Any) -> None:
-        self.fixed, self.numbers, self.count = dict(tree.fixed), numbers, tree.count
+        self.fixed, self.numbers, self.total = dict(tree.fixed), numbers, tree.count
 
     def __len__(self) -> int:
-        return self.count
+        return self.total
 
     def __getitem__(self, index: Any) -> Any:
         if index in self.fixed:

@@ -1,9 +1,10 @@
 """Windows through time, as code: any program, any mechanics, one function for all.
 
-Runge-Kutta's fourth order between events. Commands are held between the moments at which they change, delays included, and
-no step crosses such a moment. Where a joint would turn round, the step ends at that moment, which Newton's method finds; the
-last of its iterations is differentiated, so that derivatives know how the moment moves (the jump, or saltation, of
-sensitivities at events). Where what holds a joint grows beyond its friction, likewise.
+Runge-Kutta's fourth order between events. Commands are held between the moments at which they change, delays included,
+and no step crosses such a moment. Where a joint would turn round or a tendon comes to a stop, the step ends at that
+moment, which Newton's method finds; the last of its iterations is differentiated, so that derivatives know how the
+moment moves (the jump, or saltation, of sensitivities at events). Where what holds a joint grows beyond its friction,
+likewise.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import Any
 
 from llvmlite import ir
 
-from dipc_gym.engine.forces import Rule
-from dipc_gym.engine.layout import CONTROLS, JOINTS, SENSORS, STATES, At, Head, Row, Sensor
+from dipc_gym.engine.forces import Rule, Stops
+from dipc_gym.engine.layout import CONTROLS, JOINTS, SENSORS, STATES, STOPS, At, Head, Row, Sensor
 from dipc_gym.engine.motion import ARGUMENTS, write_rates
 from dipc_gym.engine.values import INT, POINTER, VECTOR, Code, Index, Numbers, Value, exp, integer, sign, where
 
@@ -22,11 +23,12 @@ EVENTS = 8  # looked for within one step; what is left over is a small error
 NEWTON = 4  # iterations for the moment of an event
 SOON = 1e-9  # s; changes of commands nearer than this are one
 FOLLOWED = 0.5  # time constant, in steps, that Runge-Kutta follows safely
+SLIGHT = 1e-12  # depth in a stop from which it surely touches, m or rad
 FAR = 1e12  # speeds beyond are of a simulation that diverged
 
 
 def write_loop(rules: Sequence[tuple[Rule, bool]], *, tangents: bool) -> ir.Module:
-    """The module with `run(addresses, first row, last row)`, and `probe`, which is `motion.write_rates` for a check.
+    """The module with `run(addresses, first row, last row)`, and `probe`, the rates at one moment.
 
     Args:
         rules: what `<custom>` may add to joints, and whether each is a level of dry friction.
@@ -52,8 +54,8 @@ def write_loop(rules: Sequence[tuple[Rule, bool]], *, tangents: bool) -> ir.Modu
 def _write_advance(code: Code, rates: ir.Function) -> None:
     """States after a step of the fourth order, from the states and their rates at its beginning.
 
-    Arguments are those of `rates` with the states at the beginning, the step in the place of the holding forces, and the
-    states at the end in the place of the levels.
+    Arguments are those of `rates` with the states at the beginning, the step in the place of the holding forces, and
+    the states at the end in the place of the levels.
     """
     args = list(code.function.args)
     n = code.whole(args[0], Head.STATES)
@@ -97,7 +99,7 @@ class _Run:
         self.nv, self.nx = code.whole(self.program, Head.JOINTS), code.whole(self.program, Head.STATES)
         self.nu, self.ns = code.whole(self.program, Head.CONTROLS), code.whole(self.program, Head.SENSORS)
         self.samples = code.whole(self.program, Head.SAMPLES)
-        self.commands, self.signs = code.scratch(CONTROLS), code.scratch(JOINTS, plain=True)
+        self.commands, self.signs = code.scratch(CONTROLS), code.scratch(JOINTS + STOPS, plain=True)
         self.time, self.clock = code.scratch(1), code.scratch(2)
         self.state, self.slope = code.scratch(STATES), code.scratch(STATES)
         self.ahead, self.rate = code.scratch(STATES), code.scratch(STATES)
@@ -126,9 +128,7 @@ class _Run:
         self.stamps = code.numbers(code.offset(at[At.STAMPS], code.whole(entry, Row.STAMPS)))
         self.stamp_count = code.whole(entry, Row.COUNT)
         rows = code.product(row, self.nx)
-        self.starts = code.numbers(
-            code.offset(at[At.STARTS], rows), code.offset(at[At.START_TANGENTS], rows, VECTOR)
-        )
+        self.starts = code.numbers(code.offset(at[At.STARTS], rows), code.offset(at[At.START_TANGENTS], rows, VECTOR))
         self.ends = code.numbers(code.offset(at[At.ENDS], rows), code.offset(at[At.END_TANGENTS], rows, VECTOR))
         each = code.product(self.ns, self.samples)
         self.times = code.numbers(code.offset(at[At.TIMES], code.product(window, each)))
@@ -147,7 +147,7 @@ class _Run:
         self._begin(row)
         with code.count(self.nx) as k:
             self.state[k] = self.starts[k]
-        with code.count(self.nv) as k:
+        with code.count(JOINTS + STOPS) as k:
             self.signs[k] = 0.0
         with code.count(self.ns) as k:
             self._set(self.read, k, 0)
@@ -258,11 +258,18 @@ class _Run:
             stop(code.any_of(self.left.plain(0) <= 0, code.at.not_(self._fine())))
 
     def _directions(self) -> None:
-        """Give moving joints without a direction the one of their motion."""
+        """Give moving joints without a direction the one of their motion; say which stops touch."""
         code = self.code
         with code.count(self.nv) as k:
             v, s = self._speed(self.state, k).plain, self.signs[k]
             self.signs[k] = where(code.any_of(s.equals(0.0), s * v < 0), sign(v), s)
+        with self._stops(self.state) as (stop, depth, _):
+            touches = self.signs[stop]
+            deep = where(depth.plain > SLIGHT, code.value(1.0), touches)
+            self.signs[stop] = where(depth.plain < -SLIGHT, code.value(0.0), deep)
+
+    def _stops(self, states: Numbers) -> Any:
+        return Stops(self.code, self.program, self.numbers, states)
 
     def _release(self) -> None:
         """Let joints go that need more than friction gives."""
@@ -282,7 +289,7 @@ class _Run:
         return self.code.all_of(self.signs[k].equals(0.0), levels.plain(k) > 0)
 
     def _find_reversal(self, event: Any) -> None:
-        """If a joint turns round, go to that moment instead."""
+        """If a joint turns round or a stop is met, go to that moment instead."""
         code = self.code
         first = code.scratch(1, plain=True)
         first[0] = 2.0
@@ -303,24 +310,52 @@ class _Run:
                 with code.when(at < first[0]):
                     first[0] = at
                     event.set(k)
-        with code.when(code.at.icmp_signed(">=", event.get(), integer(0))):
-            self._reach_reversal(event.get(), first[0])
+        with self._stops(self.ahead) as (stop, depth, rate):
+            end = depth.plain
+            with code.when(code.all_of(self.signs[stop].equals(0.0), end > 0)):
+                at = 1.0 - end / (rate.plain * self.left.plain(0))
+                at = where(code.all_of(at > 0, at <= 1), at, code.value(0.5))
+                with code.when(at < first[0]):
+                    first[0] = at
+                    event.set(stop)
+        found = event.get()
+        with code.when(code.all_of(code.below(integer(-1), found), code.below(found, JOINTS))):
+            self._reach(first[0], lambda: self._turning(found))
+            self.ahead[code.sum(self.nv, found)] = 0.0
+            self.signs[found] = 0.0
+        with code.when(code.below(integer(JOINTS - 1), found)):
+            self._reach(first[0], lambda: self._touching(found))
+            self.signs[found] = 1.0
 
-    def _reach_reversal(self, joint: ir.Value, share: Value) -> None:
+    def _turning(self, joint: ir.Value) -> tuple[Value, Value]:
+        """Speed of a joint where the step has come to, and how fast it changes."""
+        return self._speed(self.ahead, joint), self.rate[self.code.sum(self.nv, joint)].plain
+
+    def _touching(self, wanted: ir.Value) -> tuple[Value, Value]:
+        """Depth in a stop where the step has come to, and how fast it changes."""
+        code = self.code
+        out = code.scratch(2)
+        with self._stops(self.ahead) as (stop, depth, rate), code.when(code.equal(stop, wanted)):
+            out[0], out[1] = depth, rate
+        return out[0], out[1].plain
+
+    def _reach(self, share: Value, measure: Any) -> None:
+        """Go to the moment at which a measure, as a number and its rate, is zero; `part` is the time that takes."""
         code = self.code
         whole = code.scratch(1, plain=True)
         whole[0] = self.left.plain(0)
-        gone = code.scratch(1)
+        gone = code.scratch(1, plain=True)
         gone[0] = share * whole[0]
         done = code.counter(0)
         with code.count(NEWTON) as k, code.when(code.equal(done.get(), 0)):
-            self._go(self.state, self.slope, gone[0].plain, self.ahead)
+            self._go(self.state, self.slope, gone[0], self.ahead)
             now = self.time[0]
-            self.time[0] = now + gone[0].plain
+            self.time[0] = now + gone[0]
             self._rates(self.ahead, self.rate, self.after, self.after_levels)
             self.time[0] = now
-            step = -self._speed(self.ahead, joint).plain / self.rate[code.sum(self.nv, joint)].plain
-            target = gone.plain(0) + step
+            value, rate = measure()
+            step = -value.plain / rate
+            target = gone[0] + step
             inside = code.all_of(target >= 0, target <= whole[0])
             near = abs(step) < 1e-13 + 1e-9 * whole[0]
             good = code.any_of(near, code.equal(k, NEWTON - 1))
@@ -330,15 +365,13 @@ class _Run:
                 with otherwise:
                     gone[0] = target
         # To first order from here: the numbers hardly move, and tangents learn how the moment does.
-        rate = self.rate[code.sum(self.nv, joint)]
-        late = -self._speed(self.ahead, joint) / rate.plain
-        usable = code.all_of(abs(late.plain) < 1e-3 * whole[0], abs(rate.plain) > 0)
+        value, rate = measure()
+        late = -value / rate
+        usable = code.all_of(abs(late.plain) < 1e-3 * whole[0], abs(rate) > 0)
         late = where(usable, late, code.value(0.0))
         with code.count(self.nx) as k:
             self.ahead[k] = self.ahead[k] + late * self.rate[k].plain
-        self.ahead[code.sum(self.nv, joint)] = 0.0
-        self.signs[joint] = 0.0
-        self.part[0] = gone[0].plain + late
+        self.part[0] = gone[0] + late
 
     def _find_release(self, event: Any) -> None:
         """If what holds a joint outgrows its friction, go to that moment instead."""
@@ -466,4 +499,3 @@ def _follow(before: Value, followed: Value, after: Value, duration: Value, tau: 
     slope = (after - before) / safe
     later = decay * followed + (after - tau * slope) - decay * (before - tau * slope)
     return where(short, later, followed)
-

@@ -133,7 +133,7 @@ def _write(key: str, code: bytes) -> None:
         try:
             with os.fdopen(number, "wb") as file:
                 file.write(_MAGIC + hashlib.sha256(code).digest() + code)
-            os.replace(name, folder / key)
+            Path(name).replace(folder / key)
         except OSError:
             Path(name).unlink(missing_ok=True)
     except OSError:

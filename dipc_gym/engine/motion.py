@@ -1,16 +1,17 @@
 """Rates of a program's states at one moment, as code: accelerations with joints that slide or stick, and hidden states.
 
-A joint that slides feels dry friction as a force against its direction. One that sticks has no acceleration, and what holds
-it is worked out beside: when that asks for more than friction gives, the joint lets go.
+A joint that slides feels dry friction as a force against its direction. One that sticks has no acceleration, and what
+holds it is worked out beside: when that asks for more than friction gives, the joint lets go.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from llvmlite import ir
 
-from dipc_gym.engine.forces import Attached, Rule, laws
+from dipc_gym.engine.forces import Attached, Rule, depth_of, laws
 from dipc_gym.engine.layout import JOINTS, STOPS, Element, Head, Joint, Kind, Spring
 from dipc_gym.engine.values import (
     INT,
@@ -118,7 +119,8 @@ class _Rates:
                     self._kernel_tangent(still, self.bias.beside)
 
             def moment(joint: Index) -> Moment:
-                return Moment(
+                values: Any = Moment  # made for arrays; values stand in for them
+                return values(
                     time=self.time[0],
                     position=self.states[joint],
                     drive=self.drives[joint],
@@ -126,7 +128,8 @@ class _Rates:
                     value=code.value(0.0),
                 )
 
-            with laws(code, self.program, self.numbers, [rule for rule, _ in self.rules], moment) as (which, joint, says):
+            plain = [rule for rule, _ in self.rules]
+            with laws(code, self.program, self.numbers, plain, moment) as (which, joint, says):
                 for k, (_, dry) in enumerate(self.rules):
                     into = self.levels if dry else self.forces
                     with code.when(code.equal(which, k)):
@@ -215,14 +218,10 @@ class _Rates:
                 with code.when(code.equal(kind, int(Kind.STOP))):
                     own = self.numbers.since(code.whole(element, Element.NUMBERS))
                     coefficients, stop = own.since(Spring.SIZE), number.get()
-                    length, speed = attached.reach(element, coefficients)
-                    over, under = length - own[Spring.HIGHEST], own[Spring.LOWEST] - length
-                    # Seen along the way out of the stop.
-                    away = where(over > 0, code.value(-1.0), code.value(1.0))
-                    depth = maximum(over, under)
+                    depth, away, speed = depth_of(attached, element, own)
                     before = pushes[stop]
                     pushes[stop] = 0.0
-                    with code.when(depth > 0):
+                    with code.when(self.directions[code.sum(stop, JOINTS)] > 0):
                         wanted = own[Spring.STIFFNESS] * depth - own[Spring.DAMPING] * (away * speed)
                         with code.count(n) as k:
                             answer[k] = 0.0

@@ -20,7 +20,7 @@ Whole = NDArray[np.int64]
 _LIMITLESS = 1e30
 
 
-class Uncovered(Exception):
+class Uncovered(Exception):  # no error: another simulator takes over
     """A model has what the engine does not simulate; the message says what and where."""
 
 
@@ -249,7 +249,10 @@ class _Writer:
         self, i: int, where: str, numbers: list[float], dofs: list[int], coefficients: list[float], control: int
     ) -> list[int]:
         model = self.model
-        if int(model.actuator_ctrlspec[i]) not in (mujoco.mjtCtrlInput.mjINPUT_VOLTAGE, mujoco.mjtCtrlInput.mjINPUT_NONE):
+        if int(model.actuator_ctrlspec[i]) not in (
+            mujoco.mjtCtrlInput.mjINPUT_VOLTAGE,
+            mujoco.mjtCtrlInput.mjINPUT_NONE,
+        ):
             raise Uncovered(f"{where} has a controller on board")
         gain, bias, dynamics = (
             np.asarray(x[i], dtype=float).tolist()
@@ -311,7 +314,11 @@ class _Writer:
                 raise Uncovered(f"sensor {name!r} has a cutoff")
             numbers = [0] * int(Sensor.SIZE)
             numbers[Sensor.STATE], numbers[Sensor.FACTOR] = state, len(self.numbers)
-            numbers[Sensor.LAG], numbers[Sensor.TIME], numbers[Sensor.AHEAD] = -1, len(self.numbers) + 1, len(self.numbers) + 2
+            numbers[Sensor.LAG], numbers[Sensor.TIME], numbers[Sensor.AHEAD] = (
+                -1,
+                len(self.numbers) + 1,
+                len(self.numbers) + 2,
+            )
             tau = lags.get(int(model.sensor_adr[sensor]))
             if tau is not None:
                 numbers[Sensor.LAG] = 2 * model.nv + self.hidden + late
@@ -339,7 +346,9 @@ class _Writer:
 
 def rules() -> list[tuple[str, physics.Rule, bool]]:
     """What `<custom>` may add to joints: id, law, whether it is a level of dry friction."""
-    return [(name, rule, stage == "friction") for name, stage, rule in physics.rules() if stage in ("friction", "force")]
+    return [
+        (name, rule, stage == "friction") for name, stage, rule in physics.rules() if stage in ("friction", "force")
+    ]
 
 
 def _check_covered(model: mujoco.MjModel) -> None:

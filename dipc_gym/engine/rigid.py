@@ -24,7 +24,7 @@ Number = Any
 Vector = list[Number]
 
 GEOMETRY = 12  # numbers of a link: rotation (9) and place (3) in its parent's frame
-LINK = 24  # and position at which the joint is not turned, mass, its first (3) and second moments (6), share that floats
+LINK = 24  # and the position that counts as not moved, mass, first (3) and second moments (6), share that floats
 GRAVITY = 3  # numbers before those of the links
 
 _EXACT = 1e-13  # what is nearer to 0, 1 or -1 than this, in units of its kind, is that
@@ -52,36 +52,42 @@ class Tree:
 
 def tree_of(model: mujoco.MjModel) -> tuple[Tree, Array]:
     """Links of a model of hinges and slides, and their numbers (count,), none fixed yet."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = model.qpos0
-    mujoco.mj_kinematics(model, data)
+    turned, own = _matrices(model.body_quat), _matrices(model.body_iquat)
+    place = np.zeros((model.nbody, 3))
+    for body in range(1, model.nbody):
+        carrier = model.body_parentid[body]
+        place[body] = place[carrier] + turned[carrier] @ model.body_pos[body]
+        turned[body] = turned[carrier] @ turned[body]
     last = np.full(model.nbody, -1)  # link that carries each body
-    parents, turns, origins = [], [], []
+    parents: list[int] = []
+    turns: list[Array] = []
+    origins: list[Array] = []
     for body in range(1, model.nbody):
         last[body] = last[model.body_parentid[body]]
         first = int(model.body_jntadr[body])
         for joint in range(first, first + int(model.body_jntnum[body])):
             parent = int(last[body])
             carried = turns[parent] if parent >= 0 else np.eye(3)
-            turns.append(carried @ _turn_to(carried.T @ data.xaxis[joint]))
-            origins.append(data.xanchor[joint].copy())
+            turns.append(carried @ _turn_to(carried.T @ (turned[body] @ model.jnt_axis[joint])))
+            origins.append(place[body] + turned[body] @ model.jnt_pos[joint])
             parents.append(parent)
             last[body] = joint
     numbers = np.zeros(GRAVITY + LINK * len(parents))
     numbers[:GRAVITY] = model.opt.gravity * (not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     links = numbers[GRAVITY:].reshape(-1, LINK)
     for i, parent in enumerate(parents):
-        carried, place = (turns[parent], origins[parent]) if parent >= 0 else (np.eye(3), np.zeros(3))
+        carried, beside = (turns[parent], origins[parent]) if parent >= 0 else (np.eye(3), np.zeros(3))
         links[i, :9] = _rounded(carried.T @ turns[i]).ravel()
-        offset = carried.T @ (origins[i] - place)
+        offset = carried.T @ (origins[i] - beside)
         links[i, 9:12] = np.where(np.abs(offset) < _EXACT * max(1e-6, np.abs(offset).max()), 0.0, offset)
         links[i, 12] = model.qpos0[model.jnt_qposadr[i]]
     for body in range(1, model.nbody):
         i = int(last[body])
         if i < 0 or (model.body_mass[body] == 0 and not model.body_inertia[body].any()):
             continue
-        mass, arm = float(model.body_mass[body]), turns[i].T @ (data.xipos[body] - origins[i])
-        axes = turns[i].T @ data.ximat[body].reshape(3, 3)
+        mass, centre = float(model.body_mass[body]), place[body] + turned[body] @ model.body_ipos[body]
+        arm = turns[i].T @ (centre - origins[i])
+        axes = turns[i].T @ turned[body] @ own[body]
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
         floats = links[i, 23] * links[i, 13] + float(model.body_gravcomp[body]) * mass
@@ -93,6 +99,17 @@ def tree_of(model: mujoco.MjModel) -> tuple[Tree, Array]:
         for part in (slice(14, 17), slice(17, 23)):
             link[part][np.abs(link[part]) < _EXACT * np.abs(link[part]).max(initial=0.0)] = 0.0
     return Tree(tuple(parents), tuple(bool(k == mujoco.mjtJoint.mjJNT_SLIDE) for k in model.jnt_type)), numbers
+
+
+def _matrices(turns: Array) -> Array:
+    """Rotations (n, 3, 3) of quaternions (n, 4)."""
+    w, x, y, z = turns.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def _rounded(numbers: Array) -> Array:

@@ -7,14 +7,15 @@ import functools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.engine import machine
 from dipc_gym.engine.kernel import write_kernel
-from dipc_gym.engine.layout import At, Head, Row
+from dipc_gym.engine.layout import JOINTS, STOPS, At, Head, Row
 from dipc_gym.engine.loop import write_loop
 from dipc_gym.engine.program import Program, rules
 from dipc_gym.engine.rigid import Tree
@@ -137,7 +138,7 @@ def differentiate(
         At.READING_TANGENTS: np.zeros((*out.shape, LANES)),
         At.END_TANGENTS: np.zeros((*ends.shape, LANES)),
     }
-    moved = Jobs(**{**vars(jobs), "commands": Commands(jobs.commands.stamps, commands)})
+    moved = replace(jobs, commands=Commands(jobs.commands.stamps, commands))
     _call(program, moved, rows, starts, step, threads, out, ends, tangents)
     readings, states = (
         np.moveaxis(tangents[at], -1, 1).reshape(packs * LANES, *shape)[:count]
@@ -175,7 +176,7 @@ def _call(
         At.ENDS: ends,
         At.ROWS: rows,
         At.STAMPS: jobs.commands.stamps,
-        At.COMMANDS: jobs.commands.values if not tangents else jobs.commands.values,
+        At.COMMANDS: jobs.commands.values,
         At.TIMES: jobs.times,
         At.READINGS: out,
         At.STEP: np.array([step]),
@@ -195,7 +196,8 @@ def _call(
         return
     # Rows differ in what they cost; small shares even that out.
     borders = np.linspace(0, count, 4 * workers + 1).astype(int)
-    list(_pool(workers).map(lambda ends: function(table, *ends), zip(borders[:-1].tolist(), borders[1:].tolist())))
+    shares = zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True)
+    list(_pool(workers).map(lambda share: function(table, *share), shares))
 
 
 @functools.lru_cache(maxsize=4)
@@ -204,15 +206,18 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 
 
 @functools.lru_cache(maxsize=256)
-def _function(tree: Tree, tangents: bool) -> object:
+def _function(tree: Tree, tangents: bool) -> Any:
     """The compiled function; calls of it let other threads run."""
     library = machine.load([_loop(tangents), write_kernel(tree)], ["run", "probe"])
-    function = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(library.addresses["run"])
+    kind: Any = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
+    function = kind(library.addresses["run"])
     function.library = library
     return function
 
 
-def rates(program: Program, parameters: Array, states: Array, commands: Array, time: float) -> Array:
+def rates(
+    program: Program, parameters: Array, states: Array, commands: Array, time: float, touching: Sequence[bool] = ()
+) -> Array:
     """Rates of the states (nx,) of a model whose joints all slide in the direction of their motion.
 
     Args:
@@ -221,14 +226,17 @@ def rates(program: Program, parameters: Array, states: Array, commands: Array, t
         states: (nx,).
         commands: (controls,).
         time: s.
+        touching: which stops are met, in the order of tendons that have some.
     """
     n = program.codes[Head.JOINTS]
     function = _function(program.tree, False)
     probe = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 16)(function.library.addresses["probe"])
-    signs, out, rest = np.sign(states[n : 2 * n]), np.zeros(len(states)), np.zeros((2, n))
+    signs = np.zeros(JOINTS + STOPS)
+    signs[:n], signs[JOINTS : JOINTS + len(touching)] = np.sign(states[n : 2 * n]), touching
+    out, rest = np.zeros(len(states)), np.zeros((2, n))
     now = np.array([time, 1e-12])
-    arrays = (program.codes, parameters, None, commands, None, signs, now, None, states, None, out, None)
-    arrays = (*arrays, rest[0], None, rest[1], None)
+    arrays = [program.codes, parameters, None, commands, None, signs, now, None, states, None, out, None]
+    arrays += [rest[0], None, rest[1], None]
     probe(*(None if array is None else array.ctypes.data for array in arrays))
     return out
 

@@ -1,8 +1,8 @@
 """Numbers that write code: LLVM instructions by arithmetic on Python objects, with tangents beside.
 
-A `Value` is a number that will exist when the code runs. Arithmetic on it appends instructions. With each number go, where
-wanted, its derivatives in `LANES` directions, as one vector: forward differentiation by the rules of calculus, one
-vector operation for all directions. Factors of zero and one vanish while the code is written, which is how the
+A `Value` is a number that will exist when the code runs. Arithmetic on it appends instructions. With each number go,
+where wanted, its derivatives in `LANES` directions, as one vector: forward differentiation by the rules of calculus,
+one vector operation for all directions. Factors of zero and one vanish while the code is written, which is how the
 structure of a model (joints along axes, bodies in a plane) makes its code short.
 
 NumPy's functions work on values (NEP 13 and 18), so that a law written for arrays becomes code as it stands.

@@ -7,18 +7,22 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.engine import Uncovered
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.model.structure import Structure
-from dipc_gym.sim2real.simulation.batch import Stepping, simulate
+from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
+from dipc_gym.sim2real.simulation.compiled import compiled, derivatives
 from dipc_gym.sim2real.simulation.motion import starts as early
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
 
-_FAR = 1e6  # times the noise; a simulation that blew up is no worse than this
+_RK4 = mujoco.mjtIntegrator.mjINT_RK4
+FAR = 1e6  # times the noise; a simulation that blew up is no worse than this
 _BLOCK = 1.0  # s; neighbouring windows closer than this count as one when errors are compared
 
 
@@ -72,13 +76,7 @@ class Problem:
 
 def predict(problem: Problem, structure: Structure, Z: Sequence[Array], starts: Array) -> Array:
     """Readings (variants, n, m, ns) of a structure under several sets of numbers."""
-    made: dict[bytes, Physics] = {}
-    variants = []
-    for z in Z:
-        key = z.tobytes()
-        if key not in made:
-            made[key] = structure.physics(z)
-        variants.append(made[key])
+    variants = [structure.physics(z) for z in Z]
     return predict_with(problem, structure, variants, starts)
 
 
@@ -97,10 +95,40 @@ def predict_with(problem: Problem, structure: Structure, variants: Sequence[Phys
     )
 
 
+def sensitivities(
+    problem: Problem, structure: Structure, z: Array, probes: Sequence[Array], starts: Array
+) -> tuple[Array, Array, Array] | None:
+    """What a structure predicts, and how that changes with its numbers and its starts.
+
+    Args:
+        problem: windows to predict.
+        structure: of the model.
+        z: its mapped numbers, (p,).
+        probes: for each number all of them, that one a little larger or smaller; how a model's own numbers follow from
+            them is a smooth map, for which a difference will do.
+        starts: (n, 2 nb).
+
+    Returns:
+        Readings (n, m, ns) of the engine, whatever the problem's integrator, their change per unit of each number
+        (p, n, m, ns), and per unit of each start (2 nb, n, m, ns); None where the engine does not simulate the model
+        or its change.
+    """
+    windows, warm = problem.windows, structure.warm
+    stepping = _stepping(replace(problem, stepping=replace(problem.stepping, integrator=_RK4)), structure)
+    steps = np.array([probe[i] - z[i] for i, probe in enumerate(probes)])
+    try:
+        variants = [structure.physics(one) for one in (z, *probes)]
+        of = compiled(variants, windows, structure.base, grid_step(windows, stepping))
+        begin = early(windows.motions, windows.source, windows.start - warm) if warm else None
+        return derivatives(of, steps, starts, warm, begin, problem.threads)
+    except Uncovered:
+        return None
+
+
 def residual(problem: Problem, readings: Array) -> Array:
     """(observed - readings) / noise, zero where nothing was observed."""
     rest = (problem.windows.observed - readings) / problem.windows.noise
-    rest = np.nan_to_num(np.clip(rest, -_FAR, _FAR), nan=_FAR)
+    rest = np.nan_to_num(np.clip(rest, -FAR, FAR), nan=FAR)
     return np.where(problem.windows.valid[..., None], rest, 0.0)
 
 

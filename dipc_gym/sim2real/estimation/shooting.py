@@ -11,13 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.estimation.problem import Problem, predict, residual
+from dipc_gym.sim2real.estimation.problem import FAR, Problem, predict, residual, sensitivities
 from dipc_gym.sim2real.model.structure import Structure
 
 Array = NDArray[np.float64]
 
-LAG = 0.02  # of the mean log square error that starts could still explain, from which they are corrected
+LAG = 0.02  # of the log square error that starts could still explain, from which they are corrected
 FAR_OUT = 4.0  # times the usual square error, from which something else happened in a window
+_TOUCH = 1e-6  # the same where only a model's numbers are differenced, and the engine knows the rest
 _PROBE = 0.02  # finite difference of a mapped number; smaller ones drown in the kinks of dry friction
 
 
@@ -81,7 +82,7 @@ class Shooting:
         """Corrected starts, their residual, and `derivatives` there.
 
         A joint that sticks may as well start at rest, and the estimate is asked again. Where a straight line did not
-        tell where to start, a second one is drawn from there.
+        tell where to start, a second one is drawn from there, for each window whatever the others do.
         """
         estimate, half = self.problem.starts, self.nb2 // 2
         still = estimate.copy()
@@ -89,14 +90,23 @@ class Shooting:
         rest, _, S = self.derivatives(z, starts, numbers=False)
         starts, rest = self.corrected(z, starts, rest, S, [still, estimate])
         _, columns, S = self.derivatives(z, starts, rest, numbers=numbers)
-        if self.lags(starts, rest, S):
-            starts, rest = self.corrected(z, starts, rest, S)
-            _, columns, S = self.derivatives(z, starts, rest, numbers=numbers)
+        behind = np.flatnonzero(self._behind(starts, rest, S))
+        if len(behind):
+            some = Shooting(self.problem.pick(behind), self.structure)
+            begin, left = some.corrected(z, starts[behind], rest[behind], S[behind])
+            starts, rest, columns, S = starts.copy(), rest.copy(), columns.copy(), S.copy()
+            starts[behind] = begin
+            rest[behind], columns[behind], S[behind] = some.derivatives(z, begin, left, numbers=numbers)
         return starts, rest, columns, S
 
     def left(self, starts: Array, rest: Array, S: Array) -> Array:
         """Rows (n, M) less what a further correction of the starts would explain."""
         return project(S, self.rows(starts, rest)[..., None])[0][..., 0]
+
+    def _behind(self, starts: Array, rest: Array, S: Array) -> NDArray[np.bool_]:
+        """Which windows a further correction of their starts would bring much nearer, (n,)."""
+        left, mse = self.mse(self.left(starts, rest, S)), self.mse(self.rows(starts, rest))
+        return np.asarray(np.log1p(mse) - np.log1p(left) > LAG)
 
     def lags(self, starts: Array, rest: Array, S: Array) -> bool:
         """Whether a further correction of the starts would explain much."""
@@ -120,6 +130,9 @@ class Shooting:
             prior appended, (n, M, p), or (n, M, 0); and their sensitivity to the starts, per nudge so that columns are
             of order one, with the prior's rows, (n, M, 2 nb).
         """
+        exact = self._exact(z, starts, rest, numbers=numbers)
+        if exact is not None:
+            return exact
         n, probes, steps = len(starts), *(self._probes(z) if numbers else ([], np.zeros(0)))
         Z = [*probes, *[z] * self.nb2]
         begin = np.stack([*[starts] * len(probes), *(starts + self.nudge * unit for unit in np.eye(self.nb2))])
@@ -132,16 +145,45 @@ class Shooting:
         columns = np.concatenate([change[..., : len(probes)] / steps, np.zeros((n, self.nb2, len(probes)))], axis=1)
         return rest, columns, np.concatenate([change[..., len(probes) :], prior], axis=1)
 
-    def _probes(self, z: Array) -> tuple[list[Array], Array]:
+    def _exact(
+        self, z: Array, starts: Array, rest: Array | None, *, numbers: bool
+    ) -> tuple[Array, Array, Array] | None:
+        """`derivatives` by the engine; None where it does not simulate the model.
+
+        Where MuJoCo simulates by a rule of its own, residuals are MuJoCo's, and only their slopes the engine's.
+        """
+        n, (probes, steps) = len(starts), self._probes(z, _TOUCH) if numbers else ([], np.zeros(0))
+        free = np.flatnonzero(np.isfinite(steps))
+        if len(free) < len(steps):
+            return None
+        found = sensitivities(self.problem, self.structure, z, probes, starts)
+        if found is None:
+            return None
+        readings, by_numbers, by_starts = found
+        if self.problem.stepping.integrator is None and not np.isfinite(readings[self.problem.windows.valid]).all():
+            return None
+        if rest is None:
+            rest = residual(self.problem, readings)
+            if self.problem.stepping.integrator is None:
+                rest = self.residuals([z], starts[None])[0]
+        told = self.problem.windows.valid[..., None] & np.isfinite(readings) & (np.abs(rest) < FAR)
+        slopes = np.where(told, np.concatenate([by_numbers, by_starts]), 0.0) / self.problem.windows.noise
+        change = np.moveaxis(np.nan_to_num(slopes).reshape(len(slopes), n, -1), 0, -1)
+        count = len(steps)
+        prior = np.broadcast_to(np.diag(self.nudge / self.spread), (n, self.nb2, self.nb2))
+        columns = np.concatenate([change[..., :count], np.zeros((n, self.nb2, count))], axis=1)
+        return rest, columns, np.concatenate([change[..., count:] * self.nudge, prior], axis=1)
+
+    def _probes(self, z: Array, size: float = _PROBE) -> tuple[list[Array], Array]:
         """Numbers with one of them moved at a time, away from a bound, and by how much; infinite where it cannot."""
         logs = np.array([slot.log for slot in self.structure.slots], dtype=bool)
-        steps = _PROBE * np.maximum(1.0, np.abs(z) * ~logs)
+        steps = size * np.maximum(1.0, np.abs(z) * ~logs)
         probes = []
         for unit, step in zip(np.eye(len(z)), steps, strict=True):
             up = self.structure.clip(z + step * unit)
             probes.append(up if (up - z) @ unit > step / 2 else self.structure.clip(z - step * unit))
         moved = np.array([probe[i] - z[i] for i, probe in enumerate(probes)])
-        return probes, np.where(np.abs(moved) < 1e-12, np.inf, moved)
+        return probes, np.where(np.abs(moved) < 1e-6 * size, np.inf, moved)
 
     def secant(self, columns: Array, S: Array, step: Array, moved: Array, change: Array) -> tuple[Array, Array]:
         """`columns` and `sensitivity`, corrected by what a step really changed (Broyden 1965), without a simulation.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
+from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.base import Effect, Parameter
 from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
 from dipc_gym.sim2real.model.parameters import Number
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 
 WARM = 0.06  # s that bristles, currents and delays need to reach their state
 FAST = 5e-4  # s, longest step for what moves within milliseconds
+_KEPT = 32  # models that a structure keeps compiled
 FARTHEST = 4.0  # standard deviations of its prior by which an own number may move
 
 
@@ -181,8 +183,19 @@ class Structure:
         Raises:
             mjcf.MjcfError: an edit does not compile.
         """
-        source = self.document.source.edited(self.write(z).text())
-        return physics.from_model(mjcf.compile(source, trusted=True))
+        key = z.tobytes()
+        if key not in self._made:
+            source = self.document.source.edited(self.write(z).text())
+            made = physics.from_model(mjcf.compile(source, trusted=True))
+            if len(self._made) >= _KEPT:
+                self._made.clear()
+            self._made[key] = made
+        return self._made[key]
+
+    @functools.cached_property
+    def _made(self) -> dict[bytes, Physics]:
+        """Models compiled lately, by their numbers; a fit asks for the same ones again."""
+        return {}
 
     @property
     def warm(self) -> float:

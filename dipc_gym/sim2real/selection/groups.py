@@ -1,7 +1,7 @@
 """The same effects at every joint, taken together: a machine with friction in all its joints is the usual case.
 
-One joint's friction takes a sixth of what a six-joint arm leaves, and shows only once the others are there. So kinds are
-laid over all joints at once; members that the others make idle go before anything is accepted.
+One joint's friction takes a sixth of what a six-joint arm leaves, and shows only once the others are there. So kinds
+are laid over all joints at once; members that the others make idle go before anything is accepted.
 """
 
 from __future__ import annotations

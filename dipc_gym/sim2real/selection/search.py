@@ -285,8 +285,8 @@ class Search:
             [start for start, share in worth if share > self.least(start[0].term)],
             FINALISTS if current.error > ranking.AT_NOISE else FINALISTS // 2,
         )
-        # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already, such
-        # a guess promises nothing as it stands. Only its fit tells.
+        # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already,
+        # such a guess promises nothing as it stands. Only its fit tells.
         laws = [start for start in ranked if start[0].term.effect.free and start not in first]
         sketched = self._sketches([*first, *laws[:SHAPES]], starts, current)
         if _at_noise(sketched):

@@ -158,9 +158,7 @@ class Compiled:
     def sampled(self) -> tuple[Array, Array]:
         """Sample times of every sensor (windows, sensors, samples), and how long windows are simulated for them."""
         windows, count = self.windows, len(self.program.sensors)
-        times = np.ascontiguousarray(
-            np.broadcast_to(windows.times[:, None], (len(windows), count, windows.times.shape[1]))
-        )
+        times = np.repeat(windows.times[:, None], count, axis=1)
         late = self.parameters[:, self.program.codes[Head.LATE]].max()
         return times, windows.times.max(axis=1) + late
 
@@ -209,9 +207,8 @@ def predicted(
         far = np.broadcast_to(warm_starts, (len(of.variants), *starts.shape[1:]))
         nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
         length = np.full(len(of.windows), warm)
-        _, ends = run(
-            of.program, of.jobs(-warm, length, nothing, of.begun(-warm, far), commands), of.step, threads=threads
-        )
+        jobs = of.jobs(-warm, length, nothing, of.begun(-warm, far), commands)
+        _, ends = run(of.program, jobs, of.step, threads=threads)
         states = of.put_back(ends[which], starts)
     else:
         rows = replace(of, variants=tuple(of.variants[k] for k in which), parameters=of.parameters[which])
@@ -248,7 +245,7 @@ def derivatives(
     """
     count, nb2 = len(steps), starts.shape[1]
     change = (of.parameters[1:] - of.parameters[0]) / steps[:, None]
-    links = change[:, GRAVITY : of.program.tree.count].reshape(count, -1, LINK)
+    links = change[:, GRAVITY : of.program.tree.count].reshape(count, len(of.program.tree.parents), LINK)
     if links[..., :GEOMETRY].any():
         raise Uncovered("derivatives by the geometry of joints")
     commands = of.commands()

@@ -1,0 +1,365 @@
+"""The engine beside MuJoCo, and its derivatives beside differences."""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+import stat
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
+
+from dipc_gym import mjcf, physics
+from dipc_gym.engine import Uncovered, check, machine, program
+from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real import simulate as simulation
+from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.estimation.problem import predict, sensitivities
+from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.simulation.batch import Stepping, simulate
+from dipc_gym.sim2real.simulation.windows import cut
+
+Array = np.ndarray
+
+
+def numbers(values: Array) -> str:
+    return " ".join(repr(float(x)) for x in np.ravel(values))
+
+
+def random_tree(rng: np.random.Generator, joints: int, *, dry: bool = False) -> str:
+    """A tree of hinges and slides, along axes of the frame or not, with springs, dampers and motors of many kinds."""
+    parents = [int(rng.integers(-1, i)) if i else -1 for i in range(joints)]
+
+    def body(i: int) -> str:
+        kind = "slide" if rng.random() < 0.3 else "hinge"
+        axis = np.eye(3)[rng.integers(3)] * rng.choice([-1, 1]) if rng.random() < 0.5 else rng.normal(size=3)
+        turn = rng.normal(size=4) if rng.random() < 0.4 else np.eye(4)[0]
+        friction = rng.uniform(0.05, 0.5) if dry else 0.0
+        inside = "".join(body(j) for j in range(i + 1, joints) if parents[j] == i)
+        return f"""<body pos="{numbers(0.3 * rng.normal(size=3))}" quat="{numbers(turn)}"
+              gravcomp="{rng.choice([0, 0, 1, 0.5])}">
+            <inertial pos="{numbers(0.2 * rng.normal(size=3))}" quat="{numbers(rng.normal(size=4))}"
+              mass="{rng.uniform(0.2, 2)}" diaginertia="{numbers(rng.uniform(0.01, 0.02, 3))}"/>
+            <joint name="j{i}" type="{kind}" axis="{numbers(axis)}" pos="{numbers(0.1 * rng.normal(size=3))}"
+              ref="{rng.choice([0.0, 0.3])}" damping="{numbers(rng.uniform(0, 1, 3))}" frictionloss="{friction}"
+              stiffness="{numbers(rng.uniform(0, 3, 3))}" springref="{0.1 * rng.normal()}"
+              armature="{rng.uniform(0.01, 0.1)}"/>
+            <body><inertial pos="{numbers(0.1 * rng.normal(size=3))}" mass="0.1" diaginertia="1e-3 1e-3 1e-3"/></body>
+            {inside}</body>"""
+
+    motors = {
+        "motor": '<motor joint="{j}" gear="{g}"/>',
+        "position": '<position joint="{j}" kp="{g}" kv="0.3" ctrlrange="-0.4 0.4" ctrllimited="true"/>',
+        "filter": '<general joint="{j}" dyntype="filter" dynprm="0.01" gainprm="{g}" forcerange="-0.5 0.5"/>',
+        "dcmotor": """<dcmotor joint="{j}" gear="3" resistance="1.2" motorconst="0.06" damping="0.1 0.01 0.02"
+            armature="0.001" inductance="0 0.004" thermal="3 0 5 0.00393 25 20" cogging="0.1 7 0.3"/>""",
+        "bristles": '<dcmotor joint="{j}" input="none" resistance="1" motorconst="0 0" lugre="30 0.5 0.2 0.3 0.2"/>',
+        "saturated": '<dcmotor joint="{j}" resistance="1.2" motorconst="0.5" saturation="0.2 0 0" cogging="0.1 3 1"/>',
+    }
+    kinds = rng.choice(sorted(motors), size=joints)
+    driven = "".join(motors[k].format(j=f"j{i}", g=rng.uniform(0.5, 2)) for i, k in enumerate(kinds))
+    tendon = ""
+    if joints > 1:
+        ends = f'<joint joint="j0" coef="1"/><joint joint="j1" coef="{rng.normal()}"/>'
+        tendon = f"""<tendon><fixed stiffness="5 1 1" damping="0.2 0.1 0.1" springlength="-0.1 0.1">{ends}</fixed>
+            <fixed limited="true" range="-0.2 0.2" solreflimit="-10000 -30" solimplimit="1e-4 1e-4 1">{ends}</fixed>
+            </tendon>"""
+    sensors = "".join(f'<jointpos name="s{i}" joint="j{i}"/>' for i in range(joints))
+    roots = "".join(body(i) for i in range(joints) if parents[i] < 0)
+    return f"""<mujoco><compiler angle="radian"/><option gravity="0.3 -0.2 -9.81" timestep="0.0005"/>
+        <worldbody>{roots}</worldbody>{tendon}<actuator>{driven}</actuator><sensor>{sensors}</sensor></mujoco>"""
+
+
+def loaded(text: str) -> physics.Physics:
+    return physics.from_model(mujoco.MjModel.from_xml_string(text))
+
+
+def added(text: str, effect: str, at: str, **values: float) -> physics.Physics:
+    document = Document(mjcf.from_text(text))
+    catalogue()[effect].edit(document, at, values)
+    return physics.from_model(mjcf.compile(document.text()))
+
+
+# As MuJoCo sees it
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 7))
+def test_accelerations_of_random_trees_are_mujocos(seed: int, joints: int) -> None:
+    """`check` compares at random states and raises where anything differs by more than 1e-9 of the largest."""
+    source = loaded(random_tree(np.random.default_rng(seed), joints))
+    what, parameters = program.read([source])
+    check.check(what, parameters[0], source)
+
+
+def test_a_program_that_says_something_else_is_refused() -> None:
+    source = loaded(random_tree(np.random.default_rng(3), 3))
+    what, parameters = program.read([source])
+    heavier = parameters[0].copy()
+    heavier[program.rigid.GRAVITY + 13] *= 1 + 1e-6  # a mass
+    with pytest.raises(Uncovered, match="differ from MuJoCo"):
+        check.check(what, heavier, source)
+
+
+def jobs_for(parameters: Array, starts: Array, commands: Array, samples: int, joints: int) -> Jobs:
+    """Windows of two-millisecond samples that begin with the first command."""
+    windows = starts.shape[1]
+    times = np.repeat((0.002 * np.arange(samples))[None, None], windows, axis=0).repeat(joints, axis=1)
+    zero = np.zeros(windows, dtype=np.int64)
+    held = Commands(0.002 * np.arange(len(commands)), commands[None])
+    count = np.full(windows, len(commands))
+    sets = np.zeros(len(starts), dtype=np.int64)
+    return Jobs(parameters, starts, np.zeros(windows), zero, count, held, sets, times, times.max(axis=(1, 2)))
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 7))
+def test_windows_without_events_are_mujocos_at_a_fine_step(seed: int, joints: int) -> None:
+    """Rigid trees with springs and dampers: Runge-Kutta at a tenth of a millisecond on both sides."""
+    rng = np.random.default_rng(seed)
+    text = random_tree(rng, joints)
+    begin, end = text.index("<actuator>"), text.index("<sensor>")
+    driven = "".join(f'<motor joint="j{i}" gear="{rng.normal()}"/>' for i in range(joints))
+    first = text.find("<tendon>") if "<tendon>" in text else begin
+    source = loaded(f"{text[:first]}<actuator>{driven}</actuator>{text[end:]}")
+    what, parameters = program.read([source])
+    starts, commands = 0.3 * rng.normal(size=(1, 2, 2 * joints)), rng.normal(size=(25, joints))
+    readings, _ = run(what, jobs_for(parameters, starts, commands, 25, joints), 1e-4)
+    model = source.model
+    model.opt.integrator, model.opt.timestep = RK4, 1e-4
+    data = mujoco.MjData(model)
+    for window in range(2):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = starts[0, window, :joints], starts[0, window, joints:]
+        for sample in range(25):
+            mujoco.mj_forward(model, data)
+            assert readings[0, window, :, sample] == pytest.approx(data.sensordata, abs=1e-9)
+            data.ctrl[:] = commands[sample]
+            mujoco.mj_step(model, data, 20)
+
+
+def test_with_events_both_converge_to_the_same() -> None:
+    """Three joints with dry friction, all of which stick at times: the finer, the nearer to MuJoCo's way of events."""
+    text = HANGING.replace('damping="21.4"', 'damping="21.4" frictionloss="3"').replace(
+        'damping="0.001"', 'damping="0.001" frictionloss="0.05"'
+    )
+    source = loaded(text)
+    source_run = record(source, sweep(3.0), 1.0, start=(0, 0.4, -0.3))
+    windows = cut([source_run], np.ones(3), 0.25, (0.0, 1.0))
+    starts = np.concatenate([source_run.sensors[(windows.start / 0.002).round().astype(int)], np.zeros((4, 3))], axis=1)
+    base = ["cart", "pole1", "pole2"]
+    ours = {h: simulate([source], windows, starts[None], Stepping(h, RK4), base=base)[0] for h in (1e-3, 1e-4)}
+    theirs = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulation, "compiled", lambda *_: (_ for _ in ()).throw(Uncovered("for comparison")))
+        for h in (1e-3, 1e-4):
+            theirs[h] = simulate([source], windows, starts[None], Stepping(h, RK4), base=base)[0]
+    apart = {h: np.abs(theirs[h] - ours[1e-4]).max() for h in theirs}
+    assert apart[1e-4] < 0.2 * apart[1e-3]
+    assert np.abs(ours[1e-3] - ours[1e-4]).max() < 0.2 * apart[1e-3]
+    assert apart[1e-4] < 1e-6
+
+
+@pytest.mark.parametrize("level", [0.3, 1.0, 3.0])
+def test_a_block_stops_where_the_closed_form_says(level: float) -> None:
+    text = CART.replace('damping="21.4"', f'damping="0" frictionloss="{level}"').replace("0.06", "1e-9")
+    source = loaded(text)
+    what, parameters = program.read([source])
+    starts = np.array([[[0.0, 0.7]]])
+    readings, ends = run(what, jobs_for(parameters, starts, np.zeros((2, 1)), 1500, 1), 0.002)
+    assert ends[0, 0].tolist() == pytest.approx([1.26 * 0.7**2 / 2 / level, 0.0], abs=1e-9)
+    assert np.all(np.diff(readings[0, 0, 0]) >= 0)
+
+
+# Derivatives
+
+
+CASES = [
+    ("friction.coulomb", "cart", {"level": 2.0}),
+    ("friction.stribeck", "cart", {"level": 2.0, "static": 3.0, "velocity": 0.05}),
+    ("friction.load", "cart", {"level": 1.0, "by_drive": 0.1, "by_weight": 0.1}),
+    ("friction.position:wave", "cart", {"level": 2.0, "sine": 0.5, "cosine": 0.5, "wavelength": 0.1}),
+    ("transmission.compliance", "motor", {"stiffness": 3e3, "damping": 10.0, "rotor_inertia": 0.2}),
+    ("timing.delay", "motor", {"delay": 0.0033}),
+    ("timing.sensor_lag", "pole1", {"time_constant": 0.004}),
+    ("timing.sensor_lag:delay", "pole1", {"delay": 0.0033}),
+    ("motor.inductance", "motor", {"time_constant": 0.002}),
+    ("motor.deadzone", "motor", {"width": 0.3}),
+    ("load.tilt", "world", {"about_x": 0.01, "about_y": 0.02}),
+    ("sensor.gain", "pole1", {"gain": 1.01}),
+]
+
+
+@pytest.fixture(scope="module")
+def hanging() -> object:
+    source = physics.load(HANGING)
+    return prepared(HANGING, [record(source, sweep(3.0), 1.0, noise=NOISE["hanging"], start=(0, 0.4, -0.3))])
+
+
+@pytest.mark.parametrize(("effect", "at", "guess"), CASES)
+def test_sensitivities_are_limits_of_differences(
+    hanging: object, effect: str, at: str, guess: dict[str, float]
+) -> None:
+    """By all numbers of an effect and all starts, through reversals, sticking and late commands."""
+    problem, structure = hanging.problem, hanging.structure.with_term(Term(catalogue()[effect], at, guess))
+    z, starts = structure.first, problem.starts
+    probes = [z + 1e-7 * unit for unit in np.eye(len(z))]
+    found = sensitivities(problem, structure, z, probes, starts)
+    assert found is not None
+    readings, by_numbers, by_starts = found
+    assert readings == pytest.approx(predict(problem, structure, [z], starts[None])[0], abs=1e-12)
+    size = 1e-5
+    moved = [(z + sign * size * unit, starts) for unit in np.eye(len(z)) for sign in (1, -1)]
+    moved += [(z, starts + sign * size * unit) for unit in np.eye(6) for sign in (1, -1)]
+    said = predict(problem, structure, [one for one, _ in moved], np.stack([begin for _, begin in moved]))
+    differences = (said[::2] - said[1::2]) / (2 * size)
+    for exact, difference in zip([*by_numbers, *by_starts], differences, strict=True):
+        # Where a joint barely sticks or not within the difference, there is no limit: all windows but one must agree.
+        off = np.abs(exact - difference).max(axis=(1, 2)) / max(np.abs(difference).max(), 1e-9)
+        assert np.sort(off)[-2] < 1e-5
+
+
+def test_sensitivities_of_a_random_tree() -> None:
+    """By every number of a seven-joint tree at once, along random directions, and by the starts."""
+    rng = np.random.default_rng(11)
+    source = loaded(random_tree(rng, 7))
+    what, parameters = program.read([source])
+    starts = 0.2 * rng.normal(size=(1, 2, what.nx))
+    starts[..., 14:] = 0.0
+    jobs = jobs_for(parameters, starts, rng.normal(size=(20, source.model.nu)), 20, 7)
+    fixed = dict(what.tree.fixed)
+    free = [k for k in range(len(parameters[0])) if k not in fixed and abs(parameters[0, k]) < 1e6]
+    links = program.rigid
+    free = [k for k in free if not (3 <= k < what.tree.count and (k - links.GRAVITY) % links.LINK < links.GEOMETRY)]
+    along, unit = np.zeros((10, parameters.shape[1])), np.zeros((10, *starts.shape[1:]))
+    along[:3, free] = rng.normal(size=(3, len(free))) * np.abs(parameters[0, free])
+    unit[3:] = rng.normal(size=unit[3:].shape)
+    readings, changes, _, _ = differentiate(what, jobs, Directions(along, unit), 5e-4)
+    np.testing.assert_allclose(readings, run(what, jobs, 5e-4)[0][0], atol=1e-13)
+    for k in range(10):
+        ends = []
+        for size in (1e-6, -1e-6):
+            moved = replace(jobs, parameters=parameters + size * along[k], starts=starts + size * unit[k])
+            ends.append(run(what, moved, 5e-4)[0][0])
+        difference = (ends[0] - ends[1]) / 2e-6
+        assert np.abs(changes[k] - difference).max() < 1e-5 * np.abs(difference).max()
+
+
+# What is not covered
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (('type="hinge" axis="0 1 0" damping="0.0005"', 'type="ball"'), "neither hinge nor slide"),
+        (('name="pole1" type="hinge"', 'name="pole1" type="hinge" limited="true" range="-1 1"'), "limited joint"),
+        (("<jointpos", '<jointactuatorfrc name="f" joint="cart"/><jointpos'), "sensor 'f'"),
+        (("<actuator>", '<actuator><intvelocity name="v" joint="cart" actrange="-1 1"/>'), "actuator 'v'"),
+        (('<option timestep="0.001"', '<option timestep="0.001" density="1"'), "medium"),
+    ],
+)
+def test_what_is_not_covered_is_named(change: tuple[str, str], why: str) -> None:
+    assert change[0] in HANGING
+    text = HANGING.replace(*change)
+    if "ball" in change[1]:
+        text = text.replace('<jointpos name="pole2" joint="pole2"/>', "")
+    with pytest.raises(Uncovered, match=why):
+        program.read([physics.Physics(mujoco.MjModel.from_xml_string(text))])
+
+
+def test_what_is_not_covered_runs_on_mujoco() -> None:
+    plain = loaded(HANGING)
+    limited = loaded(
+        HANGING.replace('name="pole1" type="hinge"', 'name="pole1" type="hinge" limited="true" range="-3 3"')
+    )
+    windows = cut([record(plain, sweep(2.0), 0.5)], np.ones(3), 0.25, (0.0, 1.0))
+    starts = 0.1 * np.random.default_rng(0).normal(size=(1, len(windows), 6))
+    base = ["cart", "pole1", "pole2"]
+    ours, theirs = (simulate([one], windows, starts, Stepping(0.001, RK4), base=base)[0] for one in (plain, limited))
+    assert ours == pytest.approx(theirs, abs=1e-9)
+
+
+def test_variants_of_different_structure_are_refused() -> None:
+    with pytest.raises(Uncovered, match="more than numbers"):
+        program.read([loaded(CART), added(CART, "friction.stribeck", "cart", level=1.0, static=2.0, velocity=0.1)])
+
+
+def test_a_simulation_that_diverges_ends_itself_and_no_other() -> None:
+    source = loaded(CART)
+    broken = physics.Physics(copy.copy(source.model))
+    broken.model.dof_damping[:] = -1e5
+    what, parameters = program.read([source, broken])
+    starts = np.tile([0.0, 0.1], (2, 3, 1))
+    starts[0, 1] = np.nan
+    readings, _ = run(what, jobs_for(parameters, starts, np.zeros((2, 1)), 50, 1), 0.001)
+    assert np.isfinite(readings[0, [0, 2]]).all()
+    assert np.isnan(readings[0, 1]).all()
+    assert np.isnan(readings[1, :, :, -1]).all()
+
+
+# The cache
+
+
+TEXT = 'define double @"twice"(double %x) {\n  %y = fadd double %x, %x\n  ret double %y\n}\n'
+
+
+def twice(number: float) -> float:
+    machine._object.cache_clear()
+    library = machine.load([TEXT], ["twice"])
+    return float(ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(library.addresses["twice"])(number))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(machine, "cache_folder", lambda: tmp_path / "engine")
+    return tmp_path / "engine"
+
+
+def test_what_was_compiled_is_kept_and_private(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert twice(2.0) == 4.0
+    (entry,) = folder.iterdir()
+    assert not stat.S_IMODE(folder.stat().st_mode) & 0o022
+    assert not stat.S_IMODE(entry.stat().st_mode) & 0o022
+    monkeypatch.setattr(machine, "_compiled", lambda *_: pytest.fail("compiled again"))
+    assert twice(3.0) == 6.0
+
+
+@pytest.mark.parametrize("how", ["cut", "changed", "empty", "link", "writable"])
+def test_a_damaged_entry_is_compiled_anew(folder: Path, how: str) -> None:
+    twice(2.0)
+    (entry,) = folder.iterdir()
+    content = entry.read_bytes()
+    if how == "cut":
+        entry.write_bytes(content[:-10])
+    elif how == "changed":
+        entry.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    elif how == "empty":
+        entry.write_bytes(b"")
+    elif how == "link":
+        entry.rename(folder.parent / "elsewhere")
+        entry.symlink_to(folder.parent / "elsewhere")
+    else:
+        entry.chmod(0o666)
+    assert machine._read(entry.name) is None
+    assert twice(2.0) == 4.0
+    assert machine._read(entry.name) is not None
+
+
+def test_a_folder_that_others_can_write_to_is_left_alone(folder: Path) -> None:
+    folder.mkdir()
+    folder.chmod(0o777)
+    assert twice(2.0) == 4.0
+    assert not list(folder.iterdir())
+
+
+def test_without_a_cache_it_works_as_well(folder: Path) -> None:
+    folder.write_text("a file in its place")
+    assert twice(2.0) == 4.0
+    assert [each.name for each in folder.parent.iterdir()] == ["engine"]
