@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.score import LARGE, WORTH
@@ -90,5 +90,5 @@ def _needed(search: Search, sketch: Fit, current: Fit) -> Fit:
         return sketch
     for term in idle:
         structure = structure.without(term.key)
-    again = search.sketch(sketch, structure)
-    return sketch if again is None else again
+    begin = carry(sketch.structure, sketch.z, structure)
+    return fit(search.problem.pick(search.few), structure, begin, sketch.starts, most=5)
