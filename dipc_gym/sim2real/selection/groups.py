@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit, fit
-from dipc_gym.sim2real.model.structure import Structure
+from dipc_gym.sim2real.model.structure import Structure, carry
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.score import LARGE, WORTH
 from dipc_gym.sim2real.selection.screen import Tried, excludes
