@@ -20,6 +20,7 @@ from dipc_gym import ENV_ID, cells, compensators, controllers, robustness, sweep
 from dipc_gym.cells import Balancing, CompensatorTraining, label
 from dipc_gym.files import write_json
 from dipc_gym.identification import Sweep
+from dipc_gym.places import inside
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.policy import Policy
 from dipc_gym.randomise import PlantFamily
@@ -271,13 +272,15 @@ def prepare_folder(out: str | Path, *, overwrite: bool) -> Path:
         FileExistsError: it is a file, or holds something else than a comparison.
     """
     out = Path(out)
+    for name in FOLDERS:
+        inside(out, name)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         if not (out / "cells").is_dir():
             raise FileExistsError(f"{out} exists, and is neither empty nor a comparison's; choose another folder")
         if overwrite:
             _clear(out)
     for name in FOLDERS:
-        (out / name).mkdir(parents=True, exist_ok=True)
+        inside(out, name).mkdir(parents=True, exist_ok=True)
     return out
 
 

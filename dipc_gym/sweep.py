@@ -18,6 +18,7 @@ from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 
 from dipc_gym import __version__
 from dipc_gym.files import write_json
+from dipc_gym.places import inside
 
 Backend = Literal["local", "ray"]
 LOCAL_JOBS = 2
@@ -125,7 +126,7 @@ def finished(cells: Sequence[C], folder: str | Path) -> list[Outcome[C]]:
     """
     outcomes = []
     for cell in cells:
-        path = Path(folder) / f"{cell.name}.json"
+        path = inside(folder, f"{cell.name}.json")
         if not path.exists():
             continue
         try:
@@ -182,7 +183,7 @@ def _outcomes(
             cell = open_ones[number]
             result = None if text is None else json.loads(text)
             held = {"parameters": parameters(cell), "failure": failure, "result": result}
-            write_json(folder / f"{cell.name}.json", held)
+            write_json(inside(folder, f"{cell.name}.json"), held)
             bar.update()
             yield Outcome(cell, result, failure)
 

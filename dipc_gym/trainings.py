@@ -9,6 +9,7 @@ from pathlib import Path
 
 from dipc_gym import cells, sweep, train
 from dipc_gym.files import write_whole
+from dipc_gym.places import inside
 from dipc_gym.sweep import Backend, Outcome
 from dipc_gym.train import Rig, Training
 
@@ -88,18 +89,18 @@ def run(
         Rig.of(training)  # a rig that cannot be is refused before anything is written
     out = _folder(Path(out), overwrite)
     done = {}
-    for outcome in sweep.run(wanted, out / CELLS, jobs=jobs, backend=backend, label="train"):
+    for outcome in sweep.run(wanted, inside(out, CELLS), jobs=jobs, backend=backend, label="train"):
         done[outcome.cell.name] = outcome
         if outcome.failure is None:
-            (out / outcome.cell.name).mkdir(parents=True, exist_ok=True)
+            inside(out, outcome.cell.name).mkdir(parents=True, exist_ok=True)
             for name, text in outcome.result.items():
-                write_whole(out / outcome.cell.name / name, text.encode())
+                write_whole(inside(out / outcome.cell.name, name), text.encode())
     return [done[cell.name] for cell in wanted]
 
 
 def _folder(out: Path, overwrite: bool) -> Path:
     """See that the folder is this sweep's or nobody's, or clear an earlier sweep's results, and no other file."""
-    held = out / CELLS
+    held = inside(out, CELLS)
     if out.exists() and not held.is_dir() and (not out.is_dir() or any(out.iterdir())):
         raise FileExistsError(f"{out} exists and holds no sweep of trainings; choose another folder")
     if overwrite and held.is_dir():
@@ -108,6 +109,6 @@ def _folder(out: Path, overwrite: bool) -> Path:
             raise FileExistsError(f"{held} holds no earlier sweep to overwrite; choose another folder")
         for cell in done:
             for name in KEPT:
-                (out / cell.stem / name).unlink(missing_ok=True)
+                inside(out, f"{cell.stem}/{name}").unlink(missing_ok=True)
             cell.unlink()
     return out

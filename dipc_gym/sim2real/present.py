@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.places import inside
 from dipc_gym.sim2real import report
 from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.document import Document
@@ -50,15 +51,16 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
     with tempfile.TemporaryDirectory(dir=folder, prefix=".diagnosis-") as draft:
         drafts = Path(draft)
         for name, content in found.files.items():
-            (drafts / name).parent.mkdir(parents=True, exist_ok=True)
-            (drafts / name).write_bytes(content)
+            draft_of = inside(drafts, name)
+            draft_of.parent.mkdir(parents=True, exist_ok=True)
+            draft_of.write_bytes(content)
         (drafts / "diagnosis.json").write_text(
             json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8"
         )
         (drafts / "improved.xml").write_text(found.improved, encoding="utf-8")
         report.write(report_data(found, model, command), drafts / "report.html")
         for file in sorted(path for path in drafts.rglob("*") if path.is_file()):
-            place = folder / file.relative_to(drafts)
+            place = inside(folder, file.relative_to(drafts).as_posix())
             place.parent.mkdir(parents=True, exist_ok=True)
             shutil.move(file, place)
     return folder

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import dipc_gym
+from dipc_gym.places import inside
 
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv")
 PATIENCE = 1800.0
@@ -158,7 +159,7 @@ class Attempt:
                 note["failure"], note["timed_out"] = str(error), isinstance(error, TookTooLong)
             note["seconds"] = time.perf_counter() - begun
             if note["failure"] is None:
-                improved = result / (diagnosis.get("improved_model") or "improved.xml")
+                improved = inside(result, diagnosis.get("improved_model") or "improved.xml")
                 model = improved if improved.exists() else folder / "nominal.xml"
                 try:
                     note["sensor_errors"] = replay_tool(model, folder / "test.csv", step=CONVERGED)

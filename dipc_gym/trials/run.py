@@ -11,6 +11,7 @@ from typing import Any
 
 from dipc_gym import sweep
 from dipc_gym.files import write_whole
+from dipc_gym.places import inside
 from dipc_gym.sweep import Backend, Cell
 from dipc_gym.trials.attempt import PATIENCE, Attempt, tool
 from dipc_gym.trials.generate import generate, plans
@@ -100,4 +101,4 @@ def _keep(texts: Mapping[str, str], result: Path) -> None:
         if old.name != "rivals.json":
             old.unlink()
     for name in sorted(texts, key="attempt.json".__eq__):
-        write_whole(result / name, texts[name].encode())
+        write_whole(inside(result, name), texts[name].encode())
