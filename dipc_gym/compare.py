@@ -18,7 +18,7 @@ import numpy as np
 
 from dipc_gym import ENV_ID, cells, compensators, controllers, robustness, sweep
 from dipc_gym.cells import Balancing, CompensatorTraining, label
-from dipc_gym.files import write_json
+from dipc_gym.files import write_json, write_whole
 from dipc_gym.identification import Sweep
 from dipc_gym.places import inside
 from dipc_gym.plant import Friction, Plant
@@ -252,7 +252,7 @@ def run(
             do(plan, "robustness")
             held = robustness.summarise(plan, [o for o in found.values() if o.failure is None], comparison.pairs())
             write_json(out / "robustness.json", held)
-            (out / "robustness.txt").write_text(robustness.table(held) + "\n", encoding="utf-8")
+            write_whole(out / "robustness.txt", (robustness.table(held) + "\n").encode())
             robustness.draw(held, out / "figures")
         complete = True
     finally:
@@ -261,7 +261,7 @@ def run(
         settings = dataclasses.asdict(comparison)
         summary = summarise(settings, comparison.pairs(), done, notes, complete, failures)
         write_json(out / "summary.json", summary)
-        (out / "table.txt").write_text(table(summary) + "\n", encoding="utf-8")
+        write_whole(out / "table.txt", (table(summary) + "\n").encode())
     return summary
 
 

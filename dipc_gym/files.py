@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
@@ -21,7 +24,8 @@ def whole(path: str | Path) -> Iterator[BinaryIO]:
         path: the file.
 
     Raises:
-        OSError: it cannot be written; what had the name is untouched, and nothing is left beside it.
+        OSError: it cannot be written, with a message that names the file; what had the name is untouched, and nothing
+            is left beside it.
 
     Example:
         >>> import tempfile
@@ -38,9 +42,12 @@ def whole(path: str | Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
-    except BaseException:
+    except BaseException as error:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            said = f"{error.strerror}; make room and try again; what had this name before, if anything, is untouched"
+            raise OSError(error.errno, said, str(path)) from error
         raise
 
 

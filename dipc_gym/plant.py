@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dipc_gym.files import write_whole
 from dipc_gym.mjcf_defaults import effective
 from dipc_gym.untrusted import Format
 
@@ -193,7 +194,7 @@ class Plant:
     def write(self, path: str | Path) -> None:
         """Write the plant to a JSON file that `gymnasium.make(..., plant=path)` takes."""
         text = json.dumps({"schema": SCHEMA, **self.to_dict()}, indent=2)
-        Path(path).write_text(text + "\n", encoding="utf-8")
+        write_whole(path, (text + "\n").encode())
 
     def to_dict(self) -> dict[str, Any]:
         """The plant as plain numbers in nested dictionaries."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dipc_gym import cells, sweep, train
+from dipc_gym import cells, intact, sweep, train
 from dipc_gym.files import write_whole
 from dipc_gym.places import inside
 from dipc_gym.sweep import Backend, Outcome
@@ -52,6 +52,14 @@ class PolicyTraining:
             train.run(self.training, out, quiet=True)
             kept = [out / name for name in KEPT]
             return {path.name: path.read_text(encoding="utf-8") for path in kept if path.exists()}
+
+    def check(self, result: object) -> None:
+        """Refuse what are no such files."""
+        intact.fit(result, {str: str})
+        intact.fit(result, {"policy.json": str})
+        for name in result:  # type: ignore[attr-defined]
+            if name not in KEPT:
+                raise ValueError(f"has a file {name!r}, which no training leaves")
 
 
 def run(

@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import dipc_gym
+from dipc_gym import intact
 from dipc_gym.places import inside
+from dipc_gym.trials.records import digests
 
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv")
 PATIENCE = 1800.0
@@ -167,4 +169,9 @@ class Attempt:
                 except RuntimeError as error:
                     note["replay_failure"] = str(error)
             written = {path.name: path.read_text(encoding="utf-8") for path in result.glob("*")}
-        return {**written, "attempt.json": json.dumps(note, indent=1)}
+        note["files"] = digests({name: text.encode() for name, text in written.items()})
+        return {**written, "attempt.json": json.dumps(intact.signed(note), indent=1)}
+
+    def check(self, result: Any) -> None:
+        """Refuse what are no texts by name."""
+        intact.fit(result, {str: str})

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dipc_gym import sweep
+from dipc_gym import intact, sweep
 from dipc_gym.files import write_whole
+from dipc_gym.intact import DamagedError
 from dipc_gym.places import inside
 from dipc_gym.sweep import Backend, Cell
+from dipc_gym.trials import records
 from dipc_gym.trials.attempt import PATIENCE, Attempt, tool
 from dipc_gym.trials.generate import generate, plans
 from dipc_gym.trials.publish import write_report
@@ -50,12 +51,12 @@ def trial(
     attempts = [
         Attempt(folder=str((out / "trials" / name).absolute()), seed=0, limit=patience)
         for name in order
-        if not _done(out / "results" / name)
+        if not _done(out, name)
     ]
     generate(out, seed=seed, count=count, full=full, jobs=processes(jobs, backend))
     try:
         for name, texts in swept(attempts, jobs=jobs, backend=backend, label="diagnose"):
-            _keep(texts, out / "results" / name)
+            _keep(texts, inside(out, f"results/{name}"))
     finally:
         scores = score(out, [plan.name for plan in planned])
         write_report(out, scores, seed=seed)
@@ -81,15 +82,21 @@ def processes(jobs: int | None, backend: Backend) -> int:
     return jobs if jobs is not None and backend == "local" else sweep.LOCAL_JOBS
 
 
-def _done(result: Path) -> bool:
-    note = result / "attempt.json"
+def _done(out: Path, name: str) -> bool:
+    note = inside(out, f"results/{name}/attempt.json")
     if not note.exists():
         return False
-    said = json.loads(note.read_text(encoding="utf-8"))
+    try:
+        said, _ = records.attempt(out, name)
+        if said["failure"] is None and inside(out, f"sealed/{name}.json").exists():
+            records.judgement(out, name)
+    except DamagedError as damage:
+        intact.set_aside(note, damage)
+        return False
     if said["failure"] is None and said.get("tool") != tool():
         raise ValueError(
             f"{note}: diagnosed by another version of the tool, and the two make no rate; choose another folder, or "
-            f"remove {result.parent} to diagnose all anew"
+            f"remove {note.parent.parent} to diagnose all anew"
         )
     return said["failure"] is None
 
@@ -97,8 +104,9 @@ def _done(result: Path) -> bool:
 def _keep(texts: Mapping[str, str], result: Path) -> None:
     """Write what an attempt gave; its note comes last, for it says that all is there. What rivals gave stays."""
     result.mkdir(parents=True, exist_ok=True)
+    (result / "attempt.json").unlink(missing_ok=True)
     for old in result.iterdir():
-        if old.name != "rivals.json":
+        if old.name != "rivals.json" and old.suffix != intact.ASIDE:
             old.unlink()
     for name in sorted(texts, key="attempt.json".__eq__):
         write_whole(inside(result, name), texts[name].encode())
