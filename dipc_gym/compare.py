@@ -17,6 +17,7 @@ import gymnasium
 import numpy as np
 
 from dipc_gym import ENV_ID, cells, compensators, controllers, robustness, sweep
+from dipc_gym.alone import alone
 from dipc_gym.cells import Balancing, CompensatorTraining, label
 from dipc_gym.files import write_json, write_whole
 from dipc_gym.identification import Sweep
@@ -222,11 +223,16 @@ def run(
     Raises:
         ValueError: see `Comparison.check` and `sweep.run`.
         FileExistsError: the folder holds something else.
+        BusyError: another run is at work there.
         KeyboardInterrupt: after the summary of what is finished was written.
     """
     sweep.check(jobs, backend)
     comparison.check()
-    out = prepare_folder(out, overwrite=overwrite)
+    with alone(out):
+        return _run(comparison, prepare_folder(out, overwrite=overwrite), jobs, backend)
+
+
+def _run(comparison: Comparison, out: Path, jobs: int | None, backend: Backend) -> dict[str, Any]:
     folder = out / "cells"
     found: dict[str, Outcome[Any]] = {}
 

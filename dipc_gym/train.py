@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import ENV_ID, cells, compensators
+from dipc_gym.alone import alone
 from dipc_gym.compensators import Compensator, OutOfRangeWarning
 from dipc_gym.files import write_whole
 from dipc_gym.plant import Plant
@@ -303,20 +304,28 @@ def run(
     Raises:
         TrainingError: the folder's training is another, or its checkpoint is broken.
         FileExistsError: the folder is not empty, and neither `resume` nor `overwrite` is set.
+        BusyError: another run is at work there.
         OSError: the disk is full; the last checkpoint is whole.
         KeyboardInterrupt: the last checkpoint is whole.
         ImportError: stable-baselines3 or torch is not installed.
     """
     try:
-        from dipc_gym.learner import Learner
+        import dipc_gym.learner  # noqa: F401  what it needs may not be installed
     except ImportError as missing:
         raise ImportError(
             f"training a policy needs {missing.name}: pip install -e '.[rl]' in the checkout"
         ) from missing
+    rig = Rig.of(training)
+    with alone(out):
+        return _run(training, rig, Path(out), resume, overwrite, quiet)
+
+
+def _run(training: Training, rig: Rig, out: Path, resume: bool, overwrite: bool, quiet: bool) -> Policy:
     from tqdm import tqdm
 
-    rig = Rig.of(training)
-    out = _folder(training, Path(out), resume=resume, overwrite=overwrite)
+    from dipc_gym.learner import Learner
+
+    out = _folder(training, out, resume=resume, overwrite=overwrite)
     learner = Learner(training, rig, out / "tensorboard")
     looks: list[Look] = []
     if resume and (out / "checkpoint.pt").exists():

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dipc_gym import cells, intact, sweep, train
+from dipc_gym.alone import alone
 from dipc_gym.files import write_whole
 from dipc_gym.places import inside
 from dipc_gym.sweep import Backend, Outcome
@@ -89,20 +90,22 @@ def run(
     Raises:
         ValueError: a training cannot be, or what the folder holds was begun with other parameters; see `sweep.run`.
         FileExistsError: the folder holds something else.
+        BusyError: another run is at work there.
         ImportError: Ray is asked for and not installed.
     """
     sweep.check(jobs, backend)
     wanted = [PolicyTraining.of(training) for training in trainings]
     for training in {(t.compensator, t.plant, t.model): t for t in trainings}.values():
         Rig.of(training)  # a rig that cannot be is refused before anything is written
-    out = _folder(Path(out), overwrite)
     done = {}
-    for outcome in sweep.run(wanted, inside(out, CELLS), jobs=jobs, backend=backend, label="train"):
-        done[outcome.cell.name] = outcome
-        if outcome.failure is None:
-            inside(out, outcome.cell.name).mkdir(parents=True, exist_ok=True)
-            for name, text in outcome.result.items():
-                write_whole(inside(out / outcome.cell.name, name), text.encode())
+    with alone(out):
+        out = _folder(Path(out), overwrite)
+        for outcome in sweep.run(wanted, inside(out, CELLS), jobs=jobs, backend=backend, label="train"):
+            done[outcome.cell.name] = outcome
+            if outcome.failure is None:
+                inside(out, outcome.cell.name).mkdir(parents=True, exist_ok=True)
+                for name, text in outcome.result.items():
+                    write_whole(inside(out / outcome.cell.name, name), text.encode())
     return [done[cell.name] for cell in wanted]
 
 

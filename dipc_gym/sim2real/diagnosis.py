@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real import conventions, evidence, findings, improve, judge, selection, sentences, states
-from dipc_gym.sim2real.conclusion import conclude
+from dipc_gym.sim2real.conclusion import Conclusion, conclude
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.fit import Fit, fit
+from dipc_gym.sim2real.late import Late
 from dipc_gym.sim2real.numbers import Number, fixed_masses, own_numbers
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.recording import Recording, RecordingError
@@ -168,44 +169,85 @@ def diagnose(
     search.small = worst > judge.AT_FLOOR and judge.negligible(worst, motion, located[0])
     if search.small:
         tell("the mismatch is small beside the motion, and without a pattern: only what explains all of it will count")
-    search.run(recalibrated)
-    found = conclude(search)
+    late = Late(search)
+    late("Whether more is missing", lambda: search.run(recalibrated), lambda: recalibrated)
+    found = late(
+        "What could stand in for the effects",
+        lambda: conclude(search),
+        lambda: Conclusion((search.path or [recalibrated])[-1]),
+    )
 
-    open_choice = findings.choice_shift(found.fitted, found.others)
+    open_choice = late(
+        "Whether other numbers would do",
+        lambda: findings.choice_shift(found.fitted, found.others),
+        lambda: np.full(len(found.fitted.z), np.inf),
+    )
     final, held = found.fitted, base.held
     if not base.own_step:
         # The search compares; what it came to is fitted, judged and reported at half the step.
-        final, held = search.refine(final), replace(held, finer=2)
+        coarse, held_finer = final, replace(held, finer=2)
+        final = late("A fit at half the step", lambda: search.refine(coarse), lambda: coarse)
+        held = held if final is coarse else held_finer
     found = replace(found, fitted=final)
     notes += found.notes
     if worst > judge.AT_FLOOR and not search.interrupted:
-        notes += findings.beyond_limits(base.problem, held, recalibrated)
+        notes += late(
+            "Whether numbers further off would do",
+            lambda: findings.beyond_limits(base.problem, held, recalibrated),
+            lambda: [],
+        )
     three = (nominal, recalibrated, final)
-    train = Errors(*(judge.unseen_error(search, f) for f in three))
-    errors = Errors(*(judge.held_out_error(held, f) for f in three))
-    forces = [evidence.force_errors(f.structure.physics(f.z), judged, kept.motions, judged_span) for f in three]
-    force = {
-        joint: Errors(*map(float, e)) for joint, e in zip(prepared.structure.base, np.stack(forces).T, strict=True)
-    }
+    fitted = Errors(*(f.error for f in three))
+    train = late(
+        "The error on windows to compare on",
+        lambda: Errors(*(judge.unseen_error(search, f) for f in three)),
+        lambda: fitted,
+    )
+    errors = late(
+        "The error on held-out data", lambda: Errors(*(judge.held_out_error(held, f) for f in three)), lambda: fitted
+    )
+    force = late(
+        "The error of forces",
+        lambda: _force_errors(three, prepared.structure.base, judged, kept.motions, judged_span),
+        lambda: {},
+    )
     notes += sentences.disagreement(errors, force)
-    wide = judge.intervals(final, search.problem) + findings.step_shift(final, search.problem) + open_choice
-    changed = findings.changed_numbers(final, wide)
+    wide = late(
+        "The intervals of the numbers",
+        lambda: judge.intervals(final, search.problem) + findings.step_shift(final, search.problem) + open_choice,
+        lambda: np.full(len(final.z), np.inf),
+    )
+    changed = late("Which numbers changed", lambda: findings.changed_numbers(final, wide), lambda: [])
     small = judge.negligible(errors.recalibrated, motion, located[0])
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved), small, len(final.structure.terms), len(changed)
     )
-    missing = findings.missing_effects(search, found, errors, verdict, wide)
+    missing = late(
+        "How much each effect is worth",
+        lambda: findings.missing_effects(search, found, errors, verdict, wide),
+        lambda: findings.named_alone(final),
+    )
     if search.interrupted:
         notes.append("The search was interrupted: effects may be lacking, and not all rivals were compared.")
     if verdict == "consistent":
         changed = []
     notes += sentences.other_numbers(changed, [other.structure.numbers for other in found.others])
     if verdict in ("partly explained", "unexplained"):
-        missing = findings.with_unknown(missing, errors, search, final, prepared.structure.base)
+        named = missing
+        missing = late(
+            "Where what is left acts",
+            lambda: findings.with_unknown(named, errors, search, final, prepared.structure.base),
+            lambda: named,
+        )
     improved = source.text
     if verdict != "consistent":
-        improved, step_note = improve.improved_model(source, given, prepared, final, errors)
+        improved, step_note = late(
+            "What the improved model costs at its own step",
+            lambda: improve.improved_model(source, given, prepared, final, errors),
+            lambda: (final.structure.write(final.z).text(), ""),
+        )
         notes += [step_note] if step_note else []
+    notes += late.notes
     provenance["seconds"] = round(time.monotonic() - began, 1)
     return Diagnosis(
         verdict,
@@ -223,6 +265,18 @@ def diagnose(
         provenance,
         Work(source, tuple(recordings), held, prepared, nominal, recalibrated, final, search, found.rivals),
     )
+
+
+def _force_errors(
+    fits: Sequence[Fit],
+    joints: Sequence[str],
+    judged: Sequence[Recording],
+    motions: Sequence[states.Motion],
+    span: tuple[float, float],
+) -> dict[str, Errors]:
+    """Errors of forces at each joint."""
+    forces = [evidence.force_errors(f.structure.physics(f.z), judged, motions, span) for f in fits]
+    return {joint: Errors(*map(float, e)) for joint, e in zip(joints, np.stack(forces).T, strict=True)}
 
 
 @dataclass(frozen=True)

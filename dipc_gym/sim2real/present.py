@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import json
 import os
-import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,11 +13,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.files import write_whole
 from dipc_gym.places import inside
 from dipc_gym.sim2real import report
 from dipc_gym.sim2real.comparison import compare
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.fit import Fit, correct_starts, fit
+from dipc_gym.sim2real.late import finite
 from dipc_gym.sim2real.problem import Problem
 from dipc_gym.sim2real.result import Diagnosis, Work
 from dipc_gym.sim2real.units import of_sensor
@@ -42,28 +43,51 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
 
     Raises:
         FileExistsError: the folder is not empty, or is a file.
+        OSError: a file cannot be written; the message says at which, and which are whole.
 
     Returns:
         The folder.
     """
     check_free(folder, overwrite)
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".diagnosis-") as draft:
-        drafts = Path(draft)
-        for name, content in found.files.items():
-            draft_of = inside(drafts, name)
-            draft_of.parent.mkdir(parents=True, exist_ok=True)
-            draft_of.write_bytes(content)
-        (drafts / "diagnosis.json").write_text(
-            json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8"
+    page = _page(found, model, command).encode()
+    said = json.dumps(finite(found.to_dict()), indent=2, allow_nan=False) + "\n"
+    texts = {
+        **found.files,
+        "improved.xml": found.improved.encode(),
+        "report.html": page,
+        "diagnosis.json": said.encode(),
+    }
+    whole: list[str] = []
+    at_work = "."
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".diagnosis-") as draft:
+            for at_work, text in texts.items():
+                file = inside(draft, at_work)
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(file, text)
+            for at_work in texts:
+                place = inside(folder, at_work)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                (Path(draft) / at_work).replace(place)
+                whole.append(at_work)
+    except OSError as error:
+        stand = (
+            f"whole are {', '.join(whole)} alone" if whole else "nothing was written, and what was there is untouched"
         )
-        (drafts / "improved.xml").write_text(found.improved, encoding="utf-8")
-        report.write(report_data(found, model, command), drafts / "report.html")
-        for file in sorted(path for path in drafts.rglob("*") if path.is_file()):
-            place = inside(folder, file.relative_to(drafts).as_posix())
-            place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.move(file, place)
+        reason = os.strerror(error.errno) if error.errno else error
+        raise OSError(error.errno, f"{reason}, at {at_work}; {stand}", str(folder)) from error
     return folder
+
+
+def _page(found: Diagnosis, model: str, command: str) -> str:
+    """The page; without figures if one cannot be drawn, for what was found goes before."""
+    try:
+        return report.render(report_data(found, model, command))
+    except Exception as error:  # whatever it is, the other files wait for this one
+        said = f"The figures could not be drawn ({type(error).__name__}: {error}). Please report this with the files."
+        bare = report.ReportData(model, finite(found.to_dict()), command=command, notes=(*found.notes, said))
+        return report.render(bare)
 
 
 def check_free(folder: Path, overwrite: bool) -> None:
@@ -84,7 +108,7 @@ def check_free(folder: Path, overwrite: bool) -> None:
 
 def report_data(found: Diagnosis, model: str, command: str) -> report.ReportData:
     """What the page shows of a diagnosis."""
-    diagnosis = found.to_dict()
+    diagnosis = finite(found.to_dict())
     work = found.work
     if work is None:
         return report.ReportData(model, diagnosis, command=command, notes=found.notes)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from dipc_gym import intact, sweep
+from dipc_gym.alone import alone
 from dipc_gym.files import write_json, write_whole
 from dipc_gym.intact import DamagedError
 from dipc_gym.places import inside
@@ -92,6 +93,13 @@ def compare(
         One entry a trial that they have seen: what was hidden, and everybody's held-out error in units of noise.
     """
     sweep.check(jobs, backend)
+    with alone(out):
+        return _compare(out, seed, count, full, jobs, backend)
+
+
+def _compare(
+    out: Path, seed: int, count: int | None, full: bool, jobs: int | None, backend: Backend
+) -> list[dict[str, Any]]:
     made = generate(out, seed=seed, count=count, full=full, jobs=processes(jobs, backend))
     names = [plan.name for plan in made]
     contests = [

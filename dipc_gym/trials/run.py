@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from dipc_gym import intact, sweep
+from dipc_gym.alone import alone
 from dipc_gym.files import write_whole
 from dipc_gym.intact import DamagedError
 from dipc_gym.places import inside
@@ -18,6 +19,7 @@ from dipc_gym.trials.attempt import PATIENCE, Attempt, tool
 from dipc_gym.trials.generate import generate, plans
 from dipc_gym.trials.publish import write_report
 from dipc_gym.trials.score import score
+from dipc_gym.trials.secret import Plan
 
 
 def trial(
@@ -41,11 +43,19 @@ def trial(
     Raises:
         ValueError: `out` holds trials of another seed or composition, or results of another version of the tool; or
             see `sweep.run`.
+        BusyError: another run is at work in `out`.
         ImportError: Ray is asked for and not installed.
         KeyboardInterrupt: after what is done was scored.
     """
     sweep.check(jobs, backend)
-    planned = plans(seed, count=count, full=full)
+    with alone(out):
+        return _trial(out, plans(seed, count=count, full=full), seed, count, full, jobs, backend, patience)
+
+
+def _trial(
+    out: Path, planned: Sequence[Plan], seed: int, count: int | None, full: bool, jobs: int | None, backend: Backend,
+    patience: float,
+) -> dict[str, Any]:  # fmt: skip
     # Rates of false alarms take the most trials and the least time: a run that is stopped early has these.
     order = [plan.name for plan in sorted(planned, key=lambda plan: plan.kind != "null")]
     attempts = [

@@ -1,0 +1,70 @@
+"""Late stages of a diagnosis, none of which may cost what the search found before it.
+
+After many minutes of search come a dozen stages that judge, compare and word what was found. One that fails, or that
+Ctrl-C ends, is left out and said to be; the others go on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from dipc_gym.sim2real.search import Search
+
+T = TypeVar("T")
+
+
+class Late:
+    """Runs stages and keeps notes on those that were left out.
+
+    Attributes:
+        notes: what the reader of the diagnosis should know, in sentences.
+    """
+
+    def __init__(self, search: Search) -> None:
+        self._search = search
+        self.notes: list[str] = []
+
+    def __call__(self, what: str, stage: Callable[[], T], otherwise: Callable[[], T]) -> T:
+        """What a stage gives, or what stands for it.
+
+        Args:
+            what: is lacking without the stage, as the subject of a sentence.
+            stage: gives it.
+            otherwise: what is taken in its place; must not fail.
+
+        Raises:
+            KeyboardInterrupt: at the second Ctrl-C.
+        """
+        try:
+            return stage()
+        except KeyboardInterrupt:
+            if self._search.interrupted:
+                raise
+            self._search.interrupted = True
+            self._search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
+            return otherwise()
+        except Exception as error:  # whatever it is, what was found before stands
+            said = str(error).strip().splitlines()
+            why = f"{type(error).__name__}: {said[0]}" if said else type(error).__name__
+            self.notes.append(
+                f"{what} could not be worked out ({why}) and is left out; what was found before stands. Please report "
+                "this with the files."
+            )
+            self._search.tell(f"note: {self.notes[-1]}")
+            return otherwise()
+
+
+def finite(value: Any) -> Any:
+    """A value as JSON can hold it: numbers that are not finite become null.
+
+    Example:
+        >>> finite({"error": float("inf"), "at": ["cart", 2.0]})
+        {'error': None, 'at': ['cart', 2.0]}
+    """
+    if isinstance(value, dict):
+        return {key: finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
