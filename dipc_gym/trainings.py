@@ -103,10 +103,21 @@ def run(
         for outcome in sweep.run(wanted, inside(out, CELLS), jobs=jobs, backend=backend, label="train"):
             done[outcome.cell.name] = outcome
             if outcome.failure is None:
-                inside(out, outcome.cell.name).mkdir(parents=True, exist_ok=True)
-                for name, text in outcome.result.items():
-                    write_whole(inside(out / outcome.cell.name, name), text.encode())
+                keep(outcome, out)
     return [done[cell.name] for cell in wanted]
+
+
+def keep(outcome: Outcome[PolicyTraining], out: Path) -> None:
+    """Write what a training gave into its folder.
+
+    Raises:
+        PlaceError: a name leads out of that folder, as only a stranger's cell has it.
+        OSError: it cannot be written.
+    """
+    folder = inside(out, outcome.cell.name)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in outcome.result.items():
+        write_whole(inside(folder, name), text.encode())
 
 
 def _folder(out: Path, overwrite: bool) -> Path:

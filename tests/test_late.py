@@ -122,7 +122,7 @@ def test_a_diagnosis_that_finds_no_room_says_so_and_prints_what_it_found(tmp_pat
     done = small_disk([*command, "--jobs", "1"], 3000, tmp_path)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
-    assert "nothing new is there, nothing old was touched: 'found'" in done.stderr.splitlines()[-1]
+    assert "nothing was written, and what was there is untouched: 'found'" in done.stderr.splitlines()[-1]
     said = json.loads(done.stdout[done.stdout.index("{\n") :])
     assert said["verdict"] in report.VERDICTS
     assert not (tmp_path / "found").exists()

@@ -108,14 +108,7 @@ def generate(out: Path, *, seed: int, count: int | None = None, full: bool = Fal
         inside(out, part).mkdir(parents=True, exist_ok=True)
     note = out / "generator.json"
     identity = {"schema": SCHEMA, "seed": seed, "full": full, "plans": len(wanted)}
-    if note.exists():
-        try:
-            found = intact.read(note, {"schema": str, "seed": int, "full": bool, "plans": int})
-        except DamagedError as damage:
-            intact.set_aside(note, damage)
-        else:
-            if found != identity:
-                raise ValueError(f"{note}: made with {found}, asked for {identity}; choose another folder")
+    same_trials(note, identity)
     intact.write(note, identity)
     missing = [plan for plan in wanted if not _made(out, plan, seed)]
     runs = Parallel(n_jobs=jobs, return_as="generator_unordered")(
@@ -124,6 +117,23 @@ def generate(out: Path, *, seed: int, count: int | None = None, full: bool = Fal
     for _ in tqdm(runs, total=len(missing), desc="generate", disable=None):
         pass
     return wanted
+
+
+def same_trials(note: Path, identity: dict[str, object]) -> None:
+    """Refuse a folder whose note says that other trials are in it.
+
+    Raises:
+        ValueError: naming both.
+    """
+    if not note.exists():
+        return
+    try:
+        found = intact.read(note, {"schema": str, "seed": int, "full": bool, "plans": int})
+    except DamagedError as damage:
+        intact.set_aside(note, damage)
+        return
+    if found != identity:
+        raise ValueError(f"{note}: made with {found}, asked for {identity}; choose another folder")
 
 
 def _made(out: Path, plan: Plan, seed: int) -> bool:
