@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 
 from dipc_gym import __version__, intact
+from dipc_gym.files import remove_partial
 from dipc_gym.intact import DamagedError
+from dipc_gym.interrupts import held_back
 from dipc_gym.places import inside
 
 Backend = Literal["local", "ray"]
@@ -109,6 +111,7 @@ def run(
         raise SweepError(f"two cells are called {twice[0]!r}; each needs a name of its own")
     done = finished(cells, folder)
     folder.mkdir(parents=True, exist_ok=True)
+    remove_partial(folder)
     known = {outcome.cell.name for outcome in done}
     return _outcomes(done, [cell for cell in cells if cell.name not in known], folder, jobs, backend, label)
 
@@ -230,7 +233,9 @@ def _attempts(cells: Mapping[int, Cell], jobs: int | None, backend: Backend) -> 
             with parallel_config(n_jobs=jobs, **settings):
                 # One cell a task, and none waiting in a worker: what is finished comes back at once.
                 parallel = Parallel(batch_size=1, pre_dispatch=jobs, return_as="generator_unordered")
-                for done in parallel(tasks(list(left))):
+                with held_back():
+                    results = parallel(tasks(list(left)))
+                for done in results:
                     del left[done[0]]
                     yield done
         except BrokenExecutor as death:  # a process died and took all that ran beside it; who did it shows alone

@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 from dipc_gym import ENV_ID, cells, compensators
 from dipc_gym.alone import alone
 from dipc_gym.compensators import Compensator, OutOfRangeWarning
-from dipc_gym.files import write_whole
+from dipc_gym.files import remove_partial, write_whole
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Evaluation, Policy
 from dipc_gym.runs import identify
+from dipc_gym.untrusted import Format, shown
 
 Array = NDArray[np.float64]
 Algorithm = Literal["ppo", "sac"]
@@ -42,6 +43,9 @@ FILES = ("training.json", "checkpoint.pt", "policy.json", "compensator.json", "c
 
 class TrainingError(ValueError):
     """A training that cannot be started or continued; the message says what to do."""
+
+
+TRAINING = Format("note on a training", "train-policy", "start anew with --overwrite", 1_000_000, TrainingError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -374,11 +378,13 @@ def _run(training: Training, rig: Rig, out: Path, resume: bool, overwrite: bool,
 def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> Path:
     """Make the folder, clear it, or see that it holds this training."""
     note = out / "training.json"
+    if out.is_dir() and (resume or overwrite):
+        remove_partial(out)
     files = cells.fingerprints(training.compensator, training.plant, training.model)
     wanted = json.loads(json.dumps({**training.to_dict(), "files": files}))
     if resume and note.exists():
         try:
-            there = json.loads(note.read_bytes())
+            there = TRAINING.read(note)
             flat, other = _flat(wanted), _flat(there)
             kept = dict(there.get("files", {}))
         except (ValueError, AttributeError, LookupError, TypeError, RecursionError):
@@ -386,7 +392,8 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
         for key in flat.keys() | other.keys():
             if flat.get(key) != other.get(key):
                 raise TrainingError(
-                    f"{note}, {key}: this training was begun with {other.get(key)!r}, not {flat.get(key)!r}; "
+                    f"{note}, {shown(key)}: this training was begun with {shown(other.get(key))}, not "
+                    f"{shown(flat.get(key))}; "
                     "resume with the same, or train into another folder"
                 )
         for path, digest in files.items():

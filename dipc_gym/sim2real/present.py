@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,6 +28,7 @@ from dipc_gym.sim2real.windows import joined
 
 Array = NDArray[np.float64]
 
+DRAFTS = ".diagnosis-"  # what the folder of files that are not in place yet is called, with a few letters more
 LAGS = 60  # of the autocorrelation shown
 WHITE = 0.1  # an autocorrelation below this at every lag shown passes for noise; quantisation leaves a little
 
@@ -61,7 +63,9 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
     at_work = "."
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".diagnosis-") as draft:
+        for old in folder.glob(f"{DRAFTS}*"):  # of a run that was killed
+            shutil.rmtree(old, ignore_errors=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=DRAFTS) as draft:
             for at_work, text in texts.items():
                 file = inside(draft, at_work)
                 file.parent.mkdir(parents=True, exist_ok=True)
@@ -102,8 +106,13 @@ def check_free(folder: Path, overwrite: bool) -> None:
         raise FileExistsError(f"{nearest} is a file; name a folder for the results")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise PermissionError(f"{nearest} may not be written; name another folder for the results")
-    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+    if folder.is_dir() and any(folder.iterdir()) and not (overwrite or _unfinished(folder)):
         raise FileExistsError(f"{folder} is not empty; name another folder or add --overwrite")
+
+
+def _unfinished(folder: Path) -> bool:
+    """Whether a diagnosis was killed while it wrote here: its drafts are there, and what comes last is not."""
+    return any(folder.glob(f"{DRAFTS}*")) and not (folder / "diagnosis.json").exists()
 
 
 def report_data(found: Diagnosis, model: str, command: str) -> report.ReportData:

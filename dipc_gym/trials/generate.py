@@ -13,6 +13,7 @@ import numpy as np
 from dipc_gym import intact
 from dipc_gym.files import whole, write_whole
 from dipc_gym.intact import DamagedError
+from dipc_gym.interrupts import held_back
 from dipc_gym.places import inside
 from dipc_gym.trials import records, rigs
 from dipc_gym.trials.catalogue import effects
@@ -111,9 +112,10 @@ def generate(out: Path, *, seed: int, count: int | None = None, full: bool = Fal
     same_trials(note, identity)
     intact.write(note, identity)
     missing = [plan for plan in wanted if not _made(out, plan, seed)]
-    runs = Parallel(n_jobs=jobs, return_as="generator_unordered")(
-        delayed(make_trial)(out, plan, seed) for plan in missing
-    )
+    with held_back():
+        runs = Parallel(n_jobs=jobs, return_as="generator_unordered")(
+            delayed(make_trial)(out, plan, seed) for plan in missing
+        )
     for _ in tqdm(runs, total=len(missing), desc="generate", disable=None):
         pass
     return wanted
@@ -133,7 +135,7 @@ def same_trials(note: Path, identity: dict[str, object]) -> None:
         intact.set_aside(note, damage)
         return
     if found != identity:
-        raise ValueError(f"{note}: made with {found}, asked for {identity}; choose another folder")
+        raise ValueError(f"{note}: made with {found!s:.200}, asked for {identity}; choose another folder")
 
 
 def _made(out: Path, plan: Plan, seed: int) -> bool:

@@ -115,7 +115,12 @@ def _read(target: Target, folder: Path) -> Case:
     began = time.perf_counter()
     outcome, fault = "read", ""
     try:
-        with _limits(), warnings.catch_warnings(), contextlib.redirect_stderr(io.StringIO()):
+        with (
+            contextlib.chdir(folder.parent),
+            _limits(),
+            warnings.catch_warnings(),
+            contextlib.redirect_stderr(io.StringIO()),
+        ):
             warnings.simplefilter("ignore")
             target.read(folder)
     except target.errors as error:
@@ -138,7 +143,7 @@ def _read(target: Target, folder: Path) -> Case:
 
 
 def _listing(place: Path) -> set[str]:
-    return {path.name for path in place.iterdir()} | {path.name for path in Path.cwd().iterdir()}
+    return {path.name for path in place.iterdir()}
 
 
 @contextlib.contextmanager
