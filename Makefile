@@ -29,7 +29,7 @@ test: .venv/installed
 fuzz: .venv/installed
 	$(BIN)/python tests/fuzz/campaign.py --count 20000 --jobs 2
 
-# kill -9 at twenty random moments of every command that fills a folder; some hours.
+# kill -9 at twenty random moments of every command that fills a folder; hours. Ctrl-C: -m benchmarks.kill --interrupt
 kill: .venv/installed
 	$(BIN)/python -m benchmarks.kill
 

@@ -2,10 +2,12 @@
 
     python -m benchmarks.kill                         twenty moments of each command
     python -m benchmarks.kill --moments 5 --command compare
+    python -m benchmarks.kill --interrupt             Ctrl-C in the place of kill -9
 
 Every second time the process alone is killed, so that its workers are orphans for a while, else all of its group. What
 was whole on disk at that moment must still be there, untouched, when the same command has gone on to its end; what the
-two runs leave must be equal to the byte, but for the seconds that they took.
+two runs leave must be equal to the byte, but for the seconds that they took. After Ctrl-C there must be a sentence and
+no traceback, and what a diagnosis had found by then is its result.
 """
 
 from __future__ import annotations
@@ -100,8 +102,8 @@ COMMANDS = {
 }
 
 
-def run(name: str, moments: int, seed: int, place: Path) -> list[str]:
-    """Kill a command at so many moments; what went wrong, in words."""
+def run(name: str, moments: int, seed: int, place: Path, *, interrupt: bool = False) -> list[str]:
+    """Kill or interrupt a command at so many moments; what went wrong, in words."""
     command, rng = COMMANDS[name], random.Random(seed)
     begun = time.monotonic()
     calm = _start(command, place / "calm", place)
@@ -116,15 +118,21 @@ def run(name: str, moments: int, seed: int, place: Path) -> list[str]:
         try:
             killed.wait(timeout=at)
         except subprocess.TimeoutExpired:
-            if k % 2:
+            if interrupt:
+                os.killpg(killed.pid, signal.SIGINT)
+            elif k % 2:
                 os.kill(killed.pid, signal.SIGKILL)
             else:
                 os.killpg(killed.pid, signal.SIGKILL)
-        _drain(killed)
+        last = _drain(killed)
+        faults = []
+        if interrupt and ("Traceback" in last or killed.returncode not in (0, 130)):
+            faults.append(f"interrupted, it ends with {killed.returncode}: {last[-1500:]}")
+        if interrupt and killed.returncode == 0 and (out / "diagnosis.json").exists():
+            shutil.rmtree(out)  # it wrote what it had found, which is less than all
         kept = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in out.glob(command.cells)}
         again = _start(command, out, place)
         said = again.communicate()[1]
-        faults = []
         if again.returncode:
             faults.append(f"goes on with {again.returncode}: {said[-1000:]}")
         elif (found := command.content(out)) != expected:
@@ -154,13 +162,13 @@ def _start(command: Command, out: Path, place: Path) -> subprocess.Popen[str]:
     )
 
 
-def _drain(process: subprocess.Popen[str]) -> None:
-    """Wait for the end of a killed process, and of the workers that outlive it, as far as they hold its output."""
+def _drain(process: subprocess.Popen[str]) -> str:
+    """Wait for the end of a process, and of workers that outlive it, as far as they hold its output; its last words."""
     try:
-        process.communicate(timeout=120)
+        return process.communicate(timeout=180)[1]
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+        return process.communicate()[1]
 
 
 def _record(place: Path) -> None:
@@ -184,13 +192,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--moments", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--interrupt", action="store_true", help="send Ctrl-C instead")
     parser.add_argument("--command", choices=list(COMMANDS), action="append")
     given = parser.parse_args()
     wrong = []
     for name in given.command or COMMANDS:
         with tempfile.TemporaryDirectory(prefix="kill-") as folder:
             _record(Path(folder))
-            wrong += run(name, given.moments, given.seed, Path(folder))
+            wrong += run(name, given.moments, given.seed, Path(folder), interrupt=given.interrupt)
     print(*wrong, f"{len(wrong)} faults", sep="\n")
     return 1 if wrong else 0
 
