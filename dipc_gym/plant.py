@@ -432,4 +432,12 @@ def _joint(root: ET.Element, name: str) -> ET.Element | None:
 
 
 def _numbers(root: ET.Element, element: ET.Element, attribute: str, default: str = "") -> list[float]:
-    return [float(word) for word in effective(root, element, attribute, default).split()]
+    """The numbers of an attribute, one at least."""
+    text = effective(root, element, attribute, default)
+    try:
+        if numbers := [float(word) for word in text.split()]:
+            return numbers
+    except ValueError:
+        pass
+    named = f" name={shown(element.get('name'))}" if element.get("name") else ""
+    raise PlantError(f"<{element.tag}{named}>: {attribute} is {shown(text)}; it must be one number or more")

@@ -204,3 +204,12 @@ def test_model_without_the_names_is_refused() -> None:
         Plant().to_mjcf('<mujoco><actuator><dcmotor name="motor"/></actuator></mujoco>')
     with pytest.raises(PlantError, match="is a <motor>, not a <dcmotor>"):
         Plant().to_mjcf('<mujoco><actuator><motor name="motor"/></actuator></mujoco>')
+
+
+@pytest.mark.parametrize("attribute", ["resistance", "motorconst", "gear"])
+@pytest.mark.parametrize("value", ["", "x", "0x10"])
+def test_a_motor_without_its_numbers_is_refused_in_words(attribute: str, value: str) -> None:
+    numbers = {"resistance": "1.2", "motorconst": "0.06", "gear": "80"} | {attribute: value}
+    text = " ".join(f'{name}="{number}"' for name, number in numbers.items())
+    with pytest.raises(PlantError, match=rf"<dcmotor name='motor'>: {attribute} is '{value}'; it must be one number"):
+        Plant.from_mjcf(f'<mujoco><actuator><dcmotor name="motor" {text}/></actuator></mujoco>')

@@ -86,7 +86,7 @@ def replay_tool(model: Path, recording: Path, *, step: float | None) -> dict[str
 def _read(path: Path) -> dict[str, Any]:
     try:
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RuntimeError(f"{path} is not JSON: {error}") from None
     return found
 

@@ -24,12 +24,14 @@ from dipc_gym import ENV_ID, compensators, controllers, intact, mjcf, physics, r
 from dipc_gym.cells import Balancing, CompensatorTraining
 from dipc_gym.compensators import LLNF, CompensatorError, FitFigures, InputRange
 from dipc_gym.controllers import ControllerError
-from dipc_gym.identification import Sweep
+from dipc_gym.identification import Sweep, cart, cart_model
 from dipc_gym.mjcf import MjcfError
 from dipc_gym.places import PlaceError
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.policy import Evaluation, Policy
 from dipc_gym.sim2real import recording
+from dipc_gym.sim2real.document import Document
+from dipc_gym.sim2real.numbers import fixed_masses, own_numbers
 from dipc_gym.sim2real.tables import RecordingError, write_table
 from dipc_gym.statistics import Statistics
 from dipc_gym.sweep import SweepError
@@ -109,9 +111,14 @@ def _table(suffix: str) -> bytes:
 
 def _model(folder: Path) -> None:
     source = mjcf.read(folder / "rig.xml")
-    physics.load(source)
+    given = physics.load(source)
+    mjcf.check_supported(given.model, source.name)
+    numbers = own_numbers(document := Document(source), given.model)
+    fixed_masses(document, given.model, numbers)
     env = gymnasium.make(ENV_ID, model=folder / "rig.xml")
     _drive(env)
+    inner: Any = env.unwrapped
+    cart(cart_model(inner.source, inner.plant))
 
 
 def _drive(env: Any) -> None:
