@@ -6,7 +6,7 @@ import json
 from pathlib import Path, PurePosixPath
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dipc_gym import compare, files, sweep, trainings
@@ -30,6 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@settings(deadline=None)
 @given(name=NAMES)
 def test_a_name_leads_into_its_folder_or_nowhere(folder: Path, name: str) -> None:
     try:
@@ -41,6 +42,7 @@ def test_a_name_leads_into_its_folder_or_nowhere(folder: Path, name: str) -> Non
     assert place == folder / name
 
 
+@settings(deadline=None)
 @given(parts=st.lists(st.from_regex(r"[a-z0-9_][a-z0-9_. -]{0,20}", fullmatch=True), min_size=1, max_size=4))
 def test_plain_names_are_borne(folder: Path, parts: list[str]) -> None:
     name = "/".join(["within", *parts])

@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dipc_gym import ENV_ID
@@ -152,6 +152,7 @@ def test_every_number_has_a_range_and_the_default_rig_is_well_within() -> None:
     assert all(RANGES[name][0] <= value <= RANGES[name][1] for name, value in flat.items())
 
 
+@settings(deadline=None, max_examples=60)
 @given(st.data())
 def test_whatever_plant_is_allowed_starts_with_finite_numbers(data: st.DataObject) -> None:
     """What a reset gives is finite, and so is the space of actions, even at the ends of all ranges."""
