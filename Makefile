@@ -4,7 +4,7 @@ EXTRAS := rl,parquet,trial,ray,test,dev
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: compare learning trial trial-full rivals test lint bench clean
+.PHONY: compare learning trial trial-full rivals test fuzz kill lint bench clean
 
 compare: .venv/installed
 	$(BIN)/dipc-gym compare --out runs/compare --jobs 2
@@ -24,6 +24,14 @@ rivals: .venv/installed
 
 test: .venv/installed
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# 20,000 damaged and hostile files, with a count at the end; the tests try a few hundred for each reader.
+fuzz: .venv/installed
+	$(BIN)/python tests/fuzz/campaign.py --count 20000 --jobs 2
+
+# kill -9 at twenty random moments of every command that fills a folder; hours. Ctrl-C: -m benchmarks.kill --interrupt
+kill: .venv/installed
+	$(BIN)/python -m benchmarks.kill
 
 lint: .venv/installed
 	$(BIN)/ruff check .

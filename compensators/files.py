@@ -28,6 +28,10 @@ class CompensatorError(ValueError):
 
 FORMAT = Format("compensator file", "compensators.save", "train the compensator again", 10_000_000, CompensatorError)
 """A trained compensator takes a few thousand bytes."""
+HIGHEST = 1e5
+"""V, within the ranges of its inputs; ten times the largest supply that a plant can have."""
+PROBES = 9
+"""Values of each input at which a compensator is tried, both ends included."""
 
 
 def save(compensator: Compensator, path: str | Path) -> None:
@@ -154,10 +158,17 @@ class _Reader(untrusted.Reader):
         return tuple(self.numbers(item, shape[1:], read, lengths, f"{where}[{i}]") for i, item in enumerate(entries))
 
     def probe(self, compensator: Compensator) -> None:
-        """Refuse numbers so large that the voltage overflows inside the training range."""
+        """Refuse numbers that give no voltage of this world at the corners of the training range and between them."""
         ends = [(limits.low, limits.high) for limits in compensator.ranges] or [(-1.0, 1.0)] * len(INPUTS)
-        corners = np.stack(np.meshgrid(*ends)).reshape(len(INPUTS), -1)
         with np.errstate(all="ignore"):
-            volts = compensator.volts(corners[0], corners[1], corners[2])
-        if not np.isfinite(volts).all():
-            self.fail("parameters", "give a voltage that is not finite; train the compensator again")
+            axes = [low + (high - low) * np.linspace(0.0, 1.0, PROBES) for low, high in ends]
+            force, velocity, previous = (axis.ravel() for axis in np.meshgrid(*axes))
+            volts = np.broadcast_to(compensator.volts(force, velocity, previous), force.shape)
+            wrong = ~(np.abs(volts) <= HIGHEST)
+        if wrong.any():
+            worst = int(np.argmax(wrong))
+            self.fail(
+                "parameters",
+                f"give {volts[worst]:.3g} V for {force[worst]:.3g} N at {velocity[worst]:.3g} m/s, within the ranges "
+                f"of its inputs; a compensator gives {HIGHEST:,.0f} V at most: train it again",
+            )

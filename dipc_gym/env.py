@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dipc_gym import drawing, kernels, mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import from_model
-from dipc_gym.plant import Plant, PlantError
+from dipc_gym.plant import Plant, PlantError, physics_steps
 from dipc_gym.randomise import PlantFamily
 
 Array = NDArray[np.float64]
@@ -314,13 +314,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             self.close()  # it draws the model that is now replaced
         model = mjcf.compile(self._source.edited(plant.to_mjcf(self._source.text)), trusted=True)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        nstep = plant.control_period / model.opt.timestep
-        if round(nstep) < 1 or abs(nstep - round(nstep)) > 1e-6:
-            raise PlantError(
-                f"control_period {plant.control_period:g} s is not a whole number of physics steps of "
-                f"{model.opt.timestep:g} s"
-            )
-        self._physics, self._plant, self._nstep = from_model(model), plant, round(nstep)
+        nstep = physics_steps(plant.control_period, model.opt.timestep)
+        self._physics, self._plant, self._nstep = from_model(model), plant, nstep
         self._data = mujoco.MjData(model)
         self._keep, self._gain = kernels.velocity_gains(plant.encoders.velocity_filter, plant.control_period)
         self._frame_every = max(1, round(1 / (FRAMES_PER_SECOND * plant.control_period)))
@@ -434,6 +429,11 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._readings = self._read_encoders()
         self._rates = (v, w1, w2)
         self._observed = state if self.exact_state else (*self._readings, *self._rates)
+        if not all(map(math.isfinite, (*self._observed, *self._data.qacc))):
+            raise mjcf.MjcfError(
+                f"{self._source.name}: from the state {state} on, the model with this plant gives no finite numbers; "
+                "check masses, forces and the numbers under <custom>"
+            )
 
     def _info(self, volts: float, clipped: bool, diverged: bool, costs: tuple[float, ...]) -> dict[str, Any]:
         return {

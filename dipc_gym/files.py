@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
+
+PARTIAL = ".partial"  # ending of what a killed run may leave beside a file; the next run in the folder removes it
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
@@ -21,7 +26,8 @@ def whole(path: str | Path) -> Iterator[BinaryIO]:
         path: the file.
 
     Raises:
-        OSError: it cannot be written; what had the name is untouched, and nothing is left beside it.
+        OSError: it cannot be written, with a message that names the file; what had the name is untouched, and nothing
+            is left beside it.
 
     Example:
         >>> import tempfile
@@ -29,17 +35,29 @@ def whole(path: str | Path) -> Iterator[BinaryIO]:
         ...     _ = file.write(b"whole")
     """
     path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f".{path.name}.{os.getpid()}{PARTIAL}")
     try:
-        with partial.open("wb") as file:
+        # Made anew: a link of this name, planted by whoever sent the folder, would lead the writing elsewhere.
+        partial.unlink(missing_ok=True)
+        with partial.open("xb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
-    except BaseException:
+    except BaseException as error:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            said = f"{error.strerror}; make room and try again; what had this name before, if anything, is untouched"
+            raise OSError(error.errno, said, str(path)) from error
         raise
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove what a killed run has left in a folder of files that it was writing; for whoever is alone there."""
+    for path in folder.glob(f".*{PARTIAL}"):
+        if re.fullmatch(rf"\..+\.\d+\{PARTIAL}", path.name):
+            path.unlink(missing_ok=True)
 
 
 def write_whole(path: str | Path, content: bytes) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dipc_gym import kernels, mjcf
 from dipc_gym.compensators import RigConstants, Samples
 from dipc_gym.physics import from_model
-from dipc_gym.plant import Encoders, Plant
+from dipc_gym.plant import Encoders, Plant, physics_steps
 from dipc_gym.recording import Recording, resample_commands
 from dipc_gym.rigid import Rigid
 
@@ -144,7 +144,7 @@ def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) 
     """
     rng = np.random.default_rng(seed)
     period, encoders = plant.control_period, plant.encoders
-    nstep = round(period / model.opt.timestep)
+    nstep = physics_steps(period, model.opt.timestep)
     time: Array = period * np.arange(round(sweep.duration / period), dtype=np.float64)
     volts = np.clip(sweep.voltage(time), -plant.supply, plant.supply)
     motor = mjcf.controls(model).index("motor")

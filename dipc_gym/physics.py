@@ -35,6 +35,10 @@ from dipc_gym import mjcf
 Stage = Literal["command", "force", "friction", "sensor", "lag"]
 Array = NDArray[np.float64]
 
+LARGEST = 1e9  # of an entry's numbers; of what comes of them, its square
+SHORTEST_LAG, LONGEST_LAG = 1e-9, 1e6  # time constants, s
+TRIED = (-100.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 100.0)  # positions, forces, commands and times
+
 
 @dataclass(frozen=True)
 class Moment:
@@ -356,21 +360,33 @@ def from_model(model: mujoco.MjModel) -> Physics:
         )
     physics = Physics(model, tuple(extras))
     for extra in physics.extras:
-        try:
-            with np.errstate(all="ignore"):  # at the first number as position a table of no length shows itself
-                tried = extra(_moment(0.0, position=extra.data[0]))
-            usable = bool(np.all(np.isfinite([*extra.data, *np.ravel(tried)])))
-        except (IndexError, ValueError):
-            usable = False
-        if extra.effect in _TABLES:
-            knots = extra.data[: len(extra.data) // 2]
-            usable = usable and 4 <= len(extra.data) <= 2 * MOST_KNOTS and bool(np.all(np.diff(knots) > 0))
-        if not usable or (extra.stage == "lag" and extra.data[0] <= 0):
+        if not _usable(extra):
             raise mjcf.MjcfError(
                 f"<custom> entry '{mjcf.PREFIX}:{extra.effect}:{extra.at}' has the numbers {extra.data.tolist()}, "
                 f"too few or out of range; {(_rules[extra.effect][1].__doc__ or '').strip()}"
             )
     return physics
+
+
+def _usable(extra: Extra) -> bool:
+    """Whether an entry's numbers give numbers, wherever a joint is and whenever it is."""
+    numbers = extra.data
+    if not (len(numbers) and np.all(np.abs(numbers) <= LARGEST)):
+        return False
+    if extra.stage == "lag" and not SHORTEST_LAG <= numbers[0] <= LONGEST_LAG:
+        return False
+    if extra.effect in _TABLES:
+        knots = numbers[: len(numbers) // 2]
+        if len(numbers) % 2 or not 2 <= len(knots) <= MOST_KNOTS or not np.all(np.diff(knots) > 0):
+            return False
+    # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on.
+    places = np.unique([*numbers, *TRIED])
+    try:
+        with np.errstate(all="ignore"):
+            tried = [extra(_moment(abs(x), x, x, x, x)) for x in places]
+        return bool(np.all(np.abs(tried) <= LARGEST**2))
+    except (IndexError, ValueError):
+        return False
 
 
 def _index(model: mujoco.MjModel, name: str, stage: Stage, at: str) -> int:

@@ -14,11 +14,37 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dipc_gym.files import write_whole
 from dipc_gym.mjcf.defaults import effective
-from dipc_gym.untrusted import Format
+from dipc_gym.untrusted import Format, shown
 
 SCHEMA = "dipc-gym/plant/1"
 MAX_DELAY = 1.0  # s; the simulation keeps that much of the past at every step
+MOST_STEPS = 1_000  # of the physics within a control period
+
+RANGES = {
+    "motor.resistance": (1e-3, 1e4, "ohm"),
+    "motor.constant": (1e-6, 1e3, "N m/A"),
+    "motor.pulley_radius": (1e-4, 10.0, "m"),
+    "friction.coulomb": (0.0, 1e5, "N"),
+    "friction.static": (0.0, 1e5, "N"),
+    "friction.stribeck_velocity": (1e-6, 100.0, "m/s"),
+    "friction.bristle_stiffness": (1e-3, 1e9, "N/m"),
+    "friction.bristle_damping": (0.0, 1e6, "N s/m"),
+    "friction.viscous": (0.0, 1e6, "N s/m"),
+    "encoders.cart": (1e-9, 0.1, "m"),
+    "encoders.pole": (1e-9, 1.0, "rad"),
+    "encoders.noise": (0.0, 1e4, "counts"),
+    "encoders.velocity_filter": (0.0, 10.0, "s"),
+    "masses.cart": (1e-4, 1e4, "kg"),
+    "masses.pole1": (1e-4, 1e4, "kg"),
+    "masses.pole2": (1e-4, 1e4, "kg"),
+    "delay": (0.0, MAX_DELAY, "s"),
+    "supply": (1e-3, 1e4, "V"),
+    "control_period": (1e-4, 1.0, "s"),
+}
+"""Least and largest of each number, and its unit: what carts on rails can have, from toys to cranes, with room to
+spare. Beyond, a simulation overflows, or takes as long as it likes."""
 
 
 class PlantError(ValueError):
@@ -43,7 +69,7 @@ class Motor:
     pulley_radius: float = 0.0125
 
     def __post_init__(self) -> None:
-        _positive(self, "resistance", "constant", "pulley_radius")
+        _physical(self, "resistance", "constant", "pulley_radius")
 
     @property
     def force_per_volt(self) -> float:
@@ -84,8 +110,7 @@ class Friction:
     viscous: float = 20.8
 
     def __post_init__(self) -> None:
-        _positive(self, "stribeck_velocity", "bristle_stiffness")
-        _positive(self, "coulomb", "static", "bristle_damping", "viscous", zero=True)
+        _physical(self, "stribeck_velocity", "bristle_stiffness", "coulomb", "static", "bristle_damping", "viscous")
         if self.static < self.coulomb:
             raise PlantError(f"friction.static is {self.static:g} N, below friction.coulomb {self.coulomb:g} N")
         if self.static > 0 and self.coulomb == 0:
@@ -112,8 +137,7 @@ class Encoders:
     velocity_filter: float = 0.01
 
     def __post_init__(self) -> None:
-        _positive(self, "cart", "pole")
-        _positive(self, "noise", "velocity_filter", zero=True)
+        _physical(self, "cart", "pole", "noise", "velocity_filter")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +155,7 @@ class Masses:
     pole2: float | None = None
 
     def __post_init__(self) -> None:
-        _positive(self, *self.given())
+        _physical(self, *self.given())
 
     def given(self) -> dict[str, float]:
         """The masses that are not left to the model, by body."""
@@ -153,7 +177,7 @@ class Plant:
         control_period: time between two commands, s; a whole number of physics steps.
 
     Raises:
-        PlantError: a number is not finite or impossible.
+        PlantError: a number is outside of its range, see `RANGES`, or does not go with the others.
 
     Example:
         >>> dry = Plant(friction=Friction(coulomb=12.0, static=15.0))
@@ -170,10 +194,7 @@ class Plant:
     control_period: float = 0.005
 
     def __post_init__(self) -> None:
-        _positive(self, "supply", "control_period")
-        _positive(self, "delay", zero=True)
-        if self.delay > MAX_DELAY:
-            raise PlantError(f"delay is {self.delay:g} s; it can be {MAX_DELAY:g} s at most")
+        _physical(self, "supply", "control_period", "delay")
 
     # -------------------------------------------------------------------------------------------- files
 
@@ -193,7 +214,7 @@ class Plant:
     def write(self, path: str | Path) -> None:
         """Write the plant to a JSON file that `gymnasium.make(..., plant=path)` takes."""
         text = json.dumps({"schema": SCHEMA, **self.to_dict()}, indent=2)
-        Path(path).write_text(text + "\n", encoding="utf-8")
+        write_whole(path, (text + "\n").encode())
 
     def to_dict(self) -> dict[str, Any]:
         """The plant as plain numbers in nested dictionaries."""
@@ -210,7 +231,7 @@ class Plant:
             raise PlantError(f"a plant is a JSON object of named fields, not {type(data).__name__}")
         schema = data.get("schema", SCHEMA)
         if schema != SCHEMA:
-            raise PlantError(f"schema is {schema!r}; this version reads {SCHEMA!r}")
+            raise PlantError(f"schema is {shown(schema)}; this version reads {SCHEMA!r}")
         base = cls() if base is None else base
         values = {key: value for key, value in data.items() if key != "schema"}
         _known(cls, values)
@@ -347,16 +368,39 @@ class Plant:
 # ------------------------------------------------------------------------------------------------ checks
 
 
-def _positive(instance: Any, *names: str, zero: bool = False) -> None:
+def _physical(instance: Any, *names: str) -> None:
     part = "" if isinstance(instance, Plant) else type(instance).__name__.lower() + "."
     for name in names:
         value = getattr(instance, name)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise PlantError(f"{part}{name} must be a number, not {value!r}")
-        if not math.isfinite(value) or value < 0 or (value == 0 and not zero):
-            must = "finite and not negative" if zero else "finite and positive"
-            raise PlantError(f"{part}{name} is {value!r}; it must be {must}")
+            raise PlantError(f"{part}{name} must be a number, not {shown(value)}")
+        least, most, unit = RANGES[part + name]
+        if not least <= value <= most:
+            raise PlantError(f"{part}{name} is {shown(value)}; it must be from {least:g} to {most:g} {unit}")
         object.__setattr__(instance, name, float(value))
+
+
+def physics_steps(control_period: float, timestep: float) -> int:
+    """How many physics steps a control period takes.
+
+    Args:
+        control_period: s.
+        timestep: of the model, s.
+
+    Raises:
+        PlantError: it is no whole number of them, or more than a thousand.
+    """
+    steps = control_period / timestep
+    if steps > MOST_STEPS:
+        raise PlantError(
+            f"control_period {control_period:g} s is {steps:.3g} physics steps of {timestep:g} s; take "
+            f"{MOST_STEPS:,} at most, by a shorter period or a longer timestep"
+        )
+    if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
+        raise PlantError(
+            f"control_period {control_period:g} s is not a whole number of physics steps of {timestep:g} s"
+        )
+    return round(steps)
 
 
 def _changed(current: Any, kind: type, changes: Any, where: str) -> Any:
@@ -366,7 +410,7 @@ def _changed(current: Any, kind: type, changes: Any, where: str) -> Any:
     if isinstance(changes, kind):
         return changes
     if not isinstance(changes, Mapping):
-        raise PlantError(f"{where} must be an object of named numbers, not {changes!r}")
+        raise PlantError(f"{where} must be an object of named numbers, not {shown(changes)}")
     _known(kind, changes, f"{where}.")
     return dataclasses.replace(kind() if current is None else current, **changes)
 
@@ -375,7 +419,8 @@ def _known(kind: Any, names: Iterable[str], where: str = "") -> None:
     known = [f.name for f in dataclasses.fields(kind)]
     for name in names:
         if name not in known:
-            raise PlantError(f"unknown field '{where}{name}'; there are {', '.join(where + n for n in known)}")
+            unknown = shown(f"{where}{name}")
+            raise PlantError(f"unknown field {unknown}; there are {', '.join(where + n for n in known)}")
 
 
 def _actuator(root: ET.Element, name: str) -> ET.Element | None:
@@ -387,4 +432,12 @@ def _joint(root: ET.Element, name: str) -> ET.Element | None:
 
 
 def _numbers(root: ET.Element, element: ET.Element, attribute: str, default: str = "") -> list[float]:
-    return [float(word) for word in effective(root, element, attribute, default).split()]
+    """The numbers of an attribute, one at least."""
+    text = effective(root, element, attribute, default)
+    try:
+        if numbers := [float(word) for word in text.split()]:
+            return numbers
+    except ValueError:
+        pass
+    named = f" name={shown(element.get('name'))}" if element.get("name") else ""
+    raise PlantError(f"<{element.tag}{named}>: {attribute} is {shown(text)}; it must be one number or more")

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from dipc_gym.plant import FORMAT, MAX_DELAY, Encoders, Friction, Masses, Motor, Plant, PlantError
+from dipc_gym.plant import FORMAT, MAX_DELAY, RANGES, Encoders, Friction, Masses, Motor, Plant, PlantError
 
 PARTS = {"motor": Motor, "friction": Friction, "encoders": Encoders, "masses": Masses}
 FIXED = ("supply", "control_period")  # they set the action space and the rhythm of all environments
 MAY_BE_ZERO = ("delay", "friction.bristle_damping", "friction.viscous", "encoders.noise", "encoders.velocity_filter")
+FARTHEST = 1e12  # beyond the range of any field
 REACH = 3.0  # a normal distribution is cut at this many standard deviations
 
 
@@ -176,15 +177,15 @@ def _centre(name: str, value: Any, spreads: list[tuple[str, Uniform | Normal]]) 
     kind = next(iter(value), None)
     if len(value) != 1 or kind not in forms:
         raise PlantError(
-            f'{name} is {dict(value)!r}; write a number, {{"uniform": [low, high]}} or {{"normal": [mean, sd]}}'
+            f'{name} is {dict(value)!r:.80}; write a number, {{"uniform": [low, high]}} or {{"normal": [mean, sd]}}'
         )
     numbers = value[kind]
     if (
         not isinstance(numbers, (list, tuple))
         or len(numbers) != 2
-        or not all(isinstance(n, (int, float)) and not isinstance(n, bool) and math.isfinite(n) for n in numbers)
+        or not all(isinstance(n, (int, float)) and not isinstance(n, bool) and abs(n) <= FARTHEST for n in numbers)
     ):
-        raise PlantError(f"{name}: {kind} takes two finite numbers [{forms[kind]}], not {numbers!r}")
+        raise PlantError(f"{name}: {kind} takes two finite numbers [{forms[kind]}], not {numbers!r:.80}")
     first, second = map(float, numbers)
     spread = Uniform(first, second) if kind == "uniform" else Normal(first, second)
     _check(name, spread)
@@ -211,6 +212,12 @@ def _check(name: str, spread: Uniform | Normal) -> None:
     if name == "delay" and spread.high > MAX_DELAY:
         raise PlantError(
             f"delay: {kind} [{first:g}, {second:g}] reaches {spread.high:g} s; it can be {MAX_DELAY:g} s at most"
+        )
+    least, most, unit = RANGES.get(name, (-math.inf, math.inf, ""))  # an unknown field is named by the plant
+    if not (least <= spread.low and spread.high <= most):
+        raise PlantError(
+            f"{name}: {kind} [{first:g}, {second:g}] reaches from {spread.low:g} to {spread.high:g}; all that is drawn "
+            f"must be from {least:g} to {most:g} {unit}"
         )
 
 

@@ -16,11 +16,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 
-from dipc_gym import __version__
-from dipc_gym.files import write_json
+from dipc_gym import __version__, intact
+from dipc_gym.files import remove_partial
+from dipc_gym.intact import DamagedError
+from dipc_gym.interrupts import held_back
+from dipc_gym.places import inside
 
 Backend = Literal["local", "ray"]
 LOCAL_JOBS = 2
+HELD = {"parameters": {}, "failure": (None, str), "result": object}  # what the file of a cell holds
 
 
 class Cell(Protocol):
@@ -32,6 +36,13 @@ class Cell(Protocol):
 
     def run(self) -> Any:
         """Do it, and give the result as JSON holds it."""
+
+    def check(self, result: Any) -> None:
+        """Refuse what `run` cannot have given, for a result that is read again may be damaged or a stranger's.
+
+        Raises:
+            ValueError: in words that name the field.
+        """
 
 
 C = TypeVar("C", bound=Cell)
@@ -62,7 +73,7 @@ def run(
     """Run the cells of a sweep that are not on disk yet, with a progress bar.
 
     Cells run through joblib, in processes that are given one thread each for linear algebra. A cell that failed before
-    is tried again.
+    is tried again. One whose file is damaged is named on the standard error stream, set aside and run again.
 
     Args:
         cells: the experiments.
@@ -87,6 +98,8 @@ def run(
         ...     name: str
         ...     def run(self) -> float:
         ...         return self.x**2
+        ...     def check(self, result: float) -> None:
+        ...         intact.fit(result, float)
         >>> outcomes = run([Square(3.0, "three")], tempfile.mkdtemp(), jobs=1)
         >>> [outcome.result for outcome in outcomes]
         [9.0]
@@ -98,6 +111,7 @@ def run(
         raise SweepError(f"two cells are called {twice[0]!r}; each needs a name of its own")
     done = finished(cells, folder)
     folder.mkdir(parents=True, exist_ok=True)
+    remove_partial(folder)
     known = {outcome.cell.name for outcome in done}
     return _outcomes(done, [cell for cell in cells if cell.name not in known], folder, jobs, backend, label)
 
@@ -118,32 +132,36 @@ def check(jobs: int | None, backend: str) -> None:
 
 
 def finished(cells: Sequence[C], folder: str | Path) -> list[Outcome[C]]:
-    """What is on disk of a sweep; failures are left out, as if they had not been tried.
+    """What is on disk of a sweep; failures are left out, as if they had not been tried, and damaged files set aside.
 
     Raises:
-        SweepError: a file was made with other parameters, or cannot be read.
+        SweepError: a file was made with other parameters.
+        OSError: a damaged file cannot be set aside.
     """
     outcomes = []
     for cell in cells:
-        path = Path(folder) / f"{cell.name}.json"
+        path = inside(folder, f"{cell.name}.json")
         if not path.exists():
             continue
         try:
-            held = json.loads(path.read_text(encoding="utf-8"))
-            made_with, failure, result = held["parameters"], held["failure"], held["result"]
-        except (OSError, ValueError, LookupError, TypeError) as error:
-            raise SweepError(
-                f"{path}: not a result of a sweep ({type(error).__name__}: {error}); delete it to run it again"
-            ) from None
-        if failure is not None:
+            held = intact.read(path, HELD)
+        except DamagedError as damage:
+            intact.set_aside(path, damage)
             continue
-        if change := _change(made_with, parameters(cell)):
+        if held["failure"] is not None:
+            continue
+        if change := _change(held["parameters"], parameters(cell)):
             where, was, now = change
             raise SweepError(
                 f"{path}: was made with {where} = {_short(was)}, and this sweep has {_short(now)}; "
                 "choose another folder, or say --overwrite to begin anew"
             )
-        outcomes.append(Outcome(cell, result, None))
+        try:
+            cell.check(held["result"])
+        except (ValueError, RecursionError) as fault:
+            intact.set_aside(path, DamagedError(f"{path}: result: {fault or 'nested too deeply'}"))
+            continue
+        outcomes.append(Outcome(cell, held["result"], None))
     return outcomes
 
 
@@ -151,9 +169,8 @@ def written(folder: str | Path) -> list[Path]:
     """Files of a folder that some sweep has written; JSON that is anything else is left out."""
     found = []
     for path in sorted(Path(folder).glob("*.json")):
-        with contextlib.suppress(OSError, ValueError, RecursionError):
-            held = json.loads(path.read_text(encoding="utf-8"))
-            if isinstance(held, dict) and held.keys() == {"parameters", "failure", "result"}:
+        with contextlib.suppress(DamagedError):
+            if intact.read(path, HELD).keys() == HELD.keys():
                 found.append(path)
     return found
 
@@ -182,7 +199,7 @@ def _outcomes(
             cell = open_ones[number]
             result = None if text is None else json.loads(text)
             held = {"parameters": parameters(cell), "failure": failure, "result": result}
-            write_json(folder / f"{cell.name}.json", held)
+            intact.write(inside(folder, f"{cell.name}.json"), held)
             bar.update()
             yield Outcome(cell, result, failure)
 
@@ -216,7 +233,9 @@ def _attempts(cells: Mapping[int, Cell], jobs: int | None, backend: Backend) -> 
             with parallel_config(n_jobs=jobs, **settings):
                 # One cell a task, and none waiting in a worker: what is finished comes back at once.
                 parallel = Parallel(batch_size=1, pre_dispatch=jobs, return_as="generator_unordered")
-                for done in parallel(tasks(list(left))):
+                with held_back():
+                    results = parallel(tasks(list(left)))
+                for done in results:
                     del left[done[0]]
                     yield done
         except BrokenExecutor as death:  # a process died and took all that ran beside it; who did it shows alone

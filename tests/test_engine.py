@@ -19,11 +19,11 @@ from dipc_gym import mjcf, physics
 from dipc_gym.engine import Uncovered, check, machine, program
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real import simulate as simulation
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
+from dipc_gym.sim2real.simulation.batch import simulate as simulation
 from dipc_gym.sim2real.simulation.windows import cut
 
 Array = np.ndarray

@@ -404,3 +404,37 @@ def test_switched_off_contacts_are_no_contacts() -> None:
     mjcf.check_supported(mjcf.compile(text), "rig.xml")
     with pytest.raises(mjcf.MjcfError, match="geoms 'b' and 'a' can touch"):
         mjcf.check_supported(mjcf.compile(text.replace("<sensor>", pair + "<sensor>")), "rig.xml")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (('timestep="0.001"', 'timestep="nan"'), "the timestep is nan s"),
+        (('timestep="0.001"', 'timestep="1e-300"'), "the timestep is 1e-300 s"),
+        (('timestep="0.001"', 'timestep="1e9"'), r"the timestep is 1e\+09 s"),
+        (('mass="1"', 'mass="1e-12"'), "joint 'slide' has an inertia of 1e-12"),
+        (('damping="0"', 'damping="nan"'), "nan in dof_damping"),
+        (('stiffness="0"', 'stiffness="1e200"'), r"1e\+200 in jnt_stiffness"),
+        (('gravity="0 0 -9.81"', 'gravity="0 0 nan"'), "nan in <option gravity>"),
+    ],
+)
+def test_numbers_that_nothing_can_be_simulated_with_are_refused(change: tuple[str, str], says: str) -> None:
+    text = """<mujoco><option timestep="0.001" gravity="0 0 -9.81"/><worldbody><body>
+        <joint name="slide" type="slide" damping="0" stiffness="0"/>
+        <geom size="0.1" mass="1"/></body></worldbody></mujoco>"""
+    mjcf.compile(text)
+    assert text.count(change[0]) == 1
+    for _ in range(2):  # what was refused is not let pass the next time
+        with pytest.raises(mjcf.MjcfError, match=says):
+            mjcf.compile(text.replace(*change))
+
+
+def test_a_joint_without_inertia_of_its_own_is_refused() -> None:
+    """Two slides along one axis with a mass behind the second alone: the first one's pivot is rounding."""
+    text = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="1e-14" diaginertia="1e-14 1e-14 1e-14"/>
+        <joint name="first" type="slide" axis="1 0 0"/><body>
+        <joint name="second" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/>
+        </body></body></worldbody></mujoco>"""
+    with pytest.raises(mjcf.MjcfError, match=r"joint '(first|second)' has an inertia of"):
+        mjcf.compile(text)
+    mjcf.compile(text.replace('mass="1e-14"', 'mass="0.1"'))

@@ -258,3 +258,25 @@ def test_a_registered_effect_is_understood(monkeypatch: pytest.MonkeyPatch) -> N
     assert cart(entry("motor.square", "motor", 0.5)).command(np.array([4.0])) == [8.0]
     with pytest.raises(ValueError, match="registered already"):
         physics.register("motor.square", "command", physics.deadzone)
+
+
+@pytest.mark.parametrize(
+    ("entry", "data"),
+    [
+        ("friction.wave:cart", "0 1 1 1e-320"),
+        ("friction.wave:cart", "1 1 1 0"),
+        ("friction.position:cart", "1 1 2 3"),
+        ("timing.sensor_lag:cart", "1e308"),
+        ("timing.sensor_lag:cart", "1e-320"),
+        ("sensor.gain:cart", "1e300"),
+        ("sensor.bias:cart", "nan"),
+        ("motor.deadzone:motor", "-1e300"),
+        ("disturbance.periodic:cart", "1 1e308 0"),
+    ],
+)
+def test_entries_that_would_give_no_numbers_are_refused(entry: str, data: str) -> None:
+    text = f"""<mujoco><worldbody><body><joint name="cart" type="slide"/><geom size="0.1" mass="1"/></body></worldbody>
+        <actuator><motor name="motor" joint="cart"/></actuator><sensor><jointpos name="cart" joint="cart"/></sensor>
+        <custom><numeric name="dipc_gym:{entry}" data="{data}"/></custom></mujoco>"""
+    with pytest.raises(mjcf.MjcfError, match=rf"<custom> entry 'dipc_gym:{entry}' has the numbers"):
+        physics.load(text)

@@ -8,15 +8,20 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import gymnasium
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dipc_gym.plant import Encoders, Friction, Motor, Plant, PlantError
+from dipc_gym import ENV_ID
+from dipc_gym.mjcf import MjcfError
+from dipc_gym.plant import RANGES, Encoders, Friction, Masses, Motor, Plant, PlantError, physics_steps
+from dipc_gym.randomise import PlantFamily
 
 RIG = resources.files("dipc_gym").joinpath("rig.xml").read_text()
 
-positive = st.floats(1e-3, 1e3)
+positive = st.floats(1e-3, 10.0)
 plants = st.builds(
     lambda motor, coulomb, above, rest, supply: Plant(
         motor=Motor(resistance=motor[0], constant=motor[1], pulley_radius=motor[2]),
@@ -110,6 +115,76 @@ def test_impossible_plants_are_refused(data: Any, says: str, tmp_path: Path) -> 
         Plant.read(file)
 
 
+ABSURD = {
+    "supply": (1e300, 0.0, -1.0, 10**400, 1e-300),
+    "control_period": (1e9, 1e-300, float("nan")),
+    "delay": (1.5, -0.1, 10**400),
+    "motor.resistance": (1e-300, 1e300),
+    "motor.pulley_radius": (1e-300, 1e9),
+    "friction.coulomb": (1e300,),
+    "friction.bristle_stiffness": (1e300, 0.0),
+    "encoders.cart": (1e-300, 1e300),
+    "encoders.noise": (1e300, -1.0),
+    "masses.pole1": (1e-300, 1e300, 0.0),
+}
+
+
+@pytest.mark.parametrize(("name", "value"), [(name, value) for name in ABSURD for value in ABSURD[name]])
+def test_numbers_of_no_rig_are_refused_with_their_range(name: str, value: float) -> None:
+    least, most, unit = RANGES[name]
+    part, _, field = name.rpartition(".")
+    data = {part: {field: value}} if part else {field: value}
+    with pytest.raises(
+        PlantError, match=rf"{name} is .*; it must be from {least:g} to {most:g} {unit}".replace("+", ".")
+    ):
+        Plant.from_dict(data)
+    for spread in ({"uniform": [value, value]}, {"normal": [value, 0.0]}):
+        drawn = {part: {field: spread}} if part else {field: spread}
+        with pytest.raises(PlantError, match=name):
+            PlantFamily.of(drawn)
+
+
+def test_every_number_has_a_range_and_the_default_rig_is_well_within() -> None:
+    plant = Plant(masses=Masses(cart=1.0, pole1=0.1, pole2=0.1)).to_dict()
+    flat = {name: value for name, value in plant.items() if not isinstance(value, dict)}
+    flat |= {f"{part}.{name}": v for part in plant if isinstance(plant[part], dict) for name, v in plant[part].items()}
+    assert flat.keys() == RANGES.keys()
+    assert all(RANGES[name][0] <= value <= RANGES[name][1] for name, value in flat.items())
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.data())
+def test_whatever_plant_is_allowed_starts_with_finite_numbers(data: st.DataObject) -> None:
+    """What a reset gives is finite, and so is the space of actions, even at the ends of all ranges."""
+    numbers = {
+        name: data.draw(st.one_of(st.sampled_from((least, most)), st.floats(least, most)), label=name)
+        for name, (least, most, _) in RANGES.items()
+        if name not in ("control_period", "delay")
+    }
+    numbers["control_period"] = data.draw(st.sampled_from((1e-3, 5e-3, 1.0)), label="control_period")
+    numbers["friction.static"] = max(numbers["friction.static"], numbers["friction.coulomb"])
+    nested: dict[str, Any] = {}
+    for name, value in numbers.items():
+        part, _, field = name.rpartition(".")
+        (nested.setdefault(part, {}) if part else nested)[field] = value
+    try:
+        env = gymnasium.make(ENV_ID, plant=nested)
+    except (PlantError, MjcfError):  # refused in words: no dry friction with a static one, no inertia to speak of
+        return
+    observation, info = env.reset(seed=1)
+    assert np.isfinite(observation).all()
+    assert np.isfinite(env.action_space.high).all()
+    assert all(np.isfinite(value) for value in info.values())
+
+
+def test_a_control_period_of_very_many_steps_is_refused() -> None:
+    assert physics_steps(0.005, 0.001) == 5
+    with pytest.raises(PlantError, match=r"1e\+06 physics steps of 1e-06 s; take 1,000 at most"):
+        physics_steps(1.0, 1e-6)
+    with pytest.raises(PlantError, match="is not a whole number of physics steps"):
+        physics_steps(0.005, 0.002)
+
+
 @pytest.mark.parametrize("content", [b"", b"\x00\xff\xfe", b'{"supply": 24', b"[" * 100_000])
 def test_broken_files_are_refused(content: bytes, tmp_path: Path) -> None:
     file = tmp_path / "plant.json"
@@ -130,3 +205,12 @@ def test_model_without_the_names_is_refused() -> None:
         Plant().to_mjcf('<mujoco><actuator><dcmotor name="motor"/></actuator></mujoco>')
     with pytest.raises(PlantError, match="is a <motor>, not a <dcmotor>"):
         Plant().to_mjcf('<mujoco><actuator><motor name="motor"/></actuator></mujoco>')
+
+
+@pytest.mark.parametrize("attribute", ["resistance", "motorconst", "gear"])
+@pytest.mark.parametrize("value", ["", "x", "0x10"])
+def test_a_motor_without_its_numbers_is_refused_in_words(attribute: str, value: str) -> None:
+    numbers = {"resistance": "1.2", "motorconst": "0.06", "gear": "80"} | {attribute: value}
+    text = " ".join(f'{name}="{number}"' for name, number in numbers.items())
+    with pytest.raises(PlantError, match=rf"<dcmotor name='motor'>: {attribute} is '{value}'; it must be one number"):
+        Plant.from_mjcf(f'<mujoco><actuator><dcmotor name="motor" {text}/></actuator></mujoco>')

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dipc_gym import sweep
+from dipc_gym import intact, sweep
 from dipc_gym.experiments import compare
 from dipc_gym.experiments.compare import Comparison
 from dipc_gym.sim2real.replay import replay
@@ -55,6 +55,9 @@ class Halve:
             "pid": os.getpid(),
             "threads": os.environ.get("OMP_NUM_THREADS"),
         }
+
+    def check(self, result: Any) -> None:
+        intact.fit(result, {"half": float})
 
 
 def numbers(outcomes: list[Outcome[Halve]]) -> list[int]:
@@ -114,9 +117,41 @@ def test_another_sweep_is_not_mixed_in(tmp_path: Path) -> None:
         sweep.run([Halve(1), changed], tmp_path)
     with pytest.raises(SweepError, match=r"options\.more = null"):
         sweep.run([dataclasses.replace(Halve(2), options={"scale": 1.0, "more": 2.0})], tmp_path)
-    (tmp_path / "halve-001.json").write_text('{"half": ')
-    with pytest.raises(SweepError, match=r"halve-001\.json: not a result.*delete it"):
-        sweep.run([Halve(1)], tmp_path)
+
+
+DAMAGE: dict[str, Callable[[str], str]] = {
+    "cut short": lambda text: text[: len(text) // 2],
+    "empty": lambda text: "",
+    "a digit": lambda text: text.replace('"half": 0.5', '"half": 0.6'),
+    "a parameter": lambda text: text.replace('"number": 1', '"number": 2'),
+    "another shape": lambda text: "[1, 2]",
+    "another value": lambda text: json.dumps({**json.loads(text), "failure": {}}),
+    "deep": lambda text: "[" * 100_000,
+    "a result without a digest": lambda text: json.dumps(
+        {**{k: v for k, v in json.loads(text).items() if k != "sha256"}, "result": {"half": "much"}}
+    ),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_cell_is_named_set_aside_and_run_again(
+    damage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "trace").mkdir()
+    cells = [Halve(n, str(tmp_path / "trace")) for n in (1, 2)]
+    list(sweep.run(cells, tmp_path / "cells", jobs=1))
+    file = tmp_path / "cells" / "halve-001.json"
+    damaged = DAMAGE[damage](file.read_text())
+    file.write_text(damaged)
+    capsys.readouterr()
+    outcomes = {o.cell.number: o.result["half"] for o in sweep.run(cells, tmp_path / "cells", jobs=1)}
+    assert outcomes == {1: 0.5, 2: 1.0}
+    assert len(list((tmp_path / "trace").iterdir())) == 3, "one cell is lost, not more"
+    said = capsys.readouterr().err
+    assert "halve-001.json" in said
+    assert "set aside as halve-001.json.damaged" in said
+    assert file.with_name("halve-001.json.damaged").read_text() == damaged
+    assert [o.result["half"] for o in sweep.run(cells, tmp_path / "cells")] == [0.5, 1.0]
 
 
 @pytest.mark.parametrize("jobs", [0, -1])

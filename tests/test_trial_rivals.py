@@ -105,12 +105,19 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
     plans = [generate.Plan(1, "null", CART, "", False), generate.Plan(2, "single", CART, "load.spring", False)]
     (tmp_path / "sealed").mkdir()
     for plan, size in zip(plans, (0.0, 30.0), strict=True):
+        start = 40.0 if size else 1.0
         answer = {
+            **dict.fromkeys(("share_of_signal", "moved_from_nominal", "signal"), max(size, 1e-9)),
+            **{key: {} for key in ("parameters", "equivalents", "equivalent_sets", "share_of_each")},
+            **dict.fromkeys(("tuned", "recalibrated_suffices"), False),
+            "trial": plan.name,
+            "rig": CART,
             "kind": plan.kind,
-            "share_of_signal": size,
-            "missing": [{"effect": plan.effect}] if plan.effect else [],
+            "missing": [{"effect": plan.effect, "at": CART, "also_at": []}] if plan.effect else [],
+            "includes": [],
+            "drive": dict.fromkeys(("gear", "rotor", "kt", "resistance"), 1.0),
             "held_out_predictable": True,
-            "test_error": {"nominal": 40.0 if size else 1.0, "truth": 1.0},
+            "test_error": {"nominal": start, "recalibrated": start, "truth": 1.0},
             "noise": {"cart": 1e-5},
         }
         (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(answer))
@@ -126,7 +133,7 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
     monkeypatch.setattr(rivals, "swept", swept)
     done = tmp_path / "results" / plans[1].name
     rivals.compare(tmp_path, seed=1)
-    (done / "attempt.json").write_text(json.dumps({"sensor_errors": {"cart": 1.1e-5}}))
+    (done / "attempt.json").write_text(json.dumps({"seconds": 1.0, "failure": None, "sensor_errors": {"cart": 1.1e-5}}))
     rows = rivals.compare(tmp_path, seed=1)
     assert asked == [plan.name for plan in plans]  # nobody is asked twice
     assert rows[1]["error"] == {

@@ -430,7 +430,7 @@ def test_an_interrupted_run_goes_on_and_another_seed_is_refused(tmp_path, monkey
         if len(done) == 2:
             raise KeyboardInterrupt
         done.append(plan.name)
-        (out / "sealed" / f"{plan.name}.json").write_text("{}")
+        (out / "sealed" / f"{plan.name}.json").write_text(json.dumps(sealed(plan.kind, []) | {"trial": plan.name}))
 
     monkeypatch.setattr(generate, "make_trial", make)
     with pytest.raises(KeyboardInterrupt):

@@ -42,17 +42,17 @@ COMMANDS: dict[str, type[Command]] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit code is 0, 1 if part of it failed, 2 for bad input, 130 after Ctrl-C."""
-    command = tyro.extras.subcommand_cli_from_dict(
-        COMMANDS,  # type: ignore[arg-type]
-        prog="dipc-gym",
-        description=(
-            "A double inverted pendulum on a cart with stick-slip friction: an environment, friction compensators, "
-            "and a tool that names the physics a simulator leaves out."
-        ),
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
     try:
+        command = tyro.extras.subcommand_cli_from_dict(
+            COMMANDS,  # type: ignore[arg-type]
+            prog="dipc-gym",
+            description=(
+                "A double inverted pendulum on a cart with stick-slip friction: an environment, friction compensators, "
+                "and a tool that names the physics a simulator leaves out."
+            ),
+            args=arguments,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
         return command.run()
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

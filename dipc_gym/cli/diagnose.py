@@ -60,12 +60,16 @@ class Diagnose:
     def run(self) -> int:
         """Diagnose, write, and say it in a sentence."""
         import shlex
+        from json import dumps
+        from math import isnan
 
         from dipc_gym import mjcf, recording
+        from dipc_gym.alone import alone
         from dipc_gym.recording.tables import check_format
         from dipc_gym.sim2real.diagnosis import diagnose
         from dipc_gym.sim2real.model.parameters import Wishes
         from dipc_gym.sim2real.report import content
+        from dipc_gym.sim2real.verdict.late import finite
 
         if self.jobs < 0:
             raise ValueError(f"--jobs {self.jobs}: give the number of threads, or 0 for all cores")
@@ -81,14 +85,20 @@ class Diagnose:
         fitted = recording.read_all(self.recordings, model, mapping=mapping, units=units)
         judged = recording.read_all(self.held_out, model, mapping=mapping, units=units)
         wishes = Wishes(self.fix, {key: _spread(key, text) for key, text in pairs("prior", self.prior).items()})
-        found = diagnose(source, fitted, judged, wishes=wishes, seed=self.seed, threads=self.jobs, tell=_progress())
-        for note in found.notes:
-            print(f"note: {note}")
-        command = shlex.join(["dipc-gym", *sys.argv[1:]])
-        content.save(found, self.out, model=self.model.name, command=command, overwrite=self.overwrite)
+        with alone(self.out):
+            found = diagnose(source, fitted, judged, wishes=wishes, seed=self.seed, threads=self.jobs, tell=_progress())
+            for note in found.notes:
+                print(f"note: {note}")
+            command = shlex.join(["dipc-gym", *sys.argv[1:]])
+            try:
+                content.save(found, self.out, model=self.model.name, command=command, overwrite=self.overwrite)
+            except OSError:
+                print(dumps(finite(found.to_dict()), indent=2))  # what took so long is not lost with the disk
+                raise
         print(f"\n{found.verdict.upper()}. {found.sentence}")
         for missing in found.missing:
-            print(f"  {missing.effect} at {missing.at}, {100 * missing.share:.0f} % of the improvement")
+            share = "?" if isnan(missing.share) else f"{100 * missing.share:.0f}"
+            print(f"  {missing.effect} at {missing.at}, {share} % of the improvement")
         if found.next_experiment:
             print(f"Next: {found.next_experiment}")
         lacking = [f"{m.effect} at {m.at}" for m in found.missing if m.needs_loader]

@@ -50,8 +50,7 @@ class Replay:
 
     def run(self) -> int:
         """Replay, print the table, write what was asked for."""
-        from json import dumps
-
+        from dipc_gym.files import write_json
         from dipc_gym.sim2real.replay import replay
 
         for path in (self.json, self.plot):
@@ -65,7 +64,7 @@ class Replay:
             print(f"note: {note}")
         print(done.table())
         if self.json is not None:
-            self.json.write_text(dumps(done.to_dict(), indent=1, allow_nan=False) + "\n")
+            write_json(self.json, done.to_dict())
         if self.plot is not None:
             done.plot(self.plot)
         return 0

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import compensators, controllers, mjcf, runs
+from dipc_gym import compensators, controllers, intact, mjcf, runs
 from dipc_gym.compensators import OutOfRangeWarning
 from dipc_gym.controllers import lqr, normalisation
 from dipc_gym.identification import Sweep
@@ -21,6 +21,23 @@ from dipc_gym.runs import Course, Identification, Impulse, identify
 
 Array = NDArray[np.float64]
 
+FIGURES = {
+    **dict.fromkeys(("seconds", "force_rms", "voltage_rms", "clipped_share"), float),
+    **dict.fromkeys(("cart_m", "pole1_deg", "pole2_deg"), (float, None)),
+    "survived": bool,
+}
+"""Shape of what `figures` gives."""
+RUN = {
+    **FIGURES,
+    **dict.fromkeys(("controller", "compensator"), str),
+    **dict.fromkeys(("cost", "cost_printed_q"), float),
+    "trained_with": (str, None),
+    "test_mse": (float, None),
+    "seed": int,
+    "parameters": int,
+    "notes": [str],
+}
+"""Shape of what `Balancing` gives."""
 SETTLED = 20.0  # s; the paper reads deviations off its Fig. 12 after that
 
 
@@ -58,6 +75,11 @@ class CompensatorTraining:
     def run(self) -> dict[str, Any]:
         """Train; the result is the compensator's dictionary."""
         return self.identification().fit(self.compensator, seed=self.seed).to_dict()
+
+    def check(self, result: Any) -> None:
+        """Refuse what is no compensator."""
+        intact.fit(result, {})
+        compensators.load(result)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,6 +151,16 @@ class Balancing:
             "notes": notes,
         }
 
+    def check(self, result: Any) -> None:
+        """Refuse what is no such run of this pair on this rig."""
+        intact.fit(result, RUN)
+        check_figures(result)
+        if not result["cost"] > 0:
+            raise ValueError(f"cost is {result['cost']}; it must be above zero")
+        named = (label(self.controller), label(self.compensator), self.seed)
+        if (result["controller"], result["compensator"], result["seed"]) != named:
+            raise ValueError(f"is not of {named[0]} and {named[1]} on rig {named[2]}")
+
     def trained_with(self) -> str | None:
         """The compensator that the policy was trained with, if it is another than this one."""
         brain = controllers.load(self.controller)
@@ -150,6 +182,17 @@ def figures(course: Course, plant: Plant, seconds: float) -> dict[str, Any]:
     for key, column, scale in (("cart_m", 0, 1.0), ("pole1_deg", 1, 180 / np.pi), ("pole2_deg", 2, 180 / np.pi)):
         found[key] = float(late[:, column].max()) * scale if len(late) else None
     return found
+
+
+def check_figures(run: dict[str, Any]) -> None:
+    """Refuse a run that stood to its end and has no deviations.
+
+    Raises:
+        ValueError: naming the field.
+    """
+    for key in ("cart_m", "pole1_deg", "pole2_deg"):
+        if run["survived"] and run[key] is None:
+            raise ValueError(f"{key} is null for a run that stood; it must be a number")
 
 
 def fingerprints(*paths: str | None) -> dict[str, str]:

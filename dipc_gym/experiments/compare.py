@@ -17,11 +17,13 @@ import gymnasium
 import numpy as np
 
 from dipc_gym import ENV_ID, compensators, controllers, recording, sweep
+from dipc_gym.alone import alone
 from dipc_gym.experiments import cells, robustness
 from dipc_gym.experiments.cells import Balancing, CompensatorTraining, label
 from dipc_gym.experiments.tables import summarise, table
-from dipc_gym.files import write_json
+from dipc_gym.files import write_json, write_whole
 from dipc_gym.identification import Sweep
+from dipc_gym.places import inside
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.policy import Policy
 from dipc_gym.randomise import PlantFamily
@@ -221,11 +223,16 @@ def run(
     Raises:
         ValueError: see `Comparison.check` and `sweep.run`.
         FileExistsError: the folder holds something else.
+        BusyError: another run is at work there.
         KeyboardInterrupt: after the summary of what is finished was written.
     """
     sweep.check(jobs, backend)
     comparison.check()
-    out = prepare_folder(out, overwrite=overwrite)
+    with alone(out):
+        return _run(comparison, prepare_folder(out, overwrite=overwrite), jobs, backend)
+
+
+def _run(comparison: Comparison, out: Path, jobs: int | None, backend: Backend) -> dict[str, Any]:
     folder = out / "cells"
     found: dict[str, Outcome[Any]] = {}
 
@@ -251,7 +258,7 @@ def run(
             do(plan, "robustness")
             held = robustness.summarise(plan, [o for o in found.values() if o.failure is None], comparison.pairs())
             write_json(out / "robustness.json", held)
-            (out / "robustness.txt").write_text(robustness.table(held) + "\n", encoding="utf-8")
+            write_whole(out / "robustness.txt", (robustness.table(held) + "\n").encode())
             robustness.draw(held, out / "figures")
         complete = True
     finally:
@@ -260,7 +267,7 @@ def run(
         settings = dataclasses.asdict(comparison)
         summary = summarise(settings, comparison.pairs(), done, notes, complete, failures)
         write_json(out / "summary.json", summary)
-        (out / "table.txt").write_text(table(summary) + "\n", encoding="utf-8")
+        write_whole(out / "table.txt", (table(summary) + "\n").encode())
     return summary
 
 
@@ -271,13 +278,15 @@ def prepare_folder(out: str | Path, *, overwrite: bool) -> Path:
         FileExistsError: it is a file, or holds something else than a comparison.
     """
     out = Path(out)
+    for name in FOLDERS:
+        inside(out, name)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         if not (out / "cells").is_dir():
             raise FileExistsError(f"{out} exists, and is neither empty nor a comparison's; choose another folder")
         if overwrite:
             _clear(out)
     for name in FOLDERS:
-        (out / name).mkdir(parents=True, exist_ok=True)
+        inside(out, name).mkdir(parents=True, exist_ok=True)
     return out
 
 

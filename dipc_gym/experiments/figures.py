@@ -14,6 +14,7 @@ import numpy as np
 
 from dipc_gym import ENV_ID, compensators
 from dipc_gym.compensators import LOLIMOT, Samples
+from dipc_gym.files import whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -219,7 +220,9 @@ def animate(
             frames.append(frame.quantize(128, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
     finally:
         env.close()
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=1000 / GIF_RATE, loop=0, optimize=True)
+    how: dict[str, Any] = {"duration": 1000 / GIF_RATE, "loop": 0, "optimize": True}
+    with whole(path) as file:
+        frames[0].save(file, "GIF", save_all=True, append_images=frames[1:], **how)
 
 
 def show(course: Course, *, model: str | None = None, seconds: float = GIF_SECONDS) -> None:
@@ -255,4 +258,5 @@ def _figure(rows: int, title: str, size: tuple[float, float]) -> Figure:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    figure.savefig(path, dpi=110)
+    with whole(path) as file:
+        figure.savefig(file, dpi=110, format=path.suffix[1:])

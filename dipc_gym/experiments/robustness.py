@@ -11,8 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from dipc_gym import intact
 from dipc_gym.experiments import cells
 from dipc_gym.experiments.cells import Balancing
+from dipc_gym.files import whole
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.runs import Impulse
 from dipc_gym.sweep import Outcome
@@ -129,6 +131,14 @@ class Endurance:
             course, _ = self.balancing.course(plant, impulse)
             rows.append({"value": value, **cells.figures(course, plant, seconds)})
         return rows
+
+    def check(self, result: Any) -> None:
+        """Refuse what are no such runs along this axis."""
+        intact.fit(result, [{"value": float, **cells.FIGURES}])
+        for row in result:
+            cells.check_figures(row)
+        if [row["value"] for row in result] != list(self.values):
+            raise ValueError(f"is not of the {len(self.values)} values along the axis {self.axis}")
 
 
 def check(names: Iterable[str], plant: Plant) -> None:
@@ -250,4 +260,5 @@ def draw(summary: Mapping[str, Any], folder: Path) -> None:
 
     picture = figures.robustness(summary)
     for kind in ("pdf", "png"):
-        picture.savefig(folder / f"robustness.{kind}", dpi=200)
+        with whole(folder / f"robustness.{kind}") as file:
+            picture.savefig(file, dpi=200, format=kind)

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
+from dipc_gym.places import PlaceError, inside
+
 MAX_TEXT = 20_000_000  # bytes of XML, everything that is included counted as often as it is
 MAX_FILES = 400_000_000  # bytes of all files that a model pulls in
 MAX_DEPTH = 50  # files that include one another
@@ -159,15 +161,12 @@ class _Scan:
         if key.startswith("/") or ":" in key:
             raise MjcfError(f"{where}: {path!r} is not a path inside the model's folder; use a relative one")
         try:
-            full = (self.folder / key).resolve()
-            found = full.is_file()
-        except (OSError, ValueError, RuntimeError):  # too long a name, a NUL, a ring of symbolic links
-            full, found = self.folder, False
-        if key.startswith("..") or not full.is_relative_to(self.folder):
+            full = inside(self.folder, key)
+        except PlaceError:
             raise MjcfError(
                 f"{where}: {path!r} leads out of the model's folder {self.folder}; move the file into that folder"
-            )
-        if not found:
+            ) from None
+        if not full.is_file():
             raise MjcfError(f"{where}: file {key!r} is not in {self.folder}")
         self.files[key] = _load(full, where, MAX_FILES - self.file_bytes)
         self.file_bytes += len(self.files[key])

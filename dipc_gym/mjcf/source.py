@@ -20,6 +20,7 @@ from pathlib import Path
 
 import mujoco
 
+from dipc_gym.mjcf.numbers import check_numbers
 from dipc_gym.mjcf.scan import MjcfError, load_text, scan
 
 CPU_LIMIT = 20  # seconds of computing for the trial compilation
@@ -101,7 +102,7 @@ def compile(source: Source | str | Path, *, trusted: bool = False) -> mujoco.MjM
 
     Raises:
         MjcfError: as `read`; or the model does not compile, with MuJoCo's message; or that takes more time or
-            memory than allowed.
+            memory than allowed; or it compiles to numbers that nothing can be simulated with.
 
     Example:
         >>> model = compile('<mujoco><worldbody><body><joint/><geom size="1"/></body></worldbody></mujoco>')
@@ -119,9 +120,13 @@ def compile(source: Source | str | Path, *, trusted: bool = False) -> mujoco.MjM
         _try_in_child(source)
         _tried.add(source.sha256)
     try:
-        return mujoco.MjModel.from_xml_string(source.text, assets=dict(source.files))
+        model = mujoco.MjModel.from_xml_string(source.text, assets=dict(source.files))
     except (ValueError, mujoco.FatalError) as error:
         raise MjcfError(f"{source.name}: {_one_line(str(error))}") from None
+    if not trusted and source.sha256 not in _sound:
+        check_numbers(model, source.name)
+        _sound.add(source.sha256)
+    return model
 
 
 def quiet_mujoco() -> None:
@@ -138,6 +143,7 @@ def quiet_mujoco() -> None:
 # The trial compilation
 
 _tried: set[str] = set()  # digests of what compiled in a child of this process
+_sound: set[str] = set()  # digests of those whose numbers were looked at
 
 _CHILD = """
 import ctypes as c, os, resource, struct, sys

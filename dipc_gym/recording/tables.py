@@ -9,9 +9,10 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import itertools
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 1_000_000_000  # of a file
 MAX_VALUES = 100_000_000  # rows times columns that are loaded
+MAX_LINES = 20_000_000  # of a CSV file, empty ones included
+MAX_LINE = 1_000_000  # characters of one of them
+BLOCK = 50_000  # lines that are parsed at a time; all at once would take ten times the file's size in memory
 FORMATS = (".csv", ".parquet", ".npz")
 
 Choose = Callable[[Sequence[str]], Sequence[str]]
@@ -88,7 +92,7 @@ def read_table(path: Path, choose: Choose) -> Table:
         data = path.read_bytes()
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
-    if not data.strip():
+    if data.isspace() or not data:
         raise RecordingError(f"{path}: the file is empty")
     reader = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}[suffix]
     names, columns, lines = reader(path, data, choose)
@@ -136,27 +140,53 @@ def _read_csv(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[
         raise RecordingError(f"{path}: the text is UTF-16; save the CSV as UTF-8")
     if b"\0" in data:
         raise RecordingError(f"{path}: not a CSV file: it contains binary data")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise RecordingError(f"{path}, line {line}: not UTF-8 text; save the CSV as UTF-8") from None
-    rows = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    lines = [number for number, row in enumerate(rows, 1) if row.strip()]
-    rows = [rows[number - 1] for number in lines]
-    header = [name.strip() for name in _cells(path, rows[0], lines[0])]
+    if max(data.count(b"\n"), data.count(b"\r")) > MAX_LINES:
+        raise RecordingError(f"{path}: more than {MAX_LINES:,} lines; split the recording")
+    numbered = _lines(path, data)
+    first, row = next(numbered)
+    header = [name.strip() for name in _cells(path, row, first)]
     names = [name or f"column {k}" for k, name in enumerate(header, 1)]  # pandas writes its index without a name
-    _check_csv_header(path, names, rows[0])
+    _check_csv_header(path, names, row)
     wanted = list(choose(names))
-    del rows[0], lines[0]
-    if not rows:
+    place_of = {name: place for place, name in enumerate(names)}
+    places = [place_of[name] for name in wanted]
+    values, lines, count = [], [], 0
+    while block := list(itertools.islice(numbered, BLOCK)):
+        count += len(block)
+        _check_size(path, count, max(1, len(wanted)))
+        rows, standing = [row for _, row in block], [line for line, _ in block]
+        found = _fast_values(rows, len(names), places)
+        values.append(_slow_values(path, rows, standing, names, places) if found is None else found)
+        lines.append(np.array(standing, dtype=np.int32))
+    if not values:
         raise RecordingError(f"{path}: there is a header but no data")
-    _check_size(path, len(rows), max(1, len(wanted)))
-    places = [names.index(name) for name in wanted]
-    values = _fast_values(rows, len(names), places)
-    if values is None:
-        values = _slow_values(path, rows, lines, names, places)
-    return names, {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(wanted)}, lines
+    columns = {name: np.concatenate([block[:, k] for block in values]) for k, name in enumerate(wanted)}
+    return names, columns, np.concatenate(lines)  # type: ignore[return-value]
+
+
+def _lines(path: Path, data: bytes) -> Iterator[tuple[int, str]]:
+    """The lines of a text that are not empty, with their numbers."""
+    text = io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig")
+    number = 0
+    try:
+        while line := text.readline(MAX_LINE + 1):
+            number += 1
+            if len(line) > MAX_LINE:
+                raise RecordingError(f"{path}, line {number}: longer than {MAX_LINE:,} characters; this is no table")
+            if line := line.strip("\n") if not line.isspace() else "":
+                yield number, line
+    except UnicodeDecodeError:
+        number = _undecodable(data)
+        raise RecordingError(f"{path}, line {number}: not UTF-8 text; save the CSV as UTF-8") from None
+
+
+def _undecodable(data: bytes) -> int:
+    """The line of the first byte that is not UTF-8."""
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        return data.count(b"\n", 0, error.start) + 1
+    return 1
 
 
 def _check_csv_header(path: Path, names: list[str], header: str) -> None:

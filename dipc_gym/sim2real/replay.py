@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym import physics as custom
 from dipc_gym import recording as recordings
+from dipc_gym.files import whole
 from dipc_gym.recording import Recording
 from dipc_gym.recording import units as si
 from dipc_gym.sim2real.estimation.fit import correct_starts, fit
@@ -200,7 +201,8 @@ class Replay:
             axis.grid(alpha=0.25)
         axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
         axes[-1].set_xlabel("time, s; yellow: worst windows; grey: twice the noise")
-        figure.savefig(path, dpi=110)
+        with whole(path) as file:
+            figure.savefig(file, dpi=110, format=path.suffix[1:].lower())
         return path
 
 

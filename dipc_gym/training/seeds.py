@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dipc_gym import sweep
+from dipc_gym import intact, sweep
+from dipc_gym.alone import alone
 from dipc_gym.experiments import cells
 from dipc_gym.files import write_whole
+from dipc_gym.places import inside
 from dipc_gym.sweep import Backend, Outcome
 from dipc_gym.training import train
 from dipc_gym.training.train import Rig, Training
@@ -54,6 +56,14 @@ class PolicyTraining:
             kept = [out / name for name in KEPT]
             return {path.name: path.read_text(encoding="utf-8") for path in kept if path.exists()}
 
+    def check(self, result: object) -> None:
+        """Refuse what are no such files."""
+        intact.fit(result, {str: str})
+        intact.fit(result, {"policy.json": str})
+        for name in result:  # type: ignore[attr-defined]
+            if name not in KEPT:
+                raise ValueError(f"has a file {name!r}, which no training leaves")
+
 
 def run(
     trainings: Sequence[Training],
@@ -82,26 +92,39 @@ def run(
     Raises:
         ValueError: a training cannot be, or what the folder holds was begun with other parameters; see `sweep.run`.
         FileExistsError: the folder holds something else.
+        BusyError: another run is at work there.
         ImportError: Ray is asked for and not installed.
     """
     sweep.check(jobs, backend)
     wanted = [PolicyTraining.of(training) for training in trainings]
     for training in {(t.compensator, t.plant, t.model): t for t in trainings}.values():
         Rig.of(training)  # a rig that cannot be is refused before anything is written
-    out = _folder(Path(out), overwrite)
     done = {}
-    for outcome in sweep.run(wanted, out / CELLS, jobs=jobs, backend=backend, label="train"):
-        done[outcome.cell.name] = outcome
-        if outcome.failure is None:
-            (out / outcome.cell.name).mkdir(parents=True, exist_ok=True)
-            for name, text in outcome.result.items():
-                write_whole(out / outcome.cell.name / name, text.encode())
+    with alone(out):
+        out = _folder(Path(out), overwrite)
+        for outcome in sweep.run(wanted, inside(out, CELLS), jobs=jobs, backend=backend, label="train"):
+            done[outcome.cell.name] = outcome
+            if outcome.failure is None:
+                keep(outcome, out)
     return [done[cell.name] for cell in wanted]
+
+
+def keep(outcome: Outcome[PolicyTraining], out: Path) -> None:
+    """Write what a training gave into its folder.
+
+    Raises:
+        PlaceError: a name leads out of that folder, as only a stranger's cell has it.
+        OSError: it cannot be written.
+    """
+    folder = inside(out, outcome.cell.name)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in outcome.result.items():
+        write_whole(inside(folder, name), text.encode())
 
 
 def _folder(out: Path, overwrite: bool) -> Path:
     """See that the folder is this sweep's or nobody's, or clear an earlier sweep's results, and no other file."""
-    held = out / CELLS
+    held = inside(out, CELLS)
     if out.exists() and not held.is_dir() and (not out.is_dir() or any(out.iterdir())):
         raise FileExistsError(f"{out} exists and holds no sweep of trainings; choose another folder")
     if overwrite and held.is_dir():
@@ -110,6 +133,6 @@ def _folder(out: Path, overwrite: bool) -> Path:
             raise FileExistsError(f"{held} holds no earlier sweep to overwrite; choose another folder")
         for cell in done:
             for name in KEPT:
-                (out / cell.stem / name).unlink(missing_ok=True)
+                inside(out, f"{cell.stem}/{name}").unlink(missing_ok=True)
             cell.unlink()
     return out

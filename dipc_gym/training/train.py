@@ -23,12 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import ENV_ID, compensators
+from dipc_gym.alone import alone
 from dipc_gym.compensators import Compensator, OutOfRangeWarning
 from dipc_gym.experiments import cells
-from dipc_gym.files import write_whole
+from dipc_gym.files import remove_partial, write_whole
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Evaluation, Policy
 from dipc_gym.runs import identify
+from dipc_gym.untrusted import Format, shown
 
 Array = NDArray[np.float64]
 Algorithm = Literal["ppo", "sac"]
@@ -42,6 +44,9 @@ FILES = ("training.json", "checkpoint.pt", "policy.json", "compensator.json", "c
 
 class TrainingError(ValueError):
     """A training that cannot be started or continued; the message says what to do."""
+
+
+TRAINING = Format("note on a training", "train-policy", "start anew with --overwrite", 1_000_000, TrainingError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,20 +309,28 @@ def run(
     Raises:
         TrainingError: the folder's training is another, or its checkpoint is broken.
         FileExistsError: the folder is not empty, and neither `resume` nor `overwrite` is set.
+        BusyError: another run is at work there.
         OSError: the disk is full; the last checkpoint is whole.
         KeyboardInterrupt: the last checkpoint is whole.
         ImportError: stable-baselines3 or torch is not installed.
     """
     try:
-        from dipc_gym.training.learner import Learner
+        import dipc_gym.training.learner  # noqa: F401  what it needs may not be installed
     except ImportError as missing:
         raise ImportError(
             f"training a policy needs {missing.name}: pip install -e '.[rl]' in the checkout"
         ) from missing
+    rig = Rig.of(training)
+    with alone(out):
+        return _run(training, rig, Path(out), resume, overwrite, quiet)
+
+
+def _run(training: Training, rig: Rig, out: Path, resume: bool, overwrite: bool, quiet: bool) -> Policy:
     from tqdm import tqdm
 
-    rig = Rig.of(training)
-    out = _folder(training, Path(out), resume=resume, overwrite=overwrite)
+    from dipc_gym.training.learner import Learner
+
+    out = _folder(training, out, resume=resume, overwrite=overwrite)
     learner = Learner(training, rig, out / "tensorboard")
     looks: list[Look] = []
     if resume and (out / "checkpoint.pt").exists():
@@ -366,11 +379,13 @@ def run(
 def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> Path:
     """Make the folder, clear it, or see that it holds this training."""
     note = out / "training.json"
+    if out.is_dir() and (resume or overwrite):
+        remove_partial(out)
     files = cells.fingerprints(training.compensator, training.plant, training.model)
     wanted = json.loads(json.dumps({**training.to_dict(), "files": files}))
     if resume and note.exists():
         try:
-            there = json.loads(note.read_bytes())
+            there = TRAINING.read(note)
             flat, other = _flat(wanted), _flat(there)
             kept = dict(there.get("files", {}))
         except (ValueError, AttributeError, LookupError, TypeError, RecursionError):
@@ -378,7 +393,8 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
         for key in flat.keys() | other.keys():
             if flat.get(key) != other.get(key):
                 raise TrainingError(
-                    f"{note}, {key}: this training was begun with {other.get(key)!r}, not {flat.get(key)!r}; "
+                    f"{note}, {shown(key)}: this training was begun with {shown(other.get(key))}, not "
+                    f"{shown(flat.get(key))}; "
                     "resume with the same, or train into another folder"
                 )
         for path, digest in files.items():

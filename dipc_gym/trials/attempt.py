@@ -17,6 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import dipc_gym
+from dipc_gym import intact
+from dipc_gym.places import inside
+from dipc_gym.trials.records import digests
 
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv")
 PATIENCE = 1800.0
@@ -83,7 +86,7 @@ def replay_tool(model: Path, recording: Path, *, step: float | None) -> dict[str
 def _read(path: Path) -> dict[str, Any]:
     try:
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RuntimeError(f"{path} is not JSON: {error}") from None
     return found
 
@@ -158,7 +161,7 @@ class Attempt:
                 note["failure"], note["timed_out"] = str(error), isinstance(error, TookTooLong)
             note["seconds"] = time.perf_counter() - begun
             if note["failure"] is None:
-                improved = result / (diagnosis.get("improved_model") or "improved.xml")
+                improved = inside(result, diagnosis.get("improved_model") or "improved.xml")
                 model = improved if improved.exists() else folder / "nominal.xml"
                 try:
                     note["sensor_errors"] = replay_tool(model, folder / "test.csv", step=CONVERGED)
@@ -166,4 +169,9 @@ class Attempt:
                 except RuntimeError as error:
                     note["replay_failure"] = str(error)
             written = {path.name: path.read_text(encoding="utf-8") for path in result.glob("*")}
-        return {**written, "attempt.json": json.dumps(note, indent=1)}
+        note["files"] = digests({name: text.encode() for name, text in written.items()})
+        return {**written, "attempt.json": json.dumps(intact.signed(note), indent=1)}
+
+    def check(self, result: Any) -> None:
+        """Refuse what are no texts by name."""
+        intact.fit(result, {str: str})

@@ -6,12 +6,16 @@ generated, and a run that was interrupted goes on where it stopped.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
-from dipc_gym.trials import rigs
+from dipc_gym import intact
+from dipc_gym.files import whole, write_whole
+from dipc_gym.intact import DamagedError
+from dipc_gym.interrupts import held_back
+from dipc_gym.places import inside
+from dipc_gym.trials import records, rigs
 from dipc_gym.trials.catalogue import effects
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Rig, nominal_xml
 from dipc_gym.trials.secret import Plan, Secret
@@ -22,6 +26,7 @@ SMALL = {"null": 15, "single": 18, "pair": 3, "unknown": 3, "wrong": 3}
 FULL = {"null": 150, "single": 182, "pair": 36, "unknown": 32, "wrong": 30}
 RIG_WEIGHTS = {"cart": 0.3, "hanging": 0.2, "upright": 0.15, "motor_axis": 0.2, "pendulum": 0.15}
 REDRAWS = 200
+GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv", "test.csv")
 
 
 def plans(seed: int, *, count: int | None = None, full: bool = False) -> list[Plan]:
@@ -76,7 +81,8 @@ def plans(seed: int, *, count: int | None = None, full: bool = False) -> list[Pl
 def generate(out: Path, *, seed: int, count: int | None = None, full: bool = False, jobs: int = 1) -> list[Plan]:
     """Write trials into `out/trials/NAME` and their answers into `out/sealed/NAME.json`.
 
-    A trial whose answer is there is left alone. A folder made from another seed or composition is refused.
+    A trial whose answer is there is left alone; one that was damaged is set aside and made again. A folder made from
+    another seed or composition is refused.
 
     Args:
         out: folder.
@@ -99,21 +105,51 @@ def generate(out: Path, *, seed: int, count: int | None = None, full: bool = Fal
     from tqdm import tqdm
 
     wanted = plans(seed, count=count, full=full)
-    (out / "sealed").mkdir(parents=True, exist_ok=True)
+    for part in ("sealed", "trials", "results"):
+        inside(out, part).mkdir(parents=True, exist_ok=True)
     note = out / "generator.json"
     identity = {"schema": SCHEMA, "seed": seed, "full": full, "plans": len(wanted)}
-    if note.exists():
-        found = json.loads(note.read_text(encoding="utf-8"))
-        if found != identity:
-            raise ValueError(f"{note}: made with {found}, asked for {identity}; choose another folder")
-    note.write_text(json.dumps(identity, indent=1), encoding="utf-8")
-    missing = [plan for plan in wanted if not (out / "sealed" / f"{plan.name}.json").exists()]
-    runs = Parallel(n_jobs=jobs, return_as="generator_unordered")(
-        delayed(make_trial)(out, plan, seed) for plan in missing
-    )
+    same_trials(note, identity)
+    intact.write(note, identity)
+    missing = [plan for plan in wanted if not _made(out, plan, seed)]
+    with held_back():
+        runs = Parallel(n_jobs=jobs, return_as="generator_unordered")(
+            delayed(make_trial)(out, plan, seed) for plan in missing
+        )
     for _ in tqdm(runs, total=len(missing), desc="generate", disable=None):
         pass
     return wanted
+
+
+def same_trials(note: Path, identity: dict[str, object]) -> None:
+    """Refuse a folder whose note says that other trials are in it.
+
+    Raises:
+        ValueError: naming both.
+    """
+    if not note.exists():
+        return
+    try:
+        found = intact.read(note, {"schema": str, "seed": int, "full": bool, "plans": int})
+    except DamagedError as damage:
+        intact.set_aside(note, damage)
+        return
+    if found != identity:
+        raise ValueError(f"{note}: made with {found!s:.200}, asked for {identity}; choose another folder")
+
+
+def _made(out: Path, plan: Plan, seed: int) -> bool:
+    path = inside(out, f"sealed/{plan.name}.json")
+    if not path.exists():
+        return False
+    try:
+        held = records.answer(out, plan.name)
+    except DamagedError as damage:
+        intact.set_aside(path, damage)
+        return False
+    if (origin := held.get("seed", [seed, plan.number])) != [seed, plan.number]:
+        raise ValueError(f"{path}: made with seed {origin}, asked for {[seed, plan.number]}; choose another folder")
+    return True
 
 
 def make_trial(out: Path, plan: Plan, seed: int) -> None:
@@ -126,12 +162,13 @@ def make_trial(out: Path, plan: Plan, seed: int) -> None:
     else:
         raise RuntimeError(f"{plan.name}: no usable rig with {plan.effect or plan.kind} found; change the seed")
     answer = {"schema": SCHEMA, "trial": plan.name, "seed": [seed, plan.number], **trial.answer(plan)}
-    folder = out / "trials" / plan.name
+    folder = inside(out, f"trials/{plan.name}")
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "nominal.xml").write_text(nominal_xml(trial.rig, trial.nominal), encoding="utf-8")
+    write_whole(folder / "nominal.xml", nominal_xml(trial.rig, trial.nominal).encode())
     for name, recording in zip(("train_1", "train_2", "test"), trial.recordings, strict=True):
         write_csv(folder / f"{name}.csv", trial.rig, recording)
-    (out / "sealed" / f"{plan.name}.json").write_text(json.dumps(answer, indent=1), encoding="utf-8")
+    files = {name: (folder / name).read_bytes() for name in GIVEN}
+    intact.write(inside(out, f"sealed/{plan.name}.json"), {**answer, "files": records.digests(files)})
 
 
 def write_csv(path: Path, rig: Rig, recording: Recording) -> None:
@@ -139,4 +176,5 @@ def write_csv(path: Path, rig: Rig, recording: Recording) -> None:
     time = np.arange(SAMPLES) * SAMPLE_TIME
     table = np.column_stack([time, recording.command, recording.measured])
     header = ",".join(("time", "motor", *rig.joints))
-    np.savetxt(path, table, fmt="%.9g", delimiter=",", header=header, comments="")
+    with whole(path) as file:
+        np.savetxt(file, table, fmt="%.9g", delimiter=",", header=header, comments="")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from dipc_gym.files import whole, write_json, write_whole
 
 
 def write_report(out: Path, scores: Mapping[str, Any], *, seed: int) -> None:
@@ -19,8 +20,8 @@ def write_report(out: Path, scores: Mapping[str, Any], *, seed: int) -> None:
         scores: from `dipc_gym.trials.score.score`.
         seed: of the trials, for the record.
     """
-    (out / "report.json").write_text(json.dumps(_finite({"seed": seed, **scores}), indent=1), encoding="utf-8")
-    (out / "report.md").write_text(markdown(scores, seed=seed), encoding="utf-8")
+    write_json(out / "report.json", _finite({"seed": seed, **scores}))
+    write_whole(out / "report.md", markdown(scores, seed=seed).encode())
     if scores["trials"]:
         figure(scores, out / "report.png")
 
@@ -154,4 +155,5 @@ def figure(scores: Mapping[str, Any], path: Path) -> None:
     for i, j in zip(*np.nonzero(counts), strict=True):
         ink = "white" if shares[i, j] > 0.5 else "black"
         right.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7, color=ink)
-    canvas.savefig(path, dpi=130)
+    with whole(path) as file:
+        canvas.savefig(file, dpi=130, format="png")

@@ -5,7 +5,6 @@ Neither can name what is missing; what they can be compared by is the held-out e
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,9 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from dipc_gym import sweep
-from dipc_gym.files import write_json
+from dipc_gym import intact, sweep
+from dipc_gym.alone import alone
+from dipc_gym.files import write_json, write_whole
+from dipc_gym.intact import DamagedError
+from dipc_gym.places import inside
 from dipc_gym.sweep import Backend
+from dipc_gym.trials import records
 from dipc_gym.trials.generate import generate
 from dipc_gym.trials.judge import CLEAR, in_noise
 from dipc_gym.trials.run import processes, swept
@@ -65,6 +68,10 @@ class Contest:
         note["network"]["error"] = error(nominal, test, noise, force)
         return note
 
+    def check(self, result: Any) -> None:
+        """Refuse what no contest gives."""
+        intact.fit(result, records.CONTEST)
+
 
 def compare(
     out: Path, *, seed: int, count: int | None = None, full: bool = False, jobs: int | None = None,
@@ -86,36 +93,51 @@ def compare(
         One entry a trial that they have seen: what was hidden, and everybody's held-out error in units of noise.
     """
     sweep.check(jobs, backend)
+    with alone(out):
+        return _compare(out, seed, count, full, jobs, backend)
+
+
+def _compare(
+    out: Path, seed: int, count: int | None, full: bool, jobs: int | None, backend: Backend
+) -> list[dict[str, Any]]:
     made = generate(out, seed=seed, count=count, full=full, jobs=processes(jobs, backend))
     names = [plan.name for plan in made]
     contests = [
-        Contest(folder=str((out / "trials" / name).absolute()), noise=tuple(_answer(out, name)["noise"].values()))
+        Contest(
+            folder=str((out / "trials" / name).absolute()), noise=tuple(records.answer(out, name)["noise"].values())
+        )
         for name in names
-        if not (out / "results" / name / "rivals.json").exists()
+        if not _done(out, name)
     ]
     try:
         for name, note in swept(contests, jobs=jobs, backend=backend, label="rivals"):
-            (out / "results" / name).mkdir(parents=True, exist_ok=True)
-            write_json(out / "results" / name / "rivals.json", note)
+            inside(out, f"results/{name}").mkdir(parents=True, exist_ok=True)
+            intact.write(inside(out, f"results/{name}/rivals.json"), note)
     finally:
         rows = [row for name in names if (row := _row(out, name))]
-        (out / "rivals.json").write_text(json.dumps({"seed": seed, "trials": rows}, indent=1), encoding="utf-8")
-        (out / "rivals.md").write_text(markdown(rows, seed=seed), encoding="utf-8")
+        write_json(out / "rivals.json", {"seed": seed, "trials": rows})
+        write_whole(out / "rivals.md", markdown(rows, seed=seed).encode())
     return rows
 
 
-def _answer(out: Path, name: str) -> dict[str, Any]:
-    answer: dict[str, Any] = json.loads((out / "sealed" / f"{name}.json").read_text(encoding="utf-8"))
-    return answer
+def _done(out: Path, name: str) -> bool:
+    note = inside(out, f"results/{name}/rivals.json")
+    if not note.exists():
+        return False
+    try:
+        records.contest(out, name)
+    except DamagedError as damage:
+        intact.set_aside(note, damage)
+        return False
+    return True
 
 
 def _row(out: Path, name: str) -> dict[str, Any] | None:
-    note, attempt = (out / "results" / name / file for file in ("rivals.json", "attempt.json"))
-    if not note.exists():
+    if not (out / "results" / name / "rivals.json").exists():
         return None
-    answer = _answer(out, name)
-    rivals = json.loads(note.read_text(encoding="utf-8"))
-    ours = json.loads(attempt.read_text(encoding="utf-8"))["sensor_errors"] if attempt.exists() else None
+    answer, rivals = records.answer(out, name), records.contest(out, name)
+    tried = (out / "results" / name / "attempt.json").exists()
+    ours = records.attempt(out, name)[0]["sensor_errors"] if tried else None
     return {
         "trial": name,
         "kind": answer["kind"],

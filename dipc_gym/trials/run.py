@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dipc_gym import sweep
+from dipc_gym import intact, sweep
+from dipc_gym.alone import alone
 from dipc_gym.files import write_whole
+from dipc_gym.intact import DamagedError
+from dipc_gym.places import inside
 from dipc_gym.sweep import Backend, Cell
+from dipc_gym.trials import records
 from dipc_gym.trials.attempt import PATIENCE, Attempt, tool
 from dipc_gym.trials.generate import generate, plans
 from dipc_gym.trials.publish import write_report
 from dipc_gym.trials.score import score
+from dipc_gym.trials.secret import Plan
 
 
 def trial(
@@ -39,22 +43,30 @@ def trial(
     Raises:
         ValueError: `out` holds trials of another seed or composition, or results of another version of the tool; or
             see `sweep.run`.
+        BusyError: another run is at work in `out`.
         ImportError: Ray is asked for and not installed.
         KeyboardInterrupt: after what is done was scored.
     """
     sweep.check(jobs, backend)
-    planned = plans(seed, count=count, full=full)
+    with alone(out):
+        return _trial(out, plans(seed, count=count, full=full), seed, count, full, jobs, backend, patience)
+
+
+def _trial(
+    out: Path, planned: Sequence[Plan], seed: int, count: int | None, full: bool, jobs: int | None, backend: Backend,
+    patience: float,
+) -> dict[str, Any]:  # fmt: skip
     # Rates of false alarms take the most trials and the least time: a run that is stopped early has these.
     order = [plan.name for plan in sorted(planned, key=lambda plan: plan.kind != "null")]
     attempts = [
         Attempt(folder=str((out / "trials" / name).absolute()), seed=0, limit=patience)
         for name in order
-        if not _done(out / "results" / name)
+        if not _done(out, name)
     ]
     generate(out, seed=seed, count=count, full=full, jobs=processes(jobs, backend))
     try:
         for name, texts in swept(attempts, jobs=jobs, backend=backend, label="diagnose"):
-            _keep(texts, out / "results" / name)
+            _keep(texts, inside(out, f"results/{name}"))
     finally:
         scores = score(out, [plan.name for plan in planned])
         write_report(out, scores, seed=seed)
@@ -80,15 +92,21 @@ def processes(jobs: int | None, backend: Backend) -> int:
     return jobs if jobs is not None and backend == "local" else sweep.LOCAL_JOBS
 
 
-def _done(result: Path) -> bool:
-    note = result / "attempt.json"
+def _done(out: Path, name: str) -> bool:
+    note = inside(out, f"results/{name}/attempt.json")
     if not note.exists():
         return False
-    said = json.loads(note.read_text(encoding="utf-8"))
+    try:
+        said, _ = records.attempt(out, name)
+        if said["failure"] is None and inside(out, f"sealed/{name}.json").exists():
+            records.judgement(out, name)
+    except DamagedError as damage:
+        intact.set_aside(note, damage)
+        return False
     if said["failure"] is None and said.get("tool") != tool():
         raise ValueError(
             f"{note}: diagnosed by another version of the tool, and the two make no rate; choose another folder, or "
-            f"remove {result.parent} to diagnose all anew"
+            f"remove {note.parent.parent} to diagnose all anew"
         )
     return said["failure"] is None
 
@@ -96,8 +114,9 @@ def _done(result: Path) -> bool:
 def _keep(texts: Mapping[str, str], result: Path) -> None:
     """Write what an attempt gave; its note comes last, for it says that all is there. What rivals gave stays."""
     result.mkdir(parents=True, exist_ok=True)
+    (result / "attempt.json").unlink(missing_ok=True)
     for old in result.iterdir():
-        if old.name != "rivals.json":
+        if old.name != "rivals.json" and old.suffix != intact.ASIDE:
             old.unlink()
     for name in sorted(texts, key="attempt.json".__eq__):
-        write_whole(result / name, texts[name].encode())
+        write_whole(inside(result, name), texts[name].encode())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -12,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from dipc_gym.trials.judge import Judgement, judge
+from dipc_gym.trials.judge import Judgement
+from dipc_gym.trials.records import judgement
 
 SIZES = (0.0, 1.0, 2.0, 5.0, 20.0, 100.0, math.inf)
 """Edges of effect size: change of the held-out prediction in noise standard deviations."""
@@ -41,17 +41,12 @@ def score(out: Path, names: Sequence[str]) -> dict[str, Any]:
 
     Returns:
         `summary`, `by_size`, `by_share`, `confusion` and `trials`, ready for JSON.
+
+    Raises:
+        DamagedError: an answer or an attempt is not what was written.
     """
-    judged = []
-    for name in names:
-        note = out / "results" / name / "attempt.json"
-        if not note.exists():
-            continue
-        answer = json.loads((out / "sealed" / f"{name}.json").read_text(encoding="utf-8"))
-        attempt = json.loads(note.read_text(encoding="utf-8"))
-        written = note.with_name("diagnosis.json")
-        diagnosis = json.loads(written.read_text(encoding="utf-8")) if written.exists() else None
-        judged.append(judge(answer, diagnosis, attempt))
+    tried = [name for name in names if (out / "results" / name / "attempt.json").exists()]
+    judged = [judgement(out, name) for name in tried]
     return {"open": len(names) - len(judged), **summarise(judged)}
 
 

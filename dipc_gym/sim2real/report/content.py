@@ -14,7 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.files import write_whole
 from dipc_gym.mjcf.edit import Document
+from dipc_gym.places import inside
 from dipc_gym.recording.units import of_sensor
 from dipc_gym.sim2real.estimation.fit import Fit, correct_starts, fit
 from dipc_gym.sim2real.estimation.problem import Problem
@@ -22,9 +24,11 @@ from dipc_gym.sim2real.estimation.segments import joined
 from dipc_gym.sim2real.report import page
 from dipc_gym.sim2real.result import Diagnosis, Work
 from dipc_gym.sim2real.selection.score import compare
+from dipc_gym.sim2real.verdict.late import finite
 
 Array = NDArray[np.float64]
 
+DRAFTS = ".diagnosis-"  # what the folder of files that are not in place yet is called, with a few letters more
 LAGS = 60  # of the autocorrelation shown
 WHITE = 0.1  # an autocorrelation below this at every lag shown passes for noise; quantisation leaves a little
 
@@ -41,27 +45,53 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
 
     Raises:
         FileExistsError: the folder is not empty, or is a file.
+        OSError: a file cannot be written; the message says at which, and which are whole.
 
     Returns:
         The folder.
     """
     check_free(folder, overwrite)
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".diagnosis-") as draft:
-        drafts = Path(draft)
-        for name, content in found.files.items():
-            (drafts / name).parent.mkdir(parents=True, exist_ok=True)
-            (drafts / name).write_bytes(content)
-        (drafts / "diagnosis.json").write_text(
-            json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8"
+    drawn = _page(found, model, command).encode()
+    said = json.dumps(finite(found.to_dict()), indent=2, allow_nan=False) + "\n"
+    texts = {
+        **found.files,
+        "improved.xml": found.improved.encode(),
+        "report.html": drawn,
+        "diagnosis.json": said.encode(),
+    }
+    whole: list[str] = []
+    at_work = "."
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for old in folder.glob(f"{DRAFTS}*"):  # of a run that was killed
+            shutil.rmtree(old, ignore_errors=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=DRAFTS) as draft:
+            for at_work, text in texts.items():
+                file = inside(draft, at_work)
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(file, text)
+            for at_work in texts:
+                place = inside(folder, at_work)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                (Path(draft) / at_work).replace(place)
+                whole.append(at_work)
+    except OSError as error:
+        stand = (
+            f"whole are {', '.join(whole)} alone" if whole else "nothing was written, and what was there is untouched"
         )
-        (drafts / "improved.xml").write_text(found.improved, encoding="utf-8")
-        page.write(report_data(found, model, command), drafts / "report.html")
-        for file in sorted(path for path in drafts.rglob("*") if path.is_file()):
-            place = folder / file.relative_to(drafts)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.move(file, place)
+        reason = os.strerror(error.errno) if error.errno else error
+        raise OSError(error.errno, f"{reason}, at {at_work}; {stand}", str(folder)) from error
     return folder
+
+
+def _page(found: Diagnosis, model: str, command: str) -> str:
+    """The page; without figures if one cannot be drawn, for what was found goes before."""
+    try:
+        return page.render(report_data(found, model, command))
+    except Exception as error:  # whatever it is, the other files wait for this one
+        said = f"The figures could not be drawn ({type(error).__name__}: {error}). Please report this with the files."
+        bare = page.ReportData(model, finite(found.to_dict()), command=command, notes=(*found.notes, said))
+        return page.render(bare)
 
 
 def check_free(folder: Path, overwrite: bool) -> None:
@@ -76,13 +106,18 @@ def check_free(folder: Path, overwrite: bool) -> None:
         raise FileExistsError(f"{nearest} is a file; name a folder for the results")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise PermissionError(f"{nearest} may not be written; name another folder for the results")
-    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+    if folder.is_dir() and any(folder.iterdir()) and not (overwrite or _unfinished(folder)):
         raise FileExistsError(f"{folder} is not empty; name another folder or add --overwrite")
+
+
+def _unfinished(folder: Path) -> bool:
+    """Whether a diagnosis was killed while it wrote here: its drafts are there, and what comes last is not."""
+    return any(folder.glob(f"{DRAFTS}*")) and not (folder / "diagnosis.json").exists()
 
 
 def report_data(found: Diagnosis, model: str, command: str) -> page.ReportData:
     """What the page shows of a diagnosis."""
-    diagnosis = found.to_dict()
+    diagnosis = finite(found.to_dict())
     work = found.work
     if work is None:
         return page.ReportData(model, diagnosis, command=command, notes=found.notes)

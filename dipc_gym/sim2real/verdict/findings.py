@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 WIDEST = 50.0  # half width of an interval, as a logarithm, from which on it says nothing; a number is mapped no further
 AT_LIMIT = 1e-3  # share of itself, from which a number stands at its limit
+WIDEST = 50.0  # half width of an interval, as a logarithm, from which on it says nothing; a number is mapped no further
 FREE = 1.0  # standard deviation, as a logarithm, of a number of which nothing is known
 
 
@@ -34,7 +35,7 @@ def changed_numbers(final: Fit, wide: Array) -> list[dict[str, Any]]:
             continue
         value = final.structure.slots[i].value(final.z[i])
         entry = {"parameter": number.parameter, "at": number.at, "was": number.value, "value": value}
-        if wide[i] < WIDEST:
+        if wide[i] <= WIDEST:
             entry |= {"low": value * math.exp(-wide[i]), "high": value * math.exp(wide[i])}
         out.append(entry | {"unit": number.unit})
     return out
@@ -143,17 +144,15 @@ def missing_effects(
 
 
 def named_alone(final: Fit) -> list[Missing]:
-    """The effects of a fit by name and place alone, where how much each is worth could not be worked out."""
-    found = []
+    """The effects of a fit with their numbers, where what they are worth cannot be told: shares are null."""
+    missing = []
     for term in final.structure.terms:
         units = improve.place_units(final.structure, term)
-        values = final.structure.term_values(final.z, term)
-        nothing = np.full(len(final.z), np.inf)
-        parameters = _parameters(final, term, units, nothing)
-        sentence = term.effect.sentence(term.at, values, units)
+        sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
+        numbers = _parameters(final, term, units, np.full(len(final.z), np.inf))
         loader = term.effect.needs_loader
-        found.append(Missing(term.effect.name, term.at, sentence, 0.0, parameters, needs_loader=loader))
-    return found
+        missing.append(Missing(term.effect.name, term.at, sentence, math.nan, numbers, needs_loader=loader))
+    return missing
 
 
 def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[str, dict[str, Any]]:

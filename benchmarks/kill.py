@@ -1,0 +1,208 @@
+"""Kill real commands at random moments, start them again, and compare with a run that nobody disturbed.
+
+    python -m benchmarks.kill                         twenty moments of each command
+    python -m benchmarks.kill --moments 5 --command compare
+    python -m benchmarks.kill --interrupt             Ctrl-C in the place of kill -9
+
+Every second time the process alone is killed, so that its workers are orphans for a while, else all of its group. What
+was whole on disk at that moment must still be there, untouched, when the same command has gone on to its end; what the
+two runs leave must be equal to the byte, but for the seconds that they took. After Ctrl-C there must be a sentence and
+no traceback, and what a diagnosis had found by then is its result.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+MODEL = """<mujoco model="cart"><option timestep="0.002" integrator="implicitfast"/>
+<worldbody><body><joint name="cart" type="slide" axis="1 0 0" damping="21.4"/>
+<geom type="box" size="0.1 0.05 0.05" mass="1.26" contype="0" conaffinity="0"/></body></worldbody>
+<actuator><motor name="motor" joint="cart" gear="4" ctrlrange="-24 24"/></actuator>
+<sensor><jointpos name="cart" joint="cart"/></sensor></mujoco>"""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that fills a folder.
+
+    Attributes:
+        arguments: of `dipc-gym`, without `--out`.
+        cells: pattern of the files that must survive a kill.
+        content: what of the folder must be equal, by name.
+    """
+
+    arguments: tuple[str, ...]
+    cells: str
+    content: Callable[[Path], dict[str, Any]]
+
+
+def _files(folder: Path, patterns: Iterable[str]) -> dict[str, Any]:
+    found = sorted({path for pattern in patterns for path in folder.glob(pattern)})
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+
+
+def _compared(folder: Path) -> dict[str, Any]:
+    kinds = ("cells/*.json", "compensators/*.json", "recordings/*.csv", "summary.json", "table.txt", "figures/*.png")
+    return _files(folder, kinds)
+
+
+def _policy(folder: Path) -> dict[str, Any]:
+    curve = [line.split(",") for line in (folder / "curve.csv").read_text().splitlines()]
+    timed = curve[0].index("seconds")
+    rows = [[cell for k, cell in enumerate(row) if k != timed] for row in curve]
+    return {**_files(folder, ("policy.json", "compensator.json", "training.json")), "curve.csv": rows}
+
+
+def _policies(folder: Path) -> dict[str, Any]:
+    return {path.name: _policy(path) for path in sorted(folder.glob("ppo-*"))}
+
+
+def _diagnosed(folder: Path) -> dict[str, Any]:
+    said = json.loads((folder / "diagnosis.json").read_text())
+    said["provenance"].pop("seconds", None)
+    return {"diagnosis.json": said, **_files(folder, ("improved.xml",))}
+
+
+def _trials(folder: Path) -> dict[str, Any]:
+    results = {path.name: _diagnosed(path) for path in sorted((folder / "results").iterdir())}
+    return {**_files(folder, ("sealed/*.json", "trials/*/*", "generator.json")), **results}
+
+
+COMMANDS = {
+    "compare": Command(
+        ("compare", "--compensator", "none,feedforward,llnf", "--seeds", "2", "--seconds", "10", "--jobs", "2"),
+        "cells/*.json",
+        _compared,
+    ),
+    "train-policy": Command(
+        ("train-policy", "--compensator", "none", "--steps", "144000", "--rigs", "4", "--resume"),
+        "training.json",
+        _policy,
+    ),
+    "train-policy --seeds": Command(
+        ("train-policy", "--compensator", "none", "--steps", "48000", "--rigs", "4", "--seeds", "3", "--jobs", "2"),
+        "trainings/*.json",
+        _policies,
+    ),
+    "trial": Command(("trial", "--count", "2", "--jobs", "2", "--limit", "600"), "results/*/attempt.json", _trials),
+    "diagnose": Command(("diagnose", "cart.xml", "run.csv", "--jobs", "1"), "diagnosis.json", _diagnosed),
+}
+
+
+def run(name: str, moments: int, seed: int, place: Path, *, interrupt: bool = False) -> list[str]:
+    """Kill or interrupt a command at so many moments; what went wrong, in words."""
+    command, rng = COMMANDS[name], random.Random(seed)
+    begun = time.monotonic()
+    calm = _start(command, place / "calm", place)
+    said = calm.communicate()[1]
+    took = time.monotonic() - begun
+    if calm.returncode:
+        return [f"undisturbed, it ends with {calm.returncode}: {said[-2000:]}"]
+    expected, wrong = command.content(place / "calm"), []
+    for k in range(moments):
+        out, at = place / f"killed-{k:02d}", rng.uniform(0.02, 0.98) * took
+        killed = _start(command, out, place)
+        try:
+            killed.wait(timeout=at)
+        except subprocess.TimeoutExpired:
+            if interrupt:
+                os.killpg(killed.pid, signal.SIGINT)
+            elif k % 2:
+                os.kill(killed.pid, signal.SIGKILL)
+            else:
+                os.killpg(killed.pid, signal.SIGKILL)
+        last = _drain(killed)
+        faults = []
+        if interrupt and ("Traceback" in last or killed.returncode not in (0, 130)):
+            faults.append(f"interrupted, it ends with {killed.returncode}: {last[-1500:]}")
+        if interrupt and killed.returncode == 0 and (out / "diagnosis.json").exists():
+            shutil.rmtree(out)  # it wrote what it had found, which is less than all
+        kept = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in out.glob(command.cells)}
+        again = _start(command, out, place)
+        said = again.communicate()[1]
+        if again.returncode:
+            faults.append(f"goes on with {again.returncode}: {said[-1000:]}")
+        elif (found := command.content(out)) != expected:
+            names = [key for key in expected.keys() | found.keys() if expected.get(key) != found.get(key)]
+            faults.append(f"leaves other {', '.join(sorted(names))}")
+        if "Traceback" in said:
+            faults.append(f"says {said[-1000:]}")
+        lost = [path.name for path, what in kept.items() if (path.stat().st_mtime_ns, path.read_bytes()) != what]
+        if lost:
+            faults.append(f"did {', '.join(lost)} once more, though whole")
+        print(f"{name:20} killed after {at:5.1f} s of {took:.0f}, {len(kept)} kept: {faults or 'equal'}", flush=True)
+        wrong += [f"{name}, killed after {at:.1f} s: {fault}" for fault in faults]
+        shutil.rmtree(out, ignore_errors=True)
+    return wrong
+
+
+def _start(command: Command, out: Path, place: Path) -> subprocess.Popen[str]:
+    arguments = [sys.executable, "-m", "dipc_gym", *command.arguments, "--out", str(out)]
+    return subprocess.Popen(
+        arguments,
+        cwd=place,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        text=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+
+
+def _drain(process: subprocess.Popen[str]) -> str:
+    """Wait for the end of a process, and of workers that outlive it, as far as they hold its output; its last words."""
+    try:
+        return process.communicate(timeout=180)[1]
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        return process.communicate()[1]
+
+
+def _record(place: Path) -> None:
+    """A cart with dry friction that its model lacks, driven for 8 s."""
+    import mujoco
+    import numpy as np
+
+    (place / "cart.xml").write_text(MODEL)
+    model = mujoco.MjModel.from_xml_string(MODEL.replace('damping="21.4"', 'damping="21.4" frictionloss="4"'))
+    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), ["time,motor,cart"]
+    for k in range(2_000):
+        t = 0.004 * k
+        data.ctrl[0] = round(6 * np.sin(5 * t + 0.4 * t**2) + 3 * np.sin(17 * t), 4)
+        rows.append(f"{t:.3f},{data.ctrl[0]},{data.qpos[0] + 1e-5 * rng.standard_normal():.8f}")
+        mujoco.mj_step(model, data, 2)
+    (place / "run.csv").write_text("\n".join(rows) + "\n")
+
+
+def main() -> int:
+    """Kill; the exit code is 1 if anything was lost or came out otherwise."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--moments", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--interrupt", action="store_true", help="send Ctrl-C instead")
+    parser.add_argument("--command", choices=list(COMMANDS), action="append")
+    given = parser.parse_args()
+    wrong = []
+    for name in given.command or COMMANDS:
+        with tempfile.TemporaryDirectory(prefix="kill-") as folder:
+            _record(Path(folder))
+            wrong += run(name, given.moments, given.seed, Path(folder), interrupt=given.interrupt)
+    print(*wrong, f"{len(wrong)} faults", sep="\n")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,167 @@
+"""One damaged file, one reader: what may happen, and what may not."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from targets import Target
+
+SECONDS = 20
+ROOM = 1 << 30
+"""Bytes of address space that a case may take beside what is there before it."""
+MEND = re.compile(r"another (folder|version)")  # in a plain ValueError, which is what other parameters give
+WRITES = {
+    "os.rename": (0, 1),
+    "os.remove": (0,),
+    "os.mkdir": (0,),
+    "os.rmdir": (0,),
+    "os.link": (1,),
+    "os.symlink": (1,),
+}
+
+
+class TooSlowError(BaseException):
+    """A case took longer than it may; no reader's `except Exception` catches it."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What became of a damaged file.
+
+    Attributes:
+        outcome: `read`, or the error's class.
+        fault: what must not happen and did, or empty.
+        seconds: that it took.
+    """
+
+    outcome: str
+    fault: str
+    seconds: float
+
+
+class Watch:
+    """Notes every file that Python code opens for writing, makes, moves or deletes, for the life of the process."""
+
+    def __init__(self) -> None:
+        self.inside: str | None = None
+        self.outside: list[str] = []
+        sys.addaudithook(self._hook)
+
+    def _hook(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if self.inside is None:
+            return
+        if event == "open":
+            path, _, flags = arguments
+            if isinstance(flags, int) and flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+                self._note(path)
+        elif event in WRITES:
+            for i in WRITES[event]:
+                self._note(arguments[i])
+
+    def _note(self, path: Any) -> None:
+        if isinstance(path, str | bytes | os.PathLike) and self.inside is not None:
+            name = os.path.abspath(os.fsdecode(path))  # noqa: PTH100  a link is judged by where it stands
+            known = name.startswith((self.inside + os.sep, "/dev/null", "/proc/")) or "__pycache__" in name
+            if not known and name != self.inside:
+                self.outside.append(name)
+
+
+WATCH = Watch()
+
+
+def run(target: Target, seed: int, value: Any = None) -> Case:
+    """Damage one file of a target, and let its reader have it.
+
+    Args:
+        target: what is read.
+        seed: decides which file is damaged, and how.
+        value: for JSON, a further value to put somewhere.
+    """
+    rng = random.Random(seed)
+    name = rng.choice(sorted(target.damage))
+    how = rng.choice(target.damage[name])
+    arguments = (rng, value) if how.__name__ == "tree" else (rng,)
+    damaged = how(target.files[name], *arguments)
+    place = Path(tempfile.mkdtemp(prefix="fuzz-")).resolve()
+    try:
+        folder = place / "case"
+        for path, content in target.files.items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(damaged if path == name else content)
+        return _read(target, folder)
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _read(target: Target, folder: Path) -> Case:
+    before = _listing(folder.parent)
+    WATCH.inside, WATCH.outside = str(folder), []
+    began = time.perf_counter()
+    outcome, fault = "read", ""
+    try:
+        with (
+            contextlib.chdir(folder.parent),
+            _limits(),
+            warnings.catch_warnings(),
+            contextlib.redirect_stderr(io.StringIO()),
+        ):
+            warnings.simplefilter("ignore")
+            target.read(folder)
+    except target.errors as error:
+        outcome = type(error).__name__
+        if not str(error).strip() or (type(error) is ValueError and not MEND.search(str(error))):
+            fault = traceback.format_exc()
+        elif len(str(error)) > 3000:
+            fault = f"a message of {len(str(error))} characters"
+    except TooSlowError:
+        outcome, fault = "too slow", f"more than {SECONDS} s\n{traceback.format_exc()}"
+    except BaseException as error:
+        outcome, fault = type(error).__name__, traceback.format_exc()
+    finally:
+        WATCH.inside = None
+    if WATCH.outside:
+        fault += f"\nwritten outside: {WATCH.outside}"
+    if _listing(folder.parent) != before:
+        fault += f"\nappeared beside the folder: {_listing(folder.parent) - before}"
+    return Case(outcome, fault, time.perf_counter() - began)
+
+
+def _listing(place: Path) -> set[str]:
+    return {path.name for path in place.iterdir()}
+
+
+@contextlib.contextmanager
+def _limits() -> Iterator[None]:
+    """At most so many seconds, and so much memory beside what the process has."""
+
+    def stop(*_: Any) -> None:
+        raise TooSlowError
+
+    with Path("/proc/self/statm").open() as file:
+        pages = int(file.read().split()[0])
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    previous = signal.signal(signal.SIGALRM, stop)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + ROOM, hard))
+    signal.alarm(SECONDS)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, previous)
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

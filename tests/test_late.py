@@ -1,0 +1,249 @@
+"""What takes long is not lost: late stages that fail, full disks, second runs in one folder, Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_diagnose import NOMINAL, run
+
+from dipc_gym import cli, mjcf, recording
+from dipc_gym.alone import BusyError, alone
+from dipc_gym.files import whole, write_json, write_whole
+from dipc_gym.sim2real import diagnosis
+from dipc_gym.sim2real.diagnosis import diagnose
+from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.report import content, page
+from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.verdict import findings, improve, judge, judgement
+from dipc_gym.sim2real.verdict.late import Late
+
+FEW = [catalogue()[name] for name in ("friction.coulomb", "drag.quadratic")]
+
+
+def test_a_number_that_is_not_known_at_all_has_no_interval() -> None:
+    number = SimpleNamespace(parameter="mass", at="cart", value=1.0, unit="kg")
+    structure = SimpleNamespace(numbers=(number,), slots=(SimpleNamespace(value=math.exp),))
+    fitted: Any = SimpleNamespace(structure=structure, z=np.array([0.5]))
+    for wide in (1e4, math.inf, math.nan):
+        (entry,) = findings.changed_numbers(fitted, np.array([wide]))
+        assert "low" not in entry
+    (entry,) = findings.changed_numbers(fitted, np.array([0.1]))
+    assert entry["low"] == pytest.approx(math.exp(0.4))
+
+
+STAGES: dict[str, list[tuple[Any, str]]] = {
+    "no comparison with rivals, no figures": [
+        (diagnosis, "conclude"),
+        (findings, "choice_shift"),
+        (content, "_traces"),
+    ],
+    "no fine fit, no errors, no numbers": [
+        (Search, "refine"),
+        (judgement, "_force_errors"),
+        (judge, "intervals"),
+        (findings, "changed_numbers"),
+        (findings, "missing_effects"),
+        (improve, "improved_model"),
+    ],
+}
+
+
+@pytest.mark.parametrize("stages", STAGES)
+def test_late_stages_that_fail_lose_nothing_that_was_found(
+    stages: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any, **__: Any) -> Any:
+        raise OverflowError("math range error")
+
+    for where, name in STAGES[stages]:
+        monkeypatch.setattr(where, name, fail)
+    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], effects=FEW)
+    content.save(found, tmp_path / "out", model="cart.xml", command="")
+    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert [one["effect"] for one in said["missing"]] == ["friction.coulomb"]
+    assert said["missing"][0]["parameters"]["level"]["value"] == pytest.approx(3.0, rel=0.05)
+    assert "OverflowError: math range error" in str(said["notes"])
+    assert "OverflowError" in (tmp_path / "out" / "report.html").read_text()
+    assert mjcf.compile(tmp_path / "out" / "improved.xml").dof_frictionloss[0] == pytest.approx(3.0, rel=0.1)
+
+
+def test_ctrl_c_in_a_late_stage_keeps_what_was_found_and_the_second_stops() -> None:
+    search: Any = SimpleNamespace(interrupted=False, tell=lambda line: None)
+
+    def interrupt() -> int:
+        raise KeyboardInterrupt
+
+    late = Late(search)
+    assert late("It", interrupt, lambda: 7) == 7
+    assert search.interrupted
+    with pytest.raises(KeyboardInterrupt):
+        late("It", interrupt, lambda: 7)
+
+
+# --- a full disk ---------------------------------------------------------------------------------------------------
+
+
+def small_disk(command: list[str], size: int, place: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command that can write no file beyond a size, as on a disk that has no more room."""
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    return subprocess.run(
+        command, cwd=place, capture_output=True, text=True, preexec_fn=limit, timeout=300, check=False
+    )
+
+
+def test_a_full_disk_is_told_with_file_and_what_is_whole(tmp_path: Path) -> None:
+    write_whole(tmp_path / "note.json", b"old")
+    body = "from dipc_gym.files import write_json; write_json('note.json', list(range(10_000)))"
+    done = small_disk([sys.executable, "-c", body], 4096, tmp_path)
+    assert "make room and try again; what had this name before, if anything, is untouched: 'note.json'" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["note.json"]
+    assert (tmp_path / "note.json").read_bytes() == b"old"
+
+
+def test_a_diagnosis_that_finds_no_room_says_so_and_prints_what_it_found(tmp_path: Path) -> None:
+    (tmp_path / "cart.xml").write_text(NOMINAL)
+    still = run(1, 4, 3.0)
+    recording.write(still, tmp_path / "run.csv")
+    command = [sys.executable, "-m", "dipc_gym", "diagnose", "cart.xml", "run.csv", "--out", "found"]
+    done = small_disk([*command, "--jobs", "1"], 3000, tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "nothing was written, and what was there is untouched: 'found'" in done.stderr.splitlines()[-1]
+    said = json.loads(done.stdout[done.stdout.index("{\n") :])
+    assert said["verdict"] in page.VERDICTS
+    assert not (tmp_path / "found").exists()
+
+
+def test_no_room_while_results_are_put_in_place_names_those_that_are_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = diagnosis.Diagnosis("cannot tell", "These recordings cannot tell.", improved="<mujoco/>")
+    move = Path.replace
+
+    def refuse(self: Path, target: Path) -> Path:
+        if target == tmp_path / "out" / "report.html":
+            raise OSError(28, "No space left on device")
+        return move(self, target)
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(OSError, match=r"No space left on device, at report.html; whole are improved.xml alone: .*out"):
+        content.save(found, tmp_path / "out", model="m", command="")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["improved.xml"]
+
+
+def test_an_interrupted_writing_leaves_the_old_file(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        with whole(tmp_path / "a.json") as file:
+            file.write(b"half")
+            raise KeyboardInterrupt
+
+    write_json(tmp_path / "a.json", 1)
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+    assert (tmp_path / "a.json").read_text() == "1\n"
+
+
+# --- two of one command --------------------------------------------------------------------------------------------
+
+HOLD = "from dipc_gym.alone import alone\nimport time\nwith alone({!r}):\n    print('held', flush=True); time.sleep(60)"
+
+
+@pytest.fixture
+def held(tmp_path: Path) -> Any:
+    """A folder that another process is at work in."""
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "mine").touch()
+    process = subprocess.Popen([sys.executable, "-c", HOLD.format(str(folder))], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+    yield folder, process
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+def test_a_second_run_says_so_and_stops_and_a_killed_one_leaves_no_lock(held: Any) -> None:
+    folder, process = held
+    with pytest.raises(BusyError, match="out: another run is at work in this folder"), alone(folder):
+        pass
+    process.kill()
+    process.wait()
+    with alone(folder):
+        pass
+    assert [path.name for path in folder.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["compare", "--compensator", "none", "--seeds", "1", "--seconds", "1"],
+        ["train-policy", "--compensator", "none", "--resume"],
+        ["train-policy", "--compensator", "none", "--seeds", "1"],
+        ["trial", "--count", "1"],
+        ["trial", "--count", "1", "--rivals"],
+    ],
+)
+def test_every_command_that_fills_a_folder_works_in_it_alone(
+    command: list[str], held: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _ = held
+    assert cli.main([*command, "--out", str(folder)]) == 2
+    assert "another run is at work in this folder" in capsys.readouterr().err
+    assert [path.name for path in folder.iterdir()] == ["mine"]
+
+
+def test_a_diagnosis_too(held: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, _ = held
+    (tmp_path / "cart.xml").write_text(NOMINAL)
+    recording.write(run(1, 4, 3.0), tmp_path / "run.csv")
+    files = [str(tmp_path / "cart.xml"), str(tmp_path / "run.csv")]
+    assert cli.main(["diagnose", *files, "--out", str(folder), "--overwrite"]) == 2
+    assert "another run is at work in this folder" in capsys.readouterr().err
+
+
+def test_a_folder_made_for_nothing_is_removed(tmp_path: Path) -> None:
+    with alone(tmp_path / "a"):
+        pass
+    assert not (tmp_path / "a").exists()
+    (tmp_path / "file").touch()
+    with pytest.raises(FileExistsError, match="is a file"), alone(tmp_path / "file"):
+        pass
+
+
+# --- Ctrl-C ----------------------------------------------------------------------------------------------------------
+
+
+def test_ctrl_c_ends_in_a_sentence(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "dipc_gym", "compare", "--compensator", "none,mlp", "--seeds", "3", "--out", "out"]
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    while not (tmp_path / "out" / "cells").exists() and process.poll() is None:
+        time.sleep(0.05)
+    time.sleep(0.5)
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    assert "interrupted" in said.splitlines()[-1]
+    for path in tmp_path.rglob("*.json"):
+        json.loads(path.read_text())
+    assert not list(tmp_path.rglob("*.partial"))
