@@ -17,6 +17,8 @@ from typing import Any
 from dipc_gym.mjcf.defaults import effective
 from dipc_gym.untrusted import Format
 
+__all__ = ["Encoders", "Friction", "Masses", "Motor", "Plant", "PlantError"]
+
 SCHEMA = "dipc-gym/plant/1"
 MAX_DELAY = 1.0  # s; the simulation keeps that much of the past at every step
 

@@ -19,6 +19,8 @@ from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 from dipc_gym import __version__
 from dipc_gym.files import write_json
 
+__all__ = ["Backend", "Cell", "Outcome", "SweepError", "finished", "run"]
+
 Backend = Literal["local", "ray"]
 LOCAL_JOBS = 2
 
