@@ -12,27 +12,25 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
+import pages
 import pytest
+from pages import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = sorted((ROOT / "docs" / "reference").glob("*.md"))
 PUBLIC = {name for page in REFERENCE for name in re.findall(r"^::: (dipc_gym[\w.]*)$", page.read_text(), re.MULTILINE)}
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-NOTEBOOKS = sorted((ROOT / "docs").rglob("*.ipynb"))
 EXAMPLES = sorted((ROOT / "examples").rglob("*.py"))
 
 
 def codes() -> Iterator[tuple[str, str]]:
     """Name and text of every piece of Python that people copy from."""
     for path in EXAMPLES:
-        yield str(path.relative_to(ROOT)), path.read_text()
-    for path in PAGES:
-        blocks = re.findall(r"^```python\n(.*?)^```", path.read_text(), re.DOTALL | re.MULTILINE)
-        yield str(path.relative_to(ROOT)), "\n".join(blocks)
-    for path in NOTEBOOKS:
+        yield pages.name(path), path.read_text()
+    for path in pages.PAGES:
+        yield pages.name(path), pages.python(path)
+    for path in pages.NOTEBOOKS:
         cells = json.loads(path.read_text())["cells"]
         lines = [line for cell in cells if cell["cell_type"] == "code" for line in [*cell["source"], "\n"]]
-        yield str(path.relative_to(ROOT)), "".join(line for line in lines if not line.startswith(("!", "%")))
+        yield pages.name(path), "".join(line for line in lines if not line.startswith(("!", "%")))
 
 
 def is_module(name: str) -> bool:
@@ -101,7 +99,7 @@ def _as_ruff_sorts(name: str) -> tuple[int, str]:
     return (0 if name.isupper() else 1 if name[0].isupper() else 2, name)
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize("path", pages.PAGES, ids=pages.name)
 def test_dotted_names_in_the_text_of_pages_exist(path: Path) -> None:
     """`dipc_gym.some.name` in a page: something that can be imported, whether public or not."""
     for dotted in re.findall(r"`(dipc_gym(?:\.\w+)+)[`(]", path.read_text()):
