@@ -70,7 +70,7 @@ def reached(text: str) -> Iterator[tuple[str, str]]:
             yield known[node.value.id], node.attr
 
 
-@pytest.mark.parametrize(("where", "text"), codes(), ids=lambda value: value if "\n" not in value else "")
+@pytest.mark.parametrize(("where", "text"), list(codes()), ids=lambda value: value if "\n" not in value else "")
 def test_examples_and_pages_use_public_names_alone(where: str, text: str) -> None:
     reasons = {f"{module}.{name}": not_public(module, name) for module, name in reached(text)}
     assert {name: reason for name, reason in reasons.items() if reason} == {}
