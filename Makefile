@@ -1,10 +1,10 @@
 # One environment for everything: .venv, made with the versions in constraints.txt.
 PYTHON ?= python3
-EXTRAS := rl,parquet,trial,ray,test,dev
+EXTRAS := rl,parquet,trial,ray,test,docs,dev
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: compare learning trial trial-full rivals test fuzz kill lint bench clean
+.PHONY: compare learning trial trial-full rivals test fuzz kill lint docs notebooks bench clean
 
 compare: .venv/installed
 	$(BIN)/dipc-gym compare --out runs/compare --jobs 2
@@ -36,6 +36,15 @@ kill: .venv/installed
 lint: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+# The site, into build/site; a dead link or a page that is not in mkdocs.yml fails it.
+docs: export NO_MKDOCS_2_WARNING = 1
+docs: .venv/installed
+	$(BIN)/mkdocs build --strict --quiet
+
+# Runs the notebooks and keeps what they print and draw.
+notebooks: .venv/installed
+	$(BIN)/jupyter execute --inplace --kernel_name=python3 docs/notebooks/*.ipynb
 
 bench: .venv/installed
 	$(BIN)/python -m benchmarks

@@ -5,6 +5,8 @@ Importing this package registers `DIPC-Friction-v0` with Gymnasium.
 
 import gymnasium
 
+__all__ = ["ENV_ID", "__version__"]
+
 __version__ = "0.1.0"
 
 ENV_ID = "DIPC-Friction-v0"

@@ -21,6 +21,8 @@ from dipc_gym.physics import from_model
 from dipc_gym.plant import Plant, PlantError, physics_steps
 from dipc_gym.randomise import PlantFamily
 
+__all__ = ["DoublePendulumEnv"]
+
 Array = NDArray[np.float64]
 State = tuple[float, float, float, float, float, float]
 

@@ -18,6 +18,8 @@ from dipc_gym.plant import Encoders, Plant, physics_steps
 from dipc_gym.recording import Recording, resample_commands
 from dipc_gym.rigid import Rigid
 
+__all__ = ["Cart", "Sweep"]
+
 Array = NDArray[np.float64]
 
 

@@ -32,6 +32,8 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 
+__all__ = ["Extra", "Moment", "Physics", "from_model", "load", "register"]
+
 Stage = Literal["command", "force", "friction", "sensor", "lag"]
 Array = NDArray[np.float64]
 

@@ -18,6 +18,8 @@ from dipc_gym.files import write_whole
 from dipc_gym.mjcf.defaults import effective
 from dipc_gym.untrusted import Format, shown
 
+__all__ = ["Encoders", "Friction", "Masses", "Motor", "Plant", "PlantError"]
+
 SCHEMA = "dipc-gym/plant/1"
 MAX_DELAY = 1.0  # s; the simulation keeps that much of the past at every step
 MOST_STEPS = 1_000  # of the physics within a control period

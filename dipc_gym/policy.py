@@ -15,6 +15,8 @@ from dipc_gym import untrusted
 from dipc_gym.files import write_whole
 from dipc_gym.untrusted import Format
 
+__all__ = ["ControllerError", "Evaluation", "Policy", "shipped"]
+
 Array = NDArray[np.float64]
 
 

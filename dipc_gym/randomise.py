@@ -13,6 +13,8 @@ import numpy as np
 
 from dipc_gym.plant import FORMAT, MAX_DELAY, RANGES, Encoders, Friction, Masses, Motor, Plant, PlantError
 
+__all__ = ["Normal", "PlantFamily", "Uniform"]
+
 PARTS = {"motor": Motor, "friction": Friction, "encoders": Encoders, "masses": Masses}
 FIXED = ("supply", "control_period")  # they set the action space and the rhythm of all environments
 MAY_BE_ZERO = ("delay", "friction.bristle_damping", "friction.viscous", "encoders.noise", "encoders.velocity_filter")

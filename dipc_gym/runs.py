@@ -18,6 +18,8 @@ from dipc_gym.identification import Cart, Sweep, cart, cart_model, record, sampl
 from dipc_gym.plant import Plant
 from dipc_gym.recording import Recording
 
+__all__ = ["Course", "Identification", "Impulse", "balance", "compensator", "identify", "recorded"]
+
 Array = NDArray[np.float64]
 
 

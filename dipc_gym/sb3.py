@@ -16,6 +16,8 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 from dipc_gym.controllers.normalisation import SIZE, Statistics
 from dipc_gym.vector import DIPCFrictionVectorEnv
 
+__all__ = ["DIPCFrictionVecEnv", "load_statistics", "save_statistics"]
+
 Array = NDArray[np.float64]
 
 

@@ -22,6 +22,8 @@ from dipc_gym.intact import DamagedError
 from dipc_gym.interrupts import held_back
 from dipc_gym.places import inside
 
+__all__ = ["Backend", "Cell", "Outcome", "SweepError", "finished", "run"]
+
 Backend = Literal["local", "ray"]
 LOCAL_JOBS = 2
 HELD = {"parameters": {}, "failure": (None, str), "result": object}  # what the file of a cell holds

@@ -20,6 +20,8 @@ from dipc_gym.env import DIVERGED, NAMES, DoublePendulumEnv, start_state
 from dipc_gym.plant import Masses, Plant, PlantError
 from dipc_gym.randomise import PlantFamily
 
+__all__ = ["DIPCFrictionVectorEnv"]
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 import dipc_gym
-from dipc_gym.controllers.lqr import PRINTED_GAIN
+from dipc_gym.controllers import LQR
 from dipc_gym.runs import identify
 from dipc_gym.wrappers import ForceCommand
 
@@ -25,12 +25,12 @@ class Arguments:
 
 def largest_deviation(env: gymnasium.Env, seconds: float, seed: int) -> float:
     """Largest deviation of the cart in the last half of a run under the paper's LQR, m."""
+    lqr = LQR()
     observation, _ = env.reset(seed=seed)
     steps = round(seconds / 0.005)
     positions = np.zeros(steps)
     for k in range(steps):
-        force = -PRINTED_GAIN @ observation
-        observation, _, terminated, _, _ = env.step(np.array([force]))
+        observation, _, terminated, _, _ = env.step([lqr.force(observation)])
         positions[k] = observation[0]
         if terminated:
             raise SystemExit(f"fell after {0.005 * k:.1f} s")

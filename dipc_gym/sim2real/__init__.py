@@ -3,25 +3,35 @@
 `diagnose(model, recordings)` does it all. Data flows one way through the rooms here: a `model` with its `effects` is
 laid over recordings in `simulation` and `estimation`, `selection` compares what may be missing, `verdict` says what it
 comes to, and `report` tells it.
+
+What is listed in `__all__` is public, and stays. An effect of one's own needs `Effect`, `Parameter`, `Evidence`,
+`Values` and `Document` to be written, `fit_effect` to be tried, and `register` to stand in the `catalogue` that
+`diagnose` searches.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
-
 from dipc_gym import recording
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.diagnosis import Wishes, diagnose
+from dipc_gym.sim2real.effects import Effect, Evidence, Parameter, Values, catalogue, register
+from dipc_gym.sim2real.one_effect import EffectFit, fit_effect
+from dipc_gym.sim2real.report.content import save
+from dipc_gym.sim2real.result import Diagnosis, Errors, Missing
 
-if TYPE_CHECKING:
-    from dipc_gym.sim2real.diagnosis import diagnose
-    from dipc_gym.sim2real.result import Diagnosis
-
-__all__ = ["Diagnosis", "diagnose", "recording"]
-
-
-def __getattr__(name: str) -> Any:
-    """Import the diagnosis when it is asked for: recordings alone need none of it."""
-    if name in __all__:
-        from dipc_gym.sim2real import diagnosis
-
-        return getattr(diagnosis, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__all__ = [
+    "Diagnosis",
+    "Document",
+    "Effect",
+    "EffectFit",
+    "Errors",
+    "Evidence",
+    "Missing",
+    "Parameter",
+    "Values",
+    "Wishes",
+    "catalogue",
+    "diagnose",
+    "fit_effect",
+    "recording",
+    "register",
+    "save",
+]

@@ -31,6 +31,8 @@ from dipc_gym.sim2real.selection.data import from_zero
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step
 from dipc_gym.sim2real.simulation.windows import Windows
 
+__all__ = ["Replay", "SensorError", "replay"]
+
 Array = NDArray[np.float64]
 
 SCHEMA = "dipc-gym/replay/1"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from dataclasses import replace
 
 import mujoco
@@ -94,12 +95,18 @@ def place_units(structure: Structure, term: Term) -> dict[str, str]:
     for p in term.effect.parameters:
         unit = p.unit
         if hinge and term.effect.id != "motor.cogging":
-            unit = {"N": "N m", "m": "rad", "N/m": "N m/rad", "kg": "kg m^2", "m/s": "rad/s"}.get(unit, unit)
-            unit = {"N s/m": "N m s/rad", "N s^2/m^2": "N m s^2/rad^2"}.get(unit, unit)
+            unit = _angular(unit)
         if unit == "reading":
             unit = of_sensor(model, term.at)
         units[p.name] = _command_unit(model, term.at, hinge) if unit == "command" else unit
     return units
+
+
+def _angular(unit: str) -> str:
+    """A unit of a slide's parameter as that of a hinge's: N s/m becomes N m s/rad."""
+    if "N m" in unit:
+        return unit
+    return re.sub(r"\bkg\b", "kg m^2", re.sub(r"\bN\b", "N m", re.sub(r"\bm\b", "rad", unit)))
 
 
 def _command_unit(model: mujoco.MjModel, actuator: str, hinge: bool) -> str:

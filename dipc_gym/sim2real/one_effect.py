@@ -1,0 +1,107 @@
+"""Fit one effect at every place it can act: a quick look at an effect, without a search among many."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from dipc_gym import mjcf, physics
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.recording import Recording
+from dipc_gym.sim2real.effects import Effect
+from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.estimation.segments import prepare
+from dipc_gym.sim2real.model.parameters import own_numbers
+from dipc_gym.sim2real.model.structure import Term, carry
+from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.verdict.improve import place_units
+
+LONGEST_STEP = 2e-3  # s; of the analysis, as in a diagnosis
+
+
+@dataclass(frozen=True)
+class EffectFit:
+    """One effect, fitted at one place.
+
+    Attributes:
+        effect: its id.
+        at: the place.
+        error_without: prediction error of the model with its parameters refitted and no effect added, in units of the
+            sensors' noise, on windows that were not fitted.
+        error: the same with the effect.
+        values: fitted parameters of the effect, SI.
+        units: of these parameters.
+        sentence: the effect in words.
+        improved: MJCF text of the model with refitted parameters and the effect.
+    """
+
+    effect: str
+    at: str
+    error_without: float
+    error: float
+    values: Mapping[str, float]
+    units: Mapping[str, str]
+    sentence: str
+    improved: str = field(repr=False)
+
+
+def fit_effect(
+    effect: Effect, model: str | Path | mjcf.Source, recordings: Sequence[Recording], *, threads: int = 0
+) -> list[EffectFit]:
+    """Fit an effect at each of its places, one at a time, with the model's parameters refitted as well.
+
+    This is a look at one effect, for whoever writes one. It compares the effect with no other and gives no verdict:
+    `diagnose` does. Every second window is fitted, the others are predicted.
+
+    Args:
+        effect: of the catalogue or one's own; it need not be registered.
+        model: MJCF file or scanned source.
+        recordings: of the real thing, read with this model.
+        threads: of the simulations; 0 for all cores.
+
+    Returns:
+        The fits, the one with the smallest error first; none where the effect makes no sense at any place.
+
+    Raises:
+        mjcf.MjcfError: the model cannot be treated.
+        RecordingError: the recordings hold no window.
+
+    Example:
+        >>> from dipc_gym.sim2real import catalogue, fit_effect
+        >>> coulomb = catalogue()["friction.coulomb"]
+        >>> best, *others = fit_effect(coulomb, "cart.xml", recordings)         # doctest: +SKIP
+        >>> print(best.sentence, best.error_without, best.error)                # doctest: +SKIP
+    """
+    source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
+    given = physics.load(source)
+    mjcf.check_supported(given.model, source.name)
+    step = min(LONGEST_STEP, *(r.period for r in recordings))
+    ready = prepare(source, given, recordings, Stepping(step, mujoco.mjtIntegrator.mjINT_RK4), threads=threads)
+    fitted = ready.problem.pick(np.arange(0, len(ready.problem.windows), 2))
+    unseen = ready.problem.pick(np.arange(1, len(ready.problem.windows), 2))
+    free = replace(ready.structure, numbers=tuple(own_numbers(Document(source), given.model)))
+    without = fit(fitted, free, most=20)
+    error_without = fit(unseen, free, without.z, most=0).error
+    seen = evidence.scene(without.structure.physics(without.z), recordings, ready.motions, 1.0)
+
+    found = []
+    for at in evidence.places(effect, given.model, ready.structure.base, recordings[0]):
+        fits = [
+            fit(fitted, structure, carry(free, without.z, structure), without.starts)
+            for guess in effect.guesses(seen.at(effect.place, at, {}))
+            for structure in (free.with_term(Term(effect, at, guess)),)
+        ]
+        if not fits:
+            continue
+        best = min(fits, key=lambda one: one.error)
+        (term,) = best.structure.terms
+        values, units = best.structure.term_values(best.z, term), place_units(best.structure, term)
+        error = fit(unseen, best.structure, best.z, most=0).error
+        sentence, improved = effect.sentence(at, values, units), best.structure.write(best.z).text()
+        found.append(EffectFit(effect.id, at, error_without, error, values, units, sentence, improved))
+    return sorted(found, key=lambda one: one.error)
