@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from dipc_gym.mjcf.defaults import effective
+from dipc_gym.naming import suggestion
 from dipc_gym.untrusted import Format
 
 SCHEMA = "dipc-gym/plant/1"
@@ -375,7 +376,8 @@ def _known(kind: Any, names: Iterable[str], where: str = "") -> None:
     known = [f.name for f in dataclasses.fields(kind)]
     for name in names:
         if name not in known:
-            raise PlantError(f"unknown field '{where}{name}'; there are {', '.join(where + n for n in known)}")
+            there_are = f"there are {', '.join(where + n for n in known)}{suggestion(name, known)}"
+            raise PlantError(f"unknown field '{where}{name}'; {there_are}")
 
 
 def _actuator(root: ET.Element, name: str) -> ET.Element | None:

@@ -6,6 +6,8 @@ import math
 
 import mujoco
 
+from dipc_gym.naming import suggestion
+
 _TURN = 2 * math.pi
 
 FACTORS: dict[str, float] = {
@@ -43,7 +45,10 @@ def factor(unit: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or value == 0:
-        raise ValueError(f"unknown unit {unit!r}; use a number (the factor to SI) or one of {', '.join(FACTORS)}")
+        raise ValueError(
+            f"unknown unit {unit!r}; use a number (the factor to SI) or one of {', '.join(FACTORS)}"
+            f"{suggestion(unit, FACTORS)}"
+        )
     return value
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
+from dipc_gym.naming import suggestion
 from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.estimation import evidence, states
@@ -58,7 +59,8 @@ class Wishes:
         known = [n.key for n in numbers]
         for key in (*self.fix, *self.prior):
             if key not in known:
-                raise ValueError(f"--fix or --prior {key!r}: the model's numbers are {', '.join(known)}")
+                names = f"{', '.join(known)}{suggestion(key, known)}"
+                raise ValueError(f"--fix or --prior {key!r}: the model's numbers are {names}")
         out = []
         for number in numbers:
             if number.key in self.fix:
