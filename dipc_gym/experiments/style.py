@@ -76,8 +76,8 @@ def text(points: float) -> Iterator[None]:
     """Set type and lines for paper, with fonts that journals take (TrueType, not Type 3)."""
     from matplotlib import rc_context
 
-    lines = {"axes.linewidth": 0.6, "lines.linewidth": 1.0, "pdf.fonttype": 42, "grid.linewidth": 0.5}
-    with rc_context({"font.size": points, "axes.titlesize": points, "legend.fontsize": points, **lines}):
+    lines: dict[str, Any] = {"axes.linewidth": 0.6, "lines.linewidth": 1.0, "pdf.fonttype": 42, "grid.linewidth": 0.5}
+    with rc_context({**lines, "font.size": points, "axes.titlesize": points, "legend.fontsize": points}):
         yield
 
 

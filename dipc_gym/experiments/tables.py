@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import platform
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 
 from dipc_gym.controllers import lqr
+from dipc_gym.provenance import versions
 
 SCHEMA = "dipc-gym/compare/1"
 
@@ -72,10 +71,7 @@ def summarise(
         "printed_Q": np.diag(lqr.PRINTED_Q).tolist(),
         "settings": dict(settings),
         "notes": list(notes),
-        "versions": {
-            "python": platform.python_version(),
-            **{name: metadata.version(name) for name in ("dipc-gym", "mujoco", "gymnasium", "numpy")},
-        },
+        "versions": versions("mujoco", "gymnasium", "numpy"),
     }
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.naming import suggestion
+from dipc_gym.provenance import versions
 from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.estimation import evidence, states
@@ -324,13 +325,10 @@ def _files(source: mjcf.Source, text: str) -> dict[str, bytes]:
 def _provenance(
     source: mjcf.Source, recordings: Sequence[Recording], model: mujoco.MjModel, seed: int
 ) -> dict[str, Any]:
-    from importlib.metadata import version
-
     inputs = {str(source.path.name if source.path else "model"): source.sha256}
     inputs |= {str(r.path or r.name): r.sha256 for r in recordings}
-    packages = ("dipc-gym", "mujoco", "numpy", "scipy")
     return {
-        "versions": {name: version(name) for name in packages},
+        "versions": versions("mujoco", "numpy", "scipy"),
         "timestep": model.opt.timestep,
         "inputs": inputs,
         "seed": seed,

@@ -50,7 +50,7 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
             continue
         joint = model.joint(name)
         dof = int(joint.dofadr[0])
-        turning = model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_HINGE
+        turning = mjcf.is_hinge(model, name)
         force, length = ("N m", "rad") if turning else ("N", "m")
         inertia = "kg m^2" if turning else "kg"
         # Friction is the least known of all: a bearing's damping may be a guess that is off by a factor of fifty.
