@@ -34,7 +34,7 @@ def test_what_is_left_is_told_after_each_stage_and_goes_down() -> None:
         assert progress.left() != first
         clock.now = 20.0
         tell("added friction.coulomb@cart")
-        assert progress.left() == "6 s to 24 s left"  # half of the round that took 12 s, and twice
+        assert progress.left() == "6 s to 60 s left"  # half of the round that took 12 s, and five times
         clock.now = 100.0
         assert progress.left() == "longer than is usual"
     said = log.getvalue().splitlines()

@@ -10,12 +10,12 @@ from typing import TextIO
 
 SEARCH = "as given,"  # begins the line that follows the fits of the model itself, before any effect is tried
 ROUND = "added "  # begins the line that ends a round of the search
-# A search takes from one round to many. Beside the time that the fits of the model itself took, it lasted so many times
-# as long in the practice trials, from the shortest to the longest; a round that finds nothing ends it.
-LEAST, LONGEST = 1.0, 30.0
-ROUNDS = (
-    2.0  # times the longest round so far that a search goes on after one, at most: it refits, or adds another effect
-)
+# How long a search takes depends on how many effects there are to find. Beside the time until it began it took 7 times
+# as long where nothing was missing (practice trial p01), and 35 times where friction was (p02).
+LEAST, LONGEST = 5.0, 40.0
+# Beside the round that found its last effect, what came after it took 2.5 times as long there: another round, fits of
+# what might stand in for it, and the judging.
+LEAST_AFTER, LONGEST_AFTER = 0.5, 5.0
 
 
 class Progress:
@@ -34,7 +34,7 @@ class Progress:
         ...     tell("as given, the model is off by 9 x noise")
         [  2.0 s] 156 windows of 0.25 s
         [  8.0 s] as given, the model is off by 9 x noise
-        [  8.0 s] 8 s to 4 min left, by how long this took
+        [  8.0 s] 40 s to 5 min left, by how long this took
     """
 
     def __init__(self, out: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
@@ -68,7 +68,7 @@ class Progress:
             self._range = now + LEAST * took, now + LONGEST * took
         elif line.startswith(ROUND):
             took = now - self._marks[-1]
-            self._range = now + took / ROUNDS, now + ROUNDS * took
+            self._range = now + LEAST_AFTER * took, now + LONGEST_AFTER * took
         else:
             return
         self._marks.append(now)
