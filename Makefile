@@ -1,25 +1,29 @@
-# One environment for everything: .venv, made with the versions in constraints.txt.
+# One environment for everything: .venv, made with the versions in constraints.txt. Each purpose installs what it needs.
 PYTHON ?= python3
-EXTRAS := rl,parquet,trial,ray,test,docs,dev
 BIN := .venv/bin
+# PyPI's torch for Linux brings some gigabytes of CUDA along, which nothing here uses. TORCH_INDEX= (empty) takes it.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 export OMP_NUM_THREADS ?= 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# setuptools warns of every editable installation, in a block of ten lines; the one of a checkout is meant to be one.
+export PYTHONWARNINGS := ignore:Editable installation
 
 .PHONY: compare learning trial trial-full rivals test fuzz kill lint docs notebooks bench clean
 
-compare: .venv/installed
+compare: .venv/for-compare
 	$(BIN)/dipc-gym compare --out runs/compare --jobs 2
 
-learning: .venv/installed
+learning: .venv/for-learning
 	$(BIN)/python -m benchmarks.learning
 
 # The blind trial of the diagnosis. Interrupted, each goes on where it stopped when started again.
-trial: .venv/installed
+trial: .venv/for-trial
 	$(BIN)/dipc-gym trial --out runs/trial --jobs 2
 
-trial-full: .venv/installed
+trial-full: .venv/for-trial
 	$(BIN)/dipc-gym trial --out runs/trial-full --full --jobs 2
 
-rivals: .venv/installed
+rivals: .venv/for-rivals
 	$(BIN)/dipc-gym trial --out runs/trial --jobs 2 --rivals
 
 test: .venv/installed
@@ -49,12 +53,23 @@ notebooks: .venv/installed
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
 
-.venv/installed: pyproject.toml constraints.txt
+.venv/for-compare: EXTRAS := mlp,film
+.venv/for-learning: EXTRAS := rl
+.venv/for-trial: EXTRAS := trial
+.venv/for-rivals: EXTRAS := trial,mlp
+.venv/installed: EXTRAS := rl,film,parquet,trial,ray,test,docs,dev
+
+.venv/%: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'
-	$(PYTHON) -m venv .venv
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(if $(TORCH_INDEX),$(if $(findstring mlp,$(EXTRAS))$(findstring rl,$(EXTRAS)),@$(cpu_torch)))
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
 	touch $@
+
+# Where that index cannot be reached, the next step takes torch from PyPI.
+cpu_torch = $(BIN)/python -m pip install --quiet --retries 0 --timeout 15 --constraint constraints.txt \
+	--index-url $(TORCH_INDEX) torch > /dev/null 2>&1 || true
 
 clean:
 	rm -rf .venv build dist *.egg-info

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dipc_gym.experiments import figures, style
 from dipc_gym.policy import Policy
 from dipc_gym.training import seeds
 from dipc_gym.training.train import RECIPES, Training
@@ -46,22 +47,29 @@ def quartiles(values, form):
     return f"{middle:{form}} ({low:{form}} to {high:{form}})"
 
 
-def draw(curves, path):
+def draw(curves, stem):
     """Medians, and the band between the quartiles, of return and of the time that runs lasted."""
-    import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
-    for name, rows in curves.items():
-        steps = np.mean([row["steps"] for row in rows], axis=0) / 1000
-        for axis, key in zip(axes, ("reward", "held"), strict=True):
-            low, middle, high = np.quantile([row[key] for row in rows], [0.25, 0.5, 0.75], axis=0)
-            (line,) = axis.plot(steps, middle, label=NAMES.get(name, f"force through {name}"))
-            axis.fill_between(steps, low, high, color=line.get_color(), alpha=ALPHA, linewidth=0)
-    axes[0].set(xlabel="control periods / 1000", ylabel="return of 80 s, share of the largest", ylim=(0, 1.02))
-    axes[1].set(xlabel="control periods / 1000", ylabel="time until it falls / s", ylim=(0, 82))
-    axes[0].legend(loc="lower right")
-    figure.savefig(path, dpi=120)
-    print(f"\n{path}")
+    def of_width(width):
+        from matplotlib.figure import Figure
+
+        narrow = width <= style.NARROW
+        figure = Figure((width, 1.2 * width if narrow else 0.4 * width), layout="constrained")
+        axes = figure.subplots(*((2, 1) if narrow else (1, 2)))
+        for name, rows in curves.items():
+            steps = np.mean([row["steps"] for row in rows], axis=0) / 1000
+            look = style.of(name, tuple(curves)).line
+            for axis, key in zip(axes, ("reward", "held"), strict=True):
+                low, middle, high = np.quantile([row[key] for row in rows], [0.25, 0.5, 0.75], axis=0)
+                axis.plot(steps, middle, label=NAMES.get(name, f"force through {name}"), **look)
+                axis.fill_between(steps, low, high, color=look["color"], alpha=ALPHA, linewidth=0)
+        axes[0].set(xlabel="control periods / 1000", ylabel="return of 80 s, share of the largest", ylim=(0, 1.02))
+        axes[1].set(xlabel="control periods / 1000", ylabel="time until it falls / s", ylim=(0, 82))
+        axes[0].legend(loc="lower right")
+        return figure
+
+    figures.write(of_width, stem)
+    print(f"\n{stem}.png")
 
 
 def main():
@@ -90,7 +98,7 @@ def main():
         whole = sum(one.standing == len(one.held) for one in tried)
         returns = quartiles([one.reward for one in tried], ".4f")
         print(f"{name:14s}{whole:9d} of {options.seeds:2d}{returns:>36s}{min(one.standing for one in tried):15d}/10")
-    draw(curves, options.out / "learning.png")
+    draw(curves, options.out / "learning")
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from dipc_gym.compensators.base import (
     RigConstants,
     Samples,
 )
+from dipc_gym.naming import suggestion
 
 _KINDS: dict[str, type[Compensator]] = {}
 
@@ -53,7 +54,7 @@ def kind(name: str) -> type[Compensator]:
         ValueError: There is none; the message lists what there is.
     """
     if name not in _KINDS:
-        raise ValueError(f"there is no compensator {name!r}; there are {', '.join(_KINDS)}")
+        raise ValueError(f"there is no compensator {name!r}; there are {', '.join(_KINDS)}{suggestion(name, _KINDS)}")
     return _KINDS[name]
 
 

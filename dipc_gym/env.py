@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dipc_gym import drawing, kernels, mjcf
+from dipc_gym import actions, drawing, kernels, mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import from_model
 from dipc_gym.plant import Plant, PlantError, physics_steps
@@ -181,14 +181,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         Raises:
             ValueError: the action is not one finite number.
         """
-        try:
-            if len(action) != 1:
-                raise ValueError
-            asked = float(action[0])
-        except (TypeError, ValueError, IndexError):
-            raise ValueError(f"an action is an array of one number, the voltage; this is {action!r}") from None
-        if not math.isfinite(asked):
-            raise ValueError(f"the voltage is {asked}; it must be a finite number")
+        asked = actions.one(action, "voltage")
         supply = self._plant.supply
         volts = -supply if asked < -supply else supply if asked > supply else asked
 

@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.naming import suggestion
 
 __all__ = ["Extra", "Moment", "Physics", "from_model", "load", "register"]
 
@@ -355,7 +356,8 @@ def from_model(model: mujoco.MjModel) -> Physics:
             continue
         parts = name.split(":", 2)
         if len(parts) != 3 or parts[1] not in _rules:
-            raise mjcf.MjcfError(f"<custom> entry {name!r}: known effects are {', '.join(sorted(_rules))}")
+            near = suggestion(parts[1] if len(parts) > 1 else "", _rules)
+            raise mjcf.MjcfError(f"<custom> entry {name!r}: known effects are {', '.join(sorted(_rules))}{near}")
         stage = _rules[parts[1]][0]
         extras.append(
             Extra(parts[1], parts[2], stage, _index(model, name, stage, parts[2]), model.numeric(i).data.copy())
@@ -401,7 +403,8 @@ def _index(model: mujoco.MjModel, name: str, stage: Stage, at: str) -> int:
     else:
         known = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
     if at not in known:
-        raise mjcf.MjcfError(f"<custom> entry {name!r}: no {at!r} in the model; there are {', '.join(known)}")
+        there_are = f"there are {', '.join(known)}{suggestion(at, known)}"
+        raise mjcf.MjcfError(f"<custom> entry {name!r}: no {at!r} in the model; {there_are}")
     return known[at]
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from dipc_gym.files import write_whole
 from dipc_gym.mjcf.defaults import effective
+from dipc_gym.naming import suggestion
 from dipc_gym.untrusted import Format, shown
 
 __all__ = ["Encoders", "Friction", "Masses", "Motor", "Plant", "PlantError"]
@@ -421,8 +422,8 @@ def _known(kind: Any, names: Iterable[str], where: str = "") -> None:
     known = [f.name for f in dataclasses.fields(kind)]
     for name in names:
         if name not in known:
-            unknown = shown(f"{where}{name}")
-            raise PlantError(f"unknown field {unknown}; there are {', '.join(where + n for n in known)}")
+            unknown, there_are = shown(f"{where}{name}"), ", ".join(where + n for n in known)
+            raise PlantError(f"unknown field {unknown}; there are {there_are}{suggestion(name, known)}")
 
 
 def _actuator(root: ET.Element, name: str) -> ET.Element | None:

@@ -133,6 +133,11 @@ class Course:
     clipped: int
     fell: bool
 
+    @property
+    def lasted(self) -> float:
+        """How long it lasted, s; if it fell, when."""
+        return float(self.time[-1] + (self.time[1] - self.time[0] if len(self.time) > 1 else 0.0))
+
     def recording(self, name: str) -> Recording:
         """The run in the form of a recording."""
         return Recording(name, self.time, self.voltage[:, None], self.readings, ("motor",), ("cart", "pole1", "pole2"))
@@ -195,14 +200,26 @@ def balance(
     return Course(period * np.arange(done), state[:done], force[:done], voltage[:done], readings[:done], clipped, fell)
 
 
-def recorded(path: str, *, model: str | None = None) -> Course:
+def recorded(
+    path: str,
+    *,
+    model: str | None = None,
+    mapping: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Course:
     """The course of a recorded run, as far as the encoders tell it: rates and force are zero.
+
+    Args:
+        path: file of the recording.
+        model: MJCF file of the rig; None is the package's.
+        mapping: of the recording's columns; see `recording.read`.
+        units: of the recording's columns; see `recording.read`.
 
     Raises:
         RecordingError: the file cannot be used, or lacks an encoder.
     """
     env = _unwrapped(gymnasium.make(ENV_ID, model=model))
-    run = recording.read(path, env.model)
+    run = recording.read(path, env.model, mapping=mapping, units=units)
     cart, pole1, pole2 = (run.sensors[:, run.sensor_names.index(name)] for name in ("cart", "pole1", "pole2"))
     state = np.zeros((len(run), 6))
     state[:, :3] = np.stack([cart, pole1, pole1 + pole2], axis=1)

@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -195,7 +196,7 @@ def _outcomes(
     yield from done
     if not open_ones:
         return
-    bar = tqdm(total=len(done) + len(open_ones), initial=len(done), desc=label, unit="run")
+    bar = tqdm(total=len(done) + len(open_ones), initial=len(done), desc=label, unit="run", disable=None)
     with bar:
         for number, text, failure in _attempts(dict(enumerate(open_ones)), jobs, backend):
             cell = open_ones[number]
@@ -232,7 +233,9 @@ def _attempts(cells: Mapping[int, Cell], jobs: int | None, backend: Backend) -> 
                 yield delayed(attempt)(number, cells[number])
 
         try:
-            with parallel_config(n_jobs=jobs, **settings):
+            with warnings.catch_warnings(), parallel_config(n_jobs=jobs, **settings):
+                # A worker that has taken 300 MB since its first cell, as importing torch does, is replaced by another.
+                warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
                 # One cell a task, and none waiting in a worker: what is finished comes back at once.
                 parallel = Parallel(batch_size=1, pre_dispatch=jobs, return_as="generator_unordered")
                 with held_back():

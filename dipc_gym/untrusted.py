@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+from dipc_gym.naming import suggestion
+
 MANY_DIGITS = 10**40
 
 
@@ -109,7 +111,10 @@ class Reader:
         before = f"{where}." if where else ""
         for name in data:
             if name not in names:
-                self.fail(f"{before}{shown(name)}", f"is unknown; there are {', '.join(names)}: remove or correct it")
+                near = suggestion(str(name)[:100], names)
+                self.fail(
+                    f"{before}{shown(name)}", f"is unknown; there are {', '.join(names)}: remove or correct it{near}"
+                )
         for name in names:
             if name not in data:
                 self.fail(f"{before}{name}", f"is missing; {self.format.mend}")

@@ -16,6 +16,7 @@ from mujoco import batch as mjbatch
 from numpy.typing import NDArray
 
 from dipc_gym import kernels, mjcf
+from dipc_gym.actions import many
 from dipc_gym.env import DIVERGED, NAMES, DoublePendulumEnv, start_state
 from dipc_gym.plant import Masses, Plant, PlantError
 from dipc_gym.randomise import PlantFamily
@@ -179,13 +180,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             ValueError: the actions have another shape or are not finite.
             RuntimeError: autoreset is disabled and an ended episode was not reset.
         """
-        asked = np.asarray(actions, dtype=np.float64)
-        if asked.shape != (self.num_envs, 1):
-            raise ValueError(f"actions are an array ({self.num_envs}, 1) of voltages; this has the shape {asked.shape}")
-        asked = asked[:, 0]
-        if not np.isfinite(asked).all():
-            row = int(np.flatnonzero(~np.isfinite(asked))[0])
-            raise ValueError(f"the voltage of row {row} is {asked[row]}; it must be a finite number")
+        asked = many(actions, "voltage", self.num_envs)
         waiting = self._ended.copy()
         if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():
             raise RuntimeError(

@@ -1,4 +1,4 @@
-"""Balance the rig for 20 s, with and without friction compensation.
+"""Balance the rig without and with friction compensation, and compare in numbers.
 
 Run it: python examples/balance.py
 """
@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 import dipc_gym
-from dipc_gym.controllers import LQR
+from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.runs import identify
 from dipc_gym.wrappers import ForceCommand
 
@@ -23,25 +23,32 @@ class Arguments:
     """of the starting state"""
 
 
-def largest_deviation(env: gymnasium.Env, seconds: float, seed: int) -> float:
-    """Largest deviation of the cart in the last half of a run under the paper's LQR, m."""
-    lqr = LQR()
+def largest_deviations(env: gymnasium.Env, seconds: float, seed: int) -> np.ndarray:
+    """Largest deviations in the last half of a run under the paper's LQR: cart, mm, and the two poles, degrees."""
     observation, _ = env.reset(seed=seed)
-    steps = round(seconds / 0.005)
-    positions = np.zeros(steps)
-    for k in range(steps):
-        observation, _, terminated, _, _ = env.step([lqr.force(observation)])
-        positions[k] = observation[0]
+    states = np.zeros((round(seconds / 0.005), 3))
+    for k in range(len(states)):
+        force = -PRINTED_GAIN @ observation
+        observation, _, terminated, _, _ = env.step(np.array([force]))
+        states[k] = observation[:3]
         if terminated:
-            raise SystemExit(f"fell after {0.005 * k:.1f} s")
-    return float(np.abs(positions[steps // 2 :]).max())
+            raise SystemExit(f"fell after {0.005 * (k + 1):.2f} s")
+    return np.abs(states[len(states) // 2 :]).max(axis=0) * (1000, 180 / np.pi, 180 / np.pi)
 
 
 if __name__ == "__main__":
     arguments = tyro.cli(Arguments)
     run = identify(seed=arguments.seed)  # 60 s of swept voltage on the rig with locked poles
+    found = {}
+    print("largest deviation   cart, mm   pole 1, deg   pole 2, deg")
     for name in ("none", "feedforward", "llnf", "ideal"):
         env = gymnasium.make(dipc_gym.ENV_ID, max_episode_steps=100_000)
         env = ForceCommand(env, run.fit(name))
-        deviation = largest_deviation(env, arguments.seconds, arguments.seed)
-        print(f"{name:12s} cart moves by up to {1000 * deviation:5.1f} mm")
+        found[name] = largest_deviations(env, arguments.seconds, arguments.seed)
+        print("{:19s} {:8.1f} {:13.2f} {:13.2f}".format(name, *found[name]))
+    less = found["none"] / found["llnf"]
+    print(
+        "With the LLNF compensator, cart and poles move {:.1f}, {:.1f} and {:.1f} times less than without.".format(
+            *less
+        )
+    )

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import dipc_gym
 from dipc_gym import compensators, recording
 from dipc_gym.cli import COMMANDS, main
-from dipc_gym.experiments import figures
 from dipc_gym.plant import Friction, Plant
-from dipc_gym.runs import Course, identify
+from dipc_gym.runs import identify
 
 
 def test_help_loads_nothing_heavy() -> None:
@@ -94,6 +94,13 @@ def test_notes_of_the_recording_that_is_trained_from_are_told(
     [
         (["compare", "--out", "full"], "choose another folder"),
         (["compare", "--out", "new", "--controller", "pid"], "there is no controller 'pid'"),
+        (["comapre", "--out", "new"], "did you mean 'compare'?"),
+        (["compare", "--out", "new", "--compensator", "lnlf"], "did you mean 'llnf'?"),
+        (["compare", "--out", "new", "--robustness", "fricton"], "did you mean 'friction'?"),
+        (["trial", "--out", "new", "--count", "0"], "1 or more"),
+        (["train-policy", "--out", "new", "--resume"], "no training to go on with"),
+        (["train", "--out", "new.txt"], "new.txt: this is written as .json"),
+        (["render", "--out", "new.gif", "--map", "x=cart"], "--recording"),
         (["compare", "--out", "new", "--compensator", "x,y"], "there is no compensator 'x'"),
         (["train", "--out", "full/file"], "exists"),
         (["train", "--out", "new.json", "--compensator", "x"], "there is no compensator 'x'"),
@@ -103,7 +110,7 @@ def test_notes_of_the_recording_that_is_trained_from_are_told(
         (["record", "--out", "new.mat", "--seconds", "0.5"], "new.mat"),
         (["record", "--out", "new.csv", "--compensator", "none", "--seconds", "inf"], "must be finite"),
         (["render", "--out", "new.gif", "--compensator", "none", "--seconds", "0"], "at least one control period"),
-        (["render", "--out", "new.png"], "only .gif"),
+        (["render", "--out", "new.png"], ".gif or .mp4"),
         (["render", "--out", "new.gif", "--model", "full/file"], "full/file"),
     ],
 )
@@ -125,27 +132,15 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
 
 
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"dipc-gym {dipc_gym.__version__}\n"
+
+
 def test_a_fault_of_linear_algebra_keeps_its_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dipc_gym.runs.identify", lambda *_, **__: np.linalg.inv(np.zeros((2, 2))))
     with pytest.raises(np.linalg.LinAlgError):
         main(["train", "--out", str(tmp_path / "new.json")])
-
-
-def test_a_run_of_one_period_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Camera:
-        def reset(self, **_: object) -> None:
-            pass
-
-        def render(self) -> np.ndarray:
-            return np.zeros((340, 300, 3), np.uint8)
-
-        def close(self) -> None:
-            pass
-
-    monkeypatch.setattr(figures.gymnasium, "make", lambda *_, **__: Camera())
-    course = Course(np.zeros(1), np.zeros((1, 6)), np.zeros(1), np.zeros(1), np.zeros((1, 3)), 0, False)
-    figures.animate({"one": course}, tmp_path / "rig.gif", seconds=0.005)
-    assert (tmp_path / "rig.gif").read_bytes().startswith(b"GIF8")
 
 
 def test_window_needs_a_display(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,7 +23,7 @@ from dipc_gym.controllers import LQR, lqr
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.experiments import cells, compare
 from dipc_gym.experiments.compare import Comparison, Spread
-from dipc_gym.experiments.tables import summarise, table
+from dipc_gym.experiments.tables import PAPER, summarise, table
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.runs import balance, identify
 
@@ -83,7 +83,6 @@ def test_folder_has_everything(finished: tuple[dict[str, Any], Path]) -> None:
         assert (out / "figures" / f"{figure}.png").read_bytes().startswith(b"\x89PNG")
     run = recording.read(out / "recordings" / "lqr-llnf-00.csv", DoublePendulumEnv().model)
     assert len(run) == 400
-    assert "paper" in (out / "table.txt").read_text()
     notes = " ".join(finished[0]["notes"])
     assert (out / "rig.gif").exists() != ("rig.gif was not drawn" in notes)
     if any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa")):  # else there is nothing to draw with
@@ -149,14 +148,25 @@ def test_fallen_runs_are_counted_and_left_out_of_the_figures() -> None:
         "notes": [],
     }
     cells = [
-        {**shared, "seed": 0, "survived": False, "cost": 9.0, "cart_m": None},
-        {**shared, "seed": 1, "survived": True, "cost": 1.0},
+        {**shared, "seed": 0, "survived": False, "cost": 9.0, "cart_m": None, "seconds": 3.21},
+        {**shared, "seed": 1, "survived": True, "cost": 1.0, "seconds": 80.0},
     ]
     row = summarise({}, QUICK.pairs(), cells, [], True)["rows"][0]
     assert (row["seeds"], row["survived"], row["cost"]["median"]) == (2, 1, 1.0)
     none = summarise({}, QUICK.pairs(), cells[:1], [], True)
     assert none["rows"][0]["cost"] is None
     assert "0/1" in table(none)
+    assert none["rows"][0]["fell_after_s"]["median"] == 3.21
+    assert "lqr, none: 1 fell, after 3.21 s in the median" in table(none)
+
+
+def test_the_papers_figures_stand_beside_runs_of_its_length_alone(finished: tuple[dict[str, Any], Path]) -> None:
+    """Costs are sums over the run, and deviations grow with it."""
+    assert "paper" not in table(finished[0])
+    assert "paper" in table({**finished[0], "paper": PAPER})
+    cell = json.loads((finished[1] / "cells" / "lqr-none-00.json").read_text())["result"]
+    as_long = summarise(dataclasses.asdict(Comparison()), QUICK.pairs(), [cell], [], True)
+    assert as_long["paper"] == PAPER
 
 
 def test_training_from_a_recording(tmp_path: Path) -> None:

@@ -507,8 +507,9 @@ def test_command_line_writes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixt
     model.write_text(NOMINAL.replace("</mujoco>", pulled_in))
     recording.write(run(8, 12, 0.0), csv)
     assert cli.main(["diagnose", str(model), str(csv), "--out", str(out)]) == 0
-    said = capsys.readouterr().out
+    said, progress = capsys.readouterr()
     assert "CONSISTENT" in said
+    assert re.search(r"\[ *[0-9.]+ s\] .* left, by how long this took", progress)
     needed = ["meshes", "more.xml", "plate.xml"]
     assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "improved.xml", *needed, "report.html"]
     mujoco.MjModel.from_xml_path(str(out / "improved.xml"))

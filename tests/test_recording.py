@@ -20,6 +20,7 @@ from dipc_gym import mjcf
 from dipc_gym import recording as recordings
 from dipc_gym.recording import Recorder, Recording, RecordingError, files, noise, read, resample_commands, write
 from dipc_gym.recording.checks import counted_on, quantum
+from dipc_gym.recording.degrees import refuse_degrees
 from dipc_gym.recording.units import FACTORS, factor
 
 SHARED = Path(__file__).parents[1] / "../shared"
@@ -33,6 +34,9 @@ RIG = """<mujoco>
   <actuator><motor name="motor" joint="cart" ctrlrange="-24 24"/></actuator>
   <sensor><jointpos name="cart" joint="cart"/><jointpos name="pole" joint="pole"/></sensor>
 </mujoco>"""
+
+# A body below its joint, in the place of one about it.
+PENDULUM = 'pos="0 0 -0.3" mass="1" diaginertia="1 1 1"/><joint name="pole"'
 
 
 @pytest.fixture(scope="module")
@@ -512,6 +516,20 @@ def test_dead_and_clipped_channels_are_noted(tmp_path: Path, model: mujoco.MjMod
     assert "sits at" not in noted(tmp_path, model, motor=switched)
     coarse = np.round(np.clip(columns["cart"], -0.08, 1.0) / 2e-5) * 2e-5
     assert "sensor 'cart' sits at its lowest value, -0.08" in noted(tmp_path, model, cart=coarse)
+
+
+def test_what_looks_like_degrees_stops_until_the_unit_is_told(tmp_path: Path, model: mujoco.MjModel) -> None:
+    columns = run(2000)
+    in_degrees = save(tmp_path / "log.csv", table({**columns, "pole": np.degrees(columns["pole"])}))
+    weight = mjcf.compile(RIG.replace('pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="pole"', PENDULUM))
+    with pytest.raises(RecordingError, match=r"log\.csv: sensor 'pole' reaches .* --unit pole=deg .* --unit pole=rad"):
+        refuse_degrees([read(in_degrees, weight)], weight, ())
+    refuse_degrees([read(in_degrees, weight)], weight, ("pole",))
+    refuse_degrees([read(save(tmp_path / "rad.csv", table(columns)), weight)], weight, ())
+    refuse_degrees([read(in_degrees, model)], model, ())  # nothing weighs on this pole: it may turn as it likes
+    limited = mjcf.compile(RIG.replace('name="pole" axis', 'range="-30 30" name="pole" axis'))
+    with pytest.raises(RecordingError, match="looks like degrees"):
+        refuse_degrees([read(in_degrees, limited)], limited, ())
 
 
 def test_suspect_units_are_noted(tmp_path: Path, model: mujoco.MjModel) -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -304,3 +305,35 @@ def test_a_trial_is_diagnosed_on_ray(cluster: Any, tmp_path: Path) -> None:
     (tmp_path / "improved.xml").write_text(texts["improved.xml"])
     here = replay(tmp_path / "improved.xml", trial / "test.csv", window=0.25, step=0.001, threads=1)
     assert note["sensor_errors"] == {"axis": here.sensors[0].error}
+
+
+HOARD: list[np.ndarray] = []
+
+
+@dataclass(frozen=True)
+class Grow:
+    """Leaves its process larger than before, as what imports a large library does."""
+
+    name: str
+
+    def run(self) -> int:
+        time.sleep(1.1)  # joblib looks every second
+        if len(HOARD) == 1:  # what the first cell takes is the reference
+            HOARD.append(np.ones(45_000_000))
+        HOARD.append(np.ones(1))
+        return os.getpid()
+
+
+def test_a_worker_that_grows_is_replaced_without_a_word(tmp_path: Path) -> None:
+    pytest.importorskip("psutil")  # without it joblib does not look
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        outcomes = list(sweep.run([Grow(f"grow-{n}") for n in range(5)], tmp_path, jobs=2))
+    assert [outcome.failure for outcome in outcomes] == [None] * 5
+    assert len({outcome.result for outcome in outcomes}) > 2  # processes: some were replaced
+    assert [str(one.message) for one in said] == []
+
+
+def test_no_progress_bar_where_nobody_looks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    list(sweep.run([Halve(2), Halve(4)], tmp_path, jobs=1))
+    assert capsys.readouterr().err == ""

@@ -14,14 +14,14 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
-from gymnasium.wrappers import NormalizeObservation, RescaleAction
+from gymnasium.wrappers import ClipAction, NormalizeObservation, RescaleAction, vector
 
 import dipc_gym
 from dipc_gym import compensators, mjcf, recording
 from dipc_gym.compensators import Compensator, CompensatorError, Ideal, RigConstants, Samples, StaticGain
 from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.wrappers import ForceCommand, RecordRun, VectorRecordRun
+from dipc_gym.wrappers import ForceCommand, RecordRun, VectorForceCommand, VectorRecordRun
 
 GAIN = StaticGain(newtons_per_volt=4.0)
 
@@ -182,6 +182,28 @@ def test_what_cannot_be_wrapped_is_refused(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------------------ recordings
+
+
+def test_a_kind_of_compensator_has_to_be_fitted_first() -> None:
+    with pytest.raises(CompensatorError, match=r"fit it to a rig: ForceCommand\(env, .*identify\(\)\.fit\('llnf'\)\)"):
+        ForceCommand(rig(), "llnf")
+    with pytest.raises(CompensatorError, match="did you mean 'llnf'"):
+        ForceCommand(rig(), "lnlf")
+
+
+def test_a_wrapper_that_changes_what_an_action_is_goes_outside() -> None:
+    """Within, it would make the compensator's volts into something else."""
+    for inside in (RescaleAction(rig(), -1.0, 1.0), ForceCommand(rig(), GAIN)):
+        with pytest.raises(ValueError, match="around ForceCommand instead"):
+            ForceCommand(inside, GAIN)
+    envs = gymnasium.make_vec(dipc_gym.ENV_ID, num_envs=2, vectorization_mode="vector_entry_point")
+    with pytest.raises(ValueError, match="around ForceCommand instead"):
+        VectorForceCommand(vector.RescaleAction(envs, -1.0, 1.0), GAIN)
+    outside = RescaleAction(ForceCommand(ClipAction(rig()), GAIN), -1.0, 1.0)
+    outside.reset(seed=1)
+    assert outside.step(np.array([0.5]))[4]["force"] == pytest.approx(
+        0.5 * outside.unwrapped.plant.motor.force_per_volt * 24
+    )
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])

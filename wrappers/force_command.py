@@ -13,8 +13,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dipc_gym import compensators
-from dipc_gym.compensators import Compensator
+from dipc_gym import actions, compensators
+from dipc_gym.compensators import Compensator, CompensatorError
+from dipc_gym.naming import suggestion
 from dipc_gym.plant import Plant
 
 Array = NDArray[np.float64]
@@ -37,8 +38,10 @@ class ForceCommand(
 
     Raises:
         TypeError: `env` cannot say how fast its cart is.
-        ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known.
-        compensators.CompensatorError: the compensator's file or dictionary is broken.
+        ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known; or a wrapper
+            inside this one changes what an action is, so that a voltage would not arrive as one.
+        compensators.CompensatorError: the compensator's file or dictionary is broken, or a kind of compensator is
+            named that has to be fitted first.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -61,6 +64,7 @@ class ForceCommand(
         inner: Any = env.unwrapped
         if not hasattr(inner, "measured_velocity"):
             raise TypeError(f"{inner} has no measured_velocity; ForceCommand goes around DIPC-Friction-v0")
+        check_volts(env.action_space, inner.action_space)
         frozen = frozen_compensator(compensator)
         recorded = compensator.to_dict() if isinstance(compensator, Compensator) else _plain(compensator)
         gymnasium.utils.RecordConstructorArgs.__init__(self, compensator=recorded, force_limit=force_limit)
@@ -85,15 +89,7 @@ class ForceCommand(
         Raises:
             ValueError: the action is not one finite number.
         """
-        try:
-            if len(action) != 1:
-                raise ValueError
-            force = float(action[0])
-        except (TypeError, ValueError, IndexError):
-            raise ValueError(f"an action is an array of one number, the force; this is {action!r}") from None
-        if not math.isfinite(force):
-            raise ValueError(f"the force is {force}; it must be a finite number")
-        force = min(max(force, -self.force_limit), self.force_limit)
+        force = min(max(actions.one(action, "force"), -self.force_limit), self.force_limit)
         velocity = self._inner.measured_velocity
         if self.compensator.needs_friction:
             held_back = -self._inner.friction
@@ -105,8 +101,40 @@ class ForceCommand(
         return observation, reward, terminated, truncated, info
 
 
+def check_volts(outer: spaces.Space[Any], inner: spaces.Space[Any]) -> None:
+    """Refuse an environment whose wrappers want something else than the motor's voltage.
+
+    Args:
+        outer: action space of the environment, wrappers included.
+        inner: action space without them.
+
+    Raises:
+        ValueError: the two differ, and not only in that one has no bounds.
+    """
+    if isinstance(outer, spaces.Box) and outer.shape == inner.shape and not outer.is_bounded("both"):
+        return  # as `ClipAction` has it, which leaves voltages voltages
+    if outer != inner:
+        raise ValueError(
+            f"ForceCommand sends volts, {inner}, and the environment takes {outer}: put the wrapper that changes "
+            "actions, such as RescaleAction, around ForceCommand instead of inside"
+        )
+
+
 def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path) -> Compensator:
-    """A compensator of one's own: it has a memory, which two environments must not share."""
+    """A compensator of one's own: it has a memory, which two environments must not share.
+
+    Raises:
+        compensators.CompensatorError: a file or dictionary is broken, or a kind is named that has to be fitted first.
+    """
+    if isinstance(compensator, str) and not compensator.endswith(".json") and not Path(compensator).exists():
+        if compensator in compensators.names():
+            mend = f"fit it to a rig: ForceCommand(env, dipc_gym.runs.identify().fit({compensator!r}))"
+            raise CompensatorError(f"{compensator!r} is a kind of compensator; {mend}, or give the path of a saved one")
+        near = suggestion(compensator, compensators.names())
+        raise CompensatorError(
+            f"{compensator}: neither a file nor a kind of compensator; kinds, which have to be fitted to a rig, are "
+            f"{', '.join(compensators.names())}{near}"
+        )
     return copy.deepcopy(
         compensator if isinstance(compensator, Compensator) else compensators.load(_plain(compensator))
     )

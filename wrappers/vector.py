@@ -11,9 +11,10 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from dipc_gym.actions import many
 from dipc_gym.compensators import Compensator
 from dipc_gym.vector import DIPCFrictionVectorEnv
-from dipc_gym.wrappers.force_command import force_range, frozen_compensator
+from dipc_gym.wrappers.force_command import check_volts, force_range, frozen_compensator
 from dipc_gym.wrappers.record import EpisodeFiles, recordings_folder
 
 Array = NDArray[np.float64]
@@ -29,8 +30,10 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
 
     Raises:
         TypeError: `env` is another environment.
-        ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known.
-        compensators.CompensatorError: the compensator's file or dictionary is broken.
+        ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known; or a wrapper
+            inside this one changes what an action is.
+        compensators.CompensatorError: the compensator's file or dictionary is broken, or a kind of compensator is
+            named that has to be fitted first.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -51,6 +54,7 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
     ) -> None:
         super().__init__(env)
         self._inner = _own(env)
+        check_volts(env.single_action_space, self._inner.single_action_space)
         self.compensator = frozen_compensator(compensator)
         self.force_limit, self.single_action_space = force_range(self._inner.plant, force_limit)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -74,10 +78,7 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
         Raises:
             ValueError: the actions have another shape or are not finite.
         """
-        asked = np.asarray(actions, dtype=np.float64)
-        if asked.shape != (self.num_envs, 1) or not np.isfinite(asked).all():
-            raise ValueError(f"actions are an array ({self.num_envs}, 1) of finite forces; these are {actions!r}")
-        force = np.clip(asked[:, 0], -self.force_limit, self.force_limit)
+        force = np.clip(many(actions, "force", self.num_envs), -self.force_limit, self.force_limit)
         velocity, compensator = self._inner.measured_velocity, self.compensator
         known = {"friction": -self._inner.friction} if compensator.needs_friction else {}
         volts, self._state = compensator.voltage_batch(force, velocity, self._state, **known)

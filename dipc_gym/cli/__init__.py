@@ -13,12 +13,14 @@ from typing import Protocol
 import numpy as np
 import tyro
 
+from dipc_gym import __version__
 from dipc_gym.cli.compare import Compare
 from dipc_gym.cli.diagnose import Diagnose
 from dipc_gym.cli.record import Record, Render
 from dipc_gym.cli.replay import Replay
 from dipc_gym.cli.train import Train, TrainPolicy
 from dipc_gym.cli.trial import Trial
+from dipc_gym.naming import suggestion
 
 
 class Command(Protocol):
@@ -42,13 +44,21 @@ COMMANDS: dict[str, type[Command]] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit code is 0, 1 if part of it failed, 2 for bad input, 130 after Ctrl-C."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments == ["--version"]:
+        print(f"dipc-gym {__version__}")
+        return 0
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
+        named, near = ", ".join(COMMANDS), suggestion(arguments[0], COMMANDS)
+        print(f"dipc-gym: there is no command {arguments[0]!r}; there are {named}{near}", file=sys.stderr)
+        return 2
     try:
         command = tyro.extras.subcommand_cli_from_dict(
             COMMANDS,  # type: ignore[arg-type]
             prog="dipc-gym",
             description=(
                 "A double inverted pendulum on a cart with stick-slip friction: an environment, friction compensators, "
-                "and a tool that names the physics a simulator leaves out."
+                "and a tool that names the physics a simulator leaves out. --version tells the version."
             ),
             args=arguments,
             config=(tyro.conf.FlagCreatePairsOff,),

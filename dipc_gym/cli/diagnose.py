@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
 from dipc_gym.cli.options import free, pairs
+from dipc_gym.cli.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Diagnose:
     map: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """column=name: which column of the files is which name in the model; may be repeated"""
     unit: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """name=unit: unit of a column, such as deg, mm or ms; may be repeated"""
+    """name=unit: unit of a column, such as deg, mm or ms; may be repeated; rad also where angles look like degrees"""
     jobs: int = 0
     """threads of the simulations; 0 for all cores"""
     seed: int = 0
@@ -65,6 +65,7 @@ class Diagnose:
 
         from dipc_gym import mjcf, recording
         from dipc_gym.alone import alone
+        from dipc_gym.recording.degrees import refuse_degrees
         from dipc_gym.recording.tables import check_format
         from dipc_gym.sim2real.diagnosis import diagnose
         from dipc_gym.sim2real.model.parameters import Wishes
@@ -84,9 +85,11 @@ class Diagnose:
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         fitted = recording.read_all(self.recordings, model, mapping=mapping, units=units)
         judged = recording.read_all(self.held_out, model, mapping=mapping, units=units)
+        refuse_degrees([*fitted, *judged], model, [*units, *(mapping.get(column, "") for column in units)])
         wishes = Wishes(self.fix, {key: _spread(key, text) for key, text in pairs("prior", self.prior).items()})
         with alone(self.out):
-            found = diagnose(source, fitted, judged, wishes=wishes, seed=self.seed, threads=self.jobs, tell=_progress())
+            with Progress() as tell:
+                found = diagnose(source, fitted, judged, wishes=wishes, seed=self.seed, threads=self.jobs, tell=tell)
             for note in found.notes:
                 print(f"note: {note}")
             command = shlex.join(["dipc-gym", *sys.argv[1:]])
@@ -128,11 +131,3 @@ def _spread(key: str, text: str) -> tuple[float, float]:
         return float(mean), float(spread)
     except ValueError:
         raise ValueError(f"--prior {key}={text}: write it as {key}=1.2+-0.05, mean and standard deviation") from None
-
-
-def _progress() -> Callable[[str], None]:
-    """Prints lines of progress with the seconds since the start."""
-    import time
-
-    began = time.monotonic()
-    return lambda line: print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)

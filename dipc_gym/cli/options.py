@@ -28,6 +28,17 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
     return found
 
 
+def ending(path: Path, *suffixes: str) -> Path:
+    """A path that ends as what is written to it must.
+
+    Raises:
+        ValueError: it ends otherwise.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise ValueError(f"{path}: this is written as {' or '.join(suffixes)}; end its name so")
+    return path
+
+
 def free(path: Path, overwrite: bool) -> None:
     """Refuse to write over a file, before any work is done.
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from dipc_gym.cli.options import free
+import tyro
+
+from dipc_gym.cli.options import ending, free, pairs
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class Record:
             )
             run = course.recording(self.out.stem)
             if course.fell:
-                print(f"fell after {course.time[-1]:.2f} s")
+                print(f"fell after {course.lasted:.2f} s")
         recording.write(run, self.out, overwrite=self.overwrite)
         print(f"{self.out}: {len(run)} samples, {run.duration:.1f} s")
         return 0
@@ -65,26 +67,33 @@ class Record:
 
 @dataclass(frozen=True)
 class Render:
-    """Draw a run of the rig as an animated GIF, or in a window.
+    """Draw a run of the rig as a film, or in a window.
 
     Works without a display too. The run is simulated, or taken from a recording that has all three encoders.
 
     Try:
         dipc-gym render --out rig.gif --compensator llnf
-        dipc-gym render --out run.gif --recording balance.csv
+        dipc-gym render --out run.mp4 --recording balance.csv
+        dipc-gym render --out run.gif --recording log.csv --map pos_cart=cart --unit pole1=deg
         dipc-gym render
     """
 
     out: Path | None = None
-    """GIF to write; without it a window opens"""
+    """film to write, .gif or .mp4; without it a window opens"""
     recording: str | None = None
     """recording to draw instead of a simulated run"""
+    map: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """column=name: which column of the recording is which name in the model; may be repeated"""
+    unit: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """name=unit: unit of a column, such as deg, mm or ms; may be repeated"""
     controller: str = "lqr"
     """lqr, or a policy: our own (.json), or one of stable-baselines3 (.zip)"""
     compensator: str = "none"
     """a name, trained for this on a simulated run, or a saved compensator (.json)"""
     seconds: float = 10.0
     """length, s"""
+    magnify: float = 1.0
+    """show deviations from upright so many times as large; the trace of the cart is in true millimetres"""
     plant: str | None = None
     """JSON file of the plant; where numbers are distributions, identification takes their centres"""
     model: str | None = None
@@ -97,14 +106,15 @@ class Render:
     def run(self) -> int:
         """Draw."""
         from dipc_gym import controllers, runs
-        from dipc_gym.experiments import figures
+        from dipc_gym.experiments import film
 
         if self.out is not None:
-            free(self.out, self.overwrite)
-            if self.out.suffix.lower() != ".gif":
-                raise ValueError(f"{self.out}: only .gif can be written")
+            free(ending(self.out, *film.FORMATS), self.overwrite)
+        mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         if self.recording is not None:
-            course = runs.recorded(self.recording, model=self.model)
+            course = runs.recorded(self.recording, model=self.model, mapping=mapping, units=units)
+        elif mapping or units:
+            raise ValueError("--map and --unit tell what the columns of a --recording are; name one")
         else:
             course = runs.balance(
                 controllers.load(self.controller),
@@ -114,10 +124,12 @@ class Render:
                 plant=self.plant,
                 model=self.model,
             )
+        if course.fell:
+            print(f"fell after {course.lasted:.2f} s")
         if self.out is None:
-            figures.show(course, model=self.model, seconds=self.seconds)
+            film.show(course, model=self.model, seconds=self.seconds)
         else:
             caption = Path(self.recording).stem if self.recording else f"{self.controller}, {self.compensator}"
-            figures.animate({caption: course}, self.out, model=self.model, seconds=self.seconds)
+            film.shoot({caption: course}, self.out, model=self.model, seconds=self.seconds, magnify=self.magnify)
             print(f"{self.out}: {min(self.seconds, course.time[-1]):.1f} s")
         return 0

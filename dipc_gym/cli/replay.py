@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from dipc_gym.cli.options import free, pairs
+from dipc_gym.cli.options import ending, free, pairs
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,10 @@ class Replay:
         for path in (self.json, self.plot):
             if path is not None:
                 free(path, self.overwrite)
-        if self.plot is not None and self.plot.suffix.lower() not in (".png", ".pdf", ".svg"):
-            raise ValueError(f"{self.plot}: pictures are written as .png, .pdf or .svg")
+        if self.json is not None:
+            ending(self.json, ".json")
+        if self.plot is not None:
+            ending(self.plot, ".png", ".pdf", ".svg")
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         done = replay(self.model, self.recording, window=self.window, step=self.step, mapping=mapping, units=units)
         for note in done.recording.notes:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from dipc_gym.cli.options import free, pairs
+from dipc_gym.cli.options import ending, free, pairs
 
 if TYPE_CHECKING:
     from dipc_gym.training.train import Training
@@ -52,6 +52,7 @@ class Train:
         from dipc_gym.runs import identify
 
         free(self.out, self.overwrite)
+        ending(self.out, ".json")
         compensators.registry.kind(self.compensator)  # refuse an unknown name before anything is simulated
         found = identify(
             self.plant,

@@ -6,6 +6,7 @@ from dipc_gym import policy
 from dipc_gym.controllers.base import Controller
 from dipc_gym.controllers.lqr import LQR
 from dipc_gym.controllers.sb3_files import read_policy
+from dipc_gym.naming import suggestion
 from dipc_gym.policy import ControllerError
 
 
@@ -25,5 +26,6 @@ def load(name: str) -> Controller:
     if not name.endswith(".zip"):
         raise ControllerError(
             f"there is no controller {name!r}; there are 'lqr' and paths of saved policies (.json, .zip)"
+            f"{suggestion(name, ('lqr',))}"
         )
     return read_policy(name)

@@ -23,6 +23,7 @@ from dipc_gym.experiments.cells import Balancing, CompensatorTraining, label
 from dipc_gym.experiments.tables import summarise, table
 from dipc_gym.files import write_json, write_whole
 from dipc_gym.identification import Sweep
+from dipc_gym.naming import suggestion
 from dipc_gym.places import inside
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.policy import Policy
@@ -31,10 +32,11 @@ from dipc_gym.runs import Course
 from dipc_gym.sweep import Backend, Cell, Outcome
 
 FOLDERS = ("cells", "compensators", "recordings", "figures")
+FIGURES = ("fig07_identification", "fig08_mlp", "fig09_lolimot", "fig10_llnf", "fig12_balance", "robustness")
 FILES = (
-    *("summary.json", "table.txt", "rig.gif", "robustness.json", "robustness.txt", "recordings/identification-00.csv"),
-    *(f"figures/{name}.png" for name in ("fig07_identification", "fig08_mlp", "fig09_lolimot", "fig10_llnf")),
-    *("figures/fig12_balance.png", "figures/robustness.pdf", "figures/robustness.png"),
+    *("summary.json", "table.txt", "rig.gif", "rig.mp4", "robustness.json", "robustness.txt"),
+    "recordings/identification-00.csv",
+    *(f"figures/{name}{kind}" for name in FIGURES for kind in (".png", ".pdf", "-narrow.pdf")),
 )
 
 Trained = Mapping[tuple[int, str], dict[str, Any]]
@@ -122,7 +124,7 @@ class Comparison:
             elif name not in compensators.names():
                 raise ValueError(
                     f"there is no compensator {name!r}; there are {', '.join(compensators.names())} and paths of "
-                    "saved ones (.json)"
+                    f"saved ones (.json){suggestion(name, compensators.names())}"
                 )
         for name in self.controllers:
             if not self._partners(name):

@@ -1,31 +1,37 @@
-"""Pictures of a comparison: the paper's figures from our data, and the rig in motion."""
+"""Pictures of a comparison: the paper's figures from our data.
+
+Its Figs. 7 to 10 and 12 have a counterpart. Fig. 11 has none: the text of the paper at hand does not say what it shows.
+Every figure is written for the screen (`NAME.png`), for two columns of a journal (`NAME.pdf`, 7 inches wide), and for
+one (`NAME-narrow.pdf`, 3.4 inches).
+"""
 
 from __future__ import annotations
 
-import os
-import sys
-import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, compensators
+from dipc_gym import compensators
 from dipc_gym.compensators import LOLIMOT, Samples
-from dipc_gym.files import whole
+from dipc_gym.experiments import film, style
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from dipc_gym.runs import Course, Identification
 
-GREY, BLUE, RED, GREEN = "#8a8f98", "#2b5d9b", "#c8452f", "#2c8c68"
-COLOURS = {"none": RED, "feedforward": "#b07aa1", "mlp": BLUE, "llnf": GREEN, "ideal": GREY}
-DASHES = ("-", "--", ":", "-.")
-GIF_SECONDS, GIF_RATE, GIF_SIZE = 8.0, 12.5, (300, 340)
+Array = NDArray[np.float64]
+
+MARKERS = ("o", "s", "^", "x")  # of controllers
 MOST_MODELS = 30
+STRETCHES = ((9.0, 12.0), (45.0, 46.0))  # s of the identification run that Figs. 8 and 10 show
+SWEEP_ZOOM = (28.0, 31.0)  # s, with a block of training between two of test
+BALANCE_ZOOM = 6.0  # s at the end of a run, where it has settled
+FILMED = ("none", "llnf")
 
 
 def draw_all(
@@ -50,213 +56,242 @@ def draw_all(
     """
     folder = out / "figures"
     data = identified.samples
-    time = identified.plant.control_period * np.arange(len(data.force))
-    _save(identification(time, data), folder / "fig07_identification.png")
+    time: Array = identified.plant.control_period * np.arange(len(data.force), dtype=np.float64)
+    write(lambda width: identification(time, data, width), folder / "fig07_identification")
     for number, name in ((8, "mlp"), (10, "llnf")):
         if name in trained:
-            picture = model_output(time, data, compensators.load(trained[name]), name)
-            _save(picture, folder / f"fig{number:02d}_{name}.png")
-    _save(lolimot_growth(data), folder / "fig09_lolimot.png")
+            _write_output(time, data, compensators.load(trained[name]), name, folder / f"fig{number:02d}_{name}")
+    grown = _grown(data)
+    write(lambda width: lolimot_growth(grown, width), folder / "fig09_lolimot")
     controller = next(iter(courses), ("", ""))[0]
     mine = {name: course for (brain, name), course in courses.items() if brain == controller}
     if mine:
-        _save(balancing(controller, mine), folder / "fig12_balance.png")
-    pair = [name for name in ("none", "llnf") if name in mine]
-    if len(pair) < 2:
+        write(lambda width: balancing(controller, mine, width), folder / "fig12_balance")
+    if not all(name in mine for name in FILMED):
         return []
+    films = [out / "rig.gif", *([out / "rig.mp4"] if film.ffmpeg() else [])]
     try:
-        animate({_CAPTIONS[name]: mine[name] for name in pair}, out / "rig.gif", model=model)
+        film.shoot({name: mine[name] for name in FILMED}, *films, model=model)
     except Exception as error:  # OpenGL fails in as many ways as there are drivers; the figures do not depend on it
         return [f"rig.gif was not drawn ({type(error).__name__}: {error}); see the README on headless drawing"]
     return []
 
 
-def identification(time: np.ndarray, data: Samples) -> Figure:
-    """Paper's Fig. 7: the run that compensators are trained on, force and velocity against voltage."""
-    figure = _figure(3, "Identification run, poles locked", (8, 5.5))
-    for axis, values, label in zip(
-        figure.axes, (data.voltage, data.force, data.velocity), ("voltage, V", "force, N", "velocity, m/s"), strict=True
+def write(draw: Callable[[float], Figure], stem: Path) -> None:
+    """Write a figure as `STEM.png`, `STEM.pdf` and `STEM-narrow.pdf`.
+
+    Args:
+        draw: the figure of a width, inches.
+        stem: path without suffix.
+    """
+    for width, name, points in (
+        (style.WIDE, f"{stem.name}.png", 9),
+        (style.WIDE, f"{stem.name}.pdf", 8),
+        (style.NARROW, f"{stem.name}-narrow.pdf", 6),
     ):
-        for part, colour, name in ((data.train, BLUE, "training"), (~data.train, RED, "test")):
-            axis.plot(time, np.where(part, values, np.nan), color=colour, lw=0.7, label=name)
-        axis.set_ylabel(label)
-    figure.axes[0].legend(loc="upper right", ncols=2)
-    figure.axes[-1].set_xlabel("time, s")
-    return figure
+        with style.text(points):
+            style.write(draw(width), stem.with_name(name))
 
 
-def model_output(time: np.ndarray, data: Samples, model: Any, name: str) -> Figure:
-    """Paper's Figs. 8 and 10: voltage of the inverse model against the voltage applied, on test data."""
+def identification(time: Array, data: Samples, width: float = 7.0) -> Figure:
+    """Paper's Fig. 7: the run that compensators are trained on, whole and enlarged.
+
+    Args:
+        time: (n,) s.
+        data: the run.
+        width: inches.
+    """
+    figure, panels = _grid(3, (2.2, 1.0), (width, 0.66 * width))
+    for row, values, label in zip(
+        panels, (data.voltage, data.force, data.velocity), ("voltage, V", "force, N", "velocity, m/s"), strict=True
+    ):
+        for axis, shown in zip(row, (_between(time, 0.0, time[-1]), _between(time, *SWEEP_ZOOM)), strict=True):
+            for part, colour, name in ((data.train, style.SKY, "training"), (~data.train, style.ORANGE, "test")):
+                axis.plot(time[shown], np.where(part, values, np.nan)[shown], color=colour, lw=0.7, label=name)
+        row[0].set_ylabel(label)
+    panels[0, 0].set_title("identification run, poles locked", loc="left")
+    panels[0, 1].set_title("enlarged", loc="left")
+    return _finished(figure, panels, "time, s", 2)
+
+
+def model_output(time: Array, data: Samples, model: Any, name: str, width: float = 7.0) -> Figure:
+    """Paper's Figs. 8 and 10: voltage of the inverse model beside the one applied, and what is between, on test data.
+
+    Args:
+        time: (n,) s.
+        data: the identification run.
+        model: the compensator.
+        name: what it is called.
+        width: inches.
+    """
     output = model.volts(data.force, data.velocity, data.previous_velocity)
     error = output - data.voltage
     mse = float(np.mean(error[~data.train] ** 2))
-    figure = _figure(2, f"{name.upper()} on test data: mean square error {mse:.3g} V²", (8, 4.5))
-    for axis, start in zip(figure.axes, (9.0, 45.0), strict=True):
-        shown = (time >= start) & (time <= start + 5)
-        axis.plot(time[shown], data.voltage[shown], color=GREY, lw=2.5, label="applied")
-        axis.plot(time[shown], np.where(data.train, np.nan, output)[shown], color=RED, lw=1.0, label="model, test")
-        axis.set_ylabel("voltage, V")
-    figure.axes[0].legend(loc="upper right", ncols=2)
-    figure.axes[-1].set_xlabel("time, s (two stretches; gaps are training data)")
-    return figure
+    figure, panels = _grid(2, (1.0, 1.0), (width, 0.55 * width), heights=(2.0, 1.0))
+    tested = np.where(data.train, np.nan, 1.0)
+    for column, (start, end) in enumerate(STRETCHES):
+        above, below = panels[:, column]
+        shown = _between(time, start, end)
+        above.plot(time[shown], data.voltage[shown], color=style.GREY, lw=2.2, alpha=0.6, label="applied")
+        above.plot(time[shown], (tested * output)[shown], lw=1.0, label=name, **style.of(name).line)
+        below.plot(time[shown], (tested * error)[shown], lw=0.8, color=style.of(name).colour)
+        below.axhline(0.0, color=style.GREY, lw=0.5)
+    panels[0, 0].set_ylabel("voltage, V")
+    panels[1, 0].set_ylabel("error, V")
+    panels[0, 0].set_title(f"{name.upper()} on test data: mean square error {mse:.3g} V²", loc="left")
+    return _finished(figure, panels, "time, s (gaps are training data)", 2)
 
 
-def lolimot_growth(data: Samples) -> Figure:
-    """Paper's Fig. 9: error over the number of local models, grown beyond the point where training stops."""
-    train = data.train
-    model = LOLIMOT(max_models=MOST_MODELS, border_validity=0.7, patience=MOST_MODELS).fit(
-        data.inputs[train], data.voltage[train], test=(data.inputs[~train], data.voltage[~train])
-    )
-    figure = _figure(1, "LOLIMOT: error over number of local linear models", (6, 3.6))
-    axis = figure.axes[0]
+def lolimot_growth(model: LOLIMOT, width: float = 7.0) -> Figure:
+    """Paper's Fig. 9: error over the number of local models, grown beyond the point where training stops.
+
+    Args:
+        model: a LOLIMOT with its errors on the way.
+        width: inches.
+    """
+    figure, panels = _grid(1, (1.0,), (width, 0.5 * width))
+    axis = panels[0, 0]
     models = np.arange(1, len(model.train_errors_) + 1)
-    axis.semilogy(models, model.train_errors_, "o-", color=BLUE, ms=3, label="training")
-    axis.semilogy(models, model.test_errors_, "s-", color=RED, ms=3, label="test")
-    axis.set_xlabel("local models")
+    axis.semilogy(models, model.train_errors_, "o-", color=style.SKY, ms=3, label="training")
+    axis.semilogy(models, model.test_errors_, "s--", color=style.ORANGE, ms=3, label="test")
     axis.set_ylabel("mean square error, V²")
-    axis.legend()
-    return figure
+    return _finished(figure, panels, "local linear models", 2)
 
 
-def balancing(controller: str, courses: Mapping[str, Course]) -> Figure:
-    """Paper's Fig. 12: cart and poles over the whole run, without and with compensation."""
-    figure = _figure(3, f"Balancing under {controller}, one rig", (8, 6))
-    labels = ("cart, m", "pole 1, deg", "pole 2, deg")
-    for name, course in courses.items():
-        for axis, column, scale in zip(figure.axes, range(3), (1, 180 / np.pi, 180 / np.pi), strict=True):
-            axis.plot(course.time, scale * course.state[:, column], color=COLOURS.get(name), lw=0.7, label=name)
-    for axis, label in zip(figure.axes, labels, strict=True):
-        axis.set_ylabel(label)
-    figure.axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(courses), frameon=False)
-    figure.axes[-1].set_xlabel("time, s")
-    return figure
+def balancing(controller: str, courses: Mapping[str, Course], width: float = 7.0) -> Figure:
+    """Paper's Fig. 12: cart and poles over the whole run, and its end enlarged, without and with compensation.
+
+    Args:
+        controller: what commands the force.
+        courses: by compensator.
+        width: inches.
+    """
+    figure, panels = _grid(3, (2.2, 1.0), (width, 0.75 * width))
+    names = tuple(courses)
+    end = max(float(course.time[-1]) for course in courses.values())
+    for row, column, scale, label in zip(
+        panels, range(3), (1000, 180 / np.pi, 180 / np.pi), ("cart, mm", "pole 1, deg", "pole 2, deg"), strict=True
+    ):
+        for name, course in courses.items():
+            look = style.of(name, names).line
+            late = _between(course.time, end - BALANCE_ZOOM, end)
+            row[0].plot(course.time, scale * course.state[:, column], lw=0.6, label=name, **look)
+            row[1].plot(course.time[late], scale * course.state[late, column], lw=1.0, **look)
+        row[0].set_ylabel(label)
+    panels[0, 0].set_title(f"balancing under {controller}, one rig", loc="left")
+    panels[0, 1].set_title("the end, enlarged", loc="left")
+    return _finished(figure, panels, "time, s", 5 if width > style.NARROW else 3)
 
 
-def robustness(summary: Mapping[str, Any]) -> Figure:
-    """How far each pair holds along each axis: above, the share of rigs that stand; below, how far the cart strays.
+def robustness(summary: Mapping[str, Any], width: float = 7.0) -> Figure:
+    """How far each pair holds along each axis: the share of rigs that stand, and how far the cart strays.
 
-    Two columns of a paper wide, set in 7 points. Colours are the compensators', dashes the controllers'. The lower
-    lines are medians over the rigs that stand, with 10th and 90th percentile, as far as half of the rigs stand; the
-    upper ones are set apart by a hundredth, so that none hides another.
+    Colours and dashes are the compensators'; with several controllers, markers are the controllers'. Deviations are
+    medians over the rigs that stand, with 10th and 90th percentile, as far as half of the rigs stand; shares are set
+    apart by a hundredth, so that none hides another. In one column of a journal, axes stand below each other.
 
     Args:
         summary: as `robustness.summarise` gives it.
+        width: inches.
     """
-    from matplotlib import rc_context
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, MaxNLocator
 
     rows = summary["rows"]
     axes = list(dict.fromkeys(row["axis"] for row in rows))
     controllers = list(dict.fromkeys(row["controller"] for row in rows))
-    names = list(dict.fromkeys(row["compensator"] for row in rows))
+    names = tuple(dict.fromkeys(row["compensator"] for row in rows))
     pairs = list(dict.fromkeys((row["controller"], row["compensator"]) for row in rows))
-    spare = iter(("#d9922e", "#5b4a9b", "#7d6b4f", "#3a3a3a") * len(names))
-    colours = {name: COLOURS.get(name) or next(spare) for name in names}
-    with rc_context({"font.size": 7, "axes.linewidth": 0.6, "lines.linewidth": 1.0, "pdf.fonttype": 42}):
-        figure = Figure((max(7.2 * len(axes) / 5, 3.5), 3.2), layout="constrained")
-        grid = figure.subplots(2, len(axes), sharex="col", sharey="row", squeeze=False)
-        for (share, stray), name in zip(grid.T, axes, strict=True):
-            for row in (row for row in rows if row["axis"] == name):
-                style = {"color": colours[row["compensator"]], "ls": DASHES[controllers.index(row["controller"]) % 4]}
-                steps, apart = row["steps"], 0.012 * pairs.index((row["controller"], row["compensator"]))
-                stood = [s["stood"] / s["rigs"] - apart for s in steps]
-                share.plot([s["value"] for s in steps], stood, marker=".", ms=3, **style)
-                kept = [s for s in steps if row["half"] and row["half"][0] <= s["value"] <= row["half"][1]]
-                values = [s["value"] for s in kept]
-                cart = {key: [1000 * s["cart_m"][key] for s in kept] for key in ("low", "median", "high")}
-                title = f"{row['controller']}, {row['compensator']}" if len(controllers) > 1 else row["compensator"]
-                stray.plot(values, cart["median"], marker=".", ms=3, label=title, **style)
-                stray.fill_between(values, cart["low"], cart["high"], color=style["color"], alpha=0.15, lw=0)
-            about = summary["axes"][name]
-            if about["usual"] > 0:
-                stray.set_xscale("log", base=2)
-                stray.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
-                stray.xaxis.set_major_formatter("{x:g}")
-            else:
-                stray.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-            for panel in (share, stray):
-                panel.axvline(about["usual"], color=GREY, lw=0.5, zorder=0)
-                panel.spines[["top", "right"]].set_visible(False)
-            stray.set_xlabel(about["label"].replace(", ", ",\n"))
-        grid[0, 0].set_ylabel("rigs that stand")
-        grid[0, 0].set_ylim(-0.04 - 0.012 * len(pairs), 1.04)
-        grid[1, 0].set_yscale("log")
-        grid[1, 0].set_ylabel("largest deviation\nof the cart, mm")
-        handles, labels = grid[1, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 6), frameon=False)
+    narrow = width <= style.NARROW
+    figure = Figure((width, 0.3 + 1.3 * len(axes) if narrow else 3.2), layout="constrained")
+    if narrow:
+        grid = figure.subplots(len(axes), 2, sharex="row", squeeze=False)
+    else:
+        grid = figure.subplots(2, len(axes), sharex="col", sharey="row", squeeze=False).T
+    for (share, stray), name in zip(grid, axes, strict=True):
+        for row in (row for row in rows if row["axis"] == name):
+            look = style.of(row["compensator"], names).line
+            look["marker"] = MARKERS[controllers.index(row["controller"]) % len(MARKERS)]
+            _one_pair(share, stray, row, 0.012 * pairs.index((row["controller"], row["compensator"])), look)
+        _axis_of(share, stray, summary["axes"][name])
+        share.set_ylim(-0.04 - 0.012 * len(pairs), 1.04)
+        stray.set_yscale("log")
+        for panel in (share, stray) if narrow else (stray,):
+            panel.set_xlabel(summary["axes"][name]["label"].replace(", ", ",\n"))
+    for share, stray in grid if narrow else grid[:1]:
+        share.set_ylabel("rigs that stand")
+        stray.set_ylabel("largest deviation\nof the cart, mm")
+    handles, labels = grid[0][1].get_legend_handles_labels()
+    if len(controllers) == 1:
+        labels = [label.partition(", ")[2] for label in labels]
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=min(len(labels), 3 if narrow else 5), frameon=False
+    )
     return figure
 
 
-def animate(
-    courses: Mapping[str, Course], path: Path, *, model: str | None = None, seconds: float = GIF_SECONDS
-) -> None:
-    """Runs side by side as an animated GIF, from their start.
-
-    Args:
-        courses: by caption.
-        path: of the GIF.
-        model: MJCF file of the rig; None is the package's.
-        seconds: how much of the runs, s.
-
-    Raises:
-        RuntimeError: nothing can be drawn on this machine.
-    """
-    from PIL import Image, ImageDraw
-
-    width, height = GIF_SIZE
-    env = gymnasium.make(ENV_ID, model=model, render_mode="rgb_array", width=width, height=height)
-    frames = []
-    try:
-        length = min(seconds, max(c.time[-1] for c in courses.values()))
-        for moment in np.arange(0.0, max(length, 1 / GIF_RATE), 1 / GIF_RATE):  # of the shortest run one
-            frame = Image.new("RGB", (width * len(courses), height))
-            for column, (caption, course) in enumerate(courses.items()):
-                k = min(int(np.searchsorted(course.time, moment)), len(course.time) - 1)
-                env.reset(options={"state": course.state[k]})
-                picture: Any = env.render()
-                frame.paste(Image.fromarray(picture), (width * column, 0))
-                ImageDraw.Draw(frame).text((width * column + 10, 8), caption, fill=(20, 24, 30))
-            frames.append(frame.quantize(128, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
-    finally:
-        env.close()
-    how: dict[str, Any] = {"duration": 1000 / GIF_RATE, "loop": 0, "optimize": True}
-    with whole(path) as file:
-        frames[0].save(file, "GIF", save_all=True, append_images=frames[1:], **how)
+def _one_pair(share: Axes, stray: Axes, row: Mapping[str, Any], apart: float, look: Mapping[str, Any]) -> None:
+    steps = row["steps"]
+    share.plot([s["value"] for s in steps], [s["stood"] / s["rigs"] - apart for s in steps], ms=2.5, **look)
+    kept = [s for s in steps if row["half"] and row["half"][0] <= s["value"] <= row["half"][1]]
+    values = [s["value"] for s in kept]
+    cart = {key: [1000 * s["cart_m"][key] for s in kept] for key in ("low", "median", "high")}
+    stray.plot(values, cart["median"], ms=2.5, label=f"{row['controller']}, {row['compensator']}", **look)
+    stray.fill_between(values, cart["low"], cart["high"], color=look["color"], alpha=0.15, lw=0)
 
 
-def show(course: Course, *, model: str | None = None, seconds: float = GIF_SECONDS) -> None:
-    """A run in a window, in real time.
+def _axis_of(share: Axes, stray: Axes, about: Mapping[str, Any]) -> None:
+    """Scale, ticks and the usual value of an axis of robustness."""
+    from matplotlib.ticker import LogLocator, MaxNLocator
 
-    Raises:
-        ValueError: there is no display.
-    """
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) and sys.platform == "linux":
-        raise ValueError("there is no display for a window; write a GIF with --out")
-    env = gymnasium.make(ENV_ID, model=model, render_mode="human")
-    begin = time.perf_counter()
-    try:
-        while (now := time.perf_counter() - begin) < min(seconds, course.time[-1]):
-            env.reset(options={"state": course.state[int(np.searchsorted(course.time, now))]})
-    finally:
-        env.close()
+    if about["usual"] > 0:
+        stray.set_xscale("log", base=2)
+        stray.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
+        stray.xaxis.set_major_formatter("{x:g}")
+    else:
+        stray.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+    for panel in (share, stray):
+        panel.axvline(about["usual"], color=style.GREY, lw=0.5, zorder=0)
+        panel.spines[["top", "right"]].set_visible(False)
 
 
-_CAPTIONS = {"none": "without compensation", "llnf": "with the LLNF compensator"}
+# ------------------------------------------------------------------------------------------------ parts
 
 
-def _figure(rows: int, title: str, size: tuple[float, float]) -> Figure:
+def _grid(
+    rows: int, widths: Sequence[float], size: tuple[float, float], heights: Sequence[float] | None = None
+) -> tuple[Figure, NDArray[Any]]:
+    """Panels whose rows share an axis of time within each column."""
     from matplotlib.figure import Figure
 
     figure = Figure(size, layout="constrained")
-    figure.subplots(rows, 1, sharex=rows == 3)
-    figure.suptitle(title, fontsize=11)
+    panels = figure.subplots(
+        rows, len(widths), sharex="col", squeeze=False, width_ratios=widths, height_ratios=heights or [1.0] * rows
+    )
     for axis in figure.axes:
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(alpha=0.25)
+    return figure, panels
+
+
+def _finished(figure: Figure, panels: NDArray[Any], along: str, columns: int) -> Figure:
+    """The figure with its legend above, and what runs along its lowest axes."""
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=columns, frameon=False)
+    figure.supxlabel(along, fontsize="medium")
     return figure
 
 
-def _save(figure: Figure, path: Path) -> None:
-    with whole(path) as file:
-        figure.savefig(file, dpi=110, format=path.suffix[1:])
+def _between(time: Array, start: float, end: float) -> NDArray[np.bool_]:
+    return (time >= start) & (time <= end)
+
+
+def _grown(data: Samples) -> LOLIMOT:
+    """A LOLIMOT grown beyond the point where training stops."""
+    train = data.train
+    return LOLIMOT(max_models=MOST_MODELS, border_validity=0.7, patience=MOST_MODELS).fit(
+        data.inputs[train], data.voltage[train], test=(data.inputs[~train], data.voltage[~train])
+    )
+
+
+def _write_output(time: Array, data: Samples, model: Any, name: str, stem: Path) -> None:
+    write(lambda width: model_output(time, data, model, name, width), stem)

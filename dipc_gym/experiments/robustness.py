@@ -14,7 +14,7 @@ import numpy as np
 from dipc_gym import intact
 from dipc_gym.experiments import cells
 from dipc_gym.experiments.cells import Balancing
-from dipc_gym.files import whole
+from dipc_gym.naming import suggestion
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.runs import Impulse
 from dipc_gym.sweep import Outcome
@@ -152,6 +152,7 @@ def check(names: Iterable[str], plant: Plant) -> None:
         if name not in AXES:
             raise ValueError(
                 f"there is no robustness axis {name!r}; there are {', '.join(AXES)}, and all for all of them"
+                f"{suggestion(name, AXES)}"
             )
         AXES[name].rig(plant, AXES[name].usual)
 
@@ -255,10 +256,7 @@ def _range(row: Mapping[str, Any], key: str) -> str:
 
 
 def draw(summary: Mapping[str, Any], folder: Path) -> None:
-    """Write the figure as `robustness.pdf`, for a paper, and as `robustness.png`."""
+    """Write the figure as `robustness.png`, `robustness.pdf` and `robustness-narrow.pdf`; see `figures.write`."""
     from dipc_gym.experiments import figures
 
-    picture = figures.robustness(summary)
-    for kind in ("pdf", "png"):
-        with whole(folder / f"robustness.{kind}") as file:
-            picture.savefig(file, dpi=200, format=kind)
+    figures.write(lambda width: figures.robustness(summary, width), folder / "robustness")

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import itertools
-import platform
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 
 from dipc_gym.controllers import lqr
+from dipc_gym.provenance import versions
 
 SCHEMA = "dipc-gym/compare/1"
+
+PAPER_SECONDS = 80.0  # length of the paper's runs; costs of shorter ones are sums over less
 
 # Table 2 of the paper: largest deviations of cart (m) and poles (degrees), cost.
 PAPER = {
@@ -49,6 +50,7 @@ def summarise(
         row: dict[str, Any] = {"controller": pair[0], "compensator": pair[1], "seeds": len(mine)}
         row["trained_with"] = mine[0]["trained_with"]
         row["survived"] = len(stood)
+        row["fell_after_s"] = _spread([cell["seconds"] for cell in mine if not cell["survived"]])
         for key in ("cost", "cost_printed_q", "cart_m", "pole1_deg", "pole2_deg", "force_rms", "voltage_rms"):
             row[key] = _spread([cell[key] for cell in stood])
         row["test_mse"] = float(np.median(errors)) if errors else None
@@ -63,16 +65,13 @@ def summarise(
         "failures": dict(failures or {}),
         "rows": rows,
         "rig_by_rig": _rig_by_rig(cells, wanted),
-        "paper": PAPER,
+        "paper": PAPER if settings.get("seconds") == PAPER_SECONDS else {},
         "cost_is": "sum over control periods of x'Qx + F^2, x the simulated state, F the commanded force (N)",
         "Q": np.diag(lqr.RECOVERED_Q).tolist(),
         "printed_Q": np.diag(lqr.PRINTED_Q).tolist(),
         "settings": dict(settings),
         "notes": list(notes),
-        "versions": {
-            "python": platform.python_version(),
-            **{name: metadata.version(name) for name in ("dipc-gym", "mujoco", "gymnasium", "numpy")},
-        },
+        "versions": versions("mujoco", "gymnasium", "numpy"),
     }
 
 
@@ -90,7 +89,7 @@ def _rig_by_rig(cells: Sequence[Mapping[str, Any]], wanted: Sequence[tuple[str, 
 
 
 def table(summary: Mapping[str, Any]) -> str:
-    """The paper's Table 2 beside ours, as text: medians, below them 10th and 90th percentile."""
+    """Ours as text: medians, below them 10th and 90th percentile, and the paper's Table 2 if runs are as long."""
     lines: list[tuple[str, ...]] = [_HEAD]
     for row in summary["rows"]:
         columns = [(row[key], form) for key, form in _FORMATS.items()]
@@ -122,6 +121,12 @@ def table(summary: Mapping[str, Any]) -> str:
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
     text.insert(1, "-" * len(text[0]))
+    text += [
+        f"{row['controller']}, {row['compensator']}: {row['seeds'] - row['survived']} fell, after "
+        f"{row['fell_after_s']['median']:.2f} s in the median"
+        for row in summary["rows"]
+        if row["fell_after_s"]
+    ]
     text += [
         f"rig by rig, {pair['controller']}: {pair['compensator']} costs {pair['cost_ratio']['median']:.2f} times what "
         f"{pair['than']} costs, less on {pair['less_on']} of {pair['rigs']} rigs"

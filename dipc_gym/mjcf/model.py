@@ -53,6 +53,11 @@ def controls(model: mujoco.MjModel) -> list[str]:
     return names[:commanded]
 
 
+def is_hinge(model: mujoco.MjModel, joint: str | int) -> bool:
+    """Whether a joint turns, and is measured in rad and N m; else it slides, in m and N."""
+    return bool(model.jnt_type[model.joint(joint).id] == mujoco.mjtJoint.mjJNT_HINGE)
+
+
 def passive_actuators(model: mujoco.MjModel) -> list[int]:
     """Numbers of the actuators that nobody commands: friction, cogging and other forces in an actuator's clothes."""
     commanded = len(controls(model))

@@ -6,7 +6,8 @@ knows the file formats, and `checks` says what is odd about a channel.
 
 from dipc_gym.recording.checks import noise
 from dipc_gym.recording.files import read, read_all, write
-from dipc_gym.recording.record import Recorder, Recording, resample_commands
+from dipc_gym.recording.held import resample_commands
+from dipc_gym.recording.record import Recorder, Recording
 from dipc_gym.recording.tables import RecordingError
 
 __all__ = [

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import detrend
 
+from dipc_gym.mjcf import is_hinge
 from dipc_gym.recording.tables import RecordingError
 
 if TYPE_CHECKING:
@@ -197,7 +198,7 @@ def _odd_unit(name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> 
     if model.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_JOINTPOS:
         return []
     joint = int(model.sensor_objid[sensor])
-    hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+    hinge = is_hinge(model, joint)
     peak = float(np.max(np.abs(values)))
     usual = FAR_HINGE if hinge else FAR_SLIDE
     if model.jnt_limited[joint]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from dipc_gym.naming import suggestion
 from dipc_gym.recording.tables import RecordingError
 from dipc_gym.recording.units import factor
 
@@ -24,10 +25,12 @@ def match_columns(
     for column, name in mapping.items():
         if column not in names:
             hint = " (a mapping is FILE_COLUMN=MODEL_NAME)" if name in names else ""
-            raise RecordingError(f"{where}: there is no column {column!r} to map to {name!r}{hint}; {sides}")
+            near = "" if hint else suggestion(column, names)
+            raise RecordingError(f"{where}: there is no column {column!r} to map to {name!r}{hint}; {sides}{near}")
         if name not in channels_of:
             raise RecordingError(
                 f"{where}: column {column!r} is mapped to {name!r}, which is not in the model; {sides}"
+                f"{suggestion(name, channels_of)}"
             )
     found: dict[str, str] = {}
     for column in names:
@@ -58,7 +61,7 @@ def unit_factors(where: str, wanted: Mapping[str, str], units: Mapping[str, str]
         if not meant:
             raise RecordingError(
                 f"{where}: a unit is given for {key!r}, which is neither a column that is used nor a name of the "
-                f"model; there are {list(wanted.values())}"
+                f"model; there are {list(wanted.values())}{suggestion(key, wanted.values())}"
             )
         if len(meant) > 1:
             raise RecordingError(f"{where}: the unit of {key!r} may mean {meant[0]!r} or {meant[1]!r}; say which")

@@ -194,37 +194,6 @@ class Recorder:
         )
 
 
-def resample_commands(recording: Recording, grid: ArrayLike) -> NDArray[np.float64]:
-    """Average the held command over each physics step.
-
-    Taking the value at the start of each step instead shifts commands by up to a step where stamps are irregular.
-    Before the first stamp the first command holds, after the last one the last.
-
-    Args:
-        recording: gives time stamps and commands.
-        grid: (m + 1,) s, the borders of m steps, increasing.
-
-    Returns:
-        (m, nu) mean of the command over `[grid[i], grid[i + 1])`.
-
-    Raises:
-        RecordingError: the grid does not increase.
-    """
-    grid = np.asarray(grid, dtype=np.float64)
-    if grid.ndim != 1 or len(grid) < 2 or not np.all(np.diff(grid) > 0):
-        raise RecordingError(f"{recording.name}: the time grid needs at least two borders that increase")
-    time, commands = recording.time, recording.commands
-    held = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, None)  # which command holds at each border
-    # Integral of the command from the first stamp to every stamp, and from there to every border.
-    integral = np.zeros_like(commands)
-    np.cumsum(commands[:-1] * np.diff(time)[:, None], axis=0, out=integral[1:])
-    until = integral[held] + commands[held] * (grid - time[held])[:, None]
-    mean = np.diff(until, axis=0) / np.diff(grid)[:, None]
-    unchanged = held[:-1] == held[1:]
-    mean[unchanged] = commands[held[:-1][unchanged]]  # exact where no stamp falls into the step
-    return mean
-
-
 def _frozen(values: ArrayLike) -> NDArray[np.float64]:
     array = np.array(values, dtype=np.float64, order="C")
     array.flags.writeable = False

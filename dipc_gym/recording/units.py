@@ -6,6 +6,9 @@ import math
 
 import mujoco
 
+from dipc_gym.mjcf import is_hinge
+from dipc_gym.naming import suggestion
+
 _TURN = 2 * math.pi
 
 FACTORS: dict[str, float] = {
@@ -43,7 +46,10 @@ def factor(unit: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or value == 0:
-        raise ValueError(f"unknown unit {unit!r}; use a number (the factor to SI) or one of {', '.join(FACTORS)}")
+        raise ValueError(
+            f"unknown unit {unit!r}; use a number (the factor to SI) or one of {', '.join(FACTORS)}"
+            f"{suggestion(unit, FACTORS)}"
+        )
     return value
 
 
@@ -62,7 +68,7 @@ def of_sensor(model: mujoco.MjModel, name: str) -> str:
         joints = [int(model.actuator_trnid[of, 0])] if on_joint and abs(model.actuator_gear[of, 0]) == 1 else []
     else:
         return ""
-    units = {"rad" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE else "m" for joint in joints}
+    units = {"rad" if is_hinge(model, joint) else "m" for joint in joints}
     if len(units) != 1:
         return ""
     speed = what in (int(kind.mjSENS_JOINTVEL), int(kind.mjSENS_TENDONVEL), int(kind.mjSENS_ACTUATORVEL))

@@ -11,8 +11,9 @@ What is listed in `__all__` is public, and stays. An effect of one's own needs `
 
 from dipc_gym import recording
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.diagnosis import Wishes, diagnose
+from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import Effect, Evidence, Parameter, Values, catalogue, register
+from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.one_effect import EffectFit, fit_effect
 from dipc_gym.sim2real.report.content import save
 from dipc_gym.sim2real.result import Diagnosis, Errors, Missing

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import mjcf
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects.base import is_dcmotor
 from dipc_gym.sim2real.estimation import states
@@ -357,7 +358,7 @@ def _listed(keys: Sequence[str]) -> str:
 
 def _length(structure: Structure, joint: str) -> str:
     model = structure.model
-    return "rad" if model.jnt_type[model.joint(joint).id] == mujoco.mjtJoint.mjJNT_HINGE else "m"
+    return "rad" if mjcf.is_hinge(model, joint) else "m"
 
 
 def _unit(structure: Structure, like: Recording, actuator: int) -> str:

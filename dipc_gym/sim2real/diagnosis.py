@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dipc_gym import mjcf
+from dipc_gym.provenance import versions
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.estimation import evidence
@@ -139,14 +140,11 @@ def _cannot_tell(why: CannotTell, given: Given, provenance: dict[str, Any]) -> D
 
 
 def _provenance(given: Given, seed: int) -> dict[str, Any]:
-    from importlib.metadata import version
-
     source = given.source
     inputs = {str(source.path.name if source.path else "model"): source.sha256}
     inputs |= {str(r.path or r.name): r.sha256 for r in (*given.recordings, *given.held_out)}
-    packages = ("dipc-gym", "mujoco", "numpy", "scipy")
     return {
-        "versions": {name: version(name) for name in packages},
+        "versions": versions("mujoco", "numpy", "scipy"),
         "timestep": given.physics.model.opt.timestep,
         "inputs": inputs,
         "seed": seed,

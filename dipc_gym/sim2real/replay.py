@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ from dipc_gym import mjcf
 from dipc_gym import physics as custom
 from dipc_gym import recording as recordings
 from dipc_gym.files import whole
+from dipc_gym.provenance import versions
 from dipc_gym.recording import Recording
 from dipc_gym.recording import units as si
 from dipc_gym.sim2real.estimation.fit import correct_starts, fit
@@ -129,10 +128,7 @@ class Replay:
             ],
             "notes": list(self.recording.notes),
             "provenance": {
-                "versions": {
-                    "python": platform.python_version(),
-                    **{name: metadata.version(name) for name in ("dipc-gym", "mujoco", "numpy")},
-                },
+                "versions": versions("mujoco", "numpy"),
                 "timestep": self.step,
                 "inputs": dict(self.inputs),
             },

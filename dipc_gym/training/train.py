@@ -27,6 +27,7 @@ from dipc_gym.alone import alone
 from dipc_gym.compensators import Compensator, OutOfRangeWarning
 from dipc_gym.experiments import cells
 from dipc_gym.files import remove_partial, write_whole
+from dipc_gym.naming import suggestion
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Evaluation, Policy
 from dipc_gym.runs import identify
@@ -151,7 +152,8 @@ class Training:
 
     def __post_init__(self) -> None:
         if self.algorithm not in RECIPES:
-            raise TrainingError(f"there is no algorithm {self.algorithm!r}; there are {', '.join(RECIPES)}")
+            near = suggestion(self.algorithm, RECIPES)
+            raise TrainingError(f"there is no algorithm {self.algorithm!r}; there are {', '.join(RECIPES)}{near}")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
             raise TrainingError(f"the seed is {self.seed!r}; it must be a whole number, zero or more")
         if not (math.isfinite(self.limit) and self.limit > 0):
@@ -299,7 +301,8 @@ def run(
     Args:
         training: what to train.
         out: the folder, new or empty.
-        resume: go on from the folder's checkpoint; the training must be the same. Without a checkpoint, from the start.
+        resume: go on from the folder's checkpoint; the training must be the same. One that was killed before its first
+            checkpoint begins anew.
         overwrite: replace what an earlier training left in the folder.
         quiet: show no progress bar.
 
@@ -307,7 +310,7 @@ def run(
         The best policy, judged by ten runs that did not choose it.
 
     Raises:
-        TrainingError: the folder's training is another, or its checkpoint is broken.
+        TrainingError: the folder's training is another, or its checkpoint is broken; `resume` is set and there is none.
         FileExistsError: the folder is not empty, and neither `resume` nor `overwrite` is set.
         BusyError: another run is at work there.
         OSError: the disk is full; the last checkpoint is whole.
@@ -340,7 +343,14 @@ def _run(training: Training, rig: Rig, out: Path, resume: bool, overwrite: bool,
     recipe = training.recipe
     began = time.monotonic() - (looks[-1].seconds if looks else 0.0)
     every = math.ceil(recipe.steps / LOOKS)
-    bar = tqdm(total=recipe.steps, initial=learner.steps, desc="train", unit=" periods", unit_scale=True, disable=quiet)
+    bar = tqdm(
+        total=recipe.steps,
+        initial=learner.steps,
+        desc="train",
+        unit=" periods",
+        unit_scale=True,
+        disable=quiet or None,  # None: where nobody looks, as in a log
+    )
 
     def watch() -> None:
         bar.update(learner.steps - bar.n)
@@ -383,7 +393,9 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
         remove_partial(out)
     files = cells.fingerprints(training.compensator, training.plant, training.model)
     wanted = json.loads(json.dumps({**training.to_dict(), "files": files}))
-    if resume and note.exists():
+    if resume and not note.exists():
+        raise TrainingError(f"{out}: there is no training to go on with; leave --resume out to begin one")
+    if resume:
         try:
             there = TRAINING.read(note)
             flat, other = _flat(wanted), _flat(there)

@@ -37,10 +37,15 @@ def plans(seed: int, *, count: int | None = None, full: bool = False) -> list[Pl
         count: number of trials; the composition keeps its proportions. None: 42, or 430 with `full`.
         full: the long version.
 
+    Raises:
+        ValueError: `count` is below one.
+
     Example:
         >>> sum(plan.kind == "null" for plan in plans(1))
         15
     """
+    if count is not None and count < 1:
+        raise ValueError(f"count is {count}; it is the number of trials, 1 or more")
     rng = np.random.default_rng(np.random.SeedSequence([seed, 7]))
     amounts = FULL if full else SMALL
     kinds = [kind for kind, amount in amounts.items() for _ in range(amount)]

@@ -18,6 +18,7 @@ from scipy.linalg import solveh_banded
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
+from dipc_gym.recording.held import held_at
 from dipc_gym.sim2real.simulation.motion import Motion
 
 Array = NDArray[np.float64]
@@ -218,9 +219,9 @@ def _delayed(model: mujoco.MjModel, recording: Recording) -> Array:
     commands = recording.commands.copy()
     for i in np.flatnonzero(model.actuator_delay > 0):
         first = int(model.actuator_ctrladr[i])
-        held = np.searchsorted(recording.time, recording.time - model.actuator_delay[i] + 1e-9, side="right") - 1
+        held = held_at(recording, recording.time - model.actuator_delay[i] + 1e-9)
         for c in range(first, min(first + int(model.actuator_ctrlnum[i]), commands.shape[1])):
-            commands[:, c] = recording.commands[np.maximum(held, 0), c]
+            commands[:, c] = held[:, c]
     return commands
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document, text
+from dipc_gym.naming import suggestion
 from dipc_gym.sim2real.effects.base import is_dcmotor
 
 
@@ -50,7 +51,7 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
             continue
         joint = model.joint(name)
         dof = int(joint.dofadr[0])
-        turning = model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_HINGE
+        turning = mjcf.is_hinge(model, name)
         force, length = ("N m", "rad") if turning else ("N", "m")
         inertia = "kg m^2" if turning else "kg"
         # Friction is the least known of all: a bearing's damping may be a guess that is off by a factor of fifty.
@@ -120,7 +121,8 @@ class Wishes:
         known = [n.key for n in numbers]
         for key in (*self.fix, *self.prior):
             if key not in known:
-                raise ValueError(f"--fix or --prior {key!r}: the model's numbers are {', '.join(known)}")
+                names = f"{', '.join(known)}{suggestion(key, known)}"
+                raise ValueError(f"--fix or --prior {key!r}: the model's numbers are {names}")
         out = []
         for number in numbers:
             if number.key in self.fix:

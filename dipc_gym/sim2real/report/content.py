@@ -10,10 +10,10 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import mjcf
 from dipc_gym.files import write_whole
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.places import inside
@@ -192,7 +192,7 @@ def _maps(work: Work, structural: bool, order: Sequence[str]) -> list[page.Misma
     after = work.search.look(work.final) if structural else None
     maps = []
     for j, joint in enumerate(structure.base):
-        hinge = structure.model.jnt_type[structure.model.joint(joint).id] == mujoco.mjtJoint.mjJNT_HINGE
+        hinge = mjcf.is_hinge(structure.model, joint)
         maps.append(
             page.Mismatch(
                 joint,

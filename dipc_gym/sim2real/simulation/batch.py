@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.engine import Uncovered
 from dipc_gym.physics import Physics, stack
-from dipc_gym.sim2real.simulation.commands import first_moments, held_mean, per_step
+from dipc_gym.recording.held import held_mean
+from dipc_gym.sim2real.simulation.commands import first_moments, per_step
 from dipc_gym.sim2real.simulation.compiled import compiled, predicted
 from dipc_gym.sim2real.simulation.dry_friction import DryFriction
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures

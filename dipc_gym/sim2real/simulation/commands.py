@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.recording import Recording
+from dipc_gym.recording.held import stamps_between
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -48,18 +49,10 @@ def per_step(
     return out
 
 
-def held_mean(recording: Recording, edges: Array, control: int) -> Array:
-    """Mean of a held command between edges (n, m + 1); exactly the command where no stamp falls between them."""
-    mean = np.diff(_held_integral(recording, edges, control), axis=1) / np.diff(edges, axis=1)
-    first, last = _stamps_between(recording, edges)
-    held = recording.commands[np.maximum(first - 1, 0), control]
-    return np.where(first == last, held, mean)
-
-
 def first_moments(recording: Recording, edges: Array, control: int) -> Array:
     """Integral of a held command times the distance from the middle between edges (n, m + 1), (n, m)."""
     command = recording.commands[:, control]
-    first, last = _stamps_between(recording, edges)
+    first, last = stamps_between(recording, edges)
     half, middle = np.diff(edges, axis=1) / 2, (edges[:, :-1] + edges[:, 1:]) / 2
     moments = np.zeros(first.shape)
     for k in range(int((last - first).max(initial=0))):
@@ -68,20 +61,3 @@ def first_moments(recording: Recording, edges: Array, control: int) -> Array:
         jump = command[at] - command[np.maximum(at - 1, 0)]
         moments[inside] += jump * (half[inside] ** 2 - (recording.time[at] - middle[inside]) ** 2) / 2
     return moments
-
-
-def _stamps_between(recording: Recording, edges: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The first stamp within each step between edges (n, m + 1), and the first behind it, (n, m) each."""
-    rounding = 1e-8 * (edges[0, 1] - edges[0, 0])
-    first = np.searchsorted(recording.time, edges[:, :-1] + rounding, side="right")
-    last = np.searchsorted(recording.time, edges[:, 1:] - rounding, side="right")
-    return first, last
-
-
-def _held_integral(recording: Recording, time: Array, control: int) -> Array:
-    """Integral of a held command up to `time`; before the first stamp the first command holds, as after the last."""
-    stamps, held = recording.time, recording.commands[:, control]
-    total = np.append(0.0, np.cumsum(held[:-1] * np.diff(stamps)))
-    inside = np.interp(time, stamps, total)
-    before = np.minimum(time - stamps[0], 0.0) * held[0]
-    return inside + before + np.maximum(time - stamps[-1], 0.0) * held[-1]

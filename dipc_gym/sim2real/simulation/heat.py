@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
+from dipc_gym.recording.held import held_at
 from dipc_gym.sim2real.simulation.motion import Motion
 
 Array = NDArray[np.float64]
@@ -125,8 +126,7 @@ def winding_temperatures(
     borders = stamps[0] + _BLOCK * np.arange(count + 1)
     drive = np.empty((len(variants), count))
     for v, variant in enumerate(variants):
-        held = np.clip(np.searchsorted(stamps, middle - delays[v, control], side="right") - 1, 0, None)
-        volts = variant.command(recording.commands[held], middle)[:, control]
+        volts = variant.command(held_at(recording, middle - delays[v, control]), middle)[:, control]
         if variant.model.actuator_ctrllimited[control]:
             volts = np.clip(volts, *variant.model.actuator_ctrlrange[control])
         square = (volts - winding.constant[v] * (speed @ winding.lever[v])) ** 2

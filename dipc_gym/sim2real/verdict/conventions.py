@@ -81,7 +81,7 @@ def possible(physics: Physics, actuators: Sequence[str], sensors: Sequence[str])
         units = " ".join(f"--unit {name}=-1" for name in names)
         words, mend = f"count {_listed(names)} the other way round", f"turn its sign round ({units})"
         yield replace(same, words=words, mend=mend, sensors=turned)
-        if _is_hinge(physics.model, joint):
+        if mjcf.is_hinge(physics.model, joint):
             words = f"count {_listed(names[: len(places)])} from half a turn away"
             mend = f'add half a turn to the column, or give joint {joint!r} of the model ref="180" (degrees)'
             shift = np.zeros(len(sensors))
@@ -158,13 +158,9 @@ def _listed(names: Sequence[str]) -> str:
     return f"sensor{'s' * (len(names) > 1)} {' and '.join(map(repr, names))}"
 
 
-def _is_hinge(model: mujoco.MjModel, joint: str) -> bool:
-    return bool(model.jnt_type[model.joint(joint).id] == mujoco.mjtJoint.mjJNT_HINGE)
-
-
 def _carries(model: mujoco.MjModel, one: str, other: str) -> bool:
     """Whether one hinge carries another, about an axis parallel to its own."""
-    if not (_is_hinge(model, one) and _is_hinge(model, other)):
+    if not (mjcf.is_hinge(model, one) and mjcf.is_hinge(model, other)):
         return False
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

@@ -90,7 +90,7 @@ def place_units(structure: Structure, term: Term) -> dict[str, str]:
     joint = term.at if term.effect.place == "joint" else ""
     if term.effect.place == "actuator":
         joint = joint_of(model, term.at) or ""
-    hinge = bool(joint) and model.jnt_type[model.joint(joint).id] == mujoco.mjtJoint.mjJNT_HINGE
+    hinge = bool(joint) and mjcf.is_hinge(model, joint)
     units = {}
     for p in term.effect.parameters:
         unit = p.unit
