@@ -1,6 +1,6 @@
 # One environment for everything: .venv, made with the versions in constraints.txt.
 PYTHON ?= python3
-EXTRAS := rl,parquet,trial,ray,test,dev
+EXTRAS := rl,parquet,trial,ray,onnx,test,dev
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 

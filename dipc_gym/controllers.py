@@ -10,12 +10,15 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.lqr import PRINTED_GAIN
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 Array = NDArray[np.float64]
 
@@ -55,6 +58,10 @@ class LQR:
     def force(self, observation: Array) -> float:
         """Minus gain times state."""
         return -float(self.gain @ observation)
+
+    def express(self, program: Program, observation: Value) -> Value:
+        """The same, written into a program that can be exported."""
+        return observation.affine(-self.gain)
 
 
 @dataclass(frozen=True)

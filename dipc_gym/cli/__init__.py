@@ -15,6 +15,7 @@ import tyro
 
 from dipc_gym.cli.compare import Compare
 from dipc_gym.cli.diagnose import Diagnose
+from dipc_gym.cli.export import Export
 from dipc_gym.cli.record import Record, Render
 from dipc_gym.cli.replay import Replay
 from dipc_gym.cli.train import Train, TrainPolicy
@@ -35,6 +36,7 @@ COMMANDS: dict[str, type[Command]] = {
     "record": Record,
     "replay": Replay,
     "diagnose": Diagnose,
+    "export": Export,
     "trial": Trial,
     "render": Render,
 }
