@@ -16,6 +16,7 @@ from dipc_gym.compensators.base import (
     elementwise,
     numbers,
 )
+from dipc_gym.compensators.curve import Curve
 from dipc_gym.compensators.feedforward import Feedforward
 from dipc_gym.compensators.files import CompensatorError, load, save
 from dipc_gym.compensators.llnf import LLNF
@@ -29,6 +30,7 @@ register("feedforward", Feedforward)
 register("mlp", MLP)
 register("llnf", LLNF)
 register("ideal", Ideal)
+register("curve", Curve)
 
 __all__ = [
     "LLNF",
@@ -36,6 +38,7 @@ __all__ = [
     "MLP",
     "Compensator",
     "CompensatorError",
+    "Curve",
     "Feedforward",
     "FitFigures",
     "Ideal",

@@ -155,7 +155,7 @@ def _refusal(force: Array, velocity: Array, volts: Array, force_noise: float, re
     explained = 1 - float(np.var(rest) / np.var(volts))
     if explained < LEAST_EXPLAINED:
         return (
-            f"force and velocity explain {100 * max(explained, 0.0):.0f} % of the voltage, and of a cart alone nearly all; "
+            f"force and velocity explain {100 * max(explained, 0.0):.0f} % of the voltage, and of a cart nearly all; "
             "check --map and --unit, that voltage and position have one clock, and that the poles were locked"
         )
     return None

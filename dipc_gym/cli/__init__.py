@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 from dipc_gym.cli.compare import Compare
+from dipc_gym.cli.compensator import FromModel
 from dipc_gym.cli.diagnose import Diagnose
 from dipc_gym.cli.export import Export
 from dipc_gym.cli.record import Record, Render
@@ -36,6 +37,7 @@ COMMANDS: dict[str, type[Command]] = {
     "record": Record,
     "replay": Replay,
     "diagnose": Diagnose,
+    "compensator": FromModel,
     "export": Export,
     "trial": Trial,
     "render": Render,
