@@ -19,6 +19,7 @@ from dipc_gym.compensators.base import (
 from dipc_gym.compensators.curve import Curve
 from dipc_gym.compensators.feedforward import Feedforward
 from dipc_gym.compensators.files import CompensatorError, load, save
+from dipc_gym.compensators.hilomot import HILOMOT
 from dipc_gym.compensators.llnf import LLNF
 from dipc_gym.compensators.lolimot import LOLIMOT
 from dipc_gym.compensators.mlp import MLP
@@ -31,8 +32,10 @@ register("mlp", MLP)
 register("llnf", LLNF)
 register("ideal", Ideal)
 register("curve", Curve)
+register("hilomot", HILOMOT)
 
 __all__ = [
+    "HILOMOT",
     "LLNF",
     "LOLIMOT",
     "MLP",
