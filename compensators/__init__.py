@@ -16,8 +16,10 @@ from dipc_gym.compensators.base import (
     elementwise,
     numbers,
 )
+from dipc_gym.compensators.curve import Curve
 from dipc_gym.compensators.feedforward import Feedforward
 from dipc_gym.compensators.files import CompensatorError, load, save
+from dipc_gym.compensators.hilomot import HILOMOT
 from dipc_gym.compensators.llnf import LLNF
 from dipc_gym.compensators.lolimot import LOLIMOT
 from dipc_gym.compensators.mlp import MLP
@@ -29,13 +31,17 @@ register("feedforward", Feedforward)
 register("mlp", MLP)
 register("llnf", LLNF)
 register("ideal", Ideal)
+register("curve", Curve)
+register("hilomot", HILOMOT)
 
 __all__ = [
+    "HILOMOT",
     "LLNF",
     "LOLIMOT",
     "MLP",
     "Compensator",
     "CompensatorError",
+    "Curve",
     "Feedforward",
     "FitFigures",
     "Ideal",

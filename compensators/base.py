@@ -8,10 +8,13 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 Array = npt.NDArray[np.float64]
 Signal = TypeVar("Signal", float, Array)
@@ -244,6 +247,31 @@ class Compensator(ABC):
     def reset(self) -> None:
         """Forget the previous velocity: a new episode begins."""
         self._memory[0] = math.nan
+
+    def express(self, program: Program, force: Value, velocity: Value) -> Value:
+        """Write the compensator into a program that can be exported to C or ONNX.
+
+        The formula `volts` writes itself, for values of a program take plain operators too, and NumPy's exponential
+        and hyperbolic tangent. A compensator with another memory, or whose formula is shorter on vectors, overrides
+        this.
+
+        Args:
+            program: What is written.
+            force: Force wanted on the cart, N.
+            velocity: Cart velocity now, m/s.
+
+        Returns:
+            The motor voltage, V.
+
+        Raises:
+            dipc_gym.export.program.NoForm: The formula cannot be written that way.
+        """
+        from dipc_gym.export.program import NoForm
+
+        if type(self).voltage is not Compensator.voltage:
+            raise NoForm("it overrides `voltage`, so it needs an `express` of its own")
+        previous = program.previous("previous_velocity", velocity)
+        return self.volts(force, velocity, previous)  # type: ignore[type-var]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, strings, lists and dicts, as `load` takes it."""

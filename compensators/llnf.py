@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from dipc_gym.compensators.base import (
     numbers,
 )
 from dipc_gym.compensators.lolimot import LOLIMOT
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 MAX_MODELS = 20
 """One call of a network of this size still takes less than 10 microseconds."""
@@ -87,6 +90,20 @@ class LLNF(Compensator):
             total = total + validity
             blend = blend + validity * output
         return blend / total
+
+    def express(self, program: Program, force: Value, velocity: Value) -> Value:
+        """The same blend as `volts`, on vectors with an entry for each local model."""
+        previous = program.previous("previous_velocity", velocity)
+        centres, inverses = np.array(self.centres), math.sqrt(0.5) / np.array(self.sigmas)
+        slopes, squares, outputs = np.array(self.slopes), [], program.constant(self.levels)
+        for i, signal in enumerate((force, velocity, previous)):
+            distance = signal - program.constant(centres[:, i])
+            scaled = distance * program.constant(inverses[:, i])
+            squares.append(scaled * scaled)
+            outputs = outputs + program.constant(slopes[:, i]) * distance
+        exponents = squares[0] + squares[1] + squares[2]
+        validities = (exponents.least() - exponents).exp()
+        return (validities * outputs).total() / validities.total()
 
 
 def _relative_validity(exponents: np.ndarray) -> np.ndarray:

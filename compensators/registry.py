@@ -82,7 +82,16 @@ def fit(name: str, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Com
         >>> round(fit("feedforward", samples, rig).coulomb, 3)
         2.0
     """
-    compensator = kind(name).fit(samples, rig, seed=seed)
+    return judged(kind(name).fit(samples, rig, seed=seed), samples)
+
+
+def judged(compensator: Compensator, samples: Samples) -> Compensator:
+    """Return a compensator with the ranges of a run's inputs, and its errors on both parts of the run.
+
+    Args:
+        compensator: However it was found.
+        samples: The run.
+    """
     if compensator.needs_friction:
         return compensator
     error = compensator.volts(samples.force, samples.velocity, samples.previous_velocity) - samples.voltage

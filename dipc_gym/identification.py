@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from dipc_gym import kernels, mjcf
 from dipc_gym.compensators import RigConstants, Samples
+from dipc_gym.excitation import Excitation, examine, force_noise
 from dipc_gym.physics import from_model
 from dipc_gym.plant import Encoders, Plant, physics_steps
 from dipc_gym.recording import Recording, resample_commands
 from dipc_gym.rigid import Rigid
+from dipc_gym.smoothing import smooth
 
 __all__ = ["Cart", "Sweep"]
 
@@ -175,8 +177,8 @@ def samples(recording: Recording, cart: Cart, encoders: Encoders, period: float,
     """Turn an identification run into what compensators are fitted to.
 
     Over each period, the linear model's force is F(k) = mass (v(k+1) - v(k)) / T + viscous (p(k+1) - p(k)) / T, with
-    central differences v of the readings p: no filter, no lag. The velocities that stand beside it as inputs are those
-    that the loop will have, from the encoders' filter.
+    central differences v of readings p that are smoothed as much as their noise asks for (`smooth`): no lag. The
+    velocities that stand beside it as inputs are those that the loop will have, from the encoders' filter.
 
     Args:
         recording: with the command `motor` and the sensor `cart`; sampled anew where its period is another.
@@ -197,8 +199,9 @@ def samples(recording: Recording, cart: Cart, encoders: Encoders, period: float,
             f"training and test need {2 * block:g} s or more"
         )
     grid, volts, p = _on_grid(recording, period)
-    v = np.gradient(p, period)
-    force = cart.mass * np.diff(v) / period + cart.constants.viscous * np.diff(p) / period
+    clean = smooth(p).values
+    v = np.gradient(clean, period)
+    force = cart.mass * np.diff(v) / period + cart.constants.viscous * np.diff(clean) / period
     keep, gain = kernels.velocity_gains(encoders.velocity_filter, period)
     filtered = [0.0]
     for now, before in zip(p[1:].tolist(), p[:-1].tolist(), strict=True):
@@ -207,6 +210,27 @@ def samples(recording: Recording, cart: Cart, encoders: Encoders, period: float,
     part = slice(1, len(p) - 2)  # central differences need a neighbour on both sides
     train = (grid - grid[0])[part] // block % 2 == 0
     return Samples(force[part], seen[part], seen[: len(p) - 3], volts[part], train)
+
+
+def excitation(
+    recording: Recording, cart: Cart, encoders: Encoders, period: float, *, block: float = 1.0
+) -> Excitation:
+    """What the run covers, what it leaves out, and whether a compensator can be trained from it.
+
+    Arguments and errors are those of `samples`.
+    """
+    data = samples(recording, cart, encoders, period, block=block)
+    smoothed = smooth(_on_grid(recording, period)[2])
+    frequency = np.linspace(0, math.pi, 2001)
+    noise = force_noise(
+        smoothed.noise,
+        smoothed.response(frequency),
+        frequency,
+        mass=cart.mass,
+        viscous=cart.constants.viscous,
+        period=period,
+    )
+    return examine(data, cart.constants, force_noise=noise)
 
 
 def _on_grid(recording: Recording, period: float) -> tuple[Array, Array, Array]:

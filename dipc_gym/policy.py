@@ -6,7 +6,7 @@ import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from dipc_gym import untrusted
 from dipc_gym.files import write_whole
 from dipc_gym.untrusted import Format
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 __all__ = ["ControllerError", "Evaluation", "Policy", "shipped"]
 
@@ -148,6 +151,15 @@ class Policy:
     def force(self, observation: Array) -> float:
         """The command for an observation (6,) as a force, N; a voltage counts as what it exerts on the blocked cart."""
         command = float(self.command(observation))
+        return command if self.commands == "force" else command * self.newtons_per_volt
+
+    def express(self, program: Program, observation: Value) -> Value:
+        """The force, written into a program that can be exported."""
+        x = observation / program.constant(self.scales)
+        for weights, biases in self.layers[:-1]:
+            x = x.affine(weights, biases).tanh()
+        out = x.affine(*self.layers[-1])
+        command = self.limit * (out.tanh() if self.squash == "tanh" else out.clip(-1.0, 1.0))
         return command if self.commands == "force" else command * self.newtons_per_volt
 
     def require(self, compensator: str) -> None:

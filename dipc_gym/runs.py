@@ -14,13 +14,16 @@ from numpy.typing import NDArray
 from dipc_gym import ENV_ID, compensators, recording
 from dipc_gym.compensators import Compensator, Samples
 from dipc_gym.controllers import Controller
-from dipc_gym.identification import Cart, Sweep, cart, cart_model, record, samples
+from dipc_gym.excitation import Excitation
+from dipc_gym.identification import Cart, Sweep, cart, cart_model, excitation, record, samples
 from dipc_gym.plant import Plant
 from dipc_gym.recording import Recording
 
 __all__ = ["Course", "Identification", "Impulse", "balance", "compensator", "identify", "recorded"]
 
 Array = NDArray[np.float64]
+
+STILL = 0.01  # rad; a locked pole gives that much, and reads its noise
 
 
 @dataclass(frozen=True)
@@ -32,12 +35,14 @@ class Identification:
         cart: the linear model of the cart.
         plant: the rig that made it, or that it is taken to be of.
         samples: what compensators are fitted to.
+        excitation: what of force and velocity the run covers.
     """
 
     run: Recording
     cart: Cart
     plant: Plant
     samples: Samples
+    excitation: Excitation
 
     def fit(self, name: str, *, seed: int = 0) -> Compensator:
         """Fit a compensator by its registered name, or load a saved one (`.json`).
@@ -72,7 +77,7 @@ def identify(
         seed: of the encoders' noise.
 
     Raises:
-        ValueError: a file that cannot be used.
+        ValueError: a file that cannot be used, or a recording that cannot support a compensator.
     """
     sweep = Sweep() if sweep is None else sweep
     env = _unwrapped(gymnasium.make(ENV_ID, plant=plant, model=model))
@@ -82,8 +87,39 @@ def identify(
         run = record(fixed, env.plant, sweep, seed=seed)
     else:
         run = recording.read(from_recording, fixed, mapping=mapping, units=units)
-    data = samples(run, linear, env.plant.encoders, env.plant.control_period, block=sweep.block)
-    return Identification(run, linear, env.plant, data)
+    encoders, period = env.plant.encoders, env.plant.control_period
+    data = samples(run, linear, encoders, period, block=sweep.block)
+    found = excitation(run, linear, encoders, period, block=sweep.block)
+    if from_recording is not None:
+        _check_locked(run, env, from_recording, mapping, units)
+        if found.refusal is not None:
+            raise ValueError(f"{from_recording}: no compensator can be trained from this: {found.refusal}")
+    return Identification(run, linear, env.plant, data, found)
+
+
+def _check_locked(
+    run: Recording,
+    env: Any,
+    path: str,
+    mapping: Mapping[str, str] | None,
+    units: Mapping[str, str] | None,
+) -> None:
+    """Refuse a recording whose columns of the poles show that they swung.
+
+    Raises:
+        ValueError: they did.
+    """
+    known = {*run.ignored, *(mapping or {}).values()}
+    if not {"pole1", "pole2"} <= known:
+        return
+    whole = recording.read(path, env.model, mapping=mapping, units=units)
+    for name in ("pole1", "pole2"):
+        swing = float(np.ptp(whole.sensors[:, whole.sensor_names.index(name)]))
+        if swing > STILL:
+            raise ValueError(
+                f"{path}: {name} swings by {swing:.2g} rad; identification needs the poles locked, for their weight "
+                "moves the cart too"
+            )
 
 
 def compensator(name: str, plant: Plant | str | None = None, *, model: str | None = None, seed: int = 0) -> Compensator:

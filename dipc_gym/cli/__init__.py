@@ -15,7 +15,9 @@ import tyro
 
 from dipc_gym import __version__
 from dipc_gym.cli.compare import Compare
+from dipc_gym.cli.compensator import FromModel
 from dipc_gym.cli.diagnose import Diagnose
+from dipc_gym.cli.export import Export
 from dipc_gym.cli.record import Record, Render
 from dipc_gym.cli.replay import Replay
 from dipc_gym.cli.train import Train, TrainPolicy
@@ -37,6 +39,8 @@ COMMANDS: dict[str, type[Command]] = {
     "record": Record,
     "replay": Replay,
     "diagnose": Diagnose,
+    "compensator": FromModel,
+    "export": Export,
     "trial": Trial,
     "render": Render,
 }

@@ -19,11 +19,14 @@ if TYPE_CHECKING:
 class Train:
     """Train a friction compensator and save it as JSON.
 
-    It is trained on a simulated identification run, or on a recording of your rig made with the poles locked.
+    It is trained on a simulated identification run, or on a recording of your rig made with the poles locked. Readings
+    are smoothed as their noise asks for. What the recording covers of force and velocity is told, and one that cannot
+    support a compensator is refused. --model gives mass and linear friction, such as the improved.xml of a diagnosis.
 
     Try:
         dipc-gym train --out llnf.json
         dipc-gym train --out mine.json --compensator mlp --recording sweep.csv --plant rig.json
+        dipc-gym train --out mine.json --recording sweep.csv --model diagnosis/improved.xml
         dipc-gym train --out mine.json --recording log.csv --map pos_cart=cart --map u=motor --unit cart=mm
     """
 
@@ -64,6 +67,8 @@ class Train:
         )
         for note in found.run.notes:
             print(f"note: {note}")
+        if self.recording is not None:
+            print(found.excitation.report())
         trained = found.fit(self.compensator, seed=self.seed)
         compensators.save(trained, self.out)
         print(f"{self.out}: {self.compensator}, {trained.parameters} numbers")

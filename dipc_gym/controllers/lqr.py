@@ -8,6 +8,7 @@ figures to the last digit, and the signs follow. Its K does not follow from the 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -16,6 +17,9 @@ from scipy import linalg
 
 from dipc_gym import mjcf
 from dipc_gym.rigid import Rigid
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 Array = NDArray[np.float64]
 
@@ -45,6 +49,10 @@ class LQR:
     def force(self, observation: Array) -> float:
         """Minus gain times state."""
         return -float(self.gain @ observation)
+
+    def express(self, program: Program, observation: Value) -> Value:
+        """The same, written into a program that can be exported."""
+        return observation.affine(-self.gain)
 
 
 def linear_model(model: mujoco.MjModel) -> tuple[Array, Array]:

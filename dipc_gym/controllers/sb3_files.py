@@ -10,13 +10,16 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.controllers import normalisation
 from dipc_gym.policy import ControllerError
+
+if TYPE_CHECKING:
+    pass
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,77 @@
+"""`dipc-gym export`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from dipc_gym.cli.options import free
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write estimator, controller and compensator for the rig's own computer.
+
+    As a C99 header: one function that takes the three encoder readings and returns the motor voltage. It uses no heap
+    and nothing of the C library beyond the exponential, in float or double. Beside it stands a C file that checks the
+    header on known voltages. Or as an ONNX graph with the same inputs and its memory as a vector.
+
+    FILE is a compensator, and the controller the paper's LQR unless --controller says a policy; or FILE is a policy.
+
+    Try:
+        dipc-gym export llnf.json --to c --out rig.h
+        dipc-gym export llnf.json --to c --out rig.h --controller policy.json --plant rig.json
+        dipc-gym export runs/llnf/policy.json --compensator runs/llnf/compensator.json --to onnx --out rig.onnx
+    """
+
+    file: tyro.conf.Positional[Path]
+    """a saved compensator, or a saved policy (.json)"""
+    to: Literal["c", "onnx"]
+    """what to write"""
+    out: Path
+    """file to write: .h or .onnx"""
+    controller: str | None = None
+    """with a compensator: lqr, or a policy (.json); without it lqr"""
+    compensator: str | None = None
+    """with a policy that commands force: the compensator's file"""
+    plant: str | None = None
+    """JSON file of the plant: encoders, control period, motor, supply"""
+    model: str | None = None
+    """MJCF file of the rig"""
+    force_limit: float | None = None
+    """largest force, N; without it, what the blocked motor exerts at full supply"""
+    overwrite: bool = False
+    """replace files that exist"""
+
+    def run(self) -> int:
+        """Write the files."""
+        from dipc_gym.env import DoublePendulumEnv
+        from dipc_gym.export import bundle
+
+        suffix = {"c": ".h", "onnx": ".onnx"}[self.to]
+        if self.out.suffix != suffix:
+            raise ValueError(f"{self.out}: --to {self.to} writes {suffix} files")
+        free(self.out, self.overwrite)
+        if self.to == "c":
+            free(bundle.checker(self.out), self.overwrite)
+        plant = DoublePendulumEnv(plant=self.plant, model=self.model).plant
+        found = bundle.bundle(
+            self.file,
+            plant,
+            controller=self.controller,
+            compensator=self.compensator,
+            force_limit=self.force_limit,
+        )
+        if self.to == "onnx":
+            bundle.write_onnx(found, self.out)
+            print(f"{self.out}: inputs cart, pole1, pole2 and state; outputs voltage and next_state")
+            return 0
+        program, beside = bundle.write_c(found, self.out)
+        cost = program.cost()
+        print(f"{self.out}: {bundle.prefix(self.out)}_reset, {bundle.prefix(self.out)}_step")
+        print(f"worst case of a call: {', '.join(f'{count} {kind}' for kind, count in cost.items())}")
+        print(f"{beside}: checks it; cc -std=c99 {beside.name} -lm && ./a.out")
+        return 0

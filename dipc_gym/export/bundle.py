@@ -1,0 +1,213 @@
+"""From files to files: the parts of a loop, found by name, and what is written of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import dipc_gym
+from dipc_gym import compensators, controllers
+from dipc_gym.compensators import Compensator, StaticGain
+from dipc_gym.controllers import Controller
+from dipc_gym.export import c, onnx
+from dipc_gym.export.parts import READINGS, FilteredDifference, Loop
+from dipc_gym.export.program import Program
+from dipc_gym.files import write_whole
+from dipc_gym.plant import Plant
+from dipc_gym.policy import FORMAT, SCHEMA, Policy
+
+Array = NDArray[np.float64]
+
+PERIODS = 400
+TOLERANCE = 1e-12
+"""V; how far the C code may be from Python in double precision. Rounding alone makes a hundredth of it."""
+INPUTS = {
+    "cart": "position of the cart, m",
+    "pole1": "angle of the first pole from upright, rad",
+    "pole2": "angle of the second pole relative to the first, rad",
+}
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A loop and the words that go with it.
+
+    Attributes:
+        loop: what is exported.
+        plant: rig that it is made for.
+        about: what it consists of, in lines.
+    """
+
+    loop: Loop
+    plant: Plant
+    about: tuple[str, ...]
+
+
+def bundle(
+    file: str | Path,
+    plant: Plant,
+    *,
+    controller: str | None = None,
+    compensator: str | None = None,
+    force_limit: float | None = None,
+) -> Bundle:
+    """The loop around a saved compensator or policy.
+
+    Args:
+        file: of a compensator, or of a policy (`.json`).
+        plant: encoders, control period, motor and supply.
+        controller: with a compensator: `lqr`, which is the default, or the file of a policy.
+        compensator: with a policy that commands force: the file of the compensator that it was trained with.
+        force_limit: largest force either way, N; by default what the blocked motor exerts at full supply.
+
+    Raises:
+        ValueError: a file is refused, parts do not go together, or the motor is not known and no limit is given.
+    """
+    content = FORMAT.read(file)
+    is_policy = isinstance(content, dict) and content.get("schema") == SCHEMA
+    brain: Controller
+    if is_policy:
+        if controller is not None:
+            raise ValueError(f"{file} is a policy, so it is the controller; leave out --controller {controller}")
+        brain = Policy.load(file)
+        part, source = _behind(brain, compensator)
+    else:
+        if compensator is not None:
+            raise ValueError(f"{file} is a compensator; leave out --compensator {compensator}")
+        part, source = compensators.load(file), str(file)
+        brain = controllers.load(controller or "lqr")
+        if isinstance(brain, Policy):
+            brain.require(part.name)
+    if force_limit is None:
+        if plant.motor is None:
+            raise ValueError("the model's motor is not known, so the largest force is not; say --force-limit")
+        force_limit = plant.motor.force_per_volt * plant.supply
+    if not 0 < force_limit < np.inf:
+        raise ValueError(f"--force-limit {force_limit:g}: give a positive number of newtons")
+    filtered = FilteredDifference(plant.encoders.velocity_filter, plant.control_period)
+    about = (
+        f"Call it every {1000 * plant.control_period:g} ms.",
+        "",
+        f"Estimator: differences of the readings through a low-pass of {1000 * filtered.time_constant:g} ms.",
+        f"Controller: {_brain(brain)}.",
+        f"Compensator: {part.name}{f' of {source}' if source else ''}{_trained(part)}.",
+        f"Limits: {force_limit:g} N, {plant.supply:g} V.",
+        "",
+        "A reading that is not a number, or larger than 1000 m or rad, makes the voltage 0 for that period and leaves",
+        "the state as it was. A state that is no longer finite is reset. No input gives more than the supply.",
+        "",
+        f"Written by dipc-gym {dipc_gym.__version__}.",
+    )
+    return Bundle(Loop(filtered, brain, part, force_limit, plant.supply), plant, about)
+
+
+def write_c(found: Bundle, path: Path) -> tuple[Program, Path]:
+    """Write the header, and beside it `STEM_test.c`, which checks it.
+
+    Returns:
+        The program and the path of the check.
+
+    Raises:
+        program.NoForm: a part cannot be written in C.
+        OSError: a file cannot be written.
+    """
+    program = found.loop.program()
+    words = c.Header(prefix(path), f"{path.stem}: encoder readings in, motor voltage out.", found.about, INPUTS,
+                     "the motor voltage, V.")  # fmt: skip
+    beside = checker(path)
+    text = c.header(program, words)
+    rows = vectors(program, found.plant)
+    test = c.check(program, words, header_name=path.name, file_name=beside.name, vectors=rows, tolerance=TOLERANCE)
+    write_whole(path, text.encode())
+    write_whole(beside, test.encode())
+    return program, beside
+
+
+def write_onnx(found: Bundle, path: Path) -> Program:
+    """Write the ONNX graph.
+
+    Raises:
+        program.NoForm: a part cannot be written so.
+        ImportError: onnx is not installed.
+        OSError: the file cannot be written.
+    """
+    program = found.loop.program()
+    write_whole(path, onnx.graph(program, about="\n".join(found.about)))
+    return program
+
+
+def prefix(path: Path) -> str:
+    """What stands before the names in a header of that path.
+
+    Example:
+        >>> prefix(Path("runs/My rig-2.h"))
+        'my_rig_2'
+    """
+    name = re.sub(r"[^a-z0-9]+", "_", path.stem.lower()).strip("_")
+    return name if name[:1].isalpha() else f"loop_{name}".rstrip("_")
+
+
+def checker(path: Path) -> Path:
+    """Where the check of a header stands.
+
+    Example:
+        >>> checker(Path("rig.h")).name
+        'rig_test.c'
+    """
+    return path.with_name(f"{path.stem}_test.c")
+
+
+def vectors(program: Program, plant: Plant) -> Array:
+    """Readings as on a rig that sways, some of them broken, and the voltages that belong to them.
+
+    Returns:
+        (periods, 5): 1 to reset first, three readings, the voltage.
+    """
+    time = plant.control_period * np.arange(PERIODS)
+    counts = np.array([plant.encoders.cart, plant.encoders.pole, plant.encoders.pole])
+    sway = np.stack([size * np.sin(2 * np.pi * f * time) for size, f in ((0.04, 0.7), (0.012, 1.1), (0.006, 1.9))], 1)
+    readings = np.round(sway / counts) * counts
+    readings[PERIODS // 4, 0], readings[PERIODS // 3, 1], readings[PERIODS // 2 + 3, 2] = 1e30, -1e30, 2e3
+    resets = np.zeros(PERIODS)
+    resets[[0, PERIODS // 2]] = 1.0
+    memory, volts = program.memory(), np.zeros(PERIODS)
+    for k, row in enumerate(readings):
+        memory = program.memory() if resets[k] else memory
+        outputs, memory = program.run({name: row[i : i + 1] for i, name in enumerate(READINGS)}, memory)
+        volts[k] = outputs["voltage"][0, 0]
+    return np.column_stack([resets, readings, volts])
+
+
+def _behind(policy: Policy, compensator: str | None) -> tuple[Compensator, str]:
+    """The compensator that stands behind a policy, and its file."""
+    if policy.commands == "voltage":
+        if compensator is not None:
+            raise ValueError(f"policy {policy.name!r} commands voltage; leave out --compensator {compensator}")
+        return StaticGain(newtons_per_volt=policy.newtons_per_volt), ""
+    if compensator is None:
+        raise ValueError(
+            f"policy {policy.name!r} commands force through the compensator {policy.compensator!r}; say --compensator "
+            "FILE.json (train-policy wrote it beside the policy)"
+        )
+    part = compensators.load(compensator)
+    policy.require(part.name)
+    return part, compensator
+
+
+def _brain(brain: Controller) -> str:
+    if isinstance(brain, Policy):
+        return f"policy {brain.name}, {brain.parameters:,} numbers, seed {brain.seed}"
+    gain: Sequence[float] = getattr(brain, "gain", np.zeros(0)).tolist()
+    return f"{brain.name}, gain {', '.join(f'{x:g}' for x in gain)}" if gain else brain.name
+
+
+def _trained(part: Compensator) -> str:
+    if not part.ranges:
+        return ""
+    force, velocity = part.ranges[:2]
+    return f", trained for {force.low:.3g} to {force.high:.3g} N at {velocity.low:.3g} to {velocity.high:.3g} m/s"

@@ -1,0 +1,149 @@
+"""The parts of a control loop as programs: each writes its own formula, and the loop ties them together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import kernels
+from dipc_gym.compensators import Compensator
+from dipc_gym.controllers import Controller
+from dipc_gym.export.program import NoForm, Program, Value
+
+Array = NDArray[np.float64]
+
+LARGEST_READING = 1e3
+"""Of an encoder that works, m or rad; beyond it, a reading counts as broken."""
+LARGEST_NUMBER = 1e36
+"""In the memory and of a voltage before it is limited; beyond it, single precision is at its end."""
+READINGS = ("cart", "pole1", "pole2")
+
+
+class Estimator(Protocol):
+    """What the export asks of an estimator.
+
+    Controllers have `express(program, observation)`, which returns the force in N for an observation (6,);
+    compensators have `express(program, force, velocity)`, which returns the voltage. What a part remembers, it keeps in
+    states of the program.
+    """
+
+    def express(self, program: Program, readings: Value, voltage: Value) -> Value:
+        """The observation (6,), from readings (3,) with absolute angles and the voltage of the last period."""
+
+
+@dataclass(frozen=True)
+class FilteredDifference:
+    """The rates that `DIPC-Friction-v0` observes: differences of readings through a first-order low-pass.
+
+    Attributes:
+        time_constant: of the low-pass, s; 0 is the bare difference.
+        period: control period, s.
+
+    Example:
+        >>> program = Program()
+        >>> readings = program.join(*(program.input(name) for name in READINGS))
+        >>> program.output("seen", FilteredDifference(0.0, 0.01).express(program, readings, program.constant(0.0)))
+        >>> memory = program.memory()
+        >>> for x in (0.0, 0.02):
+        ...     seen, memory = program.run({"cart": [x], "pole1": [0.0], "pole2": [0.0]}, memory)
+        >>> seen["seen"][3].item()
+        2.0
+    """
+
+    time_constant: float
+    period: float
+
+    def express(self, program: Program, readings: Value, voltage: Value) -> Value:
+        """Readings and their filtered rates; zero in the first period."""
+        keep, gain = kernels.velocity_gains(self.time_constant, self.period)
+        last, rates = program.previous("last_readings", readings), program.state("rates", np.zeros(3))
+        now = keep * rates + gain * (readings - last)
+        program.update(rates, now)
+        return program.join(readings, now)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Encoder readings in, motor voltage out: all that runs on the rig once a control period.
+
+    A reading that is not a number, or larger than 1000 m or rad, makes this period's voltage 0 and leaves the memory
+    as it was. A memory that is no longer finite is reset. The force is limited as by `ForceCommand`, the voltage by
+    the supply; a voltage that is not a number is 0.
+
+    Attributes:
+        estimator: makes the observation.
+        controller: commands force.
+        compensator: turns it into voltage.
+        force_limit: largest force either way, N.
+        supply: largest voltage either way, V.
+
+    Raises:
+        NoForm: from `program`, if a part has no such form; the message says which.
+    """
+
+    estimator: Estimator
+    controller: Controller
+    compensator: Compensator
+    force_limit: float
+    supply: float
+
+    def program(self) -> Program:
+        """The loop as a program with inputs `cart`, `pole1`, `pole2` (relative to the first) and output `voltage`.
+
+        Raises:
+            NoForm: a part cannot be written as a program.
+        """
+        program = Program()
+        cart, pole1, pole2 = (program.input(name) for name in READINGS)
+        usable = cart.within(LARGEST_READING) * pole1.within(LARGEST_READING) * pole2.within(LARGEST_READING)
+        voltage = program.state("voltage", 0.0)
+
+        program.comment("estimator")
+        readings = program.join(cart, pole1, pole1 + pole2)
+        observation = _expressed("estimator", self.estimator, program, readings, voltage)
+        program.comment("controller")
+        force = _expressed("controller", self.controller, program, observation)
+        sound = usable * force.within(LARGEST_NUMBER)
+        force = force.clip(-self.force_limit, self.force_limit)
+        program.comment("compensator")
+        volts = _expressed("compensator", self.compensator, program, force, observation.part(3))
+
+        program.comment("supply, and readings that cannot be")
+        sound = sound * volts.within(LARGEST_NUMBER)
+        limited = sound.choose(volts.clip(-self.supply, self.supply), 0.0)
+        program.update(voltage, limited)
+        self._guard(program, usable)
+        program.output("voltage", limited)
+        return program
+
+    def _guard(self, program: Program, usable: Value) -> None:
+        """Keep the memory where a reading is broken, and reset it where it is not finite."""
+        values = {place: Value(program, place, step.size) for place, step in enumerate(program.steps)}
+        ahead = [(values[state], values[value]) for state, value in program.updates.items()]
+        moving = [value for _, value in ahead if program.steps[value.place].operation != "constant"]
+        finite = program.join(*moving).within(LARGEST_NUMBER).least()
+        for state, value in ahead:
+            reset = program.constant(program.steps[state.place].numbers)
+            program.update(state, usable.choose(finite.choose(value, reset), state))
+
+
+def _expressed(role: str, part: Any, program: Program, *arguments: Value) -> Value:
+    """What a part writes into the program.
+
+    Raises:
+        NoForm: it cannot.
+    """
+    name = getattr(part, "name", "") or type(part).__name__
+    express = getattr(part, "express", None)
+    if express is None:
+        raise NoForm(f"the {role} {name!r} ({type(part).__name__}) has no form that can be exported")
+    try:
+        value = express(program, *arguments)
+    except (NoForm, TypeError, AttributeError) as problem:  # the latter where NumPy finds no such function
+        raise NoForm(f"the {role} {name!r} has no form that can be exported: {problem}") from None
+    if not isinstance(value, Value):
+        raise NoForm(f"the {role} {name!r} has no form that can be exported: its formula leaves the program")
+    return value

@@ -1,0 +1,487 @@
+"""Loops exported to C and ONNX: the same voltages as in Python, whatever the readings are."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pytest
+
+from dipc_gym import cli, compensators, kernels, policy
+from dipc_gym.compensators import LLNF, MLP, Compensator, Feedforward, Ideal, RigConstants, Samples, StaticGain
+from dipc_gym.controllers import LQR, SB3Policy
+from dipc_gym.export import bundle, c, onnx
+from dipc_gym.export.parts import READINGS, FilteredDifference, Loop
+from dipc_gym.export.program import NoForm, Program, Value
+from dipc_gym.plant import Plant
+
+GCC = shutil.which("gcc") or shutil.which("cc")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
+FLAGS = (*STRICT, "-Wshadow", "-Wconversion", "-Wdouble-promotion", "-O1")
+needs_compiler = pytest.mark.skipif(GCC is None, reason="no C compiler")
+
+LIMIT, SUPPLY, PERIOD, FILTER = 96.0, 24.0, 0.005, 0.01
+DIFFERENCE = FilteredDifference(FILTER, PERIOD)
+WORDS = {"title": "test", "about": ["test"], "output": "the voltage, V"}
+
+
+def llnf(models: int = 12) -> LLNF:
+    rng = np.random.default_rng(1)
+    place = rng.uniform([-25, -0.6, -0.6], [25, 0.6, 0.6], (models, 3))
+    width = rng.uniform([5, 0.05, 0.05], [20, 0.4, 0.4], (models, 3))
+    slope = rng.normal([0.25, 20.0, -15.0], [0.02, 5.0, 5.0], (models, 3))
+    return LLNF(_rows(place), _rows(width), tuple(rng.normal(0, 3, models).tolist()), _rows(slope))
+
+
+def mlp() -> MLP:
+    rng = np.random.default_rng(2)
+    weights = rng.normal([0.05, 10.0, -8.0], [0.02, 5.0, 5.0], (5, 3))
+    return MLP(_rows(weights), tuple(rng.normal(size=5).tolist()), tuple(rng.normal(0, 6, 5).tolist()))
+
+
+def _rows(table: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in table.tolist())
+
+
+def feedforward() -> Feedforward:
+    return Feedforward(per_newton=0.27, coulomb=2.4, per_velocity=-1.1, offset=0.02, sign_velocity=0.013)
+
+
+RUNS, PERIODS = 100, 1000
+
+
+def readings() -> np.ndarray:
+    """(periods, runs, 3) readings of every size: as of a rig, far beyond it, and none at all."""
+    rng = np.random.default_rng(0)
+    size = 10.0 ** np.where(rng.random(RUNS) < 0.7, rng.uniform(-6, -2, RUNS), rng.uniform(-2, 3.1, RUNS))[:, None]
+    rows = size * np.sin(np.cumsum(rng.normal(0, 0.2, (PERIODS, RUNS, 3)), axis=0))
+    odd = np.array([np.nan, np.inf, -np.inf, 1e308, -1e308, 1e30, 1e3, -1e3, 999.0, 5e-324, 1e-40, 0.0, -0.0])
+    struck = rng.random(rows.shape) < 0.005
+    rows[struck] = rng.choice(odd, struck.sum())
+    return rows
+
+
+def in_python(controller: Any, compensator: Compensator, rows: np.ndarray) -> np.ndarray:
+    """Voltages of the parts as they run in the environment, and what `Loop` says of broken readings."""
+    keep, gain = kernels.velocity_gains(FILTER, PERIOD)
+    last, rates, memory = np.full((RUNS, 3), np.nan), np.zeros((RUNS, 3)), compensator.initial_state(RUNS)
+    volts = np.zeros(rows.shape[:2])
+    for k, row in enumerate(rows):
+        usable = (np.abs(row) < 1000).all(axis=1)
+        now = np.where(usable[:, None], row, 0.0)
+        now[:, 2] += now[:, 1]
+        moved = kernels.velocity(now, np.where(np.isnan(last), now, last), rates, keep, gain)
+        seen = np.column_stack([now, moved])
+        force = np.array([controller.force(one) for one in seen]) if k % 50 == 0 else forces(controller, seen)
+        asked, ahead = compensator.voltage_batch(np.clip(force, -LIMIT, LIMIT), moved[:, 0], memory)
+        volts[k] = np.where(usable, np.clip(asked, -SUPPLY, SUPPLY), 0.0)
+        last, rates = np.where(usable[:, None], now, last), np.where(usable[:, None], moved, rates)
+        memory = np.where(usable, ahead, memory)
+    return volts
+
+
+def forces(controller: Any, seen: np.ndarray) -> np.ndarray:
+    if isinstance(controller, LQR):
+        return -seen @ controller.gain
+    return controller.command(seen) * (controller.newtons_per_volt if controller.commands == "voltage" else 1.0)
+
+
+def compiled(folder: Path, program: Program, *, single: bool = False, inputs: tuple[str, ...] = READINGS) -> Path:
+    """A program that reads rows (reset, inputs) of doubles from its input and writes outputs."""
+    words = c.Header("loop", inputs=dict.fromkeys(inputs, "a number"), **WORDS)
+    (folder / "loop.h").write_text(c.header(program, words))
+    row = ", ".join(f"(loop_real)row[{i + 1}]" for i in range(len(inputs)))
+    (folder / "main.c").write_text(
+        '#include <stdio.h>\n#include "loop.h"\n'
+        "int main(void)\n{\n"
+        f"    loop_state state; double row[{len(inputs) + 1}], out;\n"
+        "    loop_reset(&state);\n"
+        "    while (fread(row, sizeof row, 1, stdin) == 1) {\n"
+        "        if (row[0] > 0.5) loop_reset(&state);\n"
+        f"        out = (double)loop_step(&state, {row});\n"
+        "        fwrite(&out, sizeof out, 1, stdout);\n"
+        "    }\n    return 0;\n}\n"
+    )
+    name = folder / ("single" if single else "double")
+    define = ["-DLOOP_FLOAT"] if single else []
+    subprocess.run([str(GCC), *FLAGS, *define, "main.c", "-o", str(name), "-lm"], cwd=folder, check=True)
+    return name
+
+
+def in_c(binary: Path, rows: np.ndarray) -> np.ndarray:
+    """Voltages (periods, runs) of the compiled loop, which is reset before each run."""
+    resets = np.zeros(rows.shape[:2])
+    resets[0] = 1
+    table = np.concatenate([resets[..., None], rows], axis=2).swapaxes(0, 1)
+    out = subprocess.run([str(binary)], input=table.tobytes(), capture_output=True, check=True).stdout
+    return np.frombuffer(out).reshape(rows.shape[1], -1).T
+
+
+def in_numpy(program: Program, rows: np.ndarray, dtype: Any) -> np.ndarray:
+    memory, volts = program.memory(rows.shape[1], dtype), []
+    with np.errstate(over="ignore"):
+        for row in rows:
+            given = {name: row[:, i].astype(dtype) for i, name in enumerate(READINGS)}
+            outputs, memory = program.run(given, memory, dtype)
+            volts.append(outputs["voltage"][0])
+    return np.array(volts, dtype=np.float64)
+
+
+PAIRS = {
+    "lqr, none": (LQR(), StaticGain(newtons_per_volt=4.0)),
+    "lqr, feedforward": (LQR(), feedforward()),
+    "lqr, mlp": (LQR(), mlp()),
+    "lqr, llnf": (LQR(), llnf()),
+    "policy of force, llnf": (policy.shipped("ppo-llnf"), llnf()),
+    "policy of voltage": (policy.shipped("ppo-none"), StaticGain(newtons_per_volt=4.0)),
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("pair", PAIRS)
+def test_c_gives_the_voltages_of_python_on_a_hundred_thousand_readings(tmp_path: Path, pair: str) -> None:
+    controller, compensator = PAIRS[pair]
+    program = Loop(DIFFERENCE, controller, compensator, LIMIT, SUPPLY).program()
+    rows = readings()
+    expected = in_python(controller, compensator, rows)
+    volts = in_c(compiled(tmp_path, program), rows)
+    single = in_c(compiled(tmp_path, program, single=True), rows)
+    for given in (volts, single):
+        assert given.shape == rows.shape[:2]
+        assert (np.abs(given) <= SUPPLY).all()  # also that there is no NaN among them
+    like_a_rig = (np.abs(rows) < 0.05).all(axis=2)
+    np.testing.assert_allclose(volts, expected, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(volts[like_a_rig], expected[like_a_rig], rtol=0, atol=1e-12)
+    # Single precision rounds 2^29 times as coarsely; against NumPy in single precision, only exp and tanh differ.
+    np.testing.assert_allclose(single, in_numpy(program, rows, np.float32), rtol=0, atol=1e-3)
+    np.testing.assert_allclose(single[like_a_rig], expected[like_a_rig], rtol=0, atol=1e-3)
+    moving = (np.abs(expected) < SUPPLY) & (expected != 0)
+    assert moving.mean() > 0.5  # most are neither limited nor broken
+
+
+@needs_compiler
+def test_a_broken_reading_is_a_period_without_voltage_and_nothing_else(tmp_path: Path) -> None:
+    binary = compiled(tmp_path, Loop(DIFFERENCE, LQR(), llnf(), LIMIT, SUPPLY).program())
+    rows = 0.003 * np.sin(0.05 * np.arange(200)[:, None, None] * [1.0, 1.3, 1.7])
+    for broken in (np.nan, np.inf, -1e300, 1001.0):
+        struck = np.insert(rows, 90, [0.001, broken, 0.001], axis=0)
+        volts = in_c(binary, struck)
+        assert volts[90] == 0.0
+        np.testing.assert_array_equal(np.delete(volts, 90, axis=0), in_c(binary, rows))
+
+
+@needs_compiler
+def test_a_reading_that_is_wild_but_possible_is_soon_forgotten(tmp_path: Path) -> None:
+    binary = compiled(tmp_path, Loop(DIFFERENCE, LQR(), llnf(), LIMIT, SUPPLY).program(), single=True)
+    rows = 0.003 * np.sin(0.05 * np.arange(300)[:, None, None] * [1.0, 1.3, 1.7])
+    struck = rows.copy()
+    struck[100, 0, 1] = 999.0
+    np.testing.assert_allclose(in_c(binary, struck)[200:], in_c(binary, rows)[200:], atol=1e-3)
+
+
+class Overflowing:
+    """An estimator whose memory leaves all bounds within a few periods."""
+
+    def express(self, program: Program, readings: Value, voltage: Value) -> Value:
+        grown = program.state("grown", 1.0)
+        program.update(grown, grown * 1e9)
+        return program.join(readings, readings + grown - grown)
+
+
+def test_a_memory_that_is_not_finite_is_reset() -> None:
+    program = Loop(Overflowing(), LQR(), StaticGain(newtons_per_volt=4.0), LIMIT, SUPPLY).program()
+    memory, grown = program.memory(), []
+    for _ in range(12):
+        outputs, memory = program.run({name: [0.001] for name in READINGS}, memory)
+        grown.append(memory["grown"][0, 0])
+        assert abs(outputs["voltage"][0, 0]) <= SUPPLY
+    assert grown[:5] == pytest.approx([1e9, 1e18, 1e27, 1.0, 1e9])
+
+
+@needs_compiler
+def test_hyperbolic_tangent_and_sigmoid_are_exact_to_rounding(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    x = rng.choice([-1, 1], 20_000) * 10.0 ** rng.uniform(-12, 3, 20_000)
+    rows = np.concatenate([x, [0.0, 0.5, -0.5, np.nextafter(0.5, 0), 1e308, -1e308, np.inf, -np.inf]])[:, None, None]
+    for name, expected in (("tanh", np.tanh(rows)), ("sigmoid", 1 / (1 + np.exp(np.minimum(-rows, 700.0))))):
+        program = Program()
+        program.update(program.state("unused", 0.0), value := program.input("x"))
+        program.output("y", getattr(value, name)())
+        values = in_c(compiled(tmp_path, program, inputs=("x",)), rows)
+        np.testing.assert_allclose(values, expected[..., 0], rtol=1e-15, atol=1e-300)
+
+
+@needs_compiler
+def test_vectors_of_every_kind_go_through_c(tmp_path: Path) -> None:
+    """A formula that no part has: every operation, sizes of one and more, a state that is a vector."""
+    program = Program()
+    a, b = program.input("a"), program.input("b")
+    kept = program.state("kept", [1.0, -2.0, 0.5])
+    mixed = program.join(a, b, a * b).affine(np.arange(12).reshape(4, 3) / 7, [0.1, 0.2, 0.3, 0.4])
+    chosen = (mixed.part(1, 3) - kept).below(0.2).choose(kept * 2, mixed.part(0, 3) / 3)
+    program.update(kept, chosen.clip(-5.0, 5.0))
+    result = abs(chosen).total() + mixed.least() * (-kept.part(2)).exp() + program.previous("a", a)
+    program.output("y", result + (1 - a) / (2 + abs(b)) - program.first())
+    rows = np.random.default_rng(4).normal(size=(300, 7, 2))
+    memory, expected = program.memory(7), []
+    for row in rows:
+        outputs, memory = program.run({"a": row[:, 0], "b": row[:, 1]}, memory)
+        expected.append(outputs["y"][0])
+    values = in_c(compiled(tmp_path, program, inputs=("a", "b")), rows)
+    np.testing.assert_allclose(values, expected, rtol=0, atol=1e-13)
+
+
+@needs_compiler
+def test_fast_math_is_refused_by_the_header(tmp_path: Path) -> None:
+    compiled(tmp_path, Loop(DIFFERENCE, LQR(), feedforward(), LIMIT, SUPPLY).program())
+    done = subprocess.run(
+        [str(GCC), "-std=c99", "-ffast-math", "main.c", "-lm"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode != 0
+    assert "compile without -ffast-math" in done.stderr
+
+
+# ------------------------------------------------------------------------------------------------ parts
+
+
+@dataclass(frozen=True)
+class TwoWay(Compensator):
+    """As in examples/own_compensator.py: it has a formula and knows nothing of exports."""
+
+    name = "two_way"
+    forward: float = 2.0
+
+    @classmethod
+    def fit(cls, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Self:
+        return cls()
+
+    def volts(self, force: Any, velocity: Any, previous_velocity: Any) -> Any:
+        (sign,) = compensators.elementwise(np.tanh, [velocity / 0.005])
+        return 0.25 * force + self.forward * (1 + sign) / 2 - (velocity - previous_velocity)
+
+
+class Deciding(TwoWay):
+    def volts(self, force: Any, velocity: Any, previous_velocity: Any) -> Any:
+        return force if velocity > 0 else -force
+
+
+class Rooted(TwoWay):
+    def volts(self, force: Any, velocity: Any, previous_velocity: Any) -> Any:
+        return compensators.elementwise(np.sqrt, [force])[0]
+
+
+class Remembering(TwoWay):
+    def voltage(self, force: float, velocity: float) -> float:
+        return force
+
+
+def test_a_formula_of_ones_own_writes_itself() -> None:
+    rows = readings()[:200]
+    program = Loop(DIFFERENCE, LQR(), TwoWay(), LIMIT, SUPPLY).program()
+    np.testing.assert_allclose(in_numpy(program, rows, np.float64), in_python(LQR(), TwoWay(), rows), atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("estimator", "controller", "compensator", "says"),
+    [
+        (DIFFERENCE, LQR(), Ideal(newtons_per_volt=4.0), "the compensator 'ideal' .* overrides `voltage`"),
+        (DIFFERENCE, LQR(), Remembering(), "the compensator 'two_way' .* needs an `express` of its own"),
+        (DIFFERENCE, LQR(), Deciding(), "the compensator 'two_way' .* decides by if"),
+        (DIFFERENCE, LQR(), Rooted(), "the compensator 'two_way' .* has no .* sqrt"),
+        (DIFFERENCE, LQR(np.full(6, np.nan)), TwoWay(), "the controller 'lqr' .* not finite"),
+        (
+            DIFFERENCE,
+            SB3Policy("mine", (), np.tanh, False, -1.0, 1.0),
+            TwoWay(),
+            r"the controller 'mine' \(SB3Policy\)",
+        ),
+        (object(), LQR(), TwoWay(), r"the estimator 'object' \(object\) has no form"),
+    ],
+)
+def test_a_part_without_a_form_is_named(estimator: Any, controller: Any, compensator: Any, says: str) -> None:
+    with pytest.raises(NoForm, match=says):
+        Loop(estimator, controller, compensator, LIMIT, SUPPLY).program()
+
+
+def test_a_number_beyond_single_precision_is_refused() -> None:
+    program = Loop(DIFFERENCE, LQR(), StaticGain(newtons_per_volt=1e40), LIMIT, SUPPLY).program()
+    with pytest.raises(NoForm, match="too large for single precision"):
+        c.header(program, c.Header("x", inputs=dict.fromkeys(READINGS, ""), **WORDS))
+
+
+@pytest.mark.parametrize("models", [1, 7])
+def test_the_cost_of_an_llnf_is_counted(models: int) -> None:
+    """By hand: 3 differences, 2 sums of squares, 3 of outputs, 1 exponent, and two totals for each local model."""
+    costs = [Loop(DIFFERENCE, LQR(), part, LIMIT, SUPPLY).program().cost() for part in (llnf(models), llnf(2 * models))]
+    more = costs[1] - costs[0]
+    expected = {"additions": 11, "multiplications": 10, "exponentials": 1, "comparisons": 1}
+    assert more == {kind: count * models for kind, count in expected.items()}
+    assert costs[0]["exponentials"] == models
+
+
+def test_values_that_do_not_belong_together_are_refused() -> None:
+    one, other = Program(), Program()
+    with pytest.raises(ValueError, match="2 and 3 entries do not go together"):
+        one.constant([1.0, 2.0]) + one.constant([1.0, 2.0, 3.0])
+    with pytest.raises(ValueError, match="another program"):
+        one.constant(1.0) + other.constant(1.0)
+    with pytest.raises(ValueError, match="entries 1 to 3 of a value of 2"):
+        one.constant([1.0, 2.0]).part(1, 2)
+    with pytest.raises(ValueError, match="weights are"):
+        one.constant([1.0, 2.0]).affine(np.eye(3))
+    with pytest.raises(ValueError, match="no state of 1"):
+        one.update(one.state("s", [1.0, 2.0]), one.constant(1.0))
+
+
+# ------------------------------------------------------------------------------------------------ ONNX
+
+
+@pytest.mark.parametrize("pair", ["lqr, feedforward", "lqr, llnf", "policy of force, llnf"])
+def test_onnx_runtime_gives_the_same_voltages(pair: str) -> None:
+    onnxruntime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    program = Loop(DIFFERENCE, *PAIRS[pair], LIMIT, SUPPLY).program()
+    session = onnxruntime.InferenceSession(onnx.graph(program, about="test"))
+    kept = session.get_modelmeta().custom_metadata_map["first_state"]
+    rows = readings()[:400, :4]
+    expected = in_numpy(program, rows, np.float64)
+    for run in range(rows.shape[1]):
+        state = np.array(kept.split(), dtype=np.float64)
+        for k, row in enumerate(rows[:, run]):
+            given = {name: row[i : i + 1] for i, name in enumerate(READINGS)}
+            (volts,), state = session.run(["voltage", "next_state"], {**given, "state": state})
+            assert volts == pytest.approx(expected[k, run], abs=1e-11)
+
+
+def test_every_operation_goes_through_onnx() -> None:
+    onnxruntime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    program = Program()
+    x = program.input("x")
+    kept = program.state("kept", [0.5, -0.5])
+    program.update(kept, program.join(x, x.sigmoid()))
+    y = abs(x).exp() - x.tanh().maximum(kept).minimum(0.3).total() / 3 + (x - kept).least() * x.below(0.1)
+    program.output("y", (x.within(0.7)).choose(y, -y).part(0))
+    session = onnxruntime.InferenceSession(onnx.graph(program, about="test"))
+    state, memory = onnx.first_state(program), program.memory()
+    for x_now in np.linspace(-2, 2, 41):
+        given = np.array([x_now])
+        (y_now,), state = session.run(["y", "next_state"], {"x": given, "state": state})
+        outputs, memory = program.run({"x": given}, memory)
+        assert y_now == pytest.approx(outputs["y"][0, 0], abs=1e-14)
+        np.testing.assert_allclose(state, memory["kept"][:, 0], atol=1e-15)
+
+
+def test_without_onnx_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "onnx", None)
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[onnx\]'"):
+        onnx.graph(Program(), about="")
+
+
+# ------------------------------------------------------------------------------------------------ command line
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    compensators.save(llnf(), "llnf.json")
+    compensators.save(feedforward(), "feedforward.json")
+    compensators.save(Ideal(newtons_per_volt=4.0), "ideal.json")
+    policy.shipped("ppo-llnf").save("force.json")
+    policy.shipped("ppo-none").save("voltage.json")
+    Path("broken.json").write_text('{"schema": "dipc-gym/compensator/1"')
+    Path("odd.json").write_text("[1, 2]")
+    return tmp_path
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["llnf.json"],
+        ["llnf.json", "--controller", "force.json"],
+        ["force.json", "--compensator", "llnf.json", "--force-limit", "50"],
+        ["voltage.json"],
+    ],
+)
+def test_the_check_beside_the_header_passes(
+    folder: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["export", *arguments, "--to", "c", "--out", "My rig.h"]) == 0
+    assert "my_rig_step" in capsys.readouterr().out
+    for define in ([], ["-DMY_RIG_FLOAT"]):
+        subprocess.run([str(GCC), *STRICT, *define, "My rig_test.c", "-o", "check", "-lm"], check=True)
+        done = subprocess.run(["./check"], capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout
+        assert "400 periods" in done.stdout
+
+
+@needs_compiler
+def test_the_loop_in_the_documentation_compiles(folder: Path) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "rig.md").read_text()
+    code = page.split("```c\n")[1].split("```")[0]
+    assert cli.main(["export", "llnf.json", "--to", "c", "--out", "rig.h"]) == 0
+    Path("main.c").write_text(code)
+    subprocess.run([str(GCC), *STRICT, "-c", "main.c"], check=True)
+
+
+@needs_compiler
+def test_the_check_fails_where_the_header_is_wrong(folder: Path) -> None:
+    assert cli.main(["export", "feedforward.json", "--to", "c", "--out", "rig.h"]) == 0
+    header = Path("rig.h").read_text()
+    Path("rig.h").write_text(header.replace("rig_C(2.4)", "rig_C(2.4001)"))
+    subprocess.run([str(GCC), "-std=c99", "rig_test.c", "-o", "check", "-lm"], check=True)
+    assert subprocess.run(["./check"], capture_output=True).returncode == 1
+
+
+def test_test_vectors_swing_and_say_nothing_where_a_reading_is_broken() -> None:
+    program = Loop(DIFFERENCE, LQR(), llnf(), LIMIT, SUPPLY).program()
+    table = bundle.vectors(program, Plant())
+    broken = (np.abs(table[:, 1:4]) > 1000).any(axis=1)
+    assert broken.sum() == 3
+    assert (table[broken, 4] == 0).all()
+    assert np.std(table[:, 4]) > 3
+    assert np.mean(np.abs(table[:, 4]) < SUPPLY) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["llnf.json", "--to", "c", "--out", "rig.txt"], "--to c writes .h files"),
+        (["llnf.json", "--to", "onnx", "--out", "rig.h"], "--to onnx writes .onnx files"),
+        (["none.json", "--to", "c", "--out", "rig.h"], "none.json"),
+        (["broken.json", "--to", "c", "--out", "rig.h"], "broken.json: not JSON"),
+        (["odd.json", "--to", "c", "--out", "rig.h"], "odd.json: top level"),
+        (["ideal.json", "--to", "c", "--out", "rig.h"], "the compensator 'ideal' has no form"),
+        (["llnf.json", "--to", "c", "--out", "rig.h", "--controller", "pid"], "there is no controller 'pid'"),
+        (["llnf.json", "--to", "c", "--out", "rig.h", "--compensator", "llnf.json"], "leave out --compensator"),
+        (["llnf.json", "--to", "c", "--out", "rig.h", "--force-limit", "nan"], "give a positive number"),
+        (["force.json", "--to", "c", "--out", "rig.h"], "say --compensator FILE.json"),
+        (["force.json", "--to", "c", "--out", "rig.h", "--compensator", "feedforward.json"], "was trained with"),
+        (["force.json", "--to", "c", "--out", "rig.h", "--controller", "lqr"], "leave out --controller"),
+        (["feedforward.json", "--to", "c", "--out", "rig.h", "--controller", "force.json"], "was trained with"),
+        (["voltage.json", "--to", "c", "--out", "rig.h", "--compensator", "llnf.json"], "commands voltage"),
+        (["llnf.json", "--to", "c", "--out", "no/rig.h"], "there is no folder"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_no_file(
+    folder: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(folder.iterdir())
+    assert cli.main(["export", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert said.count("\n") == 1
+    assert sorted(folder.iterdir()) == before
+
+
+def test_files_that_exist_are_kept(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("rig_test.c").write_text("mine")
+    assert cli.main(["export", "llnf.json", "--to", "c", "--out", "rig.h"]) == 2
+    assert "rig_test.c exists" in capsys.readouterr().err
+    assert not Path("rig.h").exists()
+    assert Path("rig_test.c").read_text() == "mine"
