@@ -84,7 +84,7 @@ def fit(name: str, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Com
     compensator = kind(name).fit(samples, rig, seed=seed)
     if compensator.needs_friction:
         return compensator
-    error = compensator.volts(samples.force, samples.velocity, samples.previous_velocity) - samples.voltage
+    error = compensator.replay(samples) - samples.voltage
     train = samples.train
     figures = FitFigures(
         train_mse=float(np.mean(error[train] ** 2)),
