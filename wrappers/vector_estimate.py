@@ -39,9 +39,7 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         (2, 6)
     """
 
-    def __init__(
-        self, env: VectorEnv[Any, Any, Any], estimator: Estimator | Mapping[str, Any] | str | Path
-    ) -> None:
+    def __init__(self, env: VectorEnv[Any, Any, Any], estimator: Estimator | Mapping[str, Any] | str | Path) -> None:
         super().__init__(env)
         inner = env.unwrapped
         if not isinstance(inner, DIPCFrictionVectorEnv):

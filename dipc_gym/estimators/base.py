@@ -193,7 +193,9 @@ class Estimator(ABC):
         readings = np.asarray(readings, dtype=np.float64)
         if not (np.isfinite(command.force).all() and np.isfinite(command.voltage).all()):
             self._say("a command is not finite; it counts as none")
-            force, voltage = (np.nan_to_num(u, nan=0.0, posinf=0.0, neginf=0.0) for u in (command.force, command.voltage))
+            force, voltage = (
+                np.nan_to_num(u, nan=0.0, posinf=0.0, neginf=0.0) for u in (command.force, command.voltage)
+            )
             command = dataclasses.replace(command, force=force, voltage=voltage)
         read = np.abs(readings) < LARGEST
         if not read.all():

@@ -52,9 +52,7 @@ class _Reader(untrusted.Reader):
             self.fail("kind", f"is {shown(name)}; there are {', '.join(names())}")
         rig = self.members(data["rig"], [f.name for f in dataclasses.fields(RigModel)], "rig")
         dry = self.members(data["friction"], [f.name for f in dataclasses.fields(Friction)], "friction")
-        rows = [
-            self.row(row, 6, f"rig.A[{i}]") for i, row in enumerate(self.entries(rig["A"], "rig.A", 6))
-        ]
+        rows = [self.row(row, 6, f"rig.A[{i}]") for i, row in enumerate(self.entries(rig["A"], "rig.A", 6))]
         plain = {key: self.number(value, f"rig.{key}") for key, value in rig.items() if key not in "AB"}
         levels = {key: self.number(value, f"friction.{key}") for key, value in dry.items()}
         try:
