@@ -30,7 +30,7 @@ from dipc_gym.compensators.maxwell_slip import MaxwellSlip
 from dipc_gym.compensators.memory import FallbackWarning, Remembering
 from dipc_gym.compensators.mlp import MLP
 from dipc_gym.compensators.observed import Observed
-from dipc_gym.compensators.registry import fit, names, register
+from dipc_gym.compensators.registry import fit, kind, names, register
 from dipc_gym.compensators.static import Ideal, StaticGain
 from dipc_gym.compensators.stribeck import Stribeck
 
@@ -76,6 +76,7 @@ __all__ = [
     "Stribeck",
     "elementwise",
     "fit",
+    "kind",
     "load",
     "names",
     "numbers",

@@ -24,7 +24,7 @@ class FallbackWarning(UserWarning):
 class Remembering(Compensator):
     """A compensator whose voltage depends on more of the past than the last velocity.
 
-    A subclass says what the memory of n rigs is at a reset (`begin`), and gives voltages and the memory after (`respond`).
+    A subclass says what the memory of n rigs is at a reset (`begin`), and gives voltages and a new memory (`respond`).
     Whatever comes in, the voltage stays within the supply. Where force or velocity is not finite or impossibly large,
     or the memory gets so, the memory of that rig becomes what it is after a reset, the trained self without the past;
     the voltage is then that of no force at standstill, and it is said once (`FallbackWarning`).
@@ -49,7 +49,7 @@ class Remembering(Compensator):
 
     @abstractmethod
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
-        """Return voltages (n,), not yet limited, and memory (n, k) for forces (n,), velocities (n,) and memory (n, k)."""
+        """Return voltages (n,), not yet limited, and the new memory (n, k), for forces, velocities (n,) and memory."""
 
     @property
     def parameters(self) -> int:
@@ -101,14 +101,19 @@ class Remembering(Compensator):
         return volts if isinstance(force, np.ndarray) else float(volts[0])  # type: ignore[return-value]
 
     def replay(self, samples: Samples) -> Array:
-        """Return the voltages (n,) along a run, the memory carried from sample to sample."""
-        memory, volts = self.begin(1), np.empty(len(samples.force))
-        for k in range(len(volts)):
-            u, memory = self.respond(samples.force[k : k + 1], samples.velocity[k : k + 1], memory)
-            volts[k] = u[0]
+        """Return the voltages (n,) along a run.
+
+        Stretches of 200 samples run side by side, each after the 40 before it, which give it its memory.
+        """
+        index, first = stretches(len(samples.force))
+        memory, volts = self.begin(index.shape[1]), np.empty(index.shape)
+        for row, now in zip(volts, index, strict=True):
+            row[:], memory = self.respond(samples.force[now], samples.velocity[now], memory)
             if self.remembers_voltage:
-                memory[0, -1] = samples.voltage[k]
-        return np.clip(volts, -self.supply_voltage, self.supply_voltage)
+                memory[:, -1] = samples.voltage[now]
+        replayed = np.empty(len(samples.force))
+        replayed[index[first:]] = volts[first:]
+        return np.clip(replayed, -self.supply_voltage, self.supply_voltage)
 
     def _fall(self, why: str) -> None:
         if not self._fallen:
@@ -152,30 +157,33 @@ class Track:
     friction: Array
     counts: np.ndarray
 
-    LENGTH = 200
-    WARM = 40
-
     @classmethod
     def of(cls, samples: Samples, rig: RigConstants) -> Self:
-        """Cut a run into stretches of 200 periods, each with the 40 before it to warm up the memory."""
+        """Cut a run into `stretches`; what goes before them only warms up the memory."""
         T, velocity = rig.period, samples.velocity
         position = samples.position if samples.position is not None else T * np.cumsum(velocity)
         ends = np.gradient(position, T)
         speed = np.append(np.diff(position) / T, ends[-1])
         lost = rig.newtons_per_volt * smooth(samples.voltage) - samples.force
-        n, length, warm = len(position), min(cls.LENGTH, len(position)), cls.WARM
-        starts = np.arange(0, n - length + 1, length)
-        index = starts + np.arange(-warm, length)[:, None]
-        inside = index >= 0
-        index = np.maximum(index, 0)
-        counts = inside & samples.train[index] & (np.arange(-warm, length)[:, None] >= 0)
-        last = np.minimum(index[-1:] + 1, n - 1)
-        still = np.where(inside, 1.0, 0.0)
-        return cls(speed[index] * still, ends[np.vstack([index, last])], lost[index], counts)
+        index, first = stretches(len(position))
+        counts = samples.train[index]
+        counts[:first] = False
+        last = np.minimum(index[-1:] + 1, len(position) - 1)
+        return cls(speed[index], ends[np.vstack([index, last])], lost[index], counts)
 
     def residual(self, friction: Array) -> Array:
         """What modelled friction (periods, stretches) leaves, over the periods that count, N."""
         return (smooth(friction) - self.friction)[self.counts]
+
+
+def stretches(n: int, length: int = 200, warm: int = 40) -> tuple[np.ndarray, int]:
+    """Return which samples of n make stretches of a run, (warm + length, stretches), and how many come only to warm up.
+
+    Stretches cover the run; the last one overlaps the one before it, and nothing goes before the first sample.
+    """
+    length = min(length, n)
+    starts = np.append(np.arange(0, n - length, length), n - length)
+    return np.maximum(starts + np.arange(-warm, length)[:, None], 0), warm
 
 
 def smooth(values: Array) -> Array:

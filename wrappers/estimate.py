@@ -75,7 +75,7 @@ class EstimateState(
         return float(self.estimator.friction(self._state)[0])
 
     def command(self, force: float, friction: Callable[[Array], Array]) -> None:
-        """Say which force the next voltage stands for, N, and what friction (n,) was added to it for velocities (n,)."""
+        """Say which force the next voltage stands for, N, and what friction was added to it for velocities (n,)."""
         self._wanted = np.array([force]), friction
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -118,8 +118,8 @@ def check_period(estimator: Estimator, period: float) -> None:
     """
     if abs(estimator.rig.period - period) > 1e-9:
         raise ValueError(
-            f"the estimator {estimator.name!r} is for a control period of {estimator.rig.period:g} s; the environment's "
-            f"is {period:g} s: fit it on this rig"
+            f"the estimator {estimator.name!r} is for a control period of {estimator.rig.period:g} s; the "
+            f"environment's is {period:g} s: fit it on this rig"
         )
 
 

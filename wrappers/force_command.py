@@ -30,8 +30,9 @@ class ForceCommand(
 
     The force is the one that the linear controller's model assumes: the friction left in that model (40 N s/m,
     back-EMF included) still acts, the rest is compensated. The compensator gets the velocity that the environment
-    last observed, or that `EstimateState` inside this one estimates; so any other wrapper may stand around this one. `info["force"]` is the force as commanded, after the
-    limit; `info["voltage"]` and `info["clipped"]` say what became of it.
+    last observed, or that `EstimateState` inside this one estimates; so any other wrapper may stand around this one.
+    `info["force"]` is the force as commanded, after the limit; `info["voltage"]` and `info["clipped"]` say what became
+    of it.
 
     Args:
         env: a `DIPC-Friction-v0`, or any environment whose `unwrapped` has `measured_velocity`, `friction` and `plant`.

@@ -97,7 +97,7 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
         return observations, rewards, terminated, truncated, infos
 
     def _friction(self, force: Array, state: Array, known: dict[str, Array]) -> Callable[[Array], Array]:
-        """What the compensator, with the memory it has now, adds to the forces beyond the motor's gain at velocities."""
+        """What the compensator, with the memory it has now, adds to forces beyond the motor's gain at velocities."""
         gain = self._estimate.estimator.rig.newtons_per_volt
         return lambda velocity: gain * self.compensator.voltage_batch(force, velocity, state, **known)[0] - force
 

@@ -1,4 +1,4 @@
-"""Moving-horizon estimation: the most likely recent past in which no reading contradicts the rounding of its encoder."""
+"""Moving-horizon estimation: the calmest recent past that no reading contradicts."""
 
 from __future__ import annotations
 
