@@ -65,17 +65,16 @@ class History(Remembering):
             torch.manual_seed(seed)
             cell = torch.nn.GRU(2, HIDDEN, batch_first=True, dtype=torch.float64)
             last = torch.nn.Linear(HIDDEN + 2, 1, dtype=torch.float64)
-            _train(torch, cell, last, x, samples.voltage / output, train)
+            weight = _train(torch, cell, last, x, samples.voltage / output, train)
         w, u, b, c = (p.detach().numpy() for p in cell.parameters())
-        weight, bias = (p.detach().numpy() for p in last.parameters())
         inward = np.column_stack([w / scale, b])
         inner = np.column_stack([u, c])
-        direct = np.append(weight[0, HIDDEN:] / scale, bias) * output
+        direct = weight[HIDDEN:] / np.append(scale, 1.0) * output
         return cls(
             *given(rig),
             tuple(map(tuple, inward.tolist())),
             tuple(map(tuple, inner.tolist())),
-            tuple((weight[0, :HIDDEN] * output).tolist()),
+            tuple((weight[:HIDDEN] * output).tolist()),
             tuple(direct.tolist()),
         )
 
@@ -104,8 +103,11 @@ def _sigmoid(x: Array) -> Array:
     return np.asarray(0.5 + 0.5 * np.tanh(0.5 * x))
 
 
-def _train(torch: Any, cell: Any, last: Any, inputs: Array, outputs: Array, train: np.ndarray) -> None:
-    """Train the network in place, and leave it with the weights of the lowest test error."""
+def _train(torch: Any, cell: Any, last: Any, inputs: Array, outputs: Array, train: np.ndarray) -> Array:
+    """Train the cell in place to the lowest test error; return weights (11,) of states, inputs and 1 in the output.
+
+    Given the states, the output's weights are a linear problem, which least squares then solves exactly.
+    """
     length = min(LENGTH, len(outputs))
     warm = min(WARM, length - 1)
     starts = np.arange(0, len(outputs) - length + 1, max(length - warm, 1))
@@ -120,7 +122,7 @@ def _train(torch: Any, cell: Any, last: Any, inputs: Array, outputs: Array, trai
         hidden, _ = cell(x)
         error = (last(torch.cat([hidden, x], dim=2))[:, warm:, 0] - y) ** 2
         loss = error[learn].mean()
-        test = float(error[~learn].mean()) if (~learn).any() else float(loss)
+        test = float((error[~learn].mean() if (~learn).any() else loss).detach())
         if test < lowest:
             lowest, best, waited = test, [p.detach().clone() for p in weights], 0
         elif (waited := waited + 1) > PATIENCE:
@@ -133,3 +135,6 @@ def _train(torch: Any, cell: Any, last: Any, inputs: Array, outputs: Array, trai
     with torch.no_grad():
         for p, kept in zip(weights, best, strict=True):
             p.copy_(kept)
+        hidden, _ = cell(x)
+        features = torch.cat([hidden, x, torch.ones_like(x[:, :, :1])], dim=2)[:, warm:][learn]
+    return np.linalg.lstsq(features.numpy(), y[learn].numpy())[0]

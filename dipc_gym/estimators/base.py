@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 Rows = tuple[tuple[float, ...], ...]
 
 SCHEMA = "dipc-gym/estimator/1"
+FASTEST = 50.0
+"""No entry of a model that a filter can follow changes its state by more than this times in a period."""
 LARGEST = 1e3
 """No position or rate of a rig is this large, in m, rad or their rates; an estimate beyond it has diverged."""
 
@@ -63,6 +65,8 @@ class RigModel:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"RigModel.{name} is {value}; it must be finite and above 0")
+        if not max(abs(entry) for row in self.A for entry in row) * self.period < FASTEST:
+            raise ValueError(f"RigModel.A is too fast for a control period of {self.period:g} s; check both")
         if not (math.isfinite(self.velocity_filter) and self.velocity_filter >= 0):
             raise ValueError(f"RigModel.velocity_filter is {self.velocity_filter}; it must be finite, 0 or more")
 
