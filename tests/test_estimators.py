@@ -333,7 +333,7 @@ def test_a_broken_file_is_refused_with_its_field(made, tmp_path, change, message
 
 
 def test_a_rig_that_cannot_be_filtered_is_refused(rig):
-    with pytest.raises(ValueError, match="too fast for a control period of 0.005 s"):
+    with pytest.raises(ValueError, match=r"too fast for a control period of 0.005 s"):
         replace(rig, A=((1e6,) * 6,) * 6)
     blind = np.zeros((6, 6))  # an unstable rate that no encoder sees
     blind[5, 5] = 1.0
