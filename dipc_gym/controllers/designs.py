@@ -129,9 +129,9 @@ def _gain(cart: float, effort: float) -> Array:
 
 DESIGNS: dict[str, Callable[[], Controller]] = {
     "lqr_sampled": _designed("lqr_sampled", 1e3, 1.0),
-    "lqr_cart": _designed("lqr_cart", 1e4, 1.0),
+    "lqr_cart": _designed("lqr_cart", 1e5, 1.0),
     "lqr_quiet": _designed("lqr_quiet", 1e5, 0.1),
     "dither": Dither,
 }
-"""Beside the printed gain: the same weights at 5 ms; the cart weighed ten times; the smallest of the limit cycles that
+"""Beside the printed gain: the same weights at 5 ms; the cart weighed a hundred times; the smallest of the limit cycles that
 `limit_cycle` predicts for weights of cart and force changed by decades, up to a hundred and down to a tenth; dither."""
