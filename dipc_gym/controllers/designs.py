@@ -133,5 +133,6 @@ DESIGNS: dict[str, Callable[[], Controller]] = {
     "lqr_quiet": _designed("lqr_quiet", 1e5, 0.1),
     "dither": Dither,
 }
-"""Beside the printed gain: the same weights at 5 ms; the cart weighed a hundred times; the smallest of the limit cycles that
-`limit_cycle` predicts for weights of cart and force changed by decades, up to a hundred and down to a tenth; dither."""
+"""Beside the printed gain: the same weights at 5 ms; the cart weighed a hundred times; the smallest of the limit cycles
+that `limit_cycle` predicts for weights of cart and force changed by decades, up to a hundred and down to a tenth; and
+dither."""

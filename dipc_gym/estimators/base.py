@@ -207,7 +207,8 @@ class Estimator(ABC):
             readings = np.where(read, readings, self.observation(state)[:, :3])
         with np.errstate(all="ignore"):
             after = self.advance(state, readings, command)
-            lost = ~(np.abs(self.observation(after)) < LARGEST).all(axis=1) | ~np.isfinite(after).all(axis=1)
+            lost = np.logical_not((np.abs(self.observation(after)) < LARGEST).all(axis=1))
+            lost = np.asarray(lost | ~np.isfinite(after).all(axis=1))
         if lost.any():
             self._say("an estimate diverged; it begins anew from the readings")
             after = np.where(lost[:, None], self.begin(np.hstack([readings, np.zeros_like(readings)])), after)

@@ -304,7 +304,7 @@ def run(
         return {e.name: found[e.name].result for e in experiments if found[e.name].failure is None}
 
     trainings, learnings = comparison.trainings(), comparison.learnings()
-    before = [*sweep.finished(trainings, folder), *sweep.finished(learnings, folder)]
+    before: list[Outcome[Any]] = [*sweep.finished(trainings, folder), *sweep.finished(learnings, folder)]
     sweep.finished(comparison.balancings(_trained(before), _learned(before)), folder)  # of this comparison?
     balancings: list[Balancing] = []
     notes = _notes(comparison)

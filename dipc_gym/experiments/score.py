@@ -180,7 +180,7 @@ def summarise(outcomes: Iterable[Outcome[Any]], pairs: Sequence[tuple[str, str]]
         What `score.json` holds.
     """
     done = [o for o in outcomes if isinstance(o.cell, Scoring)]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for pair in pairs:
         mine = [o for o in done if (o.cell.balancing.brain, label(o.cell.balancing.compensator)) == pair]
         rates: dict[str, float] = {}
@@ -192,7 +192,7 @@ def summarise(outcomes: Iterable[Outcome[Any]], pairs: Sequence[tuple[str, str]]
             rigs = len({o.cell.balancing.seed for o in mine})
             score = float(np.mean([*rates.values()]))
             rows.append({"controller": pair[0], "compensator": pair[1], "rigs": rigs, "score": score, "rates": rates})
-    rows.sort(key=lambda row: -row["score"])
+    rows.sort(key=lambda row: row["score"], reverse=True)
     return {"schema": SCHEMA, "rows": rows, "tests": TESTS, "seconds": SECONDS}
 
 
