@@ -17,14 +17,24 @@ from dipc_gym.compensators.base import (
     numbers,
 )
 from dipc_gym.compensators.curve import Curve
+from dipc_gym.compensators.disturbance_observer import DisturbanceObserver
 from dipc_gym.compensators.feedforward import Feedforward
 from dipc_gym.compensators.files import CompensatorError, load, save
+from dipc_gym.compensators.friedland import Friedland
 from dipc_gym.compensators.hilomot import HILOMOT
+from dipc_gym.compensators.history import History
 from dipc_gym.compensators.llnf import LLNF
+from dipc_gym.compensators.llnf_adaptive import AdaptiveLLNF
+from dipc_gym.compensators.llnf_lagged import LaggedLLNF
 from dipc_gym.compensators.lolimot import LOLIMOT
+from dipc_gym.compensators.lugre import LuGre
+from dipc_gym.compensators.maxwell_slip import MaxwellSlip
+from dipc_gym.compensators.memory import FallbackWarning, Remembering
 from dipc_gym.compensators.mlp import MLP
-from dipc_gym.compensators.registry import fit, names, register
+from dipc_gym.compensators.observed import Observed
+from dipc_gym.compensators.registry import fit, kind, names, register
 from dipc_gym.compensators.static import Ideal, StaticGain
+from dipc_gym.compensators.stribeck import Stribeck
 
 register("none", StaticGain)
 register("feedforward", Feedforward)
@@ -33,25 +43,46 @@ register("llnf", LLNF)
 register("ideal", Ideal)
 register("curve", Curve)
 register("hilomot", HILOMOT)
+register("stribeck", Stribeck)
+register("lugre", LuGre)
+register("maxwell_slip", MaxwellSlip)
+register("friedland", Friedland)
+register("disturbance_observer", DisturbanceObserver)
+register("llnf_lagged", LaggedLLNF)
+register("llnf_adaptive", AdaptiveLLNF)
+register("history", History)
+register("observed", Observed)
 
 __all__ = [
     "HILOMOT",
     "LLNF",
     "LOLIMOT",
     "MLP",
+    "AdaptiveLLNF",
     "Compensator",
     "CompensatorError",
     "Curve",
+    "DisturbanceObserver",
+    "FallbackWarning",
     "Feedforward",
     "FitFigures",
+    "Friedland",
+    "History",
     "Ideal",
     "InputRange",
+    "LaggedLLNF",
+    "LuGre",
+    "MaxwellSlip",
+    "Observed",
     "OutOfRangeWarning",
+    "Remembering",
     "RigConstants",
     "Samples",
     "StaticGain",
+    "Stribeck",
     "elementwise",
     "fit",
+    "kind",
     "load",
     "names",
     "numbers",

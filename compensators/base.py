@@ -38,6 +38,8 @@ class RigConstants:
         newtons_per_volt: Motor force on the cart per volt at standstill, N/V.
         viscous: Viscous friction that the linear controller's model has in it, back-EMF included, N s/m.
         supply_voltage: Largest motor voltage, V.
+        mass: Moving mass with the poles locked, kg; None if it is not known.
+        period: Control period, s.
 
     Raises:
         ValueError: A constant is not a finite number, or has the wrong sign.
@@ -50,9 +52,14 @@ class RigConstants:
     newtons_per_volt: float
     viscous: float
     supply_voltage: float
+    mass: float | None = None
+    period: float = 0.005
 
     def __post_init__(self) -> None:
-        for name, least in (("newtons_per_volt", 0.0), ("supply_voltage", 0.0), ("viscous", -math.inf)):
+        limits = {"newtons_per_volt": 0.0, "supply_voltage": 0.0, "viscous": -math.inf, "period": 0.0}
+        if self.mass is not None:
+            limits["mass"] = 0.0
+        for name, least in limits.items():
             value = getattr(self, name)
             if not (math.isfinite(value) and value > least):
                 raise ValueError(f"RigConstants.{name} is {value}; it must be finite and above {least}")
@@ -69,6 +76,7 @@ class Samples:
         previous_velocity: (n,) m/s, cart velocity one control period earlier.
         voltage: (n,) V, motor voltage that made the motion.
         train: (n,) bool, True for training; the rest is for test.
+        position: (n,) m, what the cart's encoder read at that instant; None if only velocities are known.
 
     Raises:
         ValueError: Lengths differ, a value is not finite, or training or test part is empty.
@@ -86,9 +94,11 @@ class Samples:
     previous_velocity: Array
     voltage: Array
     train: npt.NDArray[np.bool_]
+    position: Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("force", "velocity", "previous_velocity", "voltage"):
+        given = () if self.position is None else ("position",)
+        for name in ("force", "velocity", "previous_velocity", "voltage", *given):
             values = np.asarray(getattr(self, name), dtype=np.float64)
             if values.ndim != 1 or values.shape != np.shape(self.force):
                 raise ValueError(f"Samples.{name} has shape {values.shape}; all columns must be (n,) of one length")
@@ -149,14 +159,14 @@ class Compensator(ABC):
     ways to differentiate the encoder, five starts each), networks fed with u(k-1) fitted held-out data
     better in one of the four cases and cost 1.5 to 3.9 times as much in the loop. F(k-1) was no clear gain:
     0.99 and 1.09 times the cost for the LLNF, 0.5 and 1.2 times for the MLP. On the first call after
-    `reset`, v(k-1) is taken to be v(k). A compensator that needs another memory overrides `voltage`,
-    `voltage_batch`, `initial_state` and `reset`.
+    `reset`, v(k-1) is taken to be v(k). A compensator that needs another memory is a `Remembering` one.
 
     The voltage is not limited to the supply; that is the amplifier's business.
 
     Attributes:
         name: Name under which the compensator is registered.
-        needs_friction: True if `voltage` and `voltage_batch` want the true friction as `friction=` (N).
+        needs_friction: True if `voltage` and `voltage_batch` want the friction as `friction=` (N).
+        observed_friction: True if that is the friction that an estimator observes, and not the simulation's own.
         ranges: Training range of each input (force, velocity, previous velocity); empty if nothing was
             learned. A query further out than half a range beyond it warns once (`OutOfRangeWarning`).
         figures: How well it fits its identification run, or None.
@@ -164,6 +174,7 @@ class Compensator(ABC):
 
     name: ClassVar[str] = ""
     needs_friction: ClassVar[bool] = False
+    observed_friction: ClassVar[bool] = False
 
     ranges: tuple[InputRange, ...] = field(default=(), kw_only=True)
     figures: FitFigures | None = field(default=None, kw_only=True)
@@ -230,19 +241,21 @@ class Compensator(ABC):
             (n,) motor voltages, V, and the state for the next call.
         """
         force, velocity = np.asarray(force, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
-        if self._limits:
-            low_force, high_force, low_velocity, high_velocity = self._limits
-            inside = (low_force <= force) & (force <= high_force)
-            inside &= (low_velocity <= velocity) & (velocity <= high_velocity)
-            if not inside.all():
-                worst = int(np.argmin(inside))
-                self._warn(float(force[worst]), float(velocity[worst]))
+        self._check_range(force, velocity)
         previous = np.where(np.isnan(state), velocity, state)
         return self.volts(force, velocity, previous), velocity.copy()
+
+    def state(self) -> Array:
+        """Return what `voltage` remembers now, as `voltage_batch` takes it for one rig."""
+        return np.array(self._memory)
 
     def initial_state(self, n: int) -> Array:
         """Return the memory of n rigs just after a reset: (n,) NaN, no previous velocity yet."""
         return np.full(n, math.nan)
+
+    def replay(self, samples: Samples) -> Array:
+        """Return the voltages (n,) that it gives along a run, for the forces and velocities of its samples."""
+        return self.volts(samples.force, samples.velocity, samples.previous_velocity)
 
     def reset(self) -> None:
         """Forget the previous velocity: a new episode begins."""
@@ -293,6 +306,16 @@ class Compensator(ABC):
         for limits in self.ranges[:2]:
             margin = MARGIN * (limits.high - limits.low)
             self._limits.extend((limits.low - margin, limits.high + margin))
+
+    def _check_range(self, force: Array, velocity: Array) -> None:
+        """Warn, once, if any of many rigs asks far outside the training range."""
+        if self._limits:
+            low_force, high_force, low_velocity, high_velocity = self._limits
+            inside = (low_force <= force) & (force <= high_force)
+            inside &= (low_velocity <= velocity) & (velocity <= high_velocity)
+            if not inside.all():
+                worst = int(np.argmin(inside))
+                self._warn(float(force[worst]), float(velocity[worst]))
 
     def _warn(self, force: float, velocity: float) -> None:
         self._limits.clear()

@@ -94,7 +94,7 @@ def judged(compensator: Compensator, samples: Samples) -> Compensator:
     """
     if compensator.needs_friction:
         return compensator
-    error = compensator.volts(samples.force, samples.velocity, samples.previous_velocity) - samples.voltage
+    error = compensator.replay(samples) - samples.voltage
     train = samples.train
     figures = FitFigures(
         train_mse=float(np.mean(error[train] ** 2)),

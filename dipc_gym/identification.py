@@ -126,7 +126,8 @@ def cart(model: mujoco.MjModel) -> Cart:
     per_volt = (acceleration(1, 0, 0) - acceleration(-1, 0, 0)) / 2
     per_speed = (acceleration(0, 1e-3, 0) - acceleration(0, -1e-3, 0)) / 2e-3
     supply = float(np.abs(model.actuator_ctrlrange[motor]).max())
-    return Cart(1 / per_newton, RigConstants(per_volt / per_newton, -per_speed / per_newton, supply))
+    mass = 1 / per_newton
+    return Cart(mass, RigConstants(per_volt / per_newton, -per_speed / per_newton, supply, mass))
 
 
 def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) -> Recording:
@@ -209,7 +210,7 @@ def samples(recording: Recording, cart: Cart, encoders: Encoders, period: float,
     seen = np.array(filtered)
     part = slice(1, len(p) - 2)  # central differences need a neighbour on both sides
     train = (grid - grid[0])[part] // block % 2 == 0
-    return Samples(force[part], seen[part], seen[: len(p) - 3], volts[part], train)
+    return Samples(force[part], seen[part], seen[: len(p) - 3], volts[part], train, p[part])
 
 
 def excitation(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,9 +12,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, compensators, recording
+from dipc_gym import ENV_ID, compensators, estimators, recording
 from dipc_gym.compensators import Compensator, Samples
-from dipc_gym.controllers import Controller
+from dipc_gym.controllers import Controller, lqr
+from dipc_gym.estimators import Estimator, RigModel
 from dipc_gym.excitation import Excitation
 from dipc_gym.identification import Cart, Sweep, cart, cart_model, excitation, record, samples
 from dipc_gym.plant import Plant
@@ -36,6 +38,7 @@ class Identification:
         plant: the rig that made it, or that it is taken to be of.
         samples: what compensators are fitted to.
         excitation: what of force and velocity the run covers.
+        rig: linear model and sensors of the whole rig.
     """
 
     run: Recording
@@ -43,6 +46,7 @@ class Identification:
     plant: Plant
     samples: Samples
     excitation: Excitation
+    rig: RigModel
 
     def fit(self, name: str, *, seed: int = 0) -> Compensator:
         """Fit a compensator by its registered name, or load a saved one (`.json`).
@@ -53,6 +57,16 @@ class Identification:
         if name.endswith(".json"):
             return compensators.load(name)
         return compensators.fit(name, self.samples, self.cart.constants, seed=seed)
+
+    def fit_estimator(self, name: str, *, seed: int = 0) -> Estimator:
+        """Fit an estimator by its registered name, or load a saved one (`.json`).
+
+        Raises:
+            ValueError: neither is there.
+        """
+        if name.endswith(".json"):
+            return estimators.load(name)
+        return estimators.fit(name, self.samples, self.cart.constants, self.rig, seed=seed)
 
 
 def identify(
@@ -83,6 +97,8 @@ def identify(
     env = _unwrapped(gymnasium.make(ENV_ID, plant=plant, model=model))
     fixed = cart_model(env.source, env.plant)
     linear = cart(fixed)
+    constants = dataclasses.replace(linear.constants, period=env.plant.control_period)
+    linear = dataclasses.replace(linear, constants=constants)
     if from_recording is None:
         run = record(fixed, env.plant, sweep, seed=seed)
     else:
@@ -94,7 +110,8 @@ def identify(
         _check_locked(run, env, from_recording, mapping, units)
         if found.refusal is not None:
             raise ValueError(f"{from_recording}: no compensator can be trained from this: {found.refusal}")
-    return Identification(run, linear, env.plant, data, found)
+    rig = RigModel.of(*lqr.linear_model(env.model), env.plant, linear.constants.newtons_per_volt)
+    return Identification(run, linear, env.plant, data, found, rig)
 
 
 def _check_locked(
@@ -134,6 +151,18 @@ def compensator(name: str, plant: Plant | str | None = None, *, model: str | Non
     return identify(plant, model=model, seed=seed).fit(name, seed=seed)
 
 
+def estimator(name: str, plant: Plant | str | None = None, *, model: str | None = None, seed: int = 0) -> Estimator:
+    """An estimator by name, fitted to a simulated identification run of the rig, or a saved one (`.json`).
+
+    Raises:
+        ValueError: neither is there.
+    """
+    if name.endswith(".json"):
+        return estimators.load(name)
+    estimators.kind(name)  # an unknown name is refused before anything is simulated
+    return identify(plant, model=model, seed=seed).fit_estimator(name, seed=seed)
+
+
 @dataclass(frozen=True)
 class Impulse:
     """A blow on the cart.
@@ -145,6 +174,19 @@ class Impulse:
 
     size: float
     time: float
+
+
+@dataclass(frozen=True)
+class MotorFault:
+    """What a motor does to the voltages that it is given; see `FaultyMotor`.
+
+    Attributes:
+        noise: standard deviation of a voltage that is added in every period, V.
+        response: share of a change of voltage that arrives, 1 for all of it.
+    """
+
+    noise: float = 0.0
+    response: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -188,7 +230,9 @@ def balance(
     plant: Plant | str | None = None,
     model: str | None = None,
     exact_state: bool = False,
-    impulse: Impulse | None = None,
+    impulse: Impulse | Sequence[Impulse] | None = None,
+    estimator: Estimator | None = None,
+    fault: MotorFault | None = None,
 ) -> Course:
     """Balance a rig until it falls or time is over.
 
@@ -200,12 +244,15 @@ def balance(
         plant: as the environment takes it.
         model: MJCF file of the rig; None is the package's.
         exact_state: let controller and compensator see the exact state instead of encoder readings.
-        impulse: a blow that the cart takes on the way.
+        impulse: a blow that the cart takes on the way, or several.
+        estimator: what controller and compensator see the rig through; None is the environment's own observation.
+        fault: what the motor does to the voltages.
 
     Raises:
-        ValueError: `seconds` is not finite, or shorter than a control period.
+        ValueError: `seconds` is not finite, or shorter than a control period; or the compensator needs an estimator
+            that observes friction, and this is none.
     """
-    from dipc_gym.wrappers import ForceCommand
+    from dipc_gym.wrappers import EstimateState, FaultyMotor, ForceCommand
 
     env: gymnasium.Env[Any, Any] = gymnasium.make(
         ENV_ID, plant=plant, model=model, exact_state=exact_state, max_episode_steps=2**31
@@ -215,15 +262,20 @@ def balance(
     if not (math.isfinite(seconds) and seconds >= period):
         raise ValueError(f"a run of {seconds:g} s; it must be finite, and at least one control period, {period:g} s")
     steps = round(seconds / period)
+    if fault is not None:
+        env = FaultyMotor(env, noise=fault.noise, response=fault.response)
+    if estimator is not None:
+        env = EstimateState(env, estimator)
     env = ForceCommand(env, compensator)
     observation, _ = env.reset(seed=seed)
     state, readings = np.zeros((steps, 6)), np.zeros((steps, 3))
     force, voltage, action = np.zeros(steps), np.zeros(steps), np.zeros(1)
     done, clipped, fell = 0, 0, False
-    blow = -1 if impulse is None else round(impulse.time / period)
+    given = () if impulse is None else (impulse,) if isinstance(impulse, Impulse) else impulse
+    blows = {round(blow.time / period): blow.size for blow in given}
     for k in range(steps):
-        if k == blow and impulse is not None:
-            inner.strike(impulse.size)
+        if k in blows:
+            inner.strike(blows[k])
         state[k], readings[k] = inner.state, inner.encoders
         action[0] = controller.force(observation)
         observation, _, fell, _, info = env.step(action)

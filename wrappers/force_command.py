@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import VectorWrapper
 from numpy.typing import NDArray
 
 from dipc_gym import actions, compensators
 from dipc_gym.compensators import Compensator, CompensatorError
 from dipc_gym.naming import suggestion
 from dipc_gym.plant import Plant
+from dipc_gym.wrappers.estimate import EstimateState, refuse_blind
+from dipc_gym.wrappers.vector_estimate import VectorEstimateState
 
 Array = NDArray[np.float64]
 
@@ -28,8 +31,9 @@ class ForceCommand(
 
     The force is the one that the linear controller's model assumes: the friction left in that model (40 N s/m,
     back-EMF included) still acts, the rest is compensated. The compensator gets the velocity that the environment
-    last observed, so any wrapper may stand around this one. `info["force"]` is the force as commanded, after the
-    limit; `info["voltage"]` and `info["clipped"]` say what became of it.
+    last observed, or that `EstimateState` inside this one estimates; so any other wrapper may stand around this one.
+    `info["force"]` is the force as commanded, after the limit; `info["voltage"]` and `info["clipped"]` say what became
+    of it.
 
     Args:
         env: a `DIPC-Friction-v0`, or any environment whose `unwrapped` has `measured_velocity`, `friction` and `plant`.
@@ -39,7 +43,8 @@ class ForceCommand(
     Raises:
         TypeError: `env` cannot say how fast its cart is.
         ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known; or a wrapper
-            inside this one changes what an action is, so that a voltage would not arrive as one.
+            inside this one changes what an action is, so that a voltage would not arrive as one; or the compensator
+            needs an estimator that observes friction, and there is none inside.
         compensators.CompensatorError: the compensator's file or dictionary is broken, or a kind of compensator is
             named that has to be fitted first.
 
@@ -72,6 +77,8 @@ class ForceCommand(
         self.compensator = frozen
         self.force_limit, self.action_space = force_range(inner.plant, force_limit)
         self._inner = inner
+        self._estimate = estimating(env)
+        refuse_blind(self._estimate is not None and self._estimate.estimator.observes_friction, frozen)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Reset the environment and the compensator's memory."""
@@ -90,15 +97,33 @@ class ForceCommand(
             ValueError: the action is not one finite number.
         """
         force = min(max(actions.one(action, "force"), -self.force_limit), self.force_limit)
-        velocity = self._inner.measured_velocity
-        if self.compensator.needs_friction:
-            held_back = -self._inner.friction
-            volts = self.compensator.voltage(force, velocity, friction=held_back)  # type: ignore[call-arg]
-        else:
-            volts = self.compensator.voltage(force, velocity)
+        estimate, compensator = self._estimate, self.compensator
+        velocity = (estimate or self._inner).measured_velocity
+        known: dict[str, float] = {}
+        if compensator.needs_friction:
+            observed = estimate is not None and compensator.observed_friction
+            known["friction"] = estimate.friction_estimate if observed else -self._inner.friction
+        if estimate is not None:
+            estimate.command(force, self._friction(force, compensator.state(), known))
+        volts = compensator.voltage(force, velocity, **known)
         observation, reward, terminated, truncated, info = self.env.step(np.array((volts,)))
         info["force"] = force
         return observation, reward, terminated, truncated, info
+
+    def _friction(self, force: float, state: Array, known: dict[str, float]) -> Callable[[Array], Array]:
+        """What the compensator, with the memory it has now, adds to a force beyond the motor's gain at velocities."""
+        gain, wanted = self._estimate.estimator.rig.newtons_per_volt, np.array([force])
+        given = {name: np.array([value]) for name, value in known.items()}
+        return lambda velocity: gain * self.compensator.voltage_batch(wanted, velocity, state, **given)[0] - wanted
+
+
+def estimating(env: Any) -> Any:
+    """The `EstimateState` (or its vector twin) among an environment's wrappers, or None."""
+    while not isinstance(env, (EstimateState, VectorEstimateState)):
+        if not isinstance(env, (gymnasium.Wrapper, VectorWrapper)):
+            return None
+        env = env.env
+    return env
 
 
 def check_volts(outer: spaces.Space[Any], inner: spaces.Space[Any]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from dipc_gym.actions import many
 from dipc_gym.compensators import Compensator
 from dipc_gym.vector import DIPCFrictionVectorEnv
-from dipc_gym.wrappers.force_command import check_volts, force_range, frozen_compensator
+from dipc_gym.wrappers.estimate import refuse_blind
+from dipc_gym.wrappers.force_command import check_volts, estimating, force_range, frozen_compensator
 from dipc_gym.wrappers.record import EpisodeFiles, recordings_folder
 
 Array = NDArray[np.float64]
@@ -59,6 +60,8 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
         self.force_limit, self.single_action_space = force_range(self._inner.plant, force_limit)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._state = self.compensator.initial_state(self.num_envs)
+        self._estimate = estimating(env)
+        refuse_blind(self._estimate is not None and self._estimate.estimator.observes_friction, self.compensator)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -79,8 +82,12 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
             ValueError: the actions have another shape or are not finite.
         """
         force = np.clip(many(actions, "force", self.num_envs), -self.force_limit, self.force_limit)
-        velocity, compensator = self._inner.measured_velocity, self.compensator
-        known = {"friction": -self._inner.friction} if compensator.needs_friction else {}
+        estimate, compensator = self._estimate, self.compensator
+        velocity, known = (estimate or self._inner).measured_velocity, {}
+        if compensator.needs_friction:
+            known["friction"] = estimate.friction_estimate if compensator.observed_friction else -self._inner.friction
+        if estimate is not None:
+            estimate.command(force, self._friction(force, self._state, known))
         volts, self._state = compensator.voltage_batch(force, velocity, self._state, **known)
         observations, rewards, terminated, truncated, infos = self.env.step(volts[:, None])
         self._forget()
@@ -90,9 +97,15 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
         infos |= {"force": np.where(self._inner.began, 0.0, force), "_force": np.ones(self.num_envs, dtype=bool)}
         return observations, rewards, terminated, truncated, infos
 
+    def _friction(self, force: Array, state: Array, known: dict[str, Array]) -> Callable[[Array], Array]:
+        """What the compensator, with the memory it has now, adds to forces beyond the motor's gain at velocities."""
+        gain = self._estimate.estimator.rig.newtons_per_volt
+        return lambda velocity: gain * self.compensator.voltage_batch(force, velocity, state, **known)[0] - force
+
     def _forget(self) -> None:
         """Let the compensator begin anew where an episode has begun."""
-        self._state = np.where(self._inner.began, self.compensator.initial_state(self.num_envs), self._state)
+        began, fresh = self._inner.began, self.compensator.initial_state(self.num_envs)
+        self._state = np.where(began if fresh.ndim == 1 else began[:, None], fresh, self._state)
 
 
 class VectorRecordRun(VectorWrapper[Any, Any, Any, Any, Any]):

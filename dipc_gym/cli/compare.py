@@ -25,6 +25,7 @@ class Compare:
     Try:
         dipc-gym compare --out runs/compare
         dipc-gym compare --out runs/compare --robustness all
+        dipc-gym compare --out runs/rejection --estimator differences,kalman,disturbance --compensator lugre,observed
         dipc-gym compare --out runs/mine --compensator none,llnf,mine.json --controller lqr,policy.json --seeds 20
     """
 
@@ -34,6 +35,8 @@ class Compare:
     """names with commas between: lqr, or policies: our own (.json), or stable-baselines3's (.zip)"""
     compensator: str = "none,feedforward,mlp,llnf,ideal"
     """names with commas between; or saved compensators (.json)"""
+    estimator: str = "differences"
+    """names with commas between, such as kalman,disturbance,ekf; or saved estimators (.json)"""
     seeds: int = 10
     """number of rigs; friction, encoder noise and starting state differ"""
     seconds: float = 80.0
@@ -47,7 +50,7 @@ class Compare:
     exact_state: bool = False
     """balance with the exact state: what encoder noise costs is then left out"""
     robustness: str = ""
-    """with commas between: friction, encoder, period, supply, impulse; or all"""
+    """with commas between: friction, encoder, period, supply, impulse, or all of these; score: one number for all"""
     jobs: int | None = None
     """experiments at a time; without it 2, or on Ray as many as the cluster has CPUs"""
     backend: Literal["local", "ray"] = "local"
@@ -64,6 +67,7 @@ class Compare:
         comparison = compare.Comparison(
             controllers=listed(self.controller),
             compensators=listed(self.compensator),
+            estimators=listed(self.estimator),
             seeds=self.seeds,
             seconds=self.seconds,
             plant=self.plant,
@@ -82,8 +86,9 @@ class Compare:
             print(f"\ninterrupted; what was finished is in {self.out / 'summary.json'}", file=sys.stderr)
             return 130
         print(table(summary))
-        if comparison.robustness:
-            print("\n" + (self.out / "robustness.txt").read_text(encoding="utf-8").rstrip())
+        axes, scored = set(comparison.robustness) - {compare.SCORE}, compare.SCORE in comparison.robustness
+        for name in [*(["robustness.txt"] if axes else []), *(["score.txt"] if scored else [])]:
+            print("\n" + (self.out / name).read_text(encoding="utf-8").rstrip())
         print(f"\nresults in {self.out}")
         if summary["failures"]:
             print(f"{len(summary['failures'])} failed, as listed; the same command tries them again", file=sys.stderr)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,13 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import compensators, controllers, intact, mjcf, runs
-from dipc_gym.compensators import OutOfRangeWarning
+from dipc_gym import compensators, controllers, estimators, intact, mjcf, runs
+from dipc_gym.compensators import FallbackWarning, OutOfRangeWarning
 from dipc_gym.controllers import lqr, normalisation
+from dipc_gym.estimators import EstimateWarning
 from dipc_gym.identification import Sweep
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Policy
-from dipc_gym.runs import Course, Identification, Impulse, identify
+from dipc_gym.runs import Course, Identification, Impulse, MotorFault, identify
 
 Array = NDArray[np.float64]
 
@@ -38,6 +41,8 @@ RUN = {
     "notes": [str],
 }
 """Shape of what `Balancing` gives."""
+OWN = "differences"  # the environment's own observation, which needs no estimator
+NOTED = (OutOfRangeWarning, FallbackWarning, EstimateWarning)  # what the table tells of a run
 SETTLED = 20.0  # s; the paper reads deviations off its Fig. 12 after that
 
 
@@ -83,6 +88,41 @@ class CompensatorTraining:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FrictionLearning:
+    """Identify a rig and learn the friction that all its estimators take.
+
+    Attributes:
+        plant: the rig.
+        model: its MJCF file; None is the package's.
+        recording: file of the identification run; None simulates it.
+        sweep: the simulated run.
+        seed: of the encoders' noise.
+        files: what `fingerprints` says of the files that the above names.
+    """
+
+    plant: Plant
+    model: str | None
+    recording: str | None
+    sweep: Sweep
+    seed: int
+    files: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return f"friction-{self.seed:02d}"
+
+    def run(self) -> dict[str, Any]:
+        """Learn; the result is the dictionary of the simplest estimator, whose numbers suit all the others."""
+        run = identify(self.plant, model=self.model, from_recording=self.recording, sweep=self.sweep, seed=self.seed)
+        return run.fit_estimator("differences", seed=self.seed).to_dict()
+
+    def check(self, result: Any) -> None:
+        """Refuse what is no estimator."""
+        estimators.load(result)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Balancing:
     """Balance a rig with one controller through one compensator.
 
@@ -96,6 +136,8 @@ class Balancing:
         seconds: length of the run, s.
         exact_state: balance with the exact state instead of encoder readings.
         files: what `fingerprints` says of the files that the above names.
+        estimator: registered name, or path of a saved one.
+        estimating: the estimator itself, as a dictionary; None is the environment's own observation.
     """
 
     controller: str
@@ -107,39 +149,63 @@ class Balancing:
     seconds: float
     exact_state: bool
     files: dict[str, str]
+    estimator: str = OWN
+    estimating: dict[str, Any] | None = None
 
     @property
     def name(self) -> str:
         """Of its file."""
-        return f"{label(self.controller)}-{label(self.compensator)}-{self.seed:02d}"
+        return f"{self.brain}-{label(self.compensator)}-{self.seed:02d}"
 
-    def course(self, plant: Plant | None = None, impulse: Impulse | None = None) -> tuple[Course, list[str]]:
-        """The run, and what the compensator warned of.
+    @property
+    def brain(self) -> str:
+        """What tables call controller and estimator together."""
+        return with_estimator(self.controller, self.estimator)
+
+    def course(
+        self,
+        plant: Plant | None = None,
+        impulse: Impulse | Sequence[Impulse] | None = None,
+        fault: MotorFault | None = None,
+        seconds: float | None = None,
+    ) -> tuple[Course, list[str]]:
+        """The run, and what compensator and estimator warned of.
 
         Args:
             plant: another rig than the one that the compensator was trained on.
-            impulse: a blow that the cart takes.
+            impulse: a blow that the cart takes, or several.
+            fault: what the motor does to the voltages.
+            seconds: length of the run, if another.
         """
+        plant = self.plant if plant is None else plant
+        estimator = None if self.estimating is None else estimators.load(self.estimating)
+        if estimator is not None and estimator.rig.period != plant.control_period:
+            # Of all changes of a rig, its control period is the one that its owner sets and the filter is told.
+            rig = dataclasses.replace(estimator.rig, period=plant.control_period)
+            estimator = dataclasses.replace(estimator, rig=rig)
         with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always", OutOfRangeWarning)
+            for kind in NOTED:
+                warnings.simplefilter("always", kind)
             course = runs.balance(
                 controllers.load(self.controller),
                 compensators.load(self.trained),
-                seconds=self.seconds,
+                seconds=self.seconds if seconds is None else seconds,
                 seed=self.seed,
-                plant=self.plant if plant is None else plant,
+                plant=plant,
                 model=self.model,
                 exact_state=self.exact_state,
                 impulse=impulse,
+                estimator=estimator,
+                fault=fault,
             )
-        return course, [str(w.message) for w in said if issubclass(w.category, OutOfRangeWarning)]
+        return course, [str(w.message) for w in said if issubclass(w.category, NOTED)]
 
     def run(self) -> dict[str, Any]:
         """Balance; the result is what tables and figures show of the run."""
         course, notes = self.course()
         compensator = compensators.load(self.trained)
         return {
-            "controller": label(self.controller),
+            "controller": self.brain,
             "compensator": label(self.compensator),
             "trained_with": self.trained_with(),
             "seed": self.seed,
@@ -157,7 +223,7 @@ class Balancing:
         check_figures(result)
         if not result["cost"] > 0:
             raise ValueError(f"cost is {result['cost']}; it must be above zero")
-        named = (label(self.controller), label(self.compensator), self.seed)
+        named = (self.brain, label(self.compensator), self.seed)
         if (result["controller"], result["compensator"], result["seed"]) != named:
             raise ValueError(f"is not of {named[0]} and {named[1]} on rig {named[2]}")
 
@@ -207,6 +273,16 @@ def fingerprints(*paths: str | None) -> dict[str, str]:
 
 def _digest(file: Path) -> str:
     return mjcf.read(file).sha256 if file.suffix == ".xml" else hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def with_estimator(controller: str, estimator: str) -> str:
+    """What a controller that sees the rig through an estimator is called; the paper's differences are not named.
+
+    Example:
+        >>> with_estimator("lqr", "differences"), with_estimator("lqr", "kalman")
+        ('lqr', 'lqr+kalman')
+    """
+    return label(controller) if estimator == OWN else f"{label(controller)}+{label(estimator)}"
 
 
 def label(name: str) -> str:

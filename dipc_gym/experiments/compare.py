@@ -11,15 +11,23 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium
 import numpy as np
 
-from dipc_gym import ENV_ID, compensators, controllers, recording, sweep
+from dipc_gym import ENV_ID, compensators, controllers, estimators, recording, sweep
 from dipc_gym.alone import alone
-from dipc_gym.experiments import cells, robustness
-from dipc_gym.experiments.cells import Balancing, CompensatorTraining, label
+from dipc_gym.experiments import cells, robustness, score
+from dipc_gym.experiments.cells import (
+    OWN,
+    Balancing,
+    CompensatorTraining,
+    FrictionLearning,
+    label,
+    with_estimator,
+)
 from dipc_gym.experiments.tables import summarise, table
 from dipc_gym.files import write_json, write_whole
 from dipc_gym.identification import Sweep
@@ -31,10 +39,20 @@ from dipc_gym.randomise import PlantFamily
 from dipc_gym.runs import Course
 from dipc_gym.sweep import Backend, Cell, Outcome
 
+SCORE = "score"  # what asks for one number, among the axes of robustness
 FOLDERS = ("cells", "compensators", "recordings", "figures")
 FIGURES = ("fig07_identification", "fig08_mlp", "fig09_lolimot", "fig10_llnf", "fig12_balance", "robustness")
 FILES = (
-    *("summary.json", "table.txt", "rig.gif", "rig.mp4", "robustness.json", "robustness.txt"),
+    *(
+        "summary.json",
+        "table.txt",
+        "rig.gif",
+        "rig.mp4",
+        "robustness.json",
+        "robustness.txt",
+        "score.json",
+        "score.txt",
+    ),
     "recordings/identification-00.csv",
     *(f"figures/{name}{kind}" for name in FIGURES for kind in (".png", ".pdf", "-narrow.pdf")),
 )
@@ -82,19 +100,21 @@ class Comparison:
     Attributes:
         controllers: `lqr` or paths of saved policies.
         compensators: registered names, or paths of saved compensators.
+        estimators: registered names, or paths of saved estimators; `differences` is the environment's own observation.
         seeds: number of rigs.
         seconds: length of a balancing run, s.
         plant: file of the rig's plant; None is the default rig.
         model: file of an MJCF model; None is the package's.
         recording: file of an identification run to train all compensators from; None simulates one on every rig.
         exact_state: balance with the exact state instead of encoder readings; training still sees encoders.
-        robustness: axes along which rigs are changed after training, names of `robustness.AXES`.
+        robustness: axes along which rigs are changed after training, names of `robustness.AXES`; and `score`.
         sweep: the simulated identification run.
         spread: how rigs differ.
     """
 
     controllers: tuple[str, ...] = ("lqr",)
     compensators: tuple[str, ...] = ("none", "feedforward", "mlp", "llnf", "ideal")
+    estimators: tuple[str, ...] = (OWN,)
     seeds: int = 10
     seconds: float = 80.0
     plant: str | None = None
@@ -112,9 +132,12 @@ class Comparison:
             ValueError: an unknown controller or compensator, a count or length that is not positive, or a file that
                 cannot be used.
         """
-        if self.seeds < 1 or not self.seconds > 0 or not self.controllers or not self.compensators:
-            raise ValueError("a comparison needs at least one controller, compensator and seed, and a positive length")
-        for kind, names in (("controllers", self.controllers), ("compensators", self.compensators)):
+        parts = {"controllers": self.controllers, "compensators": self.compensators, "estimators": self.estimators}
+        if self.seeds < 1 or not self.seconds > 0 or not all(parts.values()):
+            raise ValueError(
+                "a comparison needs at least one controller, compensator, estimator and seed, and a positive length"
+            )
+        for kind, names in parts.items():
             labels = [label(name) for name in names]
             if twice := sorted({name for name in labels if labels.count(name) > 1}):
                 raise ValueError(f"two {kind} are called {twice[0]!r}; rename one's file or folder")
@@ -126,6 +149,9 @@ class Comparison:
                     f"there is no compensator {name!r}; there are {', '.join(compensators.names())} and paths of "
                     f"saved ones (.json){suggestion(name, compensators.names())}"
                 )
+        for name in self.estimators:
+            if not name.endswith(".json"):
+                estimators.kind(name)
         for name in self.controllers:
             if not self._partners(name):
                 raise ValueError(
@@ -136,13 +162,29 @@ class Comparison:
                 f"{self.plant}: {', '.join(drawn)} would be drawn anew; a comparison draws its rigs itself, about a "
                 "plant of plain numbers"
             )
-        robustness.check(self.robustness, self.base_plant())
+        robustness.check((name for name in self.robustness if name != SCORE), self.base_plant())
+        if SCORE in self.robustness:
+            score.troubles(self.base_plant(), self.masses())
         if self.recording is not None:
             self.trainings()[0].identification()
 
     def pairs(self) -> list[tuple[str, str]]:
         """Controllers and compensators as tables call them, in the order of the table."""
-        return [(label(a), label(b)) for a in self.controllers for b in self._partners(a)]
+        return [
+            (with_estimator(a, e), label(b))
+            for a in self.controllers
+            for e in self.estimators
+            for b in self._partners(a)
+            if self._feeds(e, b)
+        ]
+
+    def _feeds(self, estimator: str, compensator: str) -> bool:
+        """Whether a compensator gets what it needs: `observed` an estimator that observes friction."""
+        own = compensators.load(compensator) if compensator.endswith(".json") else compensators.kind(compensator)
+        if not own.observed_friction:
+            return True
+        seen = estimators.load(estimator) if estimator.endswith(".json") else estimators.kind(estimator)
+        return seen.observes_friction
 
     def _partners(self, controller: str) -> tuple[str, ...]:
         """The compensators that a controller is tried with: all; for a policy that commands voltage, `none`."""
@@ -155,6 +197,11 @@ class Comparison:
         """The build that all rigs are of."""
         env: Any = gymnasium.make(ENV_ID, plant=self.plant, model=self.model).unwrapped
         return env.plant
+
+    def masses(self) -> dict[str, float]:
+        """Of cart and poles as the model has them, kg."""
+        env: Any = gymnasium.make(ENV_ID, plant=self.plant, model=self.model).unwrapped
+        return {name: float(env.model.body(name).mass[0]) for name in ("cart", "pole1", "pole2")}
 
     def rig(self, seed: int) -> Plant:
         """The rig of a seed."""
@@ -177,8 +224,23 @@ class Comparison:
             for name in self.compensators
         ]
 
-    def balancings(self, trained: Trained) -> list[Balancing]:
-        """Every pair on every rig, as far as compensators are trained."""
+    def learnings(self) -> list[FrictionLearning]:
+        """What estimators learn, on every rig or on the one recording; nothing if none of them learns."""
+        if all(name == OWN or name.endswith(".json") for name in self.estimators):
+            return []
+        rigs = {s: self.rig(s) for s in range(self.seeds)} if self.recording is None else {0: self.base_plant()}
+        files = cells.fingerprints(self.model, self.recording)
+        return [
+            FrictionLearning(
+                plant=plant, model=self.model, recording=self.recording, sweep=self.sweep, seed=seed, files=files
+            )
+            for seed, plant in rigs.items()
+        ]
+
+    def balancings(
+        self, trained: Trained, learned: Mapping[int, dict[str, Any]] = MappingProxyType({})
+    ) -> list[Balancing]:
+        """Every pair on every rig, as far as compensators are trained and estimators have learned."""
         rigs = {seed: self.rig(seed) for seed in range(self.seeds)}
         return [
             Balancing(
@@ -190,12 +252,18 @@ class Comparison:
                 seed=seed,
                 seconds=self.seconds,
                 exact_state=self.exact_state,
-                files=cells.fingerprints(controller, self.model),
+                files=cells.fingerprints(controller, estimator, self.model),
+                estimator=estimator,
+                estimating=_estimating(estimator, learned.get(source)),
             )
             for seed, plant in rigs.items()
+            for source in [seed if self.recording is None else 0]
             for controller in self.controllers
+            for estimator in self.estimators
             for name in self._partners(controller)
-            if (source := seed if self.recording is None else 0, name) in trained
+            if self._feeds(estimator, name)
+            and (source, name) in trained
+            and (estimator == OWN or estimator.endswith(".json") or source in learned)
         ]
 
 
@@ -244,19 +312,28 @@ def _run(comparison: Comparison, out: Path, jobs: int | None, backend: Backend) 
             found[outcome.cell.name] = outcome
         return {e.name: found[e.name].result for e in experiments if found[e.name].failure is None}
 
-    trainings = comparison.trainings()
-    sweep.finished(comparison.balancings(_trained(sweep.finished(trainings, folder))), folder)  # of this comparison?
+    trainings, learnings = comparison.trainings(), comparison.learnings()
+    before: list[Outcome[Any]] = [*sweep.finished(trainings, folder), *sweep.finished(learnings, folder)]
+    sweep.finished(comparison.balancings(_trained(before), _learned(before)), folder)  # of this comparison?
     balancings: list[Balancing] = []
     notes = _notes(comparison)
     complete = False
     try:
         do(trainings, "identify and train")
-        balancings = comparison.balancings(_trained(found.values()))
+        if learnings:
+            do(learnings, "learn friction")
+        balancings = comparison.balancings(_trained(found.values()), _learned(found.values()))
         _save_trainings(trainings, found, out)
         do(balancings, "balance")
         notes += _draw(comparison, trainings, balancings, found, out)
-        if comparison.robustness:
-            plan = robustness.plan(balancings, comparison.robustness)
+        if SCORE in comparison.robustness:
+            do(score.plan(balancings, comparison.masses()), "score")
+            scored = score.summarise((o for o in found.values() if o.failure is None), comparison.pairs())
+            write_json(out / "score.json", scored)
+            (out / "score.txt").write_text(score.table(scored) + "\n", encoding="utf-8")
+        axes = [name for name in comparison.robustness if name != SCORE]
+        if axes:
+            plan = robustness.plan(balancings, axes)
             do(plan, "robustness")
             held = robustness.summarise(plan, [o for o in found.values() if o.failure is None], comparison.pairs())
             write_json(out / "robustness.json", held)
@@ -318,13 +395,28 @@ def _trained(outcomes: Iterable[Outcome[Any]]) -> Trained:
     return {(o.cell.seed, o.cell.compensator): o.result for o in done}
 
 
+def _learned(outcomes: Iterable[Outcome[Any]]) -> dict[int, dict[str, Any]]:
+    return {o.cell.seed: o.result for o in outcomes if isinstance(o.cell, FrictionLearning) and o.failure is None}
+
+
+def _estimating(estimator: str, learned: dict[str, Any] | None) -> dict[str, Any] | None:
+    """An estimator as a dictionary; None for the environment's own observation."""
+    if estimator.endswith(".json"):
+        return estimators.load(estimator).to_dict()
+    return None if estimator == OWN or learned is None else {**learned, "kind": estimator}
+
+
 def _notes(comparison: Comparison) -> list[str]:
     """What the reader of the table should know of the policies in it."""
-    return [
+    notes = [
         f"{label(name)} commands voltage, so it stands in the table with 'none' only"
         for name in comparison.controllers
         if len(comparison._partners(name)) < len(comparison.compensators)
     ]
+    blind = [e for e in comparison.estimators if not all(comparison._feeds(e, c) for c in comparison.compensators)]
+    if blind:
+        notes.append(f"what feeds forward observed friction stands in the table without {', '.join(map(label, blind))}")
+    return notes
 
 
 def _save_trainings(trainings: Sequence[CompensatorTraining], found: Mapping[str, Outcome[Any]], out: Path) -> None:
@@ -353,6 +445,6 @@ def _draw(
             recording.write(
                 course.recording(balancing.name), out / "recordings" / f"{balancing.name}.csv", overwrite=True
             )
-            courses[label(balancing.controller), label(balancing.compensator)] = course
+            courses[balancing.brain, label(balancing.compensator)] = course
     trained = {label(name): made for (seed, name), made in _trained(found.values()).items() if seed == 0}
     return figures.draw_all(identified, trained, courses, out, model=comparison.model)

@@ -200,7 +200,7 @@ def summarise(
 
 
 def _pair(cell: Endurance) -> tuple[str, str]:
-    return cells.label(cell.balancing.controller), cells.label(cell.balancing.compensator)
+    return cell.balancing.brain, cells.label(cell.balancing.compensator)
 
 
 def _row(pair: tuple[str, str], name: str, outcomes: Sequence[Outcome[Any]]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from dipc_gym.controllers import lqr
 from dipc_gym.provenance import versions
@@ -65,6 +66,7 @@ def summarise(
         "failures": dict(failures or {}),
         "rows": rows,
         "rig_by_rig": _rig_by_rig(cells, wanted),
+        "against_first": against_first(cells, wanted),
         "paper": PAPER if settings.get("seconds") == PAPER_SECONDS else {},
         "cost_is": "sum over control periods of x'Qx + F^2, x the simulated state, F the commanded force (N)",
         "Q": np.diag(lqr.RECOVERED_Q).tolist(),
@@ -86,6 +88,26 @@ def _rig_by_rig(cells: Sequence[Mapping[str, Any]], wanted: Sequence[tuple[str, 
             pair = {"controller": same, "compensator": after, "than": before, "cost_ratio": _spread(ratios)}
             pairs.append({**pair, "less_on": sum(ratio < 1 for ratio in ratios), "rigs": len(rigs)})
     return pairs
+
+
+def against_first(cells: Sequence[Mapping[str, Any]], wanted: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
+    """Each pair's cost over that of the first pair on the same rig: geometric mean, and its 95 % interval.
+
+    Costs differ by factors, so their logarithms are compared: a t interval for the mean of the differences over rigs on
+    which both stood. Without two such rigs there is none.
+    """
+    costs = {(c["controller"], c["compensator"], c["seed"]): c["cost"] for c in cells if c["survived"]}
+    found = []
+    for pair in wanted[1:]:
+        seeds = [seed for *names, seed in costs if tuple(names) == pair and (*wanted[0], seed) in costs]
+        if len(seeds) < 2:
+            continue
+        logs = np.log([costs[(*pair, seed)] / costs[(*wanted[0], seed)] for seed in seeds])
+        half = float(stats.t.ppf(0.975, len(logs) - 1) * logs.std(ddof=1) / np.sqrt(len(logs)))
+        ratio, low, high = np.exp([logs.mean(), logs.mean() - half, logs.mean() + half]).tolist()
+        row = {"controller": pair[0], "compensator": pair[1], "than": list(wanted[0]), "cost_ratio": ratio}
+        found.append({**row, "low": low, "high": high, "rigs": len(logs), "less_on": int((logs < 0).sum())})
+    return found
 
 
 def table(summary: Mapping[str, Any]) -> str:
@@ -131,6 +153,11 @@ def table(summary: Mapping[str, Any]) -> str:
         f"rig by rig, {pair['controller']}: {pair['compensator']} costs {pair['cost_ratio']['median']:.2f} times what "
         f"{pair['than']} costs, less on {pair['less_on']} of {pair['rigs']} rigs"
         for pair in summary["rig_by_rig"]
+    ]
+    text += [
+        f"against {', '.join(row['than'])}: {row['controller']}, {row['compensator']} costs {row['cost_ratio']:.3g} "
+        f"times as much ({row['low']:.3g} to {row['high']:.3g}, 95 %), less on {row['less_on']} of {row['rigs']} rigs"
+        for row in summary["against_first"]
     ]
     others = {row["controller"]: row["trained_with"] for row in summary["rows"] if row["trained_with"]}
     text += [f"* {name} was trained with {own}, not with this" for name, own in others.items()]

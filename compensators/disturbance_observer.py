@@ -1,0 +1,76 @@
+"""The classical disturbance observer: what the motor gave and the motion did not get was friction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
+from dipc_gym.compensators.memory import Remembering, given, known_mass
+
+SHARES = np.linspace(0.05, 1.0, 20)
+
+
+@dataclass(frozen=True)
+class DisturbanceObserver(Remembering):
+    """Add the low-passed force that inertia and viscous drag do not account for (`disturbance_observer`).
+
+        d(k) = d(k-1) + share (gain u(k-1) - viscous v - mass (v(k) - v(k-1)) / T - d(k-1)),  volts = (F + d) / gain.
+
+    It knows the cart with its poles locked, and a velocity, no more; the estimator `disturbance` with the compensator
+    `observed` is the same idea with the whole rig's model. The share is the one that foresees the run's friction best.
+    What it adds stays within the supply. Memory: d, last velocity, last voltage.
+
+    Attributes:
+        share: of the low-pass filter, how much of a new value is taken at once, 0 to 1.
+        mass: kg.
+        viscous: N s/m.
+
+    Source:
+        Ohnishi, Shibata, Murakami, "Motion control for advanced mechatronics", IEEE/ASME Transactions on Mechatronics
+        1 (1996) 56-67.
+    """
+
+    remembers_voltage: ClassVar[bool] = True
+
+    share: float = numbers(positive=True)
+    mass: float = numbers(positive=True)
+    viscous: float = numbers()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.share > 1:
+            raise ValueError(f"share is {self.share}; a filter's share is at most 1")
+
+    @classmethod
+    def fit(cls, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Self:
+        """Try twenty shares along the training part.
+
+        Raises:
+            ValueError: The rig's mass is not known.
+        """
+        mass = known_mass(rig, "disturbance_observer")
+        v, lost = samples.velocity, rig.newtons_per_volt * samples.voltage - samples.force
+        speed, change = 0.5 * (v[1:] + v[:-1]), np.diff(v)
+        felt = rig.newtons_per_volt * samples.voltage[:-1] - rig.viscous * speed - mass * change / rig.period
+        observed, error = np.zeros(len(SHARES)), np.zeros(len(SHARES))
+        for force, truth, counts in zip(felt, lost[1:], samples.train[1:], strict=True):
+            observed = observed + SHARES * (force - observed)
+            error += counts * (truth - observed) ** 2
+        return cls(*given(rig), float(SHARES[np.argmin(error)]), mass, rig.viscous)
+
+    def begin(self, n: int) -> Array:
+        """Nothing observed, at rest, no voltage."""
+        return np.zeros((n, 3))
+
+    def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
+        """Observe the past period, compensate in the coming one."""
+        observed, before, volts = memory.T
+        felt = self.newtons_per_volt * volts - self.viscous * 0.5 * (velocity + before)
+        felt = felt - self.mass * (velocity - before) / self.period
+        most = self.newtons_per_volt * self.supply_voltage
+        observed = np.clip(observed + self.share * (felt - observed), -most, most)
+        volts = np.clip((force + observed) / self.newtons_per_volt, -self.supply_voltage, self.supply_voltage)
+        return volts, np.stack([observed, velocity, volts], axis=1)

@@ -1,0 +1,64 @@
+"""A motor that does not do what it is told: noise on its voltage, and a response that lags or overshoots."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class FaultyMotor(
+    gymnasium.Wrapper[Array, NDArray[np.float32], Array, NDArray[np.float32]], gymnasium.utils.RecordConstructorArgs
+):
+    """Disturb the voltage between whoever commands it and the motor.
+
+        applied(k) = response command(k) + (1 - response) applied(k-1) + noise.
+
+    What stands around it knows nothing of this: estimators believe in the command.
+
+    Args:
+        env: a `DIPC-Friction-v0`; no wrapper that turns the action into something else may stand inside.
+        noise: standard deviation of the noise, drawn anew in every period from the environment's generator, V.
+        response: share of a change that arrives; below 1 the motor lags, above it overshoots.
+
+    Raises:
+        ValueError: `noise` is negative, `response` not above 0, or one is not finite.
+
+    Example:
+        >>> import gymnasium, dipc_gym
+        >>> env = FaultyMotor(gymnasium.make("DIPC-Friction-v0"), response=0.5)
+        >>> observation, info = env.reset(seed=1)
+        >>> env.step([4.0])[4]["voltage"], env.step([4.0])[4]["voltage"]
+        (2.0, 3.0)
+    """
+
+    def __init__(
+        self, env: gymnasium.Env[Array, NDArray[np.float32]], *, noise: float = 0.0, response: float = 1.0
+    ) -> None:
+        if not (math.isfinite(noise) and noise >= 0):
+            raise ValueError(f"noise is {noise}; it must be a finite number of volts, 0 or more")
+        if not (math.isfinite(response) and response > 0):
+            raise ValueError(f"response is {response}; it must be finite and above 0")
+        gymnasium.utils.RecordConstructorArgs.__init__(self, noise=noise, response=response)
+        gymnasium.Wrapper.__init__(self, env)
+        self.noise, self.response = noise, response
+        self._applied = 0.0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Reset the environment; the motor is without voltage."""
+        self._applied = 0.0
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: NDArray[Any]) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
+        """Apply what becomes of the voltage (1,), V."""
+        asked = float(action[0])
+        self._applied = self.response * asked + (1 - self.response) * self._applied
+        volts = self._applied
+        if self.noise:
+            volts += self.noise * self.env.unwrapped.np_random.standard_normal()
+        return self.env.step(np.array((volts,)))
