@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real import conventions, evidence, findings, improve, judge, selection, sentences, states
+from dipc_gym.sim2real.compiled import left_to_mujoco
 from dipc_gym.sim2real.conclusion import conclude
 from dipc_gym.sim2real.document import Document
 from dipc_gym.sim2real.effects import Effect, catalogue
@@ -119,7 +120,7 @@ def diagnose(
     step = min(COARSEST, *(r.period for r in recordings))
     stepping = Stepping(step, mujoco.mjtIntegrator.mjINT_RK4)
     numbers = own_numbers(document := Document(source), given.model)
-    notes += fixed_masses(document, given.model, numbers)
+    notes += fixed_masses(document, given.model, numbers) + left_to_mujoco(given)
     numbers = (wishes or Wishes()).apply(numbers)
     if not any(np.ptp(r.sensors, axis=0).any() for r in recordings):
         return _cannot_tell("no sensor changes in any of them", IN_MOTION, source, notes, provenance)
