@@ -5,8 +5,8 @@
 The first table simulates windows of 0.25 s, sampled at 500 Hz, with steps of 1 ms by Runge-Kutta: 32 windows with 8
 variants each, by `mujoco.batch.Batch.rollout` and by the engine, turn about, on one thread and on all; beside it what
 derivatives in eight directions cost, in simulations. The second table says what a structure costs that was never
-compiled before: writing its code, compiling it, and taking it from the cache. Ratios are medians over the repeats; the
-machine may be busy.
+compiled before, in seconds of the processor: writing its code, compiling it, and taking it from the cache. Ratios are
+medians over the repeats; the machine may be busy.
 """
 
 import argparse
@@ -41,11 +41,11 @@ def chain(joints, *, cart):
         <worldbody>{inside}</worldbody><actuator>{motors}</actuator><sensor>{sensors}</sensor></mujoco>"""
 
 
-def timed(work):
+def timed(work, clock=time.perf_counter):
     """Seconds that it takes."""
-    begin = time.perf_counter()
+    begin = clock()
     work()
-    return time.perf_counter() - begin
+    return clock() - begin
 
 
 def windows(text, threads, repeats):
@@ -96,22 +96,29 @@ def windows(text, threads, repeats):
 
 
 def compilation(text):
-    """Seconds to write, compile and reload the code of a model, its derivatives included, and bytes of both objects."""
+    """Processor seconds to write and compile the loop, then the mechanics of a model, and to reload both."""
     what, _ = program.read([physics.from_model(mujoco.MjModel.from_xml_string(text))])
     rules = [(rule, dry) for _, rule, dry in program.rules()]
+    texts = []
+
+    def write_loops():
+        texts[:] = [str(write_loop(rules, tangents=tangents)) for tangents in (False, True)]
+
+    def write_mechanics():
+        texts[2:] = [kernel.write_kernel.__wrapped__(what.tree)]
+
+    def compiled(some):
+        for one in some:
+            machine._object(one, machine._key(one))
+
     with tempfile.TemporaryDirectory() as folder:
         machine.cache_folder = lambda: Path(folder) / "engine"
-        out = []
-        for parts in (lambda: [str(write_loop(rules, tangents=t)) for t in (False, True)], None):
-            texts = parts() if parts else [kernel.write_kernel.__wrapped__(what.tree)]
-            out.append(timed(lambda parts=parts: parts() if parts else kernel.write_kernel.__wrapped__(what.tree)))
-            machine._object.cache_clear()
-            out.append(timed(lambda texts=texts: [machine._object(text, machine._key(text)) for text in texts]))
-        code = kernel.write_kernel.__wrapped__(what.tree)
         machine._object.cache_clear()
-        loops = [str(write_loop(rules, tangents=t)) for t in (False, True)]
-        out.append(timed(lambda: [machine.load([one, code], ["run"]) for one in loops]))
-        return out
+        steps = [write_loops, lambda: compiled(texts[:2]), write_mechanics, lambda: compiled(texts[2:])]
+        seconds = [timed(step, time.process_time) for step in steps]
+        machine._object.cache_clear()
+        linked = [lambda loop=loop: machine.load([loop, texts[2]], ["run"]) for loop in texts[:2]]
+        return [*seconds, sum(timed(one, time.process_time) for one in linked)]
 
 
 def main():
@@ -136,7 +143,7 @@ def main():
                 f"{name:20} {threads:7} {1e6 * theirs / steps:15.2f} {1e6 * ours / steps:15.3f} {faster:7.1f}"
                 f" {cost:20.1f}  {apart:.0e}"
             )
-    print("\nmodel                loop, once: write  compile   mechanics: write  compile   from the cache (s)")
+    print("\nmodel                loop, once: write  compile   mechanics: write  compile   from the cache, s")
     for name, text in models.items():
         loop_written, loop_compiled, written, compiled, again = compilation(text)
         print(f"{name:20} {loop_written:18.2f} {loop_compiled:8.2f} {written:18.2f} {compiled:8.2f} {again:16.3f}")
