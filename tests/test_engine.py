@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import ctypes
+import os
+import re
 import stat
 from dataclasses import replace
 from pathlib import Path
@@ -90,7 +92,7 @@ def added(text: str, effect: str, at: str, **values: float) -> physics.Physics:
 # As MuJoCo sees it
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 7))
 def test_accelerations_of_random_trees_are_mujocos(seed: int, joints: int) -> None:
     """`check` compares at random states and raises where anything differs by more than 1e-9 of the largest."""
@@ -119,7 +121,7 @@ def jobs_for(parameters: Array, starts: Array, commands: Array, samples: int, jo
     return Jobs(parameters, starts, np.zeros(windows), zero, count, held, sets, times, times.max(axis=(1, 2)))
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 7))
 def test_windows_without_events_are_mujocos_at_a_fine_step(seed: int, joints: int) -> None:
     """Rigid trees with springs and dampers: Runge-Kutta at a tenth of a millisecond on both sides."""
@@ -229,7 +231,8 @@ def test_sensitivities_are_limits_of_differences(
 def test_sensitivities_of_a_random_tree() -> None:
     """By every number of a seven-joint tree at once, along random directions, and by the starts."""
     rng = np.random.default_rng(11)
-    source = loaded(random_tree(rng, 7))
+    # What a stop pushes on is known to a ten thousandth only; its derivatives as well.
+    source = loaded(re.sub("<fixed limited.*?</fixed>", "", random_tree(rng, 7), flags=re.DOTALL))
     what, parameters = program.read([source])
     starts = 0.2 * rng.normal(size=(1, 2, what.nx))
     starts[..., 14:] = 0.0
@@ -259,8 +262,7 @@ def test_sensitivities_of_a_random_tree() -> None:
     ("change", "why"),
     [
         (('type="hinge" axis="0 1 0" damping="0.0005"', 'type="ball"'), "neither hinge nor slide"),
-        (('name="pole1" type="hinge"', 'name="pole1" type="hinge" limited="true" range="-1 1"'), "limited joint"),
-        (("<jointpos", '<jointactuatorfrc name="f" joint="cart"/><jointpos'), "sensor 'f'"),
+        (("<sensor>", '<sensor><jointactuatorfrc name="force" joint="cart"/>'), "sensor 'force'"),
         (("<actuator>", '<actuator><intvelocity name="v" joint="cart" actrange="-1 1"/>'), "actuator 'v'"),
         (('<option timestep="0.001"', '<option timestep="0.001" density="1"'), "medium"),
     ],
@@ -275,15 +277,22 @@ def test_what_is_not_covered_is_named(change: tuple[str, str], why: str) -> None
 
 
 def test_what_is_not_covered_runs_on_mujoco() -> None:
-    plain = loaded(HANGING)
-    limited = loaded(
-        HANGING.replace('name="pole1" type="hinge"', 'name="pole1" type="hinge" limited="true" range="-3 3"')
+    """A medium that is too thin to matter, and limits that are met or not."""
+    plain, base = loaded(HANGING), ["cart", "pole1", "pole2"]
+    thin = loaded(HANGING.replace('<option timestep="0.001"', '<option timestep="0.001" density="1e-12"'))
+    wide, narrow = (
+        loaded(HANGING.replace('name="pole1" type="hinge"', f'name="pole1" type="hinge" limited="true" range="{ends}"'))
+        for ends in ("-170 170", "-2 2")
     )
     windows = cut([record(plain, sweep(2.0), 0.5)], np.ones(3), 0.25, (0.0, 1.0))
     starts = 0.1 * np.random.default_rng(0).normal(size=(1, len(windows), 6))
-    base = ["cart", "pole1", "pole2"]
-    ours, theirs = (simulate([one], windows, starts, Stepping(0.001, RK4), base=base)[0] for one in (plain, limited))
+    ours, theirs, unmet, met = (
+        simulate([one], windows, starts, Stepping(0.001, RK4), base=base)[0] for one in (plain, thin, wide, narrow)
+    )
     assert ours == pytest.approx(theirs, abs=1e-9)
+    assert np.array_equal(ours, unmet)
+    assert np.abs(met - ours).max() > 1e-2
+    assert np.abs(met[..., 1]).max() < np.abs(ours[..., 1]).max()
 
 
 def test_variants_of_different_structure_are_refused() -> None:
@@ -357,6 +366,18 @@ def test_a_folder_that_others_can_write_to_is_left_alone(folder: Path) -> None:
     folder.chmod(0o777)
     assert twice(2.0) == 4.0
     assert not list(folder.iterdir())
+
+
+def test_old_entries_make_room(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "_KEPT", 3)
+    folder.mkdir(mode=0o700)
+    for age in range(5):
+        (folder / f"{age}").write_bytes(b"")
+        os.utime(folder / f"{age}", (1e9 - age, 1e9 - age))
+    assert twice(2.0) == 4.0
+    left = {path.name for path in folder.iterdir()}
+    assert len(left) == 3
+    assert left > {"0", "1"}
 
 
 def test_without_a_cache_it_works_as_well(folder: Path) -> None:

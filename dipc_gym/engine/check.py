@@ -42,8 +42,11 @@ def check(program: Program, parameters: Array, source: Physics) -> None:
     smooth[first + Joint.FRICTION : first + model.nv * Joint.SIZE : Joint.SIZE] = 0.0
     n, size, limited = model.nv, _sizes(model), model.tendon_limited.astype(bool)
     applied, levels = np.zeros(n), np.zeros(n)
+    low, high = (np.where(model.jnt_limited, model.jnt_range[:, k], sign * np.inf) for k, sign in ((0, -1), (1, 1)))
+    inner = np.where(model.jnt_limited, model.jnt_margin + 1e-3 * (model.jnt_range[:, 1] - model.jnt_range[:, 0]), 0.0)
+    low, high = low + inner, high - inner
     for _ in range(STATES):
-        data.qpos[:] = model.qpos0 + rng.normal(size=n) * size
+        data.qpos[:] = np.clip(model.qpos0 + rng.normal(size=n) * size, low, high)
         data.qvel[:] = rng.normal(size=n) * size
         data.act[:] = 0.01 * rng.normal(size=model.na)
         data.ctrl[:] = rng.normal(size=model.nu)

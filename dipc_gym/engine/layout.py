@@ -41,7 +41,9 @@ class Joint(IntEnum):
     REST = 6
     ARMATURE = 7
     FRICTION = 8
-    SIZE = 9
+    LOWEST = 9  # position that it must not leave, which MuJoCo would act upon
+    HIGHEST = 10
+    SIZE = 11
 
 
 class Kind(IntEnum):
@@ -157,4 +159,5 @@ class At(IntEnum):
     STEP = 14  # longest step, s
     UNTIL = 15  # of each window, s after its start
     CLOCK = 16  # time at each window's start, s
-    SIZE = 17
+    LEFT = 17  # of each simulation, whether a joint left its range
+    SIZE = 18

@@ -15,7 +15,7 @@ from typing import Any
 from llvmlite import ir
 
 from dipc_gym.engine.forces import Rule, Stops
-from dipc_gym.engine.layout import CONTROLS, JOINTS, SENSORS, STATES, STOPS, At, Head, Row, Sensor
+from dipc_gym.engine.layout import CONTROLS, JOINTS, SENSORS, STATES, STOPS, At, Head, Joint, Row, Sensor
 from dipc_gym.engine.motion import ARGUMENTS, write_rates
 from dipc_gym.engine.values import INT, POINTER, VECTOR, Code, Index, Numbers, Value, exp, integer, sign, where
 
@@ -114,6 +114,7 @@ class _Run:
 
     def _begin(self, row: ir.Value) -> None:
         code, at = self.code, self.address
+        self.number = row
         entry = code.offset(at[At.ROWS], code.product(row, int(Row.SIZE)), INT)
         window = code.whole(entry, Row.WINDOW)
         count = code.whole(self.program, Head.PARAMETERS)
@@ -475,11 +476,18 @@ class _Run:
     # Ends
 
     def _fine(self) -> ir.Value:
-        """Whether the simulation has not diverged."""
+        """Whether the simulation has not diverged, and no joint has left its range."""
         code, total = self.code, self.code.scratch(1, plain=True)
         total[0] = 0.0
         with code.count(self.nx) as k:
             total[0] = total[0] + abs(self.state[k].plain)
+        first = code.whole(self.program, Head.JOINT_NUMBERS)
+        with code.count(self.nv) as k:
+            own, q = self.numbers.since(code.sum(first, code.product(k, int(Joint.SIZE)))), self.state.plain(k)
+            outside = code.any_of(q < own.plain(Joint.LOWEST), q > own.plain(Joint.HIGHEST))
+            with code.when(outside):
+                total[0] = FAR
+                self._set(self.address[At.LEFT], self.number, 1)
         return total[0] < FAR
 
     def _leave(self) -> None:

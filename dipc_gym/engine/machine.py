@@ -24,6 +24,7 @@ import llvmlite
 import llvmlite.binding as llvm
 
 _MAGIC = b"dipc-gym engine\n"
+_KEPT = 300  # entries; the oldest go
 _lock = threading.Lock()
 
 
@@ -134,6 +135,9 @@ def _write(key: str, code: bytes) -> None:
             with os.fdopen(number, "wb") as file:
                 file.write(_MAGIC + hashlib.sha256(code).digest() + code)
             Path(name).replace(folder / key)
+            oldest = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime)
+            for path in oldest[: max(0, len(oldest) - _KEPT)]:
+                path.unlink(missing_ok=True)
         except OSError:
             Path(name).unlink(missing_ok=True)
     except OSError:

@@ -122,7 +122,15 @@ class _Writer:
             rest = float(model.qpos_spring[model.jnt_qposadr[k]])
             friction = float(model.dof_frictionloss[k])
             self.numbers += [x * damped for x in damping] + [x * sprung for x in stiffness]
-            self.numbers += [rest, armature, friction]
+            self.numbers += [rest, armature, friction, *self._range(k)]
+
+    def _range(self, k: int) -> tuple[float, float]:
+        """Positions between which a joint's limit does not act."""
+        model = self.model
+        if not model.jnt_limited[k]:
+            return -_LIMITLESS, _LIMITLESS
+        margin = float(model.jnt_margin[k])
+        return float(model.jnt_range[k, 0]) + margin, float(model.jnt_range[k, 1]) - margin
 
     def _element(
         self, kind: Kind, dofs: Sequence[int], coefficients: Sequence[float], numbers: Sequence[float], **more: int
@@ -358,7 +366,6 @@ def _check_covered(model: mujoco.MjModel) -> None:
         raise Uncovered("a joint that is neither hinge nor slide")
     for what, there in (
         ("an equality constraint", model.neq > 0),
-        ("a limited joint", bool(model.jnt_limited.any())),
         ("a limited actuator force at a joint", bool(model.jnt_actfrclimited.any())),
         ("a spring that yields", bool(np.any(model.jnt_springyield)) or bool(np.any(model.tendon_springyield))),
         ("a medium with density, viscosity or wind", bool(model.opt.density or model.opt.viscosity)),

@@ -24,7 +24,7 @@ Number = Any
 Vector = list[Number]
 
 GEOMETRY = 12  # numbers of a link: rotation (9) and place (3) in its parent's frame
-LINK = 24  # and the position that counts as not moved, mass, first (3) and second moments (6), share that floats
+LINK = 27  # and the position that counts as not moved, mass, first (3) and second moments (6), and of what floats (4)
 GRAVITY = 3  # numbers before those of the links
 
 _EXACT = 1e-13  # what is nearer to 0, 1 or -1 than this, in units of its kind, is that
@@ -90,13 +90,13 @@ def tree_of(model: mujoco.MjModel) -> tuple[Tree, Array]:
         axes = turns[i].T @ turned[body] @ own[body]
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        floats = links[i, 23] * links[i, 13] + float(model.body_gravcomp[body]) * mass
         links[i, 13] += mass
         links[i, 14:17] += mass * arm
         links[i, 17:23] += inertia[np.triu_indices(3)]
-        links[i, 23] = floats / links[i, 13] if links[i, 13] else 0.0
+        links[i, 23] += float(model.body_gravcomp[body]) * mass
+        links[i, 24:27] += float(model.body_gravcomp[body]) * mass * arm
     for link in links:
-        for part in (slice(14, 17), slice(17, 23)):
+        for part in (slice(14, 17), slice(17, 23), slice(24, 27)):
             link[part][np.abs(link[part]) < _EXACT * np.abs(link[part]).max(initial=0.0)] = 0.0
     return Tree(tuple(parents), tuple(bool(k == mujoco.mjtJoint.mjJNT_SLIDE) for k in model.jnt_type)), numbers
 
@@ -216,9 +216,8 @@ class Mechanics:
             moment = _add(_apply(second, swing), _cross(spin, _apply(second, spin)))
             moment = _add(moment, _cross(first, point))
             if _there(link[23]):  # what floats is carried by forces from outside
-                lift = [link[23] * g for g in downs[i]]
-                pull = _add(pull, [mass * x for x in lift])
-                moment = _add(moment, _cross(first, lift))
+                pull = _add(pull, [link[23] * g for g in downs[i]])
+                moment = _add(moment, _cross(link[24:27], downs[i]))
             pulls.append(pull)
             moments.append(moment)
         out: Vector = [0.0] * count

@@ -17,7 +17,7 @@ from dipc_gym.engine import machine
 from dipc_gym.engine.kernel import write_kernel
 from dipc_gym.engine.layout import JOINTS, STOPS, At, Head, Row
 from dipc_gym.engine.loop import write_loop
-from dipc_gym.engine.program import Program, rules
+from dipc_gym.engine.program import Program, Uncovered, rules
 from dipc_gym.engine.rigid import Tree
 from dipc_gym.engine.values import LANES
 
@@ -92,6 +92,9 @@ def run(program: Program, jobs: Jobs, step: float, *, threads: int = 0) -> tuple
     Returns:
         Readings (variants, windows, sensors, samples), not a number from where one diverged, and the states at the end,
         (variants, windows, nx).
+
+    Raises:
+        Uncovered: a joint left its range.
     """
     variants, windows, nx = jobs.starts.shape
     rows = np.zeros((variants, windows, int(Row.SIZE)), dtype=np.int64)
@@ -118,6 +121,9 @@ def differentiate(
     Returns:
         Readings (windows, sensors, samples), their changes (d, windows, sensors, samples), the states at the end
         (windows, nx), and their changes (d, windows, nx).
+
+    Raises:
+        Uncovered: a joint left its range.
     """
     (_, windows, nx), count = jobs.starts.shape, len(directions.parameters)
     packs = max(1, -(-count // LANES))
@@ -169,6 +175,7 @@ def _call(
     rows[..., Row.STAMPS], rows[..., Row.COUNT] = jobs.first, jobs.count
     codes = program.codes.copy()
     codes[Head.SAMPLES] = jobs.times.shape[2]
+    left = np.zeros(rows.shape[0] * rows.shape[1], dtype=np.int64)
     arrays: dict[At, NDArray[np.generic]] = {
         At.PROGRAM: codes,
         At.PARAMETERS: jobs.parameters,
@@ -182,26 +189,28 @@ def _call(
         At.STEP: np.array([step]),
         At.UNTIL: jobs.until,
         At.CLOCK: jobs.clock,
+        At.LEFT: left,
         **tangents,
     }
-    kept = {at: np.ascontiguousarray(array) for at, array in arrays.items()}
+    kept: dict[At, Any] = {at: np.ascontiguousarray(array) for at, array in arrays.items()}
     table = (ctypes.c_void_p * int(At.SIZE))()
     for at, array in kept.items():
         table[at] = array.ctypes.data
     function = _function(program.tree, bool(tangents))
     count = rows.shape[0] * rows.shape[1]
     workers = min(threads or os.cpu_count() or 1, max(1, count // 4))
-    if workers == 1:
-        function(table, 0, count)
-        return
     # Rows differ in what they cost; small shares even that out.
-    borders = np.linspace(0, count, 4 * workers + 1).astype(int)
-    shares = zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True)
-    list(_pool(workers).map(lambda share: function(table, *share), shares))
+    borders = np.linspace(0, count, (4 * workers if workers > 1 else 1) + 1).astype(int)
+    shares = list(zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True))
+    each = _pool(workers, os.getpid()).map if workers > 1 else map
+    list(each(lambda share: function(table, *share), shares))
+    if left.any():
+        raise Uncovered("a joint that meets its limit")
 
 
 @functools.lru_cache(maxsize=4)
-def _pool(workers: int) -> ThreadPoolExecutor:
+def _pool(workers: int, process: int) -> ThreadPoolExecutor:
+    """Threads of this process; a fork has none of its parent's."""
     return ThreadPoolExecutor(workers, thread_name_prefix="engine")
 
 

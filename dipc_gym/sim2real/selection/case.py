@@ -21,6 +21,7 @@ from dipc_gym.sim2real.estimation.segments import Prepared, prepare
 from dipc_gym.sim2real.model.parameters import Number, Wishes, fixed_masses, own_numbers
 from dipc_gym.sim2real.selection import data
 from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.simulation.compiled import left_to_mujoco
 from dipc_gym.sim2real.simulation.motion import Motion
 
 TEST = 0.75  # of each recording comes before what is tested on, where no recording is held out for that
@@ -119,7 +120,7 @@ def gather(
     fitted, tested = data.from_zero(recordings), data.from_zero(held_out)
     notes = [f"{r.name}: {note}" for r in (*fitted, *tested) for note in r.notes]
     numbers = own_numbers(document := Document(source), loaded.model)
-    notes += fixed_masses(document, loaded.model, numbers)
+    notes += fixed_masses(document, loaded.model, numbers) + left_to_mujoco(loaded)
     return Given(source, loaded, tuple(fitted), tuple(tested), tuple(wishes.apply(numbers)), tuple(notes))
 
 

@@ -180,12 +180,27 @@ def compiled(variants: Sequence[Physics], windows: Windows, base: Sequence[str],
     Raises:
         Uncovered: the engine does not simulate something in the model, or it is not what MuJoCo makes of it.
     """
+    what, parameters = _read_and_checked(variants)
+    return Compiled(tuple(variants), windows, tuple(base), step, what, parameters)
+
+
+def _read_and_checked(variants: Sequence[Physics]) -> tuple[program.Program, Array]:
+    """A program that MuJoCo agrees with, and its parameters; each program is compared once."""
     what, parameters = program.read(variants)
     key = repr(what.tree).encode() + what.codes.tobytes()
     if key not in _checked:
         check(what, parameters[0], variants[0])
         _checked.add(key)
-    return Compiled(tuple(variants), windows, tuple(base), step, what, parameters)
+    return what, parameters
+
+
+def left_to_mujoco(source: Physics) -> list[str]:
+    """A sentence if a model is simulated by MuJoCo because the engine does not cover it."""
+    try:
+        _read_and_checked([source])
+    except Uncovered as reason:
+        return [f"MuJoCo simulates this model, which takes longer, for the engine does not cover it: {reason}."]
+    return []
 
 
 def predicted(
