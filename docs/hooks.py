@@ -7,11 +7,11 @@ catalogue, `{{ commands }}` the help of every command, `{{ contributing }}` the 
 from __future__ import annotations
 
 import ast
-import html
 import re
 import shutil
 import subprocess
 import sys
+import textwrap
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -184,11 +184,16 @@ def commands() -> str:
             capture_output=True,
             text=True,
             check=True,
-            env={"PATH": "", "COLUMNS": "100", "NO_COLOR": "1", "PYTHONIOENCODING": "utf-8"},
+            env={"PATH": "", "COLUMNS": "88", "NO_COLOR": "1", "PYTHONIOENCODING": "utf-8"},
         )
-        plain = re.sub(r"\x1b\[[0-9;]*m", "", done.stdout)
-        parts += [f"## {name}", "", f"<pre>{html.escape(plain.strip())}</pre>", ""]
+        plain = re.sub(r"\x1b\[[0-9;]*m", "", done.stdout).strip()
+        parts += [f"## {name}", "", "```text", *(folded(line) for line in plain.splitlines()), "```", ""]
     return "\n".join(parts)
+
+
+def folded(line: str) -> str:
+    """A line of help that a page has room for; what is drawn in a box has been folded already."""
+    return line if line.startswith(("│", " ")) else "\n".join(textwrap.wrap(line, 88)) or line
 
 
 def contributing() -> str:

@@ -41,3 +41,13 @@ def test_example_runs(file: str, tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout
+
+
+def test_recordings_of_the_arm_are_what_the_script_beside_them_makes(tmp_path: Path) -> None:
+    folder = EXAMPLES / "diagnose"
+    subprocess.run([sys.executable, str(folder / "record.py"), "--out", str(tmp_path)], check=True, capture_output=True)
+    for name in ("run_1.csv", "run_2.csv"):
+        shipped, made = (np.loadtxt(place / name, delimiter=",", skiprows=1) for place in (folder, tmp_path))
+        np.testing.assert_array_equal(made[:, :2], shipped[:, :2])  # time and command
+        count = 2 * np.pi / 8192
+        np.testing.assert_allclose(made[:, 2], shipped[:, 2], atol=1.01 * count)  # where a machine rounds otherwise
