@@ -174,12 +174,20 @@ def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) 
     return Recording("identification", time, volts[:, None], reading[:, None], ("motor",), ("cart",))
 
 
-def samples(recording: Recording, cart: Cart, encoders: Encoders, period: float, *, block: float = 1.0) -> Samples:
+def samples(
+    recording: Recording,
+    cart: Cart,
+    encoders: Encoders,
+    period: float,
+    *,
+    block: float = 1.0,
+    smoothed: bool = False,
+) -> Samples:
     """Turn an identification run into what compensators are fitted to.
 
     Over each period, the linear model's force is F(k) = mass (v(k+1) - v(k)) / T + viscous (p(k+1) - p(k)) / T, with
-    central differences v of readings p that are smoothed as much as their noise asks for (`smooth`): no lag. The
-    velocities that stand beside it as inputs are those that the loop will have, from the encoders' filter.
+    central differences v of the readings p: no filter, no lag. The velocities that stand beside it as inputs are those
+    that the loop will have, from the encoders' filter.
 
     Args:
         recording: with the command `motor` and the sensor `cart`; sampled anew where its period is another.
@@ -187,6 +195,8 @@ def samples(recording: Recording, cart: Cart, encoders: Encoders, period: float,
         encoders: for the velocity filter.
         period: control period, s.
         block: length of the alternating stretches for training and test, s.
+        smoothed: whether readings are smoothed first, as much as their noise asks for (`smooth`), as those of a real
+            rig have to be; the paper's simulated run is taken as it comes.
 
     Raises:
         ValueError: the recording has no `motor` or `cart`, or is shorter than two blocks.
@@ -200,7 +210,7 @@ def samples(recording: Recording, cart: Cart, encoders: Encoders, period: float,
             f"training and test need {2 * block:g} s or more"
         )
     grid, volts, p = _on_grid(recording, period)
-    clean = smooth(p).values
+    clean = smooth(p).values if smoothed else p
     v = np.gradient(clean, period)
     force = cart.mass * np.diff(v) / period + cart.constants.viscous * np.diff(clean) / period
     keep, gain = kernels.velocity_gains(encoders.velocity_filter, period)
@@ -220,7 +230,7 @@ def excitation(
 
     Arguments and errors are those of `samples`.
     """
-    data = samples(recording, cart, encoders, period, block=block)
+    data = samples(recording, cart, encoders, period, block=block, smoothed=True)
     smoothed = smooth(_on_grid(recording, period)[2])
     frequency = np.linspace(0, math.pi, 2001)
     noise = force_noise(

@@ -104,7 +104,7 @@ def identify(
     else:
         run = recording.read(from_recording, fixed, mapping=mapping, units=units)
     encoders, period = env.plant.encoders, env.plant.control_period
-    data = samples(run, linear, encoders, period, block=sweep.block)
+    data = samples(run, linear, encoders, period, block=sweep.block, smoothed=from_recording is not None)
     found = excitation(run, linear, encoders, period, block=sweep.block)
     if from_recording is not None:
         _check_locked(run, env, from_recording, mapping, units)

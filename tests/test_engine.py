@@ -384,3 +384,17 @@ def test_without_a_cache_it_works_as_well(folder: Path) -> None:
     folder.write_text("a file in its place")
     assert twice(2.0) == 4.0
     assert [each.name for each in folder.parent.iterdir()] == ["engine"]
+
+
+def test_a_law_that_is_more_than_arithmetic_is_left_to_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user's law may do anything; the engine leaves it out, and goes on with all others."""
+    monkeypatch.setattr(physics, "_rules", dict(physics._rules))
+    physics.register(
+        "friction.mine", "friction", lambda data, now: np.interp(now.position, [-1, 1], data[..., :2].T[0])
+    )
+    entry = '<custom><numeric name="dipc_gym:{}:cart" data="1 2 3"/></custom></mujoco>'
+    with pytest.raises(Uncovered, match=r"friction\.mine"):
+        program.read([loaded(CART.replace("</mujoco>", entry.format("friction.mine")))])
+    _, parameters = program.read([loaded(CART.replace("</mujoco>", entry.format("friction.load")))])
+    assert parameters[0][-3:].tolist() == [1, 2, 3]
+    assert "friction.mine" not in [name for name, _, _ in program.rules()]

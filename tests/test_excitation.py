@@ -93,7 +93,7 @@ def test_the_force_is_no_worse_with_a_good_encoder_and_far_better_with_a_poor_on
     linear = cart(cart_model(DoublePendulumEnv().source, plant))
     period, p = plant.control_period, run.sensors[:, 0]
     raw = linear.mass * np.diff(np.gradient(p, period)) / period + linear.constants.viscous * np.diff(p) / period
-    estimated = samples(run, linear, plant.encoders, period).force
+    estimated = samples(run, linear, plant.encoders, period, smoothed=True).force
     part = slice(1, len(p) - 2)
     errors = [np.sqrt(np.mean((force - truth[:-1][part]) ** 2)) for force in (estimated, raw[part])]
     assert errors[0] < at_most * errors[1]

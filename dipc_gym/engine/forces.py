@@ -6,13 +6,14 @@ it steps, not as the steps.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir
 
 from dipc_gym.engine.layout import JOINTS, Element, Feature, Force, Head, Joint, Kind, Law, Spring
-from dipc_gym.engine.values import INT, Code, Index, Numbers, Value, exp, integer, maximum, minimum, sin, where
+from dipc_gym.engine.values import INT, POINTER, Code, Index, Numbers, Value, exp, integer, maximum, minimum, sin, where
 from dipc_gym.physics import Moment
 
 Rule = Callable[[Any, Moment], Any]
@@ -251,6 +252,20 @@ def depth_of(attached: Attached, element: ir.Value, own: Numbers) -> tuple[Value
     over, under = length - own[Spring.HIGHEST], own[Spring.LOWEST] - length
     away = where(over > under, code.value(-1.0), code.value(1.0))
     return maximum(over, under), away, speed
+
+
+@functools.cache
+def written(rule: Rule) -> bool:
+    """Whether a law becomes code as it stands; one that a user registered may do anything."""
+    code = Code(ir.Module(), "law", [POINTER, INT], tangents=True)
+    numbers, count = code.function.args
+    now: Any = Moment
+    try:
+        of = now(**{name: code.value(0.0) for name in ("time", "position", "drive", "weight", "value")})
+        code.value(rule(Table(code, Numbers(code, numbers, numbers), count), of))
+    except Exception:  # whatever a law of somebody's does with numbers that are none yet
+        return False
+    return True
 
 
 class _Each:

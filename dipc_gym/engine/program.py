@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import layout, rigid
+from dipc_gym.engine.forces import written
 from dipc_gym.engine.layout import Element, Feature, Force, Head, Kind, Law, Sensor, Spring
 from dipc_gym.physics import Physics
 
@@ -342,6 +343,8 @@ class _Writer:
         for extra in self.physics.extras:
             if extra.stage not in ("friction", "force"):
                 continue
+            if extra.effect not in known:
+                raise Uncovered(f"the law of {extra.effect}, which does more than arithmetic on numbers,")
             law = [0] * int(Law.SIZE)
             law[Law.RULE], law[Law.JOINT] = known.index(extra.effect), extra.index
             law[Law.NUMBERS], law[Law.COUNT] = len(self.numbers), len(extra.data)
@@ -353,9 +356,11 @@ class _Writer:
 
 
 def rules() -> list[tuple[str, physics.Rule, bool]]:
-    """What `<custom>` may add to joints: id, law, whether it is a level of dry friction."""
+    """What `<custom>` may add to joints and becomes code as it stands: id, law, whether it is a level of friction."""
     return [
-        (name, rule, stage == "friction") for name, stage, rule in physics.rules() if stage in ("friction", "force")
+        (name, rule, stage == "friction")
+        for name, stage, rule in physics.rules()
+        if stage in ("friction", "force") and written(rule)
     ]
 
 
