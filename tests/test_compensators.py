@@ -39,11 +39,11 @@ from dipc_gym.compensators import (
 from dipc_gym.compensators.llnf import MAX_MODELS
 
 RIG = RigConstants(newtons_per_volt=4.0, viscous=40.0, supply_voltage=24.0, mass=1.26)
-PAPER = ("none", "feedforward", "mlp", "llnf", "ideal", "stribeck")
+PAPER = ("none", "feedforward", "mlp", "llnf", "ideal")
 REMEMBERING = (
     *("lugre", "maxwell_slip", "friedland", "disturbance_observer", "llnf_lagged", "llnf_adaptive", "history"),
 )
-KINDS = (*PAPER, *REMEMBERING, "observed")
+KINDS = (*PAPER, "curve", "hilomot", "stribeck", *REMEMBERING, "observed")
 SLOW = ("llnf_lagged", "history", "lugre")  # to fit
 
 
@@ -630,7 +630,7 @@ def test_mutated_bytes_are_refused_or_work(fitted, tmp_path, data):
 
 def test_without_torch_the_mlp_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(ImportError, match=r"pip install -e '\.\[rl\]' in the checkout"):
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[mlp\]' in the checkout"):
         fit("mlp", run_with(stribeck, n=400), RIG)
 
 

@@ -1,7 +1,8 @@
-"""What a search comes to: what held-out data strike off, and what takes the place of what was found."""
+"""What a search comes to: what validation data strike off, and what takes the place of what was found."""
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +16,7 @@ class _Searched:
     """A search that has run, its fits told apart by names alone."""
 
     interrupted = False
-    held = None
+    validation = None
 
     def __init__(self, *path: str) -> None:
         self.path = [_fitted(name) for name in path]
@@ -59,7 +60,7 @@ def _conclude(
     better: dict[str, list[str]],
     same: dict[str, list[str]] | None = None,
 ) -> tuple[conclude.Conclusion, list[str]]:
-    """Conclude a search given errors on held-out data, and the rivals of each effect that predict better or that are
+    """Conclude a search given errors on validation data, and the rivals of each effect that predict better or that are
     the same model; also what was asked.
     """
     asked: list[str] = []
@@ -77,6 +78,12 @@ def _conclude(
     monkeypatch.setattr(sparse, "other_numbers", lambda *_: [])
     monkeypatch.setattr(judge, "unseen_error", lambda _, fit: errors[fit.name])
     monkeypatch.setattr(judge, "error_on", lambda _, fit: errors[fit.name])
+
+    def apart(_: object, new: SimpleNamespace, old: SimpleNamespace) -> SimpleNamespace:
+        gain = 2 * math.log(errors.get(old.name, errors[""]) / errors[new.name])
+        return SimpleNamespace(gain=gain, clear=gain > 0)
+
+    monkeypatch.setattr(judge, "apart", apart)
     return conclude.conclude(search), asked  # type: ignore[arg-type]
 
 
@@ -97,7 +104,7 @@ def test_of_rivals_that_predict_better_alike_the_simplest_takes_the_place(monkey
     assert found.fitted.name == "best"  # type: ignore[attr-defined]
 
 
-def test_what_held_out_data_strike_off_is_not_asked_for_rivals(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_validation_data_strike_off_is_not_asked_for_rivals(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither is it added again, though a rival of what is left would predict better."""
     errors = {"": 19.0, "first": 4.0, "first second": 5.0, "best": 2.0}
     search = _Searched("", "first", "first second")
@@ -108,7 +115,7 @@ def test_what_held_out_data_strike_off_is_not_asked_for_rivals(monkeypatch: pyte
     assert found.notes[0].startswith("second would explain")
 
 
-def test_effects_that_held_out_data_strike_off_altogether(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_effects_that_validation_data_strike_off_altogether(monkeypatch: pytest.MonkeyPatch) -> None:
     """Then nothing is named."""
     errors = {"": 4.0, "first": 5.0, "first second": 6.0}
     found, asked = _conclude(monkeypatch, _Searched("", "first", "first second"), errors, {})
@@ -159,10 +166,10 @@ def test_a_name_that_needs_nothing_beside_it_goes_before_two(
     [
         ("first push", 1.6, 1.1, "first push", []),
         ("first push", 1.6, 1.5, "first", ["push"]),  # one of several windows that stand out could always be a push
-        ("first push", 7.0, 1.5, "", ["push", "first would take up"]),  # without the push most of the mismatch is left
-        ("first push", 12.0, 1.5, "", ["push", "first would explain"]),  # without it, held-out data speak against it
-        ("first second", 7.5, 3.0, "first second", []),
-        ("first second", 7.5, 4.0, "", ["first and second would take up"]),  # more than a third of it is left
+        ("first push", 7.0, 1.5, "first", ["push"]),  # it helps, however much is left beside it
+        ("first push", 12.0, 1.5, "", ["push", "first would explain"]),  # without it, validation data speak against it
+        ("first second", 7.5, 4.0, "first second", []),
+        ("first second", 4.1, 4.0, "first second", ["second improves"]),  # by too little to have a name
     ],
 )
 def test_what_only_stands_in_for_what_is_left_is_not_named(
@@ -181,7 +188,7 @@ def test_what_only_stands_in_for_what_is_left_is_not_named(
     [
         (40.0, 2.5, "first heat", []),
         (20.0, 4.0, "first", ["heat"]),  # whatever else drifts, as a load that changes, may pass for heat
-        (40.0, 4.0, "", ["heat", "first would take up"]),
+        (40.0, 4.0, "first", ["heat"]),
     ],
 )
 def test_a_trend_is_named_only_where_next_to_nothing_is_left(

@@ -21,6 +21,8 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.base import Evidence
+from dipc_gym.sim2real.effects.law import Law
+from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.waves import waves
 from dipc_gym.sim2real.estimation import evidence
 from dipc_gym.sim2real.estimation.problem import predict
@@ -57,6 +59,8 @@ CONTRACT = [
     "sensor.gain",
     "disturbance.periodic",
     "disturbance.pulse",
+    "friction.speed",
+    "motor.map",
 ]
 # Numbers with which an effect does nothing. A rotor of its own always adds inertia: see the transmissions below.
 NEUTRAL: dict[str, Mapping[str, float]] = {
@@ -118,9 +122,23 @@ def places(effect: str, rig: str) -> list[str]:
     return evidence.places(catalogue()[effect], ready(rig).structure.model, joints, recorded(rig))
 
 
-def guesses(effect: Effect, rig: str, at: str) -> list[Mapping[str, float]]:
+def shaped(effect: str, rig: str, at: str) -> tuple[Effect, list[Mapping[str, float]]]:
+    """An effect with the shape that the evidence asks for, if its shape is free, and its guesses."""
+    known = catalogue()[effect]
     scene = evidence.scene(physics.load(RIGS[rig]), [recorded(rig)], ready(rig).motions, 1.0)
-    return [dict(guess) for guess in effect.guesses(scene.at(effect.place, at, {}))]
+    found = known.proposals(scene.at(known.place, at, {}))
+    return found[0][0], [dict(guess) for _, guess in found]
+
+
+def guesses(effect: Effect, rig: str, at: str) -> list[Mapping[str, float]]:
+    return shaped(effect.id, rig, at)[1]
+
+
+def neutral(effect: Effect) -> Mapping[str, float]:
+    """Numbers with which an effect does nothing."""
+    if isinstance(effect, CommandMap):
+        return dict(zip((p.name for p in effect.parameters), effect.knots, strict=True))
+    return {p.name: 0.0 for p in effect.parameters} if effect.free else NEUTRAL[effect.id]
 
 
 def added(rig: str, effect: Effect, at: str, values: Mapping[str, float]) -> Structure:
@@ -161,7 +179,7 @@ def test_an_effect_is_well_formed(effect: Effect) -> None:
     assert set(effect.contains) <= known - {effect.id}
     names = [p.name for p in effect.parameters]
     assert len(set(names)) == len(names)
-    assert any(not p.fixed for p in effect.parameters)
+    assert effect.free != any(not p.fixed for p in effect.parameters)  # a law has parameters once it has a shape
     for p in effect.parameters:
         assert p.low < p.high
         assert not p.log or p.low >= 0
@@ -184,11 +202,11 @@ def test_nothing_is_offered_twice() -> None:
 
 @each
 def test_guesses_are_within_bounds(rig: str, effect: str, at: str) -> None:
-    found = guesses(catalogue()[effect], rig, at)
+    known, found = shaped(effect, rig, at)
     assert found
     for guess in found:
-        assert set(guess) == {p.name for p in catalogue()[effect].parameters}
-        for p in catalogue()[effect].parameters:
+        assert set(guess) == {p.name for p in known.parameters}
+        for p in known.parameters:
             assert math.isfinite(guess[p.name])
             assert p.low <= guess[p.name] <= p.high
             assert guess[p.name] > 0 or not p.log
@@ -196,21 +214,23 @@ def test_guesses_are_within_bounds(rig: str, effect: str, at: str) -> None:
 
 @pytest.mark.parametrize(("rig", "effect", "at"), [case for case in CASES if case[1] not in ROTORS])
 def test_the_neutral_value_changes_nothing(rig: str, effect: str, at: str) -> None:
-    structure = added(rig, catalogue()[effect], at, guesses(catalogue()[effect], rig, at)[0])
-    neutral = structure.without(f"{effect}@{at}").with_term(replace(structure.terms[-1], guess=NEUTRAL[effect]))
-    before, after = predicted(rig, ready(rig).structure), predicted(rig, neutral)
+    known, found = shaped(effect, rig, at)
+    structure = added(rig, known, at, found[0])
+    nothing = structure.without(f"{effect}@{at}").with_term(replace(structure.terms[-1], guess=neutral(known)))
+    before, after = predicted(rig, ready(rig).structure), predicted(rig, nothing)
     fastest = np.abs(ready(rig).motions[0].velocity).max()
     assert after == pytest.approx(before, abs=1e-6 + SHORTEST.get(effect, 0.0) * fastest)
 
 
 @each
 def test_the_guess_changes_predictions(rig: str, effect: str, at: str) -> None:
-    once = catalogue()[effect].once
+    known, found = shaped(effect, rig, at)
+    once = known.once
     before = predicted(rig, ready(rig).structure, everywhere=once)
     noise = ready(rig).problem.windows.noise
     moved = [
-        np.abs((predicted(rig, added(rig, catalogue()[effect], at, guess), everywhere=once) - before) / noise).max()
-        for guess in guesses(catalogue()[effect], rig, at)
+        np.abs((predicted(rig, added(rig, known, at, guess), everywhere=once) - before) / noise).max()
+        for guess in found
     ]
     assert max(moved) > 0.5
 
@@ -218,14 +238,14 @@ def test_the_guess_changes_predictions(rig: str, effect: str, at: str) -> None:
 @each
 def test_what_is_written_is_what_was_fitted(rig: str, effect: str, at: str) -> None:
     """The text, read as a user's file would be, predicts what the structure did to the last bit; MuJoCo loads it."""
-    guess = guesses(catalogue()[effect], rig, at)[-1]
-    structure = added(rig, catalogue()[effect], at, guess)
+    known, found = shaped(effect, rig, at)
+    structure = added(rig, known, at, found[-1])
     z = structure.first + 0.01
     text = structure.write(z).text()
     mujoco.MjModel.from_xml_string(text)
     source = mjcf.from_text(text)
     loaded = physics.from_model(mjcf.compile(source))
-    assert bool(loaded.extras) == catalogue()[effect].needs_loader
+    assert bool(loaded.extras) == known.needs_loader
     assert mjcf.controls(loaded.model) == mjcf.controls(structure.model)
     problem = ready(rig).problem
     fitted = predict(problem, structure, [z], problem.starts[None])
@@ -233,10 +253,10 @@ def test_what_is_written_is_what_was_fitted(rig: str, effect: str, at: str) -> N
     again = Structure(Document(source), loaded.model, structure.base)
     stepping = replace(problem.stepping, timestep=min(problem.stepping.timestep, structure.finest))
     other = replace(problem, stepping=stepping)
-    if catalogue()[effect].warm:
+    if known.warm:
         assert again.warm == structure.warm
     elif again.warm:  # a winding's temperature is known at any time, and so need not settle
-        structure = replace(structure, terms=(replace(structure.terms[0], effect=_settling(catalogue()[effect])),))
+        structure = replace(structure, terms=(replace(structure.terms[0], effect=_settling(known)),))
         fitted = predict(problem, structure, [z], problem.starts[None])
     assert np.array_equal(predict(other, again, [again.first], problem.starts[None]), fitted)
 
@@ -248,9 +268,8 @@ def _settling(effect: Effect) -> Effect:
 
 @each
 def test_the_sentence_says_what_where_and_how_much(rig: str, effect: str, at: str) -> None:
-    known = catalogue()[effect]
-    guess = guesses(known, rig, at)[0]
-    said = known.sentence(at, guess, units(known))
+    known, found = shaped(effect, rig, at)
+    said = known.sentence(at, found[0], units(known))
     assert said.endswith(".")
     assert "\n" not in said
     assert said[0].isupper() or said.startswith(at)
@@ -463,10 +482,11 @@ def test_hostile_names_survive_every_effect(name: str) -> None:
     source = mjcf.from_text(text)
     model = mjcf.compile(source)
     base = Structure(Document(source), model, (name,))
-    for effect in catalogue().values():
-        at = "world" if effect.place == "world" else name
-        if not effect.fits(model, at):
+    for known in catalogue().values():
+        at = "world" if known.place == "world" else name
+        if not known.fits(model, at):
             continue
+        effect = type(known)((0.0, 0.1), (1.0, 2.0)) if isinstance(known, Law) else known
         values = {p.name: max(p.low, 0.01) if p.name != "first" else -1.0 for p in effect.parameters}
         structure = base.with_term(Term(effect, at, values))
         written = structure.write(structure.first).text()
@@ -480,15 +500,16 @@ def test_hostile_names_survive_every_effect(name: str) -> None:
 
 def test_an_improved_model_can_be_improved_again() -> None:
     """Names and entries that an earlier diagnosis wrote do not stand in the way of the next one."""
-    for effect in catalogue().values():
-        at = {"joint": "cart", "actuator": "motor", "sensor": "cart", "world": "world"}[effect.place]
-        if at not in places(effect.id, "cart"):
+    for known in catalogue().values():
+        at = {"joint": "cart", "actuator": "motor", "sensor": "cart", "world": "world"}[known.place]
+        if at not in places(known.id, "cart"):
             continue
         document = ready("cart").structure.document.copy()
-        values = guesses(effect, "cart", at)[0]
+        effect, (values, *_) = shaped(known.id, "cart", at)
         effect.edit(document, at, values)
         once = mjcf.compile(document.text())
-        effect.edit(document, at, values)
+        less = {"rotor_inertia": values["rotor_inertia"] / 2} if known.id in ROTORS else {}  # of what is left
+        effect.edit(document, at, {**values, **less})
         twice = mjcf.compile(document.text())
         assert mjcf.controls(once) == mjcf.controls(twice) == ["motor"], effect.id
 

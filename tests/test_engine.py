@@ -24,8 +24,8 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.simulation import batch
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
-from dipc_gym.sim2real.simulation.batch import simulate as simulation
 from dipc_gym.sim2real.simulation.windows import cut
 
 Array = np.ndarray
@@ -160,7 +160,7 @@ def test_with_events_both_converge_to_the_same() -> None:
     ours = {h: simulate([source], windows, starts[None], Stepping(h, RK4), base=base)[0] for h in (1e-3, 1e-4)}
     theirs = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulation, "compiled", lambda *_: (_ for _ in ()).throw(Uncovered("for comparison")))
+        patch.setattr(batch, "compiled", lambda *_: (_ for _ in ()).throw(Uncovered("for comparison")))
         for h in (1e-3, 1e-4):
             theirs[h] = simulate([source], windows, starts[None], Stepping(h, RK4), base=base)[0]
     apart = {h: np.abs(theirs[h] - ours[1e-4]).max() for h in theirs}
@@ -390,7 +390,7 @@ def test_a_law_that_is_more_than_arithmetic_is_left_to_mujoco(monkeypatch: pytes
     """A user's law may do anything; the engine leaves it out, and goes on with all others."""
     monkeypatch.setattr(physics, "_rules", dict(physics._rules))
     physics.register(
-        "friction.mine", "friction", lambda data, now: np.interp(now.position, [-1, 1], data[..., :2].T[0])
+        "friction.mine", "friction", lambda data, now: data[..., 0] + np.interp(now.position, [-1, 1], [1, 2])
     )
     entry = '<custom><numeric name="dipc_gym:{}:cart" data="1 2 3"/></custom></mujoco>'
     with pytest.raises(Uncovered, match=r"friction\.mine"):

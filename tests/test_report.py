@@ -175,6 +175,7 @@ SENTENCES = {
     "With it, the error on held-out data falls by 98 %.",
     "partly explained": "Dry friction on the cart is missing and a late command is likely; together they take away "
     "80 % of the error, and something near the rail's ends remains.",
+    "modelled": "A law at the cart that has no name takes the error down to the noise.",
     "unexplained": "Something acts on the cart that no known effect accounts for, mostly at velocity reversals.",
     "cannot tell": "The cart hardly moved, so these recordings cannot tell friction from a dead zone.",
 }

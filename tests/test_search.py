@@ -41,7 +41,8 @@ def test_a_search_ends_where_laws_may_leave_what_is_left(before: float, now: flo
     ("small", "before", "after", "earned"),
     [
         (False, 10.0, 7.0, True),  # a third of what is left
-        (False, 10.0, 8.5, False),  # a sixth
+        (False, 10.0, 8.5, True),  # a sixth
+        (False, 10.0, 9.4, False),  # a fifteenth
         (True, 10.0, 2.0, False),  # small beside the motion: all or nothing
         (True, 10.0, 1.1, True),
         (False, 1.3, 1.1, True),

@@ -294,7 +294,7 @@ def test_impossible_batches_are_refused(kwargs: dict[str, Any], says: str) -> No
 def test_misuse_is_named() -> None:
     envs = batched(2, autoreset_mode="Disabled", max_episode_steps=1)
     envs.reset(seed=0)
-    with pytest.raises(ValueError, match=r"\(2, 1\) of voltages"):
+    with pytest.raises(ValueError, match=r"\(2, 1\), the voltage of each"):
         envs.step(np.zeros(2))
     with pytest.raises(ValueError, match="voltage of row 1 is nan"):
         envs.step(np.array([[0.0], [np.nan]]))

@@ -110,7 +110,7 @@ def _search(
         base.problem,
         base.unseen,
         base.rest,
-        base.validation,
+        given.borders,
         effects,
         case.prepared.structure.base,
         lambda f, odd=(): evidence.scene(
@@ -121,7 +121,7 @@ def _search(
     )
     worst = judge.unseen_error(search, recalibrated)
     located = judge.locate(search.look(recalibrated), search.joints)
-    search.small = worst > judge.AT_FLOOR and judge.negligible(worst, base.validation.motion, located[0])
+    search.small = worst > judge.AT_FLOOR and judge.negligible(worst, base.problem.motion, located[0])
     if search.small:
         tell("the mismatch is small beside the motion, and without a pattern: only what explains all of it will count")
     return search, located

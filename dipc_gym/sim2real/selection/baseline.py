@@ -21,8 +21,7 @@ class Baseline:
     Attributes:
         problem: windows to fit, those in which something odd happened among them.
         unseen: windows to compare on.
-        rest: windows left aside.
-        validation: windows that choices are validated by.
+        rest: windows left aside, and those to validate by.
         test: windows for the judgement alone.
         nominal: the model as given, start states fitted.
         recalibrated: its own numbers fitted as well.
@@ -33,7 +32,6 @@ class Baseline:
     problem: Problem
     unseen: Problem
     rest: Problem
-    validation: Problem
     test: Problem
     nominal: Fit
     recalibrated: Fit
@@ -43,14 +41,14 @@ class Baseline:
 def baseline(case: Case) -> Baseline:
     """Part the windows, and fit the model as given and recalibrated."""
     structure, own = case.prepared.structure, Stepping(case.given.physics.model.opt.timestep)
-    problem, unseen, rest = data.split(case.prepared.problem)
-    validation, test = case.validation, case.test
+    whole, test = case.prepared.problem, case.test
+    late = whole.windows.start >= case.given.borders[whole.windows.source]
+    problem, unseen, rest = data.split(whole.pick(~late))
+    rest = rest.join(whole.pick(late))
     nominal, fine = fit(problem, structure), None
     if _predicts_better(replace(problem, stepping=own), nominal):
         fine = nominal.error
-        problem, unseen, rest, validation, test = (
-            replace(part, stepping=own) for part in (problem, unseen, rest, validation, test)
-        )
+        problem, unseen, rest, test = (replace(part, stepping=own) for part in (problem, unseen, rest, test))
         nominal = fit(problem, structure)
     free = replace(structure, numbers=case.given.numbers)
     recalibrated = fit(problem, free, starts=nominal.starts, most=20)
@@ -59,7 +57,7 @@ def baseline(case: Case) -> Baseline:
         problem, rest = problem.join(rest.pick(odd)), rest.pick(np.delete(np.arange(len(rest.windows)), odd))
         nominal = fit(problem, structure)
         recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.starts)
-    return Baseline(problem, unseen, rest, validation, test, nominal, recalibrated, fine)
+    return Baseline(problem, unseen, rest, test, nominal, recalibrated, fine)
 
 
 def _predicts_better(problem: Problem, fitted: Fit) -> bool:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
@@ -23,6 +24,8 @@ from dipc_gym.sim2real.selection import data
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.simulation.compiled import left_to_mujoco
 from dipc_gym.sim2real.simulation.motion import Motion
+
+Array = NDArray[np.float64]
 
 TEST = 0.75  # of each recording comes before what is tested on, where no recording is held out for that
 FIT = 0.8  # of what comes before the test data is fitted, the rest validates
@@ -76,13 +79,13 @@ class Given:
 
     @property
     def span(self) -> tuple[float, float]:
-        """The part of each recording that is fitted."""
-        return 0.0, FIT * (1.0 if self.held_out else TEST)
+        """The part of each recording that is fitted and validated by."""
+        return 0.0, 1.0 if self.held_out else TEST
 
     @property
-    def validation_span(self) -> tuple[float, float]:
-        """The part that choices are validated by."""
-        return self.span[1], 1.0 if self.held_out else TEST
+    def borders(self) -> Array:
+        """Times in each recording from which windows validate and are not fitted, s, (recordings,)."""
+        return np.array([r.time[0] + FIT * self.span[1] * r.duration for r in self.recordings])
 
 
 @dataclass(frozen=True)
@@ -91,15 +94,13 @@ class Case:
 
     Attributes:
         given: what they were cut from.
-        prepared: windows to fit.
-        validation: windows that choices are validated by.
+        prepared: windows to fit and to validate by.
         test: windows for the judgement alone.
         test_motions: of the joints in the recordings that are tested with.
     """
 
     given: Given
     prepared: Prepared
-    validation: Problem
     test: Problem
     test_motions: tuple[Motion, ...]
 
@@ -156,7 +157,7 @@ def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
     noise = prepared.problem.windows.noise
     test = replace(test, windows=replace(test.windows, noise=noise))
     tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
-    return Case(given, prepared, whole.over(given.validation_span), test, kept.motions)
+    return Case(given, prepared, test, kept.motions)
 
 
 def _quiet(prepared: Prepared) -> str:

@@ -54,7 +54,7 @@ class Search:
         problem: windows to fit.
         unseen: windows to compare on, between those.
         rest: windows left aside; `attend` takes in those that matter later.
-        validation: windows apart from these, that what the search comes to is validated by.
+        late: times in each recording from which windows that are left aside validate what the search comes to, s.
         effects: the catalogue.
         joints: base joints.
         look: gives the evidence for a fit, and with it the times, s, at which windows begin that are odd.
@@ -75,7 +75,7 @@ class Search:
     problem: Problem
     unseen: Problem
     rest: Problem
-    validation: Problem
+    late: Array
     effects: Sequence[Effect]
     joints: tuple[str, ...]
     look: Callable[..., Scene]
@@ -90,6 +90,16 @@ class Search:
     screened: list[tuple[Fit, float, list[Tried]]] = field(default_factory=list)
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
     _fits: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict)
+
+    @property
+    def validation(self) -> Problem:
+        """Windows later than all that are fitted or compared on, but for those in which something odd happened once.
+
+        Of recordings too short to hold any, the windows compared on.
+        """
+        windows = self.rest.windows
+        late = windows.start >= self.late[windows.source]
+        return self.rest.pick(late) if late.any() else self.unseen
 
     def compare_on(self, unseen: Problem) -> None:
         """Compare on other windows from here on, or on the same in other steps."""

@@ -129,6 +129,10 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
         if term.effect.leaves < LEAVES and error - 1 > term.effect.leaves * (recalibrated - 1):
             notes.append(sentences.not_alone(term, error))
             upheld = search.without(upheld, term.key)
+    left = judge.error_on(search.validation, upheld)
+    if upheld.structure.terms and left > recalibrated:
+        # Without an event that it was fitted beside, an effect may do harm.
+        return search.path[0], [*notes, sentences.refutation(upheld.structure.terms, recalibrated, left)], frozenset()
     unnamed = set[str]()
     for term in upheld.structure.terms:
         gained = judge.apart(search, upheld, search.without(upheld, term.key))

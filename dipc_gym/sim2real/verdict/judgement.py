@@ -59,6 +59,10 @@ def judgement(
         final = late("A fit at half the step", lambda: search.refine(coarse), lambda: coarse)
         test = test if final is coarse else replace(test, finer=2)
     found = replace(found, fitted=final)
+    final, note = late(
+        "Which model predicts best", lambda: _best(search, final, [recalibrated, nominal]), lambda: (final, "")
+    )
+    notes += [note] if note else []
     three = (nominal, recalibrated, final)
     fitted = Errors(*(f.error for f in three))
     train = late(
@@ -69,7 +73,7 @@ def judgement(
     if train.recalibrated > judge.AT_FLOOR and not search.interrupted:
         notes += late(
             "Whether numbers further off would do",
-            lambda: findings.beyond_limits(base.problem, base.validation, recalibrated),
+            lambda: findings.beyond_limits(base.problem, search.validation, recalibrated),
             list[str],
         )
     errors = late("The error on test data", lambda: Errors(*(judge.error_on(test, f) for f in three)), lambda: fitted)
@@ -135,6 +139,19 @@ def judgement(
         provenance,
         Work(source, case.given.recordings, test, prepared, nominal, recalibrated, final, search, found.rivals),
     )
+
+
+def _best(search: Search, final: Fit, others: Sequence[Fit]) -> tuple[Fit, str]:
+    """A fit, or the first of others that clearly predicts validation data better, and a note that says so.
+
+    Nobody is given a model that predicts worse than what they had.
+    """
+    error = judge.error_on(search.validation, final)
+    for other in others:
+        without = judge.error_on(search.validation, other)
+        if judge.refuted(without, error):
+            return other, sentences.refutation(final.structure.terms, without, error, "Refitted numbers")
+    return final, ""
 
 
 def files_of(source: mjcf.Source, text: str) -> dict[str, bytes]:

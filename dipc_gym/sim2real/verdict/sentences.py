@@ -44,6 +44,8 @@ def in_one_sentence(
         return f"No physics is missing; wrong numbers were: {names}{instead}. {fall}.{rest}"
     if verdict == "explained":
         return f"The model lacks this: {known} {fall}; what is left looks like noise."
+    if verdict == "modelled":
+        return f"What the model lacks has no name, but a law that predicts it: see the notes. {fall}"
     if verdict == "partly explained":
         return f"{known} That helps, but structure is left that no known effect accounts for. {fall}."
     return f"{missing[0].sentence if missing else ''} {fall}.".strip()
@@ -139,11 +141,11 @@ def other_numbers(changed: Sequence[dict[str, Any]], others: Sequence[Sequence[N
     ]
 
 
-def refutation(terms: Sequence[Term], before: float, after: float) -> str:
-    """Note on effects that fit the recordings and fail on held-out data, with the errors there, in units of noise."""
+def refutation(terms: Sequence[Term], before: float, after: float, otherwise: str = "") -> str:
+    """Note on effects that fit the recordings and fail on validation data, with the errors there, in units of noise."""
     return (
-        f"{' and '.join(term.key for term in terms)} would explain the recordings that were fitted, but held-out data "
-        f"speak against it (the error rises from {before:.3g} to {after:.3g} times the noise), "
+        f"{' and '.join(term.key for term in terms) or otherwise} would explain the recordings that were fitted, but "
+        f"validation data speak against it (the error rises from {before:.3g} to {after:.3g} times the noise), "
         "so it is not named."
     )
 
