@@ -21,7 +21,7 @@ from dipc_gym.identification import Cart, Sweep, cart, cart_model, excitation, r
 from dipc_gym.plant import Plant
 from dipc_gym.recording import Recording
 
-__all__ = ["Course", "Identification", "Impulse", "balance", "compensator", "identify", "recorded"]
+__all__ = ["Course", "Identification", "Impulse", "balance", "compensator", "estimator", "identify", "recorded"]
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 import dipc_gym
-from dipc_gym.controllers.lqr import PRINTED_GAIN
+from dipc_gym.controllers import LQR
 from dipc_gym.runs import identify
 from dipc_gym.wrappers import ForceCommand
 
@@ -26,10 +26,10 @@ class Arguments:
 def largest_deviations(env: gymnasium.Env, seconds: float, seed: int) -> np.ndarray:
     """Largest deviations in the last half of a run under the paper's LQR: cart, mm, and the two poles, degrees."""
     observation, _ = env.reset(seed=seed)
+    lqr = LQR()
     states = np.zeros((round(seconds / 0.005), 3))
     for k in range(len(states)):
-        force = -PRINTED_GAIN @ observation
-        observation, _, terminated, _, _ = env.step(np.array([force]))
+        observation, _, terminated, _, _ = env.step(np.array([lqr.force(observation)]))
         states[k] = observation[:3]
         if terminated:
             raise SystemExit(f"fell after {0.005 * (k + 1):.2f} s")

@@ -41,7 +41,8 @@ def found(text: str, run: Recording) -> tuple[list[Convention], float]:
     source, span = mjcf.from_text(text), (0.0, 1.0)
     cut = prepared(text, [run], stepping=STEPPING)
     given = fit(cut.problem, cut.structure)
-    return conventions.differing(source, physics.load(source), [run], cut, [given], span)
+    never = np.array([np.inf])
+    return conventions.differing(source, physics.load(source), [run], cut, [given], span, never)
 
 
 def test_every_convention_is_thought_of() -> None:

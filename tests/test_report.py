@@ -70,6 +70,7 @@ RIGS = {  # truth, nominal, recalibrated, improved
     "recalibrated": (Cart(), Cart(viscous=36.0), Cart(), Cart()),
     "cannot tell": (Cart(), Cart(), Cart(), Cart()),
     "explained": (STICKY, Cart(viscous=36.0), Cart(viscous=58.0), STICKY),
+    "modelled": (STICKY, Cart(viscous=36.0), Cart(viscous=58.0), STICKY),
     "partly explained": (STICKY, Cart(viscous=36.0), Cart(viscous=58.0), Cart(coulomb=8.6)),
     "unexplained": (STICKY, Cart(viscous=36.0), Cart(viscous=58.0), Cart(viscous=58.0)),
 }

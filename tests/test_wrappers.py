@@ -191,15 +191,18 @@ def test_a_kind_of_compensator_has_to_be_fitted_first() -> None:
         ForceCommand(rig(), "lnlf")
 
 
+LOW, HIGH = np.float32([-1.0]), np.float32([1.0])  # of a rescaled action
+
+
 def test_a_wrapper_that_changes_what_an_action_is_goes_outside() -> None:
     """Within, it would make the compensator's volts into something else."""
-    for inside in (RescaleAction(rig(), -1.0, 1.0), ForceCommand(rig(), GAIN)):
+    for inside in (RescaleAction(rig(), LOW, HIGH), ForceCommand(rig(), GAIN)):
         with pytest.raises(ValueError, match="around ForceCommand instead"):
             ForceCommand(inside, GAIN)
     envs = gymnasium.make_vec(dipc_gym.ENV_ID, num_envs=2, vectorization_mode="vector_entry_point")
     with pytest.raises(ValueError, match="around ForceCommand instead"):
-        VectorForceCommand(vector.RescaleAction(envs, -1.0, 1.0), GAIN)
-    outside = RescaleAction(ForceCommand(ClipAction(rig()), GAIN), -1.0, 1.0)
+        VectorForceCommand(vector.RescaleAction(envs, LOW, HIGH), GAIN)
+    outside = RescaleAction(ForceCommand(ClipAction(rig()), GAIN), LOW, HIGH)
     outside.reset(seed=1)
     assert outside.step(np.array([0.5]))[4]["force"] == pytest.approx(
         0.5 * outside.unwrapped.plant.motor.force_per_volt * 24

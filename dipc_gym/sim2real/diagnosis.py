@@ -95,7 +95,13 @@ def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) 
     tell(f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}")
     if recalibrated.error > conventions.GROSS * base.problem.motion:
         others, off = conventions.differing(
-            given.source, given.physics, given.recordings, case.prepared, [nominal, recalibrated], given.span
+            given.source,
+            given.physics,
+            given.recordings,
+            case.prepared,
+            [nominal, recalibrated],
+            given.span,
+            given.borders,
         )
         if others:
             raise CannotTell(*sentences.conventions(others, nominal.error, off))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import random
@@ -93,7 +94,7 @@ def tree(data: bytes, rng: random.Random, value: Any = None) -> bytes:
         elif kind == 3 and isinstance(holder[key], list):
             holder[key] = holder[key] * rng.choice((0, 2, 50))
         elif kind == 4 and value is not None:
-            holder[key] = value
+            holder[key] = copy.deepcopy(value)  # into itself, at the next turn, it would never end
         else:
             holder[key] = rng.choice(VALUES)
     if isinstance(root, dict) and intact.DIGEST in root and rng.random() < 0.7:

@@ -106,6 +106,7 @@ def differing(
     prepared: Prepared,
     fits: Sequence[Fit],
     span: tuple[float, float],
+    late: Array,
 ) -> tuple[list[Convention], float]:
     """Conventions with which the model as given predicts far better than it does without, whatever its numbers.
 
@@ -115,7 +116,8 @@ def differing(
         recordings: of one rig.
         prepared: windows of them.
         fits: as given, and with its own numbers refitted; the windows of `selection.split` first.
-        span: the part of each recording that is fitted.
+        span: the part of each recording that the windows were cut from.
+        late: times in each recording from which they were not fitted, s.
 
     Returns:
         Those that predict best, alike, and the error then, in units of noise; none where none decides.
@@ -134,7 +136,8 @@ def differing(
                 threads=prepared.problem.threads,
             )
         )
-        windows, _, _ = data.split(again.problem)
+        w = again.problem.windows
+        windows, _, _ = data.split(again.problem.pick(w.start < late[w.source]))
         few = np.arange(0, len(windows.windows), 2)
         error = common_error(fit(windows.pick(few), again.structure).mse)
         if error < DECIDES * min(common_error(one.mse[few]) for one in fits):

@@ -58,11 +58,12 @@ def judgement(
         coarse = final
         final = late("A fit at half the step", lambda: search.refine(coarse), lambda: coarse)
         test = test if final is coarse else replace(test, finer=2)
-    found = replace(found, fitted=final)
+    chosen = final
     final, note = late(
-        "Which model predicts best", lambda: _best(search, final, [recalibrated, nominal]), lambda: (final, "")
+        "Which model predicts best", lambda: _best(search, chosen, [recalibrated, nominal]), lambda: (chosen, "")
     )
     notes += [note] if note else []
+    found = replace(found, fitted=final)
     three = (nominal, recalibrated, final)
     fitted = Errors(*(f.error for f in three))
     train = late(
