@@ -28,7 +28,7 @@ def alone(folder: str | Path) -> Iterator[None]:
     Example:
         >>> import tempfile
         >>> place = tempfile.mkdtemp()
-        >>> with alone(place), alone(place):
+        >>> with alone(place), alone(place):  # doctest: +ELLIPSIS
         ...     pass
         Traceback (most recent call last):
         dipc_gym.alone.BusyError: ...: another run is at work in this folder; wait for its end, or name another folder

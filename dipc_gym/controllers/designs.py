@@ -60,7 +60,7 @@ def limit_cycle(gain: Array, coulomb: float) -> LimitCycle | None:
 
     Example:
         >>> found = limit_cycle(lqr.PRINTED_GAIN, 8.0)
-        >>> round(1000 * found.cart), round(found.rate, 1)
+        >>> round(1000 * found.cart), round(float(found.rate), 1)
         (40, 4.7)
     """
     A, B = paper_model()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -152,6 +153,8 @@ class Shooting:
 
         Where MuJoCo simulates by a rule of its own, residuals are MuJoCo's, and only their slopes the engine's.
         """
+        if any(term.effect.once for term in self.structure.terms):
+            return None  # when a push begins and ends has no derivative in code that asks whether it acts
         n, (probes, steps) = len(starts), self._probes(z, _TOUCH) if numbers else ([], np.zeros(0))
         free = np.flatnonzero(np.isfinite(steps))
         if len(free) < len(steps):
@@ -160,11 +163,12 @@ class Shooting:
         if found is None:
             return None
         readings, by_numbers, by_starts = found
-        if self.problem.stepping.integrator is None and not np.isfinite(readings[self.problem.windows.valid]).all():
+        elsewhere = self.problem.stepping.integrator != mujoco.mjtIntegrator.mjINT_RK4
+        if elsewhere and not np.isfinite(readings[self.problem.windows.valid]).all():
             return None
         if rest is None:
             rest = residual(self.problem, readings)
-            if self.problem.stepping.integrator is None:
+            if elsewhere:
                 rest = self.residuals([z], starts[None])[0]
         told = self.problem.windows.valid[..., None] & np.isfinite(readings) & (np.abs(rest) < FAR)
         slopes = np.where(told, np.concatenate([by_numbers, by_starts]), 0.0) / self.problem.windows.noise
