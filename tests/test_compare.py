@@ -174,7 +174,7 @@ def test_training_from_a_recording(tmp_path: Path) -> None:
     comparison = Comparison(compensators=("feedforward",), seeds=2, seconds=2.0, recording=str(tmp_path / "sweep.csv"))
     compare.run(comparison, tmp_path / "out", jobs=1)
     assert [path.name for path in (tmp_path / "out" / "compensators").iterdir()] == ["feedforward-00.json"]
-    expected = identify(seed=5).fit("feedforward")
+    expected = identify(from_recording=str(tmp_path / "sweep.csv")).fit("feedforward")
     assert compensators.load(tmp_path / "out" / "compensators" / "feedforward-00.json") == expected
 
 

@@ -101,7 +101,7 @@ def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) 
             case.prepared,
             [nominal, recalibrated],
             given.span,
-            given.borders,
+            case.borders,
         )
         if others:
             raise CannotTell(*sentences.conventions(others, nominal.error, off))
@@ -116,7 +116,7 @@ def _search(
         base.problem,
         base.unseen,
         base.rest,
-        given.borders,
+        case.borders,
         effects,
         case.prepared.structure.base,
         lambda f, odd=(): evidence.scene(

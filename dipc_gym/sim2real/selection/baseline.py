@@ -42,7 +42,7 @@ def baseline(case: Case) -> Baseline:
     """Part the windows, and fit the model as given and recalibrated."""
     structure, own = case.prepared.structure, Stepping(case.given.physics.model.opt.timestep)
     whole, test = case.prepared.problem, case.test
-    late = whole.windows.start >= case.given.borders[whole.windows.source]
+    late = whole.windows.start >= case.borders[whole.windows.source]
     problem, unseen, rest = data.split(whole.pick(~late))
     rest = rest.join(whole.pick(late))
     nominal, fine = fit(problem, structure), None

@@ -82,11 +82,6 @@ class Given:
         """The part of each recording that is fitted and validated by."""
         return 0.0, 1.0 if self.held_out else TEST
 
-    @property
-    def borders(self) -> Array:
-        """Times in each recording from which windows validate and are not fitted, s, (recordings,)."""
-        return np.array([r.time[0] + FIT * self.span[1] * r.duration for r in self.recordings])
-
 
 @dataclass(frozen=True)
 class Case:
@@ -95,12 +90,15 @@ class Case:
     Attributes:
         given: what they were cut from.
         prepared: windows to fit and to validate by.
+        borders: times in each recording from which windows validate and are not fitted, s, (recordings,); infinite
+            where all are needed to fit, and those that are compared on have to validate as well.
         test: windows for the judgement alone.
         test_motions: of the joints in the recordings that are tested with.
     """
 
     given: Given
     prepared: Prepared
+    borders: Array
     test: Problem
     test_motions: tuple[Motion, ...]
 
@@ -157,7 +155,15 @@ def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
     noise = prepared.problem.windows.noise
     test = replace(test, windows=replace(test.windows, noise=noise))
     tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
-    return Case(given, prepared, test, kept.motions)
+    return Case(given, prepared, _borders(given, prepared), test, kept.motions)
+
+
+def _borders(given: Given, prepared: Prepared) -> Array:
+    """Times from which windows validate; see `Case`."""
+    borders = np.array([r.time[0] + FIT * given.span[1] * r.duration for r in given.recordings])
+    windows = prepared.problem.windows
+    few = np.sum(windows.start < borders[windows.source]) < data.PLENTY
+    return np.full(len(borders), np.inf) if few else borders
 
 
 def _quiet(prepared: Prepared) -> str:
