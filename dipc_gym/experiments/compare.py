@@ -29,7 +29,7 @@ from dipc_gym.experiments.cells import (
     with_estimator,
 )
 from dipc_gym.experiments.tables import summarise, table
-from dipc_gym.files import write_json, write_whole
+from dipc_gym.files import remove_partial, write_json, write_whole
 from dipc_gym.identification import Sweep
 from dipc_gym.naming import suggestion
 from dipc_gym.places import inside
@@ -304,6 +304,8 @@ def run(
 
 def _run(comparison: Comparison, out: Path, jobs: int | None, backend: Backend) -> dict[str, Any]:
     folder = out / "cells"
+    for place in (out, out / "compensators", out / "recordings", out / "figures"):
+        remove_partial(place)
     found: dict[str, Outcome[Any]] = {}
 
     def do(experiments: Sequence[Cell], doing: str) -> dict[str, Any]:
