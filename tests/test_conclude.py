@@ -81,7 +81,7 @@ def _conclude(
 
     def apart(_: object, new: SimpleNamespace, old: SimpleNamespace) -> SimpleNamespace:
         gain = 2 * math.log(errors.get(old.name, errors[""]) / errors[new.name])
-        return SimpleNamespace(gain=gain, clear=gain > 0)
+        return SimpleNamespace(gain=gain, error=0.0)
 
     monkeypatch.setattr(judge, "apart", apart)
     return conclude.conclude(search), asked  # type: ignore[arg-type]

@@ -120,8 +120,8 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
 
     What is told from other causes by when it acts alone (a push, a motor that heats) is a law of the clock, which no
     other recording of the rig shares: it stays only where next to nothing is left. A law of the state is named where
-    windows that no fit has touched are clearly better predicted with it than without it, all else refitted; how much
-    is left beside it is no matter.
+    windows that no fit has touched are better predicted with it than without it, all else refitted, by more than their
+    standard error; that it is no chance, the search has told by all windows. How much is left beside it is no matter.
     """
     recalibrated = judge.error_on(search.validation, search.path[0])
     notes = list[str]()
@@ -136,7 +136,7 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
     unnamed = set[str]()
     for term in upheld.structure.terms:
         gained = judge.apart(search, upheld, search.without(upheld, term.key))
-        if not (gained.clear and gained.gain > judge.NAMED):
+        if gained.gain < max(judge.NAMED, gained.error):
             unnamed.add(term.key)
             notes.append(sentences.no_name(term, gained.gain))
     return upheld, notes, frozenset(unnamed)
