@@ -28,6 +28,7 @@ class CompensatorError(ValueError):
 
 FORMAT = Format("compensator file", "compensators.save", "train the compensator again", 10_000_000, CompensatorError)
 """A trained compensator takes a few thousand bytes."""
+WIDEST = 1e5  # N or m/s; a training range that goes further is no rig's
 HIGHEST = 1e5
 """V, within the ranges of its inputs; ten times the largest supply that a plant can have."""
 PROBES = 9
@@ -160,6 +161,9 @@ class _Reader(untrusted.Reader):
     def probe(self, compensator: Compensator) -> None:
         """Refuse numbers that give no voltage of this world at the corners of the training range and between them."""
         ends = [(limits.low, limits.high) for limits in compensator.ranges] or [(-1.0, 1.0)] * len(INPUTS)
+        beyond = [end for both in ends for end in both if abs(end) > WIDEST]
+        if beyond:
+            self.fail("inputs", f"range to {beyond[0]:.3g}, and no rig has such forces or velocities: train it again")
         with np.errstate(all="ignore"):
             axes = [low + (high - low) * np.linspace(0.0, 1.0, PROBES) for low, high in ends]
             force, velocity, previous = (axis.ravel() for axis in np.meshgrid(*axes))
