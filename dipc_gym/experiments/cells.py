@@ -47,11 +47,10 @@ SETTLED = 20.0  # s; the paper reads deviations off its Fig. 12 after that
 
 
 @dataclass(frozen=True, kw_only=True)
-class CompensatorTraining:
-    """Identify a rig and train one compensator on it.
+class Learning:
+    """What is learned from the identification run of one rig.
 
     Attributes:
-        compensator: registered name, or path of a saved one.
         plant: the rig.
         model: its MJCF file; None is the package's.
         recording: file of the identification run; None simulates it.
@@ -60,7 +59,6 @@ class CompensatorTraining:
         files: what `fingerprints` says of the files that the above names.
     """
 
-    compensator: str
     plant: Plant
     model: str | None
     recording: str | None
@@ -68,14 +66,25 @@ class CompensatorTraining:
     seed: int
     files: dict[str, str]
 
+    def identification(self) -> Identification:
+        """The run that it is learned from."""
+        return identify(self.plant, model=self.model, from_recording=self.recording, sweep=self.sweep, seed=self.seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompensatorTraining(Learning):
+    """Identify a rig and train one compensator on it.
+
+    Attributes:
+        compensator: registered name, or path of a saved one.
+    """
+
+    compensator: str
+
     @property
     def name(self) -> str:
         """Of its file."""
         return f"train-{label(self.compensator)}-{self.seed:02d}"
-
-    def identification(self) -> Identification:
-        """The run that it is trained on."""
-        return identify(self.plant, model=self.model, from_recording=self.recording, sweep=self.sweep, seed=self.seed)
 
     def run(self) -> dict[str, Any]:
         """Train; the result is the compensator's dictionary."""
@@ -88,24 +97,8 @@ class CompensatorTraining:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrictionLearning:
-    """Identify a rig and learn the friction that all its estimators take.
-
-    Attributes:
-        plant: the rig.
-        model: its MJCF file; None is the package's.
-        recording: file of the identification run; None simulates it.
-        sweep: the simulated run.
-        seed: of the encoders' noise.
-        files: what `fingerprints` says of the files that the above names.
-    """
-
-    plant: Plant
-    model: str | None
-    recording: str | None
-    sweep: Sweep
-    seed: int
-    files: dict[str, str]
+class FrictionLearning(Learning):
+    """Identify a rig and learn the friction that all its estimators take."""
 
     @property
     def name(self) -> str:
@@ -114,8 +107,7 @@ class FrictionLearning:
 
     def run(self) -> dict[str, Any]:
         """Learn; the result is the dictionary of the simplest estimator, whose numbers suit all the others."""
-        run = identify(self.plant, model=self.model, from_recording=self.recording, sweep=self.sweep, seed=self.seed)
-        return run.fit_estimator("differences", seed=self.seed).to_dict()
+        return self.identification().fit_estimator("differences", seed=self.seed).to_dict()
 
     def check(self, result: Any) -> None:
         """Refuse what is no estimator."""

@@ -124,7 +124,8 @@ Place = Literal["joint", "actuator", "sensor", "world"]
 
 # Share of the excess error that effects may leave and be named. In 160 blind trials, those that were there left 0.19 at
 # most, and those that stood in for physics of no catalogue 0.4 to 0.7, save one that left 0.2; what real rigs leave
-# beside friction that is known to be there is 0.25.
+# beside friction that is known to be there is 0.25. Effects that are told by when they act alone may leave less; what
+# effects of the state leave is no matter any more.
 LEAVES = 1 / 3
 
 
@@ -146,6 +147,7 @@ class Effect(ABC):
         levels: parameters that are levels of dry friction.
         free: whether its law takes any shape, as a table; such effects are asked where no formula comes to the noise.
         once: whether it happened once, so that other recordings cannot confirm it.
+        of_the_clock: whether it depends on time and not on the state, so that no other recording shares it.
         leaves: share of a mismatch that it may leave and be named. Small for an effect that is told from others by when
             it acts alone: what it leaves may act then as well.
     """
@@ -164,6 +166,7 @@ class Effect(ABC):
     levels: tuple[str, ...] = ()
     free: ClassVar[bool] = False
     once: ClassVar[bool] = False
+    of_the_clock: ClassVar[bool] = False
     leaves: ClassVar[float] = LEAVES
 
     @property

@@ -17,6 +17,7 @@ class Periodic(Effect):
 
     id = "disturbance.periodic"
     place = "joint"
+    of_the_clock = True
     linear = ("sine", "cosine")
     parameters = (
         Parameter("sine", "N"),

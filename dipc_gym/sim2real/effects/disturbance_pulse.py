@@ -17,6 +17,7 @@ class Pulse(Effect):
 
     id = "disturbance.pulse"
     place = "joint"
+    of_the_clock = True
     parameters = (
         Parameter("force", "N"),
         Parameter("start", "s", step=0.1),

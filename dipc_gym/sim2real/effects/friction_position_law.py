@@ -18,9 +18,7 @@ class FrictionOfPosition(Law):
     id = "friction.position:law"
     place = "joint"
     law = "dry friction"
-    of = "position"
     unit = "N"
-    input_unit = "m"
     lowest = 0.0
     rivals = ("friction.speed", "load.position:law")
     contains = ("friction.coulomb", "friction.position", "friction.position:wave")
@@ -28,7 +26,7 @@ class FrictionOfPosition(Law):
 
     def __init__(self, knots: Sequence[float] = (), values: Sequence[float] = ()) -> None:
         super().__init__(knots, values)
-        self.levels = self.linear = tuple(p.name for p in self.parameters)
+        self.levels = self.linear
 
     def table(self, evidence: Evidence) -> tuple[Array, Array]:
         """Force that opposes motion, by position."""
@@ -47,8 +45,4 @@ class FrictionOfPosition(Law):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        return f"Dry friction at {at} that depends on position: {self.where(values, unit)} {_of(unit, self)}."
-
-
-def _of(unit: Mapping[str, str], law: Law) -> str:
-    return "rad" if unit[law.parameters[0].name].startswith("N m") else "m"
+        return f"Dry friction at {at} that depends on position: {self.where(values, unit)} {self.per(unit, 'm')}."

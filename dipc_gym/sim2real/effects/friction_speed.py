@@ -23,17 +23,14 @@ class FrictionOfSpeed(Law):
     id = "friction.speed"
     place = "joint"
     law = "dry friction"
-    of = "speed"
     unit = "N"
-    input_unit = "m/s"
     lowest = 0.0
     rivals = ("friction.position:law", "friction.asymmetric")
     contains = ("friction.coulomb", "friction.stribeck", "friction.viscous", "drag.quadratic")
 
     def __init__(self, knots: Sequence[float] = (), values: Sequence[float] = ()) -> None:
         super().__init__(knots, values)
-        self.levels = tuple(p.name for p in self.parameters[:1])
-        self.linear = tuple(p.name for p in self.parameters)
+        self.levels = self.linear[:1]
 
     def table(self, evidence: Evidence) -> tuple[Array, Array]:
         """Force that opposes motion, by speed."""
@@ -54,8 +51,7 @@ class FrictionOfSpeed(Law):
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         levels, force = self.values(values), unit[self.parameters[0].name]
-        most = self.knots[-1]
-        per = "rad/s" if force.startswith("N m") else "m/s"
+        most, per = self.knots[-1], self.per(unit, "m/s")
         return (
             f"Friction at {at} that depends on speed: {levels[0]:.3g} {force} at rest, {min(levels):.3g} to "
             f"{max(levels):.3g} {force} up to {most:.3g} {per}."

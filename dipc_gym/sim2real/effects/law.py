@@ -27,10 +27,9 @@ class Law(Effect):
     """
 
     free = True
-    of: str  # what the law depends on, in words
-    input_unit: str
     unit: str
     lowest = -np.inf  # value
+    from_nothing = True  # whether the whole law at zero does nothing, and half of it half as much
 
     def __init__(self, knots: Sequence[float] = (), values: Sequence[float] = ()) -> None:
         self.knots, self.first = tuple(map(float, knots)), tuple(map(float, values))
@@ -39,6 +38,7 @@ class Law(Effect):
         self.parameters = tuple(
             Parameter(name, self.unit, self.lowest, step=0.3 * size, sigma=LOOSE / 0.3) for name in names
         )
+        self.linear = tuple(names) if self.from_nothing else ()
 
     @abstractmethod
     def table(self, evidence: Evidence) -> tuple[Array, Array] | None:
@@ -64,6 +64,10 @@ class Law(Effect):
     def values(self, values: Values) -> list[float]:
         """The values of the table, in the order of its knots."""
         return [values[p.name] for p in self.parameters]
+
+    def per(self, unit: Mapping[str, str], slide: str) -> str:
+        """Unit of the input, from that of the values: what is `slide` along an axis turns in radians about one."""
+        return slide.replace("m", "rad") if unit[self.parameters[0].name].startswith("N m") else slide
 
     def where(self, values: Values, unit: Mapping[str, str]) -> str:
         """Range and place of the largest value, in words."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -17,15 +17,9 @@ class ForceOfPosition(Law):
 
     id = "load.position:law"
     place = "joint"
-    of = "position"
     unit = "N"
-    input_unit = "m"
     rivals = ("friction.position:law", "motor.cogging")
     contains = ("load.constant", "load.spring", "load.position")
-
-    def __init__(self, knots: Sequence[float] = (), values: Sequence[float] = ()) -> None:
-        super().__init__(knots, values)
-        self.linear = tuple(p.name for p in self.parameters)
 
     def table(self, evidence: Evidence) -> tuple[Array, Array]:
         """The unexplained force by position, beside what goes with velocity."""
@@ -43,5 +37,4 @@ class ForceOfPosition(Law):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        per = "rad" if unit[self.parameters[0].name].startswith("N m") else "m"
-        return f"A force at {at} that depends on position: {self.where(values, unit)} {per}."
+        return f"A force at {at} that depends on position: {self.where(values, unit)} {self.per(unit, 'm')}."

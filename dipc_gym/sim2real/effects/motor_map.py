@@ -19,9 +19,8 @@ class CommandMap(Law):
     id = "motor.map"
     place = "actuator"
     law = "command"
-    of = "command"
     unit = "command"
-    input_unit = "command"
+    from_nothing = False
     rivals = ("motor.deadzone", "motor.saturation")
     contains = ("motor.deadzone", "motor.saturation")
     needs_loader = True

@@ -23,6 +23,7 @@ class Thermal(Effect):
 
     id = "motor.thermal"
     place = "actuator"
+    of_the_clock = True
     parameters = (
         Parameter("thermal_resistance", "K/W", 1e-9, log=True),
         Parameter("time_constant", "s", 0.5, 1e4, log=True),

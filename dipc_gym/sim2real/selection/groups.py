@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dipc_gym.sim2real.effects.base import LEAVES
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Structure, carry
 from dipc_gym.sim2real.selection import ranking
@@ -67,8 +66,8 @@ def _kinds(search: Search, ranked: Sequence[tuple[Tried, Fit]]) -> list[list[Tri
     by_id: dict[str, list[Tried]] = {}
     for tried, _ in ranked:
         effect = tried.term.effect
-        of_the_state = effect.leaves >= LEAVES and not (effect.once or effect.free)
-        if effect.place == "joint" and effect.linear and of_the_state and not search.slow(tried.term):
+        usual = effect.place == "joint" and effect.linear and not (effect.of_the_clock or effect.free)
+        if usual and not search.slow(tried.term):
             by_id.setdefault(effect.id, []).append(tried)
     several = [group for group in by_id.values() if len(group) > 1]
     return sorted(several, key=lambda group: -sum(max(tried.promise, 0.0) for tried in group))[:KINDS]

@@ -46,7 +46,11 @@ def judgement(
         late: runs stages, and keeps what was found where one fails.
     """
     source, prepared, nominal, recalibrated = case.given.source, case.prepared, base.nominal, base.recalibrated
-    joints, notes = prepared.structure.base, [*found.notes]
+    joints, concluded = prepared.structure.base, found
+    found = late(
+        "Which model predicts best", lambda: _best(search, concluded, [recalibrated, nominal]), lambda: concluded
+    )
+    notes = [*found.notes]
     open_choice = late(
         "Whether other numbers would do",
         lambda: findings.choice_shift(found.fitted, found.others),
@@ -58,11 +62,6 @@ def judgement(
         coarse = final
         final = late("A fit at half the step", lambda: search.refine(coarse), lambda: coarse)
         test = test if final is coarse else replace(test, finer=2)
-    chosen = final
-    final, note = late(
-        "Which model predicts best", lambda: _best(search, chosen, [recalibrated, nominal]), lambda: (chosen, "")
-    )
-    notes += [note] if note else []
     found = replace(found, fitted=final)
     three = (nominal, recalibrated, final)
     fitted = Errors(*(f.error for f in three))
@@ -142,17 +141,18 @@ def judgement(
     )
 
 
-def _best(search: Search, final: Fit, others: Sequence[Fit]) -> tuple[Fit, str]:
-    """A fit, or the first of others that clearly predicts validation data better, and a note that says so.
+def _best(search: Search, found: Conclusion, others: Sequence[Fit]) -> Conclusion:
+    """A conclusion, or the first of other fits that clearly predicts validation data better, with a note on that.
 
     Nobody is given a model that predicts worse than what they had.
     """
-    error = judge.error_on(search.validation, final)
+    error = judge.error_on(search.validation, found.fitted)
     for other in others:
         without = judge.error_on(search.validation, other)
         if judge.refuted(without, error):
-            return other, sentences.refutation(final.structure.terms, without, error, "Refitted numbers")
-    return final, ""
+            note = sentences.refutation(found.fitted.structure.terms, without, error, "Refitted numbers")
+            return Conclusion(other, notes=[*found.notes, note])
+    return found
 
 
 def files_of(source: mjcf.Source, text: str) -> dict[str, bytes]:
