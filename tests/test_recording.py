@@ -532,6 +532,26 @@ def test_what_looks_like_degrees_stops_until_the_unit_is_told(tmp_path: Path, mo
         refuse_degrees([read(in_degrees, limited)], limited, ())
 
 
+def test_a_pole_that_goes_round_and_round_is_no_angle_in_degrees(tmp_path: Path) -> None:
+    weight = mjcf.compile(RIG.replace('pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="pole"', PENDULUM))
+    weight.opt.timestep = 0.002
+    data = mujoco.MjData(weight)
+    data.qvel[1] = 9.0
+    rows = []
+    for k in range(2000):
+        rows.append((data.time, np.sin(k / 90), *data.qpos))
+        mujoco.mj_step1(weight, data)
+        data.ctrl[:] = rows[-1][1]
+        mujoco.mj_step2(weight, data)
+    time, motor, cart, pole = np.array(rows).T
+    assert pole.max() > 4 * math.pi
+    columns = {"time": time, "motor": motor, "cart": cart, "pole": pole}
+    refuse_degrees([read(save(tmp_path / "turns.csv", table(columns)), weight)], weight, ())
+    swings = save(tmp_path / "swings.csv", table({**columns, "pole": np.degrees(0.3 * np.sin(2 * time))}))
+    with pytest.raises(RecordingError, match="looks like degrees"):
+        refuse_degrees([read(swings, weight)], weight, ())
+
+
 def test_suspect_units_are_noted(tmp_path: Path, model: mujoco.MjModel) -> None:
     columns = run(2000)
     assert "--unit pole=deg" in noted(tmp_path, model, pole=np.degrees(columns["pole"]))

@@ -23,8 +23,7 @@ TRIAL = Path(__file__).parent / "trial"
 def test_names_what_is_missing_and_predicts_a_recording_that_it_never_saw(tmp_path: Path) -> None:
     answer = json.loads((TRIAL / "answer.json").read_text())
     source = mjcf.read(TRIAL / "nominal.xml")
-    turns = {"axis": "rad"}  # it makes many, which looks like degrees until it is said
-    runs = recording.read_all([TRIAL / "train_1.npz", TRIAL / "train_2.npz"], mjcf.compile(source), units=turns)
+    runs = recording.read_all([TRIAL / "train_1.npz", TRIAL / "train_2.npz"], mjcf.compile(source))
     found = diagnose(source, runs)
     improved = tmp_path / "improved.xml"
     improved.write_text(found.improved)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
 
 from dipc_gym.mjcf import is_hinge
 from dipc_gym.recording.tables import RecordingError
@@ -18,13 +20,16 @@ if TYPE_CHECKING:
 TURNS = 2.0  # either way, that a joint with a weight on it seldom makes
 BEYOND = 3.0  # times its range, where a joint has one
 MOST = 1.1 * 360.0  # beyond this it would be many turns in degrees too
+SMOOTH = 0.05  # s over which a reading is taken for a cubic, to know its acceleration
+SAMPLES = 2000  # at which accelerations are compared
+CLEARLY = 0.5  # share of the error in degrees below which a model's accelerations say that an angle is in radians
 
 
 def look_like_degrees(recording: Recording, model: mujoco.MjModel) -> list[str]:
     """Names of the sensors whose angles go where their joint cannot, and would not in degrees.
 
     A joint without limits that carries no weight, such as a motor's axis, may turn as often as it likes, and is never
-    among them.
+    among them; nor is a pole that goes round and round as its model says it must.
 
     Args:
         recording: in SI units, as `recording.read` gives it.
@@ -43,7 +48,7 @@ def look_like_degrees(recording: Recording, model: mujoco.MjModel) -> list[str]:
             suspect = 2 * math.pi * TURNS < peak <= MOST and _weighs(model, joint)
         if suspect:
             found.append(name)
-    return found
+    return found if found and not _turns(recording, model, found) else []
 
 
 def refuse_degrees(recordings: Iterable[Recording], model: mujoco.MjModel, told: Iterable[str]) -> None:
@@ -66,6 +71,42 @@ def refuse_degrees(recordings: Iterable[Recording], model: mujoco.MjModel, told:
                     f"{recording.path or recording.name}: sensor {name!r} reaches {peak:.4g} rad, which looks like "
                     f"degrees; say --unit {name}=deg if these are, or --unit {name}=rad if they are not"
                 )
+
+
+def _turns(recording: Recording, model: mujoco.MjModel, names: list[str]) -> bool:
+    """Whether a model's accelerations say that these angles are in radians: a pole may well go round and round."""
+    columns = [recording.sensor_names.index(name) for name in names]
+    in_degrees = recording.sensors.copy()
+    in_degrees[:, columns] *= math.pi / 180
+    far = [_off(recording, sensors, model, names) for sensors in (recording.sensors, in_degrees)]
+    return far[0] < CLEARLY * far[1]
+
+
+def _off(recording: Recording, sensors: NDArray[np.float64], model: mujoco.MjModel, names: list[str]) -> float:
+    """How far accelerations of these sensors are from the model's, relative to their size."""
+    read = {
+        name: int(model.sensor(name).objid[0])
+        for name in recording.sensor_names
+        if model.sensor(name).type[0] == mujoco.mjtSensor.mjSENS_JOINTPOS
+    }
+    period = float(np.median(np.diff(recording.time)))
+    length = max(5, 2 * round(SMOOTH / period / 2) + 1)
+    if len(sensors) < length:
+        return 1.0
+    motion = [savgol_filter(sensors, length, 3, deriv=order, delta=period, axis=0) for order in range(3)]
+    data = mujoco.MjData(model)
+    which = np.linspace(0, len(sensors) - 1, min(SAMPLES, len(sensors))).astype(np.intp)
+    found = np.empty((len(which), len(names)))
+    for row, k in enumerate(which):
+        for name, joint in read.items():
+            column = recording.sensor_names.index(name)
+            data.qpos[model.jnt_qposadr[joint]] = motion[0][k, column]
+            data.qvel[model.jnt_dofadr[joint]] = motion[1][k, column]
+        data.ctrl[: recording.commands.shape[1]] = recording.commands[k]
+        mujoco.mj_forward(model, data)
+        found[row] = [data.qacc[model.jnt_dofadr[read[name]]] for name in names]
+    measured = motion[2][which][:, [recording.sensor_names.index(name) for name in names]]
+    return float(np.linalg.norm(measured - found)) / max(float(np.linalg.norm(measured)), 1e-300)
 
 
 def _weighs(model: mujoco.MjModel, joint: int) -> bool:
