@@ -82,9 +82,12 @@ def locked(text: str, joints: Collection[str]) -> str:
                 parent.remove(child)
                 gone.add(child.get("name", ""))
     for custom in root.iter("custom"):
-        for effect in custom.findall("numeric"):
+        entries = custom.findall("numeric")
+        of_what = [(t.get("name", ""), t.get("data", "").partition(" ")[2]) for t in custom.findall("text")]
+        for effect in entries:
             prefix, _, rest = effect.get("name", "").partition(":")
-            if prefix == mjcf.PREFIX and rest.partition(":")[2] in gone:
+            inputs = {of for name, of in of_what if name in (f"{mjcf.INPUTS}{k}:{rest}" for k in (1, 2))}
+            if prefix == mjcf.PREFIX and ({rest.partition(":")[2]} | inputs) & gone:
                 custom.remove(effect)
     return ET.tostring(root, encoding="unicode")
 

@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -53,6 +53,8 @@ class Moment:
         drive: force of the actuators on the joint, N or N m, (...).
         weight: force that gravity and the motion of other joints ask of it, MuJoCo's bias, N or N m, (...).
         value: the command or the reading to change, (...); zeros for forces and friction.
+        speed: velocity of the joint it acts on, m/s or rad/s, (...); zeros for commands and sensors.
+        inputs: what else a law depends on, in the order in which the file names them, (...) each.
     """
 
     time: Array
@@ -60,6 +62,8 @@ class Moment:
     drive: Array
     weight: Array
     value: Array
+    speed: Any = 0.0
+    inputs: tuple[Any, ...] = ()
 
 
 Rule = Callable[[Array, Moment], Array]
@@ -143,9 +147,55 @@ def pulse_force(data: Array, now: Moment) -> Array:
     return np.where(now.time >= data[..., 1], np.where(over, 0.0, data[..., 0]), 0.0)
 
 
+def force_of(data: Array, now: Moment) -> Array:
+    """A force interpolated over one or two inputs; data: speed, counts of both knots, knots of each, levels.
+
+    Each knot of the first input has a row of levels over the second; without a second that has one knot, 0. Beyond its
+    ends a table goes on as it ends. A force along the motion fades where the joint is faster than that speed, the
+    largest in the data: it cannot drive it on for ever.
+    """
+    first, second = now.inputs
+    force = _surface(data[..., 3:], data[..., 1], data[..., 2], first, second)
+    fades = np.clip(np.abs(now.speed) / data[..., 0] - 1.0, 0.0, 1.0)
+    return np.where(force * now.speed > 0, force * (1.0 - fades), force)
+
+
+def _surface(data: Array, rows: Array, columns: Array, x: Array, y: Array) -> Array:
+    """A table with rows of columns, straight lines between: its knots along both, then its levels.
+
+    The counts are the same in all simulations of a batch.
+    """
+    if not isinstance(data, np.ndarray):  # of the engine, which writes code for it
+        return data.across(rows, columns, x, y)
+    m, n = int(np.ravel(rows)[0]), int(np.ravel(columns)[0])
+    low, high, up = _between(data[..., :m], x)
+    left, right, along = _between(data[..., m : m + n], y)
+    levels = data[..., m + n :]
+    corners = [_entry(levels, r * n + c) for r in (low, high) for c in (left, right)]
+    one, other = (corners[k] + along * (corners[k + 1] - corners[k]) for k in (0, 2))
+    return np.asarray(one + up * (other - one))
+
+
+def _between(knots: Array, x: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Entries below and above a number among knots (..., k), and how far between them it is, 0 to 1."""
+    last = knots.shape[-1] - 1
+    below = np.sum(np.asarray(x)[..., None] >= knots[..., 1:-1], axis=-1) if last else np.zeros(np.shape(x), np.intp)
+    above = np.minimum(below + 1, last)
+    one, other = _entry(knots, below), _entry(knots, above)
+    return below, above, np.clip((x - one) / np.where(last, other - one, 1.0), 0.0, 1.0)
+
+
+def _entry(table: Array, k: NDArray[np.intp]) -> Array:
+    """Entry k (...) of each table (..., n)."""
+    whole = np.broadcast_to(table, (*np.shape(k), table.shape[-1]))
+    return np.asarray(np.take_along_axis(whole, np.asarray(k)[..., None], -1)[..., 0])
+
+
 MOST_KNOTS = 256  # of a table in a file
+MOST_LEVELS = 4096  # of a surface
 
 _TABLES = frozenset({"motor.map"})
+RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
 
 _rules: dict[str, tuple[Stage, Rule]] = {
     "motor.deadzone": ("command", deadzone),
@@ -158,6 +208,7 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     "friction.load": ("friction", friction_under_load),
     "disturbance.periodic": ("force", periodic_force),
     "disturbance.pulse": ("force", pulse_force),
+    RESIDUAL: ("force", force_of),
 }
 
 
@@ -193,6 +244,8 @@ class Extra:
         stage: where it acts.
         index: the control, sensor address or degree of freedom.
         data: the numbers, (k,), or (n, k) for n simulations.
+        inputs: of a law that depends on more than its place: `position`, `velocity` or `command`, and the index of the
+            coordinate, the degree of freedom or the control.
     """
 
     effect: str
@@ -200,6 +253,7 @@ class Extra:
     stage: Stage
     index: int
     data: Array
+    inputs: tuple[tuple[str, int], ...] = ()
 
     def __call__(self, now: Moment) -> Array:
         """Apply the rule."""
@@ -300,8 +354,24 @@ class Physics:
             elif extra.stage == "force":
                 # What was applied in the step before still stands there, so the first one replaces it.
                 others = applied[..., extra.index] if extra.index in pushed else 0.0
-                applied[..., extra.index] = others + extra(_moment(state.time + step / 2))
+                now = _moment(state.time + step / 2)
+                if extra.inputs:
+                    now = replace(now, speed=state.qvel[..., extra.index], inputs=self._seen(extra, state, step))
+                applied[..., extra.index] = others + extra(now)
                 pushed.add(extra.index)
+
+    def _seen(self, extra: Extra, state: mujoco.MjData, step: float) -> tuple[Array, ...]:
+        """What a law depends on, two numbers; positions are those of the middle of a step that begins now."""
+        seen = []
+        for kind, k in extra.inputs:
+            if kind == "command":
+                seen.append(state.ctrl[..., k])
+            elif kind == "velocity":
+                seen.append(state.qvel[..., k])
+            else:
+                joint = int(np.flatnonzero(self.model.jnt_qposadr == k)[0])
+                seen.append(state.qpos[..., k] + step / 2 * state.qvel[..., self.model.jnt_dofadr[joint]])
+        return (*seen, np.zeros_like(seen[0])) if len(seen) == 1 else tuple(seen)
 
     def step(self, data: mujoco.MjData, ctrl: Array, nstep: int = 1) -> None:
         """Advance one simulation by `nstep` steps under a held command (nu,)."""
@@ -328,7 +398,8 @@ def _moment(
     weight: Array | float = 0.0,
     value: Array | float = 0.0,
 ) -> Moment:
-    return Moment(*(np.asarray(x) for x in (time, position, drive, weight, value)))
+    numbers = [np.asarray(x) for x in (time, position, drive, weight, value)]
+    return Moment(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4])
 
 
 def load(source: mjcf.Source | str | Path) -> Physics:
@@ -359,15 +430,14 @@ def from_model(model: mujoco.MjModel) -> Physics:
             near = suggestion(parts[1] if len(parts) > 1 else "", _rules)
             raise mjcf.MjcfError(f"<custom> entry {name!r}: known effects are {', '.join(sorted(_rules))}{near}")
         stage = _rules[parts[1]][0]
-        extras.append(
-            Extra(parts[1], parts[2], stage, _index(model, name, stage, parts[2]), model.numeric(i).data.copy())
-        )
+        index, inputs = _index(model, name, stage, parts[2]), _inputs(model, parts[1], parts[2])
+        extras.append(Extra(parts[1], parts[2], stage, index, model.numeric(i).data.copy(), inputs))
     physics = Physics(model, tuple(extras))
     for extra in physics.extras:
         if not _usable(extra):
             raise mjcf.MjcfError(
                 f"<custom> entry '{mjcf.PREFIX}:{extra.effect}:{extra.at}' has the numbers {extra.data.tolist()}, "
-                f"too few or out of range; {(_rules[extra.effect][1].__doc__ or '').strip()}"
+                f"too few or out of range; {(_rules[extra.effect][1].__doc__ or '').strip().partition(chr(10))[0]}"
             )
     return physics
 
@@ -383,14 +453,49 @@ def _usable(extra: Extra) -> bool:
         knots = numbers[: len(numbers) // 2]
         if len(numbers) % 2 or not 2 <= len(knots) <= MOST_KNOTS or not np.all(np.diff(knots) > 0):
             return False
+    if extra.effect == RESIDUAL and not _is_surface(extra):
+        return False
     # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on.
     places = np.unique([*numbers, *TRIED])
     try:
         with np.errstate(all="ignore"):
-            tried = [extra(_moment(abs(x), x, x, x, x)) for x in places]
+            tried = [extra(replace(_moment(abs(x), x, x, x, x), speed=x, inputs=(x, x))) for x in places]
         return bool(np.all(np.abs(tried) <= LARGEST**2))
     except (IndexError, ValueError):
         return False
+
+
+def _is_surface(extra: Extra) -> bool:
+    """Whether the numbers of a residual law are those of one, and what it depends on is said."""
+    head, rest = extra.data[:3], extra.data[3:]
+    if len(head) < 3 or not 1 <= len(extra.inputs) <= 2 or head[0] <= 0:
+        return False
+    if not (np.all(head[1:] == np.round(head[1:])) and head[1] >= 2 and len(extra.inputs) <= head[2] <= MOST_LEVELS):
+        return False
+    m, n = int(head[1]), int(head[2])
+    sorted_ = np.all(np.diff(rest[:m]) > 0) and np.all(np.diff(rest[m : m + n]) > 0)
+    return bool(m * n <= MOST_LEVELS and len(rest) == m + n + m * n and sorted_)
+
+
+def _inputs(model: mujoco.MjModel, effect: str, at: str) -> tuple[tuple[str, int], ...]:
+    """What a law depends on beyond its place, as `<text>` of `<custom>` names it."""
+    if effect != RESIDUAL:
+        return ()
+    texts = mjcf.texts(model)
+    joints = {model.joint(j).name: j for j in range(model.njnt)}
+    commands = {control: k for k, control in enumerate(mjcf.controls(model))}
+    found = []
+    for name in (f"{mjcf.INPUTS}{k}:{effect}:{at}" for k in (1, 2)):
+        if name not in texts:
+            break
+        kind, _, of = texts[name].partition(" ")
+        known = {"position": joints, "velocity": joints, "command": commands}.get(kind)
+        if known is None or of not in known:
+            what = f"{', '.join(known)}{suggestion(of, known)}" if known else "position, velocity and command"
+            raise mjcf.MjcfError(f"<custom> entry {name!r}: no {texts[name]!r} in the model; there are {what}")
+        address = {"position": model.jnt_qposadr, "velocity": model.jnt_dofadr}.get(kind)
+        found.append((kind, known[of] if address is None else int(address[known[of]])))
+    return tuple(found)
 
 
 def _index(model: mujoco.MjModel, name: str, stage: Stage, at: str) -> int:

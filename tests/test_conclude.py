@@ -45,7 +45,10 @@ def _fitted(name: str) -> SimpleNamespace:
     """A push happens once, heat is a trend; what is plain has one number, everything else two."""
     ids = {"push": "disturbance.pulse", "heat": "motor.thermal"}
     like = [catalogue()[ids.get(key, "friction.coulomb")] for key in name.split()]
-    kinds = [{"once": one.once, "leaves": one.leaves, "needs_loader": False, "place": "joint"} for one in like]
+    kinds = [
+        {"once": one.once, "leaves": one.leaves, "needs_loader": False, "place": "joint", "of_no_kind": False}
+        for one in like
+    ]
     terms = [
         SimpleNamespace(key=key, effect=SimpleNamespace(**kind)) for key, kind in zip(name.split(), kinds, strict=True)
     ]

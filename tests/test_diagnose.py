@@ -314,6 +314,41 @@ def test_a_knock_hidden_under_friction_is_found() -> None:
     assert found.missing[1].parameters["start"]["value"] == pytest.approx(14.05, abs=0.03)
 
 
+def test_what_has_no_name_is_modelled_and_predicts(tmp_path: Path) -> None:
+    """Drag along a stretch of the way, which is in no catalogue: force of position and velocity together."""
+    pole = """<mujoco><option timestep="0.002" integrator="RK4"/><worldbody><body>
+      <inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/><joint name="pole" axis="0 1 0" damping="0.05"/>
+      </body></worldbody><actuator><motor name="motor" joint="pole"/></actuator>
+      <sensor><jointpos name="pole" joint="pole"/></sensor></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(pole)
+    model.opt.timestep = 2e-4
+    runs = []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        data, rows = mujoco.MjData(model), []
+        rates, phases = rng.uniform(0.2, 2.5, 6), rng.uniform(0, 6, 6)
+        for k in range(5_000):
+            torque = 0.5 * float(np.sum(np.sin(2 * np.pi * rates * 0.002 * k + phases)))
+            rows.append((0.002 * k, torque, data.qpos[0] + 1e-4 * rng.normal()))
+            data.ctrl[0] = torque
+            for _ in range(10):
+                data.qfrc_applied[0] = -0.8 * data.qvel[0] * np.exp(-(((data.qpos[0] - 0.4) / 0.3) ** 2))
+                mujoco.mj_step(model, data)
+        time, command, reading = np.array(rows).T
+        runs.append(Recording(f"run {seed}", time, command[:, None], reading[:, None], ("motor",), ("pole",)))
+    source = mjcf.from_text(pole)
+    found = diagnose(source, runs)
+    assert found.verdict == "modelled", found.sentence
+    assert found.missing[0].effect == "unknown"
+    assert found.missing[0].at == "pole"
+    assert "the position of pole" in found.sentence
+    assert "the velocity of pole" in found.sentence
+    assert found.held_out.improved < 0.15 * found.held_out.recalibrated
+    improved = tmp_path / "improved.xml"
+    improved.write_text(found.improved)
+    assert [extra.effect for extra in physics.load(improved).extras] == ["residual.force"]
+
+
 def test_forces_are_judged_beside_predictions(few: list[object]) -> None:
     found = diagnose(mjcf.from_text(NOMINAL), [run(1, 20, 3.0)], effects=few)  # type: ignore[arg-type]
     force = found.to_dict()["fit"]["held_out_force"]["cart"]

@@ -23,6 +23,8 @@ from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.base import Evidence
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.motor_map import CommandMap
+from dipc_gym.sim2real.effects.surfaces import Surface
+from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.effects.waves import waves
 from dipc_gym.sim2real.estimation import evidence
 from dipc_gym.sim2real.estimation.problem import predict
@@ -61,6 +63,7 @@ CONTRACT = [
     "disturbance.pulse",
     "friction.speed",
     "motor.map",
+    "residual.force",
 ]
 # Numbers with which an effect does nothing. A rotor of its own always adds inertia: see the transmissions below.
 NEUTRAL: dict[str, Mapping[str, float]] = {
@@ -487,6 +490,10 @@ def test_hostile_names_survive_every_effect(name: str) -> None:
         if not known.fits(model, at):
             continue
         effect = type(known)((0.0, 0.1), (1.0, 2.0)) if isinstance(known, Law) else known
+        if isinstance(known, UnknownForce):
+            knots = np.array([0.0, 0.1])
+            of = (f"position {name}", f"command {name}")
+            effect = UnknownForce(Surface(of, (knots, knots), np.array([[1.0, 2.0], [3.0, 4.0]])))
         values = {p.name: max(p.low, 0.01) if p.name != "first" else -1.0 for p in effect.parameters}
         structure = base.with_term(Term(effect, at, values))
         written = structure.write(structure.first).text()

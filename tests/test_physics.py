@@ -10,13 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mujoco import batch
+from scipy.interpolate import RegularGridInterpolator
 
 from dipc_gym import mjcf, physics
+from dipc_gym.engine import program
+from dipc_gym.engine.run import Commands, Jobs
+from dipc_gym.engine.run import run as engine_run
 
 MASS = 2.0
 
 
-def cart(custom: str = "", axis: str = "1 0 0", timestep: float = 1e-3) -> physics.Physics:
+def cart(
+    custom: str = "", axis: str = "1 0 0", timestep: float = 1e-3, clock: str = '<clock name="clock"/>'
+) -> physics.Physics:
     """A mass on a rail, a force motor, its position sensed."""
     return physics.load(f"""
         <mujoco>
@@ -30,7 +36,7 @@ def cart(custom: str = "", axis: str = "1 0 0", timestep: float = 1e-3) -> physi
           </worldbody>
           <actuator><motor name="motor" joint="cart"/></actuator>
           <sensor>
-            <clock name="clock"/>
+            {clock}
             <jointpos name="x" joint="cart"/>
           </sensor>
           <custom>{custom}</custom>
@@ -47,6 +53,11 @@ def run(rig: physics.Physics, command: float, steps: int, x: float = 0.0) -> muj
     mujoco.mj_forward(rig.model, data)
     rig.step(data, np.array([command]), steps)
     return data
+
+
+def depends(*inputs: str, on: str = "cart") -> str:
+    """What a residual force depends on, as the file says it."""
+    return "".join(f'<text name="dipc_gym:input:{k}:residual.force:{on}" data="{i}"/>' for k, i in enumerate(inputs, 1))
 
 
 # Rules
@@ -280,3 +291,78 @@ def test_entries_that_would_give_no_numbers_are_refused(entry: str, data: str) -
         <custom><numeric name="dipc_gym:{entry}" data="{data}"/></custom></mujoco>"""
     with pytest.raises(mjcf.MjcfError, match=rf"<custom> entry 'dipc_gym:{entry}' has the numbers"):
         physics.load(text)
+
+
+# Residual forces
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.integers(2, 6), st.integers(2, 6))
+def test_a_residual_force_is_its_table_and_goes_on_as_it_ends(seed: int, m: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = (np.cumsum(rng.uniform(0.1, 1.0, k)) for k in (m, n))
+    levels = rng.normal(size=(m, n))
+    custom = entry("residual.force", "cart", 1e3, m, n, *first, *second, *levels.ravel())
+    rig = cart(custom + depends("position cart", "command motor"))
+    table = RegularGridInterpolator((first, second), levels)
+    data, applied = mujoco.MjData(rig.model), np.zeros(1)
+    for _ in range(20):
+        data.qpos[0], data.ctrl[0] = rng.uniform(-1, 7, 2)
+        rig.act(data, np.zeros(1), applied)
+        inside = np.clip(data.qpos[0], first[0], first[-1]), np.clip(data.ctrl[0], second[0], second[-1])
+        assert applied[0] == pytest.approx(float(np.ravel(table(inside))[0]), abs=1e-12)
+
+
+def test_a_residual_force_drives_nothing_faster_than_the_data_were() -> None:
+    custom = entry("residual.force", "cart", 2.0, 2, 1, -1, 1, 0, 5.0, 5.0) + depends("velocity cart")
+    rig = cart(custom)
+    applied, data = np.zeros(1), mujoco.MjData(rig.model)
+    for speed, force in ((1.9, 5.0), (3.0, 2.5), (4.0, 0.0), (1e6, 0.0), (-1e6, 5.0)):
+        data.qvel[0] = speed
+        rig.act(data, np.zeros(1), applied)
+        assert applied[0] == pytest.approx(force)
+    assert run(rig, 0.0, 20_000).qvel[0] < 4.0
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.integers(0, 10_000))
+def test_no_residual_force_feeds_a_simulation_without_end(seed: int) -> None:
+    """An hour under random commands, on a rig without any loss of its own."""
+    rng = np.random.default_rng(seed)
+    levels = rng.normal(size=(4, 3))
+    knots = (*np.linspace(-1, 1, 4), *np.linspace(-2, 2, 3))
+    rig = cart(
+        entry("residual.force", "cart", 2.0, 4, 3, *knots, *levels.ravel()) + depends("position cart", "velocity cart"),
+        clock="",
+    )
+    what, numbers = program.read([rig])
+    count = 3600 * 50
+    commands = np.cumsum(rng.normal(size=(count, 1)), axis=0)
+    commands = 1e-2 * np.diff(commands, axis=0, prepend=0.0)
+    held = Commands(0.02 * np.arange(count), commands[None])
+    zero, one = np.zeros(1, dtype=np.int64), np.full(1, count)
+    times = np.linspace(0, 3600, 7)[None, None]
+    jobs = Jobs(numbers, np.zeros((1, 1, what.nx)), np.zeros(1), zero, one, held, zero, times, np.full(1, 3600.0))
+    readings, ends = engine_run(what, jobs, 0.02)
+    assert np.isfinite(readings).all()
+    assert abs(ends[0, 0, 1]) < 4.0 + 2.0  # twice the largest speed of the data, and what commands add
+
+
+@pytest.mark.parametrize(
+    ("numbers", "inputs", "why"),
+    [
+        ((1, 2, 1, 0, 1, 0, 5, 6), (), "too few or out of range"),
+        ((1, 2, 1, 1, 0, 0, 5, 6), ("position cart",), "too few or out of range"),
+        ((0, 2, 1, 0, 1, 0, 5, 6), ("position cart",), "too few or out of range"),
+        ((1, 2, 1, 0, 1, 0, 5), ("position cart",), "too few or out of range"),
+        ((1, 2, 1, 0, 1, 0, 5, math.nan), ("position cart",), "too few or out of range"),
+        ((1, 100, 100, *range(200), *[0.0] * 10_000), ("position cart", "velocity cart"), "too few or out of range"),
+        ((1, 2, 1, 0, 1, 0, 5, 6), ("position card",), "did you mean 'cart'"),
+        ((1, 2, 1, 0, 1, 0, 5, 6), ("speed cart",), "position, velocity and command"),
+    ],
+)
+def test_a_residual_force_that_is_none_is_refused(
+    numbers: tuple[float, ...], inputs: tuple[str, ...], why: str
+) -> None:
+    with pytest.raises(mjcf.MjcfError, match=why):
+        cart(entry("residual.force", "cart", *numbers) + depends(*inputs))

@@ -13,7 +13,7 @@ from typing import Any
 from llvmlite import ir
 
 from dipc_gym.engine.layout import JOINTS, Element, Feature, Force, Head, Joint, Kind, Law, Spring
-from dipc_gym.engine.values import INT, POINTER, Code, Index, Numbers, Value, exp, integer, maximum, minimum, sin, where
+from dipc_gym.engine.values import INT, POINTER, Code, Numbers, Value, exp, integer, maximum, minimum, sin, where
 from dipc_gym.physics import Moment
 
 Rule = Callable[[Any, Moment], Any]
@@ -175,9 +175,7 @@ class Attached:
         return slots[2]
 
 
-def laws(
-    code: Code, program: ir.Value, numbers: Numbers, rules: Sequence[Rule], moment: Callable[[Index], Moment]
-) -> Any:
+def laws(code: Code, program: ir.Value, numbers: Numbers, rules: Sequence[Rule], moment: Callable[..., Moment]) -> Any:
     """Repeat for what `<custom>` adds to joints: index of the rule, the joint, and what the rule says of this moment.
 
     Args:
@@ -185,7 +183,7 @@ def laws(
         program: address of its whole numbers.
         numbers: its parameters.
         rules: in the order of their indices.
-        moment: what a rule may look at, by joint.
+        moment: what a rule may look at, by joint and by what else the law depends on.
     """
     return _Laws(code, program, numbers, rules, moment)
 
@@ -215,6 +213,31 @@ class Table:
         share = inside - Value(code, code.at.sitofp(below, along.primal.type))
         one, other = self.numbers[below], self.numbers[code.sum(below, 1)]
         return one + share * (other - one)
+
+    def across(self, rows: Value, columns: Value, x: Value, y: Value) -> Value:
+        """A table with rows of columns, straight lines between: its knots along both, then its levels."""
+        code = self.code
+        m, n = rows.floor(), columns.floor()
+        low, high, up = self._between(self.numbers, m, x)
+        left, right, along = self._between(self.numbers.since(m), n, y)
+        levels, found = self.numbers.since(code.sum(m, n)), []
+        for k in (low, high):
+            row = code.product(k, n)
+            one, other = (levels[code.sum(row, c)] for c in (left, right))
+            found.append(one + along * (other - one))
+        return found[0] + up * (found[1] - found[0])
+
+    def _between(self, knots: Numbers, count: ir.Value, x: Value) -> tuple[ir.Value, ir.Value, Value]:
+        """Entries below and above a number among knots, and how far between them it is."""
+        code, below = self.code, self.code.counter()
+        below.set(integer(0))
+        last = code.sum(count, -1)
+        with code.count(last, 1) as k, code.when(x >= knots[k]):
+            below.set(code.sum(below.get(), 1))
+        under, several = below.get(), code.below(integer(0), last)
+        above = code.at.select(several, code.sum(under, 1), under)
+        span = where(several, knots[above] - knots[under], code.value(1.0))
+        return under, above, minimum(maximum((x - knots[under]) / span, 0.0), 1.0)
 
 
 class Stops:
@@ -261,7 +284,8 @@ def written(rule: Rule) -> bool:
     numbers, count = code.function.args
     now: Any = Moment
     try:
-        of = now(**{name: code.value(0.0) for name in ("time", "position", "drive", "weight", "value")})
+        names = ("time", "position", "drive", "weight", "value", "speed")
+        of = now(**{name: code.value(0.0) for name in names}, inputs=(code.value(0.0), code.value(0.0)))
         code.value(rule(Table(code, Numbers(code, numbers, numbers), count), of))
     except Exception:  # whatever a law of somebody's does with numbers that are none yet
         return False
@@ -309,7 +333,7 @@ class _Laws:
         own = self.numbers.since(code.whole(law, Law.NUMBERS))
         table, said = Table(code, own, code.whole(law, Law.COUNT)), code.scratch(1)
         said[0] = 0.0
-        now = self.moment(joint)
+        now = self.moment(joint, [code.whole(law, part) for part in (Law.FIRST, Law.SECOND)])
         for k, rule in enumerate(self.rules):
             with code.when(code.equal(which, k)):
                 said[0] = rule(table, now)

@@ -124,7 +124,9 @@ class Law(IntEnum):
     JOINT = 1
     NUMBERS = 2  # index of its first number
     COUNT = 3
-    SIZE = 4
+    FIRST = 4  # state that it depends on, or STATES and a command; and the next
+    SECOND = 5
+    SIZE = 6
 
 
 class Row(IntEnum):

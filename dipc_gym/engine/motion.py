@@ -12,7 +12,7 @@ from typing import Any
 from llvmlite import ir
 
 from dipc_gym.engine.forces import Attached, Rule, depth_of, laws
-from dipc_gym.engine.layout import JOINTS, STOPS, Element, Head, Joint, Kind, Spring
+from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Element, Head, Joint, Kind, Spring
 from dipc_gym.engine.values import (
     INT,
     LANES,
@@ -118,9 +118,11 @@ class _Rates:
                         still[k] = 0.0
                     self._kernel_tangent(still, self.bias.beside)
 
-            def moment(joint: Index) -> Moment:
+            def moment(joint: Index, inputs: Sequence[ir.Value]) -> Moment:
                 values: Any = Moment  # made for arrays; values stand in for them
                 return values(
+                    speed=self.speeds[joint],
+                    inputs=tuple(self._seen(one) for one in inputs),
                     time=self.time[0],
                     position=self.states[joint],
                     drive=self.drives[joint],
@@ -134,6 +136,16 @@ class _Rates:
                     into = self.levels if dry else self.forces
                     with code.when(code.equal(which, k)):
                         into[joint] = says if dry else into[joint] + says
+
+    def _seen(self, one: ir.Value) -> Value:
+        """A state or a command that a law depends on."""
+        code, found = self.code, self.code.scratch(1)
+        with code.either(code.below(one, STATES)) as (state, command):
+            with state:
+                found[0] = self.states[one]
+            with command:
+                found[0] = self.commands[code.sum(one, -STATES)]
+        return found[0]
 
     def _kernel_tangent(self, accelerations: Numbers, out: ir.Value) -> None:
         states, speeds, numbers = self.states, self.speeds, self.numbers

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import layout, rigid
 from dipc_gym.engine.forces import written
-from dipc_gym.engine.layout import Element, Feature, Force, Head, Kind, Law, Sensor, Spring
+from dipc_gym.engine.layout import STATES, Element, Feature, Force, Head, Kind, Law, Sensor, Spring
 from dipc_gym.physics import Physics
 
 Array = NDArray[np.float64]
@@ -348,11 +348,24 @@ class _Writer:
             law = [0] * int(Law.SIZE)
             law[Law.RULE], law[Law.JOINT] = known.index(extra.effect), extra.index
             law[Law.NUMBERS], law[Law.COUNT] = len(self.numbers), len(extra.data)
+            seen = [self._input(extra.effect, kind, k) for kind, k in extra.inputs]
+            law[Law.FIRST : Law.SECOND + 1] = [*seen, 0, 0][:2]
             self.numbers += extra.data.tolist()
             laws.append(law)
         self.ints[Head.LAW_AT], self.ints[Head.LAWS] = len(self.ints), len(laws)
         self.ints[Head.WEIGHED] = int(self.physics.pressed)
         self.ints += [number for law in laws for number in law]
+
+    def _input(self, effect: str, kind: str, k: int) -> int:
+        """Where the loop finds what a law depends on."""
+        model = self.model
+        if kind == "command":
+            if model.actuator_delay.any():
+                raise Uncovered(f"the law of {effect}, which depends on a command beside delayed ones,")
+            return STATES + k
+        if kind == "velocity":
+            return int(model.nv) + k
+        return int(model.jnt_dofadr[int(np.flatnonzero(model.jnt_qposadr == k)[0])])
 
 
 def rules() -> list[tuple[str, physics.Rule, bool]]:

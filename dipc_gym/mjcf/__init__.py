@@ -1,6 +1,7 @@
 """MJCF files: read and compile those of strangers, ask a model what it commands and senses, edit its text."""
 
 from dipc_gym.mjcf.model import (
+    INPUTS,
     PREFIX,
     base_joints,
     check_supported,
@@ -19,6 +20,7 @@ from dipc_gym.mjcf.scan import MjcfError
 from dipc_gym.mjcf.source import Source, compile, from_text, quiet_mujoco, read
 
 __all__ = [
+    "INPUTS",
     "PREFIX",
     "MjcfError",
     "Source",

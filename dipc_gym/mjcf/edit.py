@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from xml.parsers import expat
 
 from dipc_gym.mjcf.defaults import effective
-from dipc_gym.mjcf.model import FOLLOWS, PASSIVE, PREFIX
+from dipc_gym.mjcf.model import FOLLOWS, INPUTS, PASSIVE, PREFIX
 from dipc_gym.mjcf.scan import MjcfError
 from dipc_gym.mjcf.source import Source
 
@@ -203,6 +203,16 @@ class Document:
                 self.set(entry, data=list(data))
                 return
         self.add("custom", "numeric", name=name, data=list(data))
+
+    def depends(self, effect: str, at: str, inputs: Sequence[str]) -> None:
+        """Say what a law that the loader applies depends on: `position cart`, `velocity pole1` or `command motor`."""
+        for k, said in enumerate(inputs, 1):
+            name = f"{INPUTS}{k}:{effect}:{at}"
+            entry = next((e for e in self.root.iterfind("custom/text") if e.get("name") == name), None)
+            if entry is None:
+                self.add("custom", "text", name=name, data=said)
+            else:
+                self.set(entry, data=said)
 
     def follows(self, joint: str, leader: str) -> None:
         """Say that an unseen joint starts where another one is."""

@@ -20,6 +20,9 @@ PASSIVE = "dipc_gym:passive:"
 # One with this prefix names a joint behind a gap or a spring; it says which joint it follows.
 FOLLOWS = "dipc_gym:follows:"
 
+# One with this prefix and then `1:EFFECT:PLACE` says what a law there depends on first: `position cart`.
+INPUTS = "dipc_gym:input:"
+
 SUPPORTED = (
     "Supported are models with hinge and slide joints and no contacts, with any number of actuators, "
     "whose scalar sensors determine the joints."

@@ -6,7 +6,7 @@ import math
 import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import mujoco
@@ -69,6 +69,7 @@ class Evidence:
         level: of dry friction that the structure has there already, N or N m; None without.
         at: name of the place.
         odd: times at which windows begin that are predicted far worse than most, the worst first, s.
+        inputs: what a law may depend on, (n,) each: `position cart`, `velocity pole1`, `command motor`.
     """
 
     model: mujoco.MjModel
@@ -85,6 +86,7 @@ class Evidence:
     level: float | None = None
     at: str = ""
     odd: tuple[float, ...] = ()
+    inputs: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def force_scale(self) -> float:
@@ -147,6 +149,7 @@ class Effect(ABC):
         levels: parameters that are levels of dry friction.
         free: whether its law takes any shape, as a table; such effects are asked where no formula comes to the noise.
         once: whether it happened once, so that other recordings cannot confirm it.
+        of_no_kind: whether it only models what nothing accounts for, as a law that predicts it: asked last, no name.
         of_the_clock: whether it depends on time and not on the state, so that no other recording shares it.
         leaves: share of a mismatch that it may leave and be named. Small for an effect that is told from others by when
             it acts alone: what it leaves may act then as well.
@@ -167,6 +170,7 @@ class Effect(ABC):
     free: ClassVar[bool] = False
     once: ClassVar[bool] = False
     of_the_clock: ClassVar[bool] = False
+    of_no_kind: ClassVar[bool] = False
     leaves: ClassVar[float] = LEAVES
 
     @property

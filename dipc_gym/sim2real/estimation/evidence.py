@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -85,7 +86,18 @@ class Scene:
             levels.get(joint),
             name,
             self.odd,
+            self._inputs,
         )
+
+    @functools.cached_property
+    def _inputs(self) -> dict[str, Array]:
+        """Whatever a law of no kind may depend on."""
+        found = {f"position {joint}": self.position[:, j] for j, joint in enumerate(self._joints)}
+        found |= {f"velocity {joint}": self.velocity[:, j] for j, joint in enumerate(self._joints)}
+        if not self.model.actuator_delay.any():
+            commands = np.concatenate([r.commands for r in self.recordings])
+            found |= {f"command {name}": commands[:, k] for k, name in enumerate(self.recordings[0].actuator_names)}
+        return found
 
     @property
     def _joints(self) -> list[str]:

@@ -67,6 +67,7 @@ class Search:
             know only those before.
         interrupted: whether Ctrl-C ended the search.
         shapes: whether laws of any shape are asked as well: where no formula comes down to the noise.
+        last: whether laws of no kind are asked, and nothing else: where no law of a kind comes down to the noise.
         path: the fits that were accepted one after another, the first without effects.
         screened: hypotheses of the last round, by what they were laid over and how much worse that is than the
             present fit.
@@ -86,6 +87,7 @@ class Search:
     rounds: list[list[Tried]] = field(default_factory=list)
     interrupted: bool = False
     shapes: bool = False
+    last: bool = False
     path: list[Fit] = field(default_factory=list)
     screened: list[tuple[Fit, float, list[Tried]]] = field(default_factory=list)
     _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict)
@@ -143,6 +145,8 @@ class Search:
         terms, found = current.structure.terms, []
         for effect in self.effects:
             if (effect.once and not quiet(current)) or (effect.free and not self.shapes):
+                continue
+            if effect.of_no_kind != self.last:
                 continue
             for at in places(effect, current.structure.model, self.joints, scene.recordings[0]):
                 if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):
@@ -377,7 +381,7 @@ class Search:
         """
         begin = self.path[0]
         before = [begin] if self.shapes and current.structure.terms else []
-        if self.anchor is None or (current.structure.terms and not before):
+        if self.last or self.anchor is None or (current.structure.terms and not before):
             return [current]
         far = np.abs(begin.z - self.anchor.z).max(initial=0.0) >= 0.1
         return [current, *before, *([self.anchor] if far else [])]
@@ -486,7 +490,12 @@ class Search:
         self.tell("no formula comes down to the noise; asking for laws of any shape")
         self.shapes = True
         self._without_clocks()
-        return self._add(most)
+        named = self._add(most)
+        if named.error <= AT_FLOOR or self.interrupted:
+            return named
+        self.tell("no law of a kind comes down to the noise; modelling what is left")
+        self.last = True
+        return self._add(len(self.joints))
 
     def _without_clocks(self) -> None:
         """Take out what is told by when it acts alone: beside a law of the state it may have nothing to do."""

@@ -135,6 +135,8 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
         return search.path[0], [*notes, sentences.refutation(upheld.structure.terms, recalibrated, left)], frozenset()
     unnamed = set[str]()
     for term in upheld.structure.terms:
+        if term.effect.of_no_kind:  # no name, whatever it is worth
+            continue
         gained = judge.apart(search, upheld, search.without(upheld, term.key))
         if gained.gain < max(judge.NAMED, gained.error):
             unnamed.add(term.key)
@@ -177,7 +179,7 @@ def _rivals(search: Search, full: Fit) -> dict[str, list[judge.Rival]]:
     found: dict[str, list[judge.Rival]] = {}
     for term in full.structure.terms:
         found[term.key] = []
-        if search.interrupted:
+        if search.interrupted or term.effect.of_no_kind:
             continue
         try:
             search.tell(f"what could stand in for {term.key}?")

@@ -130,7 +130,7 @@ def missing_effects(
         tried = sorted((_rival(rival, test, errors) for rival in rivals), key=lambda one: one["held_out"])
         missing.append(
             Missing(
-                term.effect.name,
+                "unknown" if term.effect.of_no_kind else term.effect.name,
                 term.at,
                 sentence,
                 judge.share(search, final, term.key),

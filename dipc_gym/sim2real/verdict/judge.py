@@ -28,6 +28,7 @@ SMALL = 1e-3  # of the motion within a window: a smaller mismatch is called miss
 PATTERN = 0.1  # share of the variance of the unexplained force that goes with something, from which it has one
 REFUTED = 1.05  # times the error on validation data without an effect, from which it is not named after all
 NAMED = 0.1  # fall of the mean log square error by which an effect must improve predictions to be named
+MODELLED = 0.5  # share of the error beyond the noise that a law without a name may leave to have modelled it
 STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
 
 
@@ -273,7 +274,7 @@ def apart(search: Search, new: Fit, old: Fit) -> Comparison:
     return compare(after, before, np.append(blocks, search.validation.blocks + blocks.max(initial=0) + 1))
 
 
-def verdict(errors: Sequence[float], small: bool, terms: int, changed: int, unnamed: int = 0) -> str:
+def verdict(errors: Sequence[float], small: bool, terms: int, changed: int, unnamed: int = 0, modelled: int = 0) -> str:
     """The verdict from errors on held-out windows, in units of noise.
 
     Args:
@@ -281,9 +282,13 @@ def verdict(errors: Sequence[float], small: bool, terms: int, changed: int, unna
         small: whether what refitted numbers leave is `negligible`.
         terms: how many effects were found and named.
         unnamed: how many improve predictions without a name.
+        modelled: laws of no kind.
         changed: how many own numbers had to change.
     """
     nominal, recalibrated, improved = errors
+    if modelled:
+        much = improved <= AT_FLOOR or improved - 1 < MODELLED * (recalibrated - 1)
+        return "partly explained" if terms else "modelled" if much else "unexplained"
     if terms:
         return "explained" if improved <= AT_FLOOR else "partly explained"
     if unnamed:

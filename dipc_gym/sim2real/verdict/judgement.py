@@ -90,13 +90,15 @@ def judgement(
     )
     changed = late("Which numbers changed", lambda: findings.changed_numbers(final, wide), list[dict[str, Any]])
     small = judge.negligible(errors.recalibrated, case.test.motion, located[0])
-    named_terms = [term for term in final.structure.terms if term.key not in found.unnamed]
+    modelled = [term for term in final.structure.terms if term.effect.of_no_kind]
+    named_terms = [term for term in final.structure.terms if term not in modelled and term.key not in found.unnamed]
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved),
         small,
         len(named_terms),
         len(changed),
-        len(final.structure.terms) - len(named_terms),
+        len(found.unnamed),
+        len(modelled),
     )
     missing = late(
         "How much each effect is worth",
@@ -108,7 +110,7 @@ def judgement(
     if verdict == "consistent":
         changed = []
     notes += sentences.other_numbers(changed, [other.structure.numbers for other in found.others])
-    if verdict in ("partly explained", "unexplained"):
+    if verdict in ("partly explained", "unexplained") and errors.improved > judge.AT_FLOOR:
         named = missing
         missing = late(
             "Where what is left acts",

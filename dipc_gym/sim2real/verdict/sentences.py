@@ -45,7 +45,8 @@ def in_one_sentence(
     if verdict == "explained":
         return f"The model lacks this: {known} {fall}; what is left looks like noise."
     if verdict == "modelled":
-        return f"What the model lacks has no name, but a law that predicts it: see the notes. {fall}"
+        law = " ".join(m.sentence for m in missing) or "What the model lacks has no name, but a law that predicts it."
+        return f"{law} {fall}.{rest}"
     if verdict == "partly explained":
         return f"{known} That helps, but structure is left that no known effect accounts for. {fall}."
     return f"{missing[0].sentence if missing else ''} {fall}.".strip()

@@ -1,0 +1,185 @@
+"""What an unexplained force depends on: a table over one or two inputs, as coarse as it may be.
+
+Every input, and every pair of the better ones, first gets an even table by linear regression; blocks of time that did
+not fit it say what it is worth. The table of the inputs that tell most is then grown knot by knot along either axis,
+as LOLIMOT halves boxes (Nelles 1996), and pruned to the fewest knots that the other blocks ask for.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from dipc_gym.sim2real.effects.tables import BLOCK, COVERED, SPARE
+
+Array = NDArray[np.float64]
+Sums = tuple[sparse.csr_array, Array, float]  # normal matrix, right-hand side, sum of squares
+
+ALONE, BOTH = 32, 16  # bins along one input, and along each of two; no knots lie closer
+PAIRED = 8  # of the better inputs, that are tried in pairs
+TELLS = 0.1  # share of what one input takes, by which two have to take more
+STIFF = (1e-3, 0.1, 10.0)  # of an even table: weight of its bends, against that of its samples
+LEAST = 0.002  # share of the variance that a table must take of blocks that it did not see
+MOST_LEVELS = 72  # of a table
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A table over one or two inputs.
+
+    Attributes:
+        inputs: their names.
+        knots: along each of them, increasing.
+        levels: (m,) or (m, n).
+    """
+
+    inputs: tuple[str, ...]
+    knots: tuple[Array, ...]
+    levels: Array
+
+
+def surface(inputs: Mapping[str, Array], force: Array, time: Array) -> Surface | None:
+    """The table that a force asks for; None where none tells anything.
+
+    Args:
+        inputs: what it may depend on, (n,) each.
+        force: to be explained, (n,).
+        time: s, (n,), beginning anew with each recording.
+    """
+    late = np.floor(time / BLOCK).astype(np.intp) % 2 == 1
+    if late.all() or not late.any():
+        return None
+    halves = (~late, late)
+    moving = {name: x for name, x in inputs.items() if np.ptp(x) > 0}
+    alone: dict[tuple[str, ...], float] = {
+        (name,): _Even([x], force, halves, ALONE).worth for name, x in moving.items()
+    }
+    better = sorted(alone, key=lambda one: -alone[one])[:PAIRED]
+    pairs = {(*a, *b): _Even([moving[a[0]], moving[b[0]]], force, halves, BOTH).worth for a, b in _pairs(better)}
+    if not alone:
+        return None
+    chosen, two = better[0], max(pairs, key=lambda one: pairs[one], default=better[0])
+    if (alone | pairs)[two] > alone[chosen] + TELLS * max(alone[chosen], LEAST):
+        chosen = two
+    if (alone | pairs)[chosen] < LEAST:
+        return None
+    even = _Even([moving[name] for name in chosen], force, halves, ALONE if len(chosen) == 1 else BOTH)
+    knots, levels = even.grown()
+    return Surface(chosen, knots, levels)
+
+
+def _pairs(one: Sequence[tuple[str, ...]]) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
+    return list(itertools.combinations(one, 2))
+
+
+class _Even:
+    """Normal equations of a table on an even grid; tables with fewer knots are subspaces of it.
+
+    Args:
+        inputs: one or two, (n,) each.
+        force: (n,).
+        halves: samples that fit a table, and those that tell what it is worth; then the other way round.
+        bins: along each input.
+    """
+
+    def __init__(self, inputs: Sequence[Array], force: Array, halves: Sequence[NDArray[np.bool_]], bins: int) -> None:
+        self.bins = bins
+        self.edges = [np.linspace(*_span(x), bins + 1) for x in inputs]
+        hats = _hats([(x - e[0]) / (e[-1] - e[0]) for x, e in zip(inputs, self.edges, strict=True)], bins + 1)
+        self.sums: list[Sums] = []
+        for part in halves:
+            some, told = hats[part], force[part]
+            self.sums.append((some.T @ some, some.T @ told, float(told @ told) or 1.0))
+
+    @property
+    def worth(self) -> float:
+        """Share of the squares that a table of all knots, as stiff as it has to be, takes of the half not seen."""
+        bends = _bending([self.bins + 1] * len(self.edges))
+        taken = np.zeros(len(STIFF))
+        for (normal, right, _), told in (self.sums, self.sums[::-1]):
+            size = float(normal.trace()) / len(right)
+            for k, stiff in enumerate(STIFF):
+                levels = np.asarray(np.linalg.solve(normal.toarray() + stiff * size * bends, right))
+                taken[k] += _taken(levels, told) / 2
+        return float(taken.max())
+
+    def grown(self) -> tuple[tuple[Array, ...], Array]:
+        """Knots along each input, and levels: the fewest knots that take nearly as much of the half not seen."""
+        knots = [[0, self.bins] for _ in self.edges]
+        path: list[tuple[list[list[int]], float]] = []
+        while True:
+            path.append((knots, self._confirmed(knots)))
+            tries = [
+                [*knots[:axis], sorted([*knots[axis], k]), *knots[axis + 1 :]]
+                for axis in range(len(knots))
+                for k in range(1, self.bins)
+                if k not in knots[axis]
+            ]
+            tries = [one for one in tries if np.prod([len(axis) for axis in one]) <= MOST_LEVELS]
+            if not tries:
+                break
+            knots = max(tries, key=lambda one: _taken(self._levels(one, self.sums[:1])[1], self.sums[0]))
+        most = max(worth for _, worth in path)
+        chosen = next(one for one, worth in path if worth >= most - SPARE * max(most - path[0][1], 0.0))
+        levels, _ = self._levels(chosen, self.sums)
+        return tuple(e[k] for e, k in zip(self.edges, chosen, strict=True)), levels.reshape([len(k) for k in chosen])
+
+    def _confirmed(self, knots: Sequence[Sequence[int]]) -> float:
+        """Share of the squares that a table with these knots takes of either half when the other fits it."""
+        both = (self.sums, self.sums[::-1])
+        return float(np.mean([_taken(self._levels(knots, [fitted])[1], told) for fitted, told in both]))
+
+    def _levels(self, knots: Sequence[Sequence[int]], sums: Sequence[Sums]) -> tuple[Array, Array]:
+        """Least-squares levels at the knots, and the table on the even grid."""
+        coarse: Array = np.ones((1, 1))
+        for k in knots:
+            line = np.stack([np.interp(np.arange(self.bins + 1), k, unit) for unit in np.eye(len(k))], axis=1)
+            coarse = np.asarray(np.kron(coarse, line))
+        normal = sum(coarse.T @ (one[0] @ coarse) for one in sums)
+        right = coarse.T @ sum(one[1] for one in sums)
+        shape = [len(k) for k in knots]
+        size = float(np.trace(normal)) / len(right)
+        levels = np.asarray(np.linalg.solve(normal + 1e-4 * size * _bending(shape), right))
+        return levels, np.asarray(coarse @ levels)
+
+
+def _span(x: Array) -> tuple[float, float]:
+    low, high = (float(v) for v in np.quantile(x, [COVERED, 1 - COVERED]))
+    return low, max(high, low + 1e-9 * max(1.0, abs(low)))
+
+
+def _hats(shares: Sequence[Array], count: int) -> sparse.csr_array:
+    """Weights of a table's entries at shares of its length along each input, (n, entries)."""
+    n = len(shares[0])
+    columns, weights = np.zeros((n, 1), dtype=np.intp), np.ones((n, 1))
+    for share in shares:
+        along = np.clip(share, 0.0, 1.0) * (count - 1)
+        below = np.minimum(along.astype(np.intp), count - 2)
+        two, parts = np.stack([below, below + 1], axis=1), np.stack([1 - (along - below), along - below], axis=1)
+        columns = (columns[:, :, None] * count + two[:, None, :]).reshape(n, -1)
+        weights = (weights[:, :, None] * parts[:, None, :]).reshape(n, -1)
+    rows = np.repeat(np.arange(n), columns.shape[1])
+    return sparse.csr_array((weights.ravel(), (rows, columns.ravel())), shape=(n, count ** len(shares)))
+
+
+def _bending(counts: Sequence[int]) -> Array:
+    """Penalty on the second differences of a table along each input, and a trace on its size."""
+    out = 1e-3 * np.eye(int(np.prod(counts)))
+    for axis, count in enumerate(counts):
+        second = np.diff(np.eye(count), 2, axis=0)
+        whole: Array = np.ones((1, 1))
+        for k, n in enumerate(counts):
+            whole = np.asarray(np.kron(whole, second.T @ second if k == axis else np.eye(n)))
+        out += whole
+    return np.asarray(out)
+
+
+def _taken(levels: Array, told: Sums) -> float:
+    """Share of the squares of one half that a table on the even grid takes."""
+    normal, right, total = told
+    return float(2 * levels @ right - levels @ (normal @ levels)) / total

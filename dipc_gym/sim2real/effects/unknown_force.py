@@ -1,0 +1,72 @@
+"""What has no name: a force of whatever it goes with, so that the model predicts all the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.physics import RESIDUAL
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.law import LOOSE
+from dipc_gym.sim2real.effects.surfaces import Surface, surface
+
+WORDS = {"position": "the position of {}", "velocity": "the velocity of {}", "command": "the command to {}"}
+
+
+class UnknownForce(Effect):
+    """A force on a joint as a table of one or two inputs: positions, velocities and commands, of any joint.
+
+    It is asked for last, where no effect of the catalogue comes to the noise, and is no name: it says what the unknown
+    depends on, and predicts it. Outside the data it is constant, and it drives nothing beyond the speeds in the data.
+
+    Args:
+        shape: what the evidence asked for; None in the catalogue.
+        speed: largest of the joint in the data.
+    """
+
+    id = RESIDUAL
+    place = "joint"
+    law = "unknown force"
+    free = True
+    of_no_kind = True
+    needs_loader = True
+
+    def __init__(self, shape: Surface | None = None, speed: float = 1.0) -> None:
+        self.shape, self.speed = shape, speed
+        levels = [] if shape is None else shape.levels.ravel().tolist()
+        self.first = {f"level_{k + 1}": level for k, level in enumerate(levels)}
+        size = max((abs(level) for level in levels), default=1.0) or 1.0
+        self.parameters = tuple(Parameter(name, "N", step=0.3 * size, sigma=LOOSE / 0.3) for name in self.first)
+        self.linear = tuple(self.first)
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """A table of what tells most of the unexplained force."""
+        found = surface(evidence.inputs, evidence.force, evidence.time)
+        if found is None:
+            return []
+        shaped = UnknownForce(found, 1.2 * float(np.max(np.abs(evidence.velocity))) or 1.0)
+        return [(shaped, shaped.first)]
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Of a law that has its shape, the values it was given."""
+        return [self.first] if self.shape is not None else []
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A table for the loader; stock MuJoCo leaves it out."""
+        assert self.shape is not None
+        first, second = (*self.shape.knots, np.zeros(1))[:2]
+        levels = [values[name] for name in self.first]
+        document.custom(RESIDUAL, at, [self.speed, len(first), len(second), *first, *second, *levels])
+        document.depends(RESIDUAL, at, self.shape.inputs)
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        assert self.shape is not None
+        levels, force = [values[name] for name in self.first], next(iter(unit.values()))
+        inputs = (WORDS[kind].format(name) for kind, _, name in (one.partition(" ") for one in self.shape.inputs))
+        return (
+            f"Something acts at {at} that no effect in the catalogue accounts for; modelled as a force of "
+            f"{min(levels):.3g} to {max(levels):.3g} {force} that depends on {' and '.join(inputs)}."
+        )
