@@ -152,7 +152,7 @@ def test_what_happened_once_is_looked_for_at_the_noise(
     monkeypatch.setattr("dipc_gym.sim2real.selection.search.places", lambda *_: ["cart"])
     model = SimpleNamespace(dof_frictionloss=np.zeros(1))
     scene = SimpleNamespace(model=model, recordings=[None], at=lambda *_: None)
-    search = SimpleNamespace(effects=[push], joints=(), _plain=lambda *_: {})
+    search = SimpleNamespace(effects=[push], joints=(), last=False, _plain=lambda *_: {})
     current = SimpleNamespace(mse=np.full(9, error**2), structure=SimpleNamespace(terms=(), model=model))
     monkeypatch.setattr(type(push), "guesses", lambda *_: [{}])
     assert bool(Search.hypotheses(search, current, scene)) is tried  # type: ignore[arg-type]
