@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # setuptools warns of every editable installation, in a block of ten lines; the one of a checkout is meant to be one.
 export PYTHONWARNINGS := ignore:Editable installation
 
-.PHONY: compare learning trial trial-full rivals test fuzz kill lint docs notebooks bench clean
+.PHONY: compare learning trial trial-full trial-laws rivals test fuzz kill lint docs notebooks bench clean
 
 compare: .venv/for-compare
 	$(BIN)/dipc-gym compare --out runs/compare --jobs 2
@@ -22,6 +22,11 @@ trial: .venv/for-trial
 
 trial-full: .venv/for-trial
 	$(BIN)/dipc-gym trial --out runs/trial-full --full --jobs 2
+
+# Shapes that no formula has, of physics with a name and without, and the rivals on the same trials.
+trial-laws: .venv/for-rivals
+	$(BIN)/dipc-gym trial --out runs/trial-laws --laws --jobs 2
+	$(BIN)/dipc-gym trial --out runs/trial-laws --laws --jobs 2 --rivals
 
 rivals: .venv/for-rivals
 	$(BIN)/dipc-gym trial --out runs/trial --jobs 2 --rivals

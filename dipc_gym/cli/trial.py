@@ -20,6 +20,7 @@ class Trial:
         dipc-gym trial --out trial
         dipc-gym trial --out trial --rivals
         dipc-gym trial --out trial --count 12 --seed 7
+        dipc-gym trial --out laws --laws
         dipc-gym trial --out big --full --backend ray
     """
 
@@ -28,9 +29,11 @@ class Trial:
     seed: int = 14
     """determines every trial; 14 is that of the published table"""
     count: int | None = None
-    """number of trials; without it 42, or 430 with --full"""
+    """number of trials; without it 42, 430 with --full, 150 with --laws"""
     full: bool = False
     """the long version, some 10 hours of one core; what has nothing missing comes first"""
+    laws: bool = False
+    """hide physics of shapes that no formula has: friction, forces and drives of any law, and what has no name"""
     jobs: int | None = None
     """trials at a time, each on one core; without it 2, or on Ray as many as the cluster has CPUs"""
     backend: Literal["local", "ray"] = "local"
@@ -42,22 +45,22 @@ class Trial:
 
     def run(self) -> int:
         """Generate, diagnose, score, print the table."""
+        if self.full and self.laws:
+            raise ValueError("--full and --laws are two different trials: choose one")
+        which = {"count": self.count, "full": self.full, "laws": self.laws}
         if self.rivals:
             from dipc_gym.trials.generate import plans
             from dipc_gym.trials.rivals import compare
 
-            rows = compare(
-                self.out, seed=self.seed, count=self.count, full=self.full, jobs=self.jobs, backend=self.backend
-            )
+            rows = compare(self.out, seed=self.seed, **which, jobs=self.jobs, backend=self.backend)
             print((self.out / "rivals.md").read_text())
-            return 1 if len(rows) < len(plans(self.seed, count=self.count, full=self.full)) else 0
+            return 1 if len(rows) < len(plans(self.seed, **which)) else 0
         from dipc_gym.trials.run import trial
 
         scores = trial(
             self.out,
             seed=self.seed,
-            count=self.count,
-            full=self.full,
+            **which,
             jobs=self.jobs,
             backend=self.backend,
             patience=self.limit,

@@ -53,6 +53,7 @@ class Effect:
         also_at: other places that name the same thing.
         includes: ids that are honest parts of it.
         kind: for `unknown`, which one.
+        alike: ids that name the same kind of physics, for a law of some other shape than theirs.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Effect:
     also_at: tuple[str, ...] = ()
     includes: tuple[str, ...] = ()
     kind: str = ""
+    alike: tuple[str, ...] = ()
 
     def apply(self, plant: Array, values: Array) -> Array:
         """The plant with this effect added."""
@@ -92,6 +94,8 @@ class Hidden:
             number.name: {"value": value, "unit": number.unit}
             for number, value in zip(self.effect.numbers, self.values, strict=True)
         }
+        if self.effect.alike:  # a shape, which no two people describe by the same numbers
+            return {}
         if self.effect.name == "friction.stribeck":
             level, excess = self.values[0], self.values[1]
             found["static"] = {"value": level + excess, "unit": self.effect.numbers[0].unit}

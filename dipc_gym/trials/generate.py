@@ -15,7 +15,7 @@ from dipc_gym.files import whole, write_whole
 from dipc_gym.intact import DamagedError
 from dipc_gym.interrupts import held_back
 from dipc_gym.places import inside
-from dipc_gym.trials import records, rigs
+from dipc_gym.trials import records, rigs, shapes
 from dipc_gym.trials.catalogue import effects
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Rig, nominal_xml
 from dipc_gym.trials.secret import Plan, Secret
@@ -23,19 +23,21 @@ from dipc_gym.trials.windows import Recording
 
 SCHEMA = "dipc-gym/trial/1"
 SMALL = {"null": 15, "single": 18, "pair": 3, "unknown": 3, "wrong": 3}
+LAWS = {"single": 60, "unknown": 60, "null": 30}
 FULL = {"null": 150, "single": 182, "pair": 36, "unknown": 32, "wrong": 30}
 RIG_WEIGHTS = {"cart": 0.3, "hanging": 0.2, "upright": 0.15, "motor_axis": 0.2, "pendulum": 0.15}
 REDRAWS = 200
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv", "test.csv")
 
 
-def plans(seed: int, *, count: int | None = None, full: bool = False) -> list[Plan]:
+def plans(seed: int, *, count: int | None = None, full: bool = False, laws: bool = False) -> list[Plan]:
     """What each trial is to be.
 
     Args:
         seed: the seed.
-        count: number of trials; the composition keeps its proportions. None: 42, or 430 with `full`.
+        count: number of trials; the composition keeps its proportions. None: 42, 430 with `full`, 150 with `laws`.
         full: the long version.
+        laws: the trial of laws: shapes of no formula, of physics with a name and without.
 
     Raises:
         ValueError: `count` is below one.
@@ -47,7 +49,8 @@ def plans(seed: int, *, count: int | None = None, full: bool = False) -> list[Pl
     if count is not None and count < 1:
         raise ValueError(f"count is {count}; it is the number of trials, 1 or more")
     rng = np.random.default_rng(np.random.SeedSequence([seed, 7]))
-    amounts = FULL if full else SMALL
+    amounts = LAWS if laws else FULL if full else SMALL
+    hides = shapes.named if laws else effects
     kinds = [kind for kind, amount in amounts.items() for _ in range(amount)]
     kinds = [kinds[i] for i in rng.permutation(len(kinds))]
     while count is not None and len(kinds) < count:
@@ -55,7 +58,7 @@ def plans(seed: int, *, count: int | None = None, full: bool = False) -> list[Pl
     kinds = kinds[:count]
     # Eight draws meet every variant of a rig.
     possible = {
-        name: {e.name for other in range(8) for e in effects(make(np.random.default_rng(other)))}
+        name: {e.name for other in range(8) for e in hides(make(np.random.default_rng(other)))}
         for name, make in rigs.RIGS.items()
     }
     ids = sorted({name for names in possible.values() for name in names})
@@ -79,11 +82,13 @@ def plans(seed: int, *, count: int | None = None, full: bool = False) -> list[Pl
         else:
             rig = str(rng.choice(names, p=weights / weights.sum()))
         tuned = bool(rng.random() < 0.3) and kind in ("single", "pair") and rig != "upright"
-        result.append(Plan(number, kind, rig, effect, tuned))
+        result.append(Plan(number, kind, rig, effect, tuned and not laws, laws))
     return result
 
 
-def generate(out: Path, *, seed: int, count: int | None = None, full: bool = False, jobs: int = 1) -> list[Plan]:
+def generate(
+    out: Path, *, seed: int, count: int | None = None, full: bool = False, laws: bool = False, jobs: int = 1
+) -> list[Plan]:
     """Write trials into `out/trials/NAME` and their answers into `out/sealed/NAME.json`.
 
     A trial whose answer is there is left alone; one that was damaged is set aside and made again. A folder made from
@@ -94,6 +99,7 @@ def generate(out: Path, *, seed: int, count: int | None = None, full: bool = Fal
         seed: determines everything.
         count: number of trials, see `plans`.
         full: the long version.
+        laws: the trial of laws.
         jobs: processes.
 
     Returns:
@@ -109,11 +115,12 @@ def generate(out: Path, *, seed: int, count: int | None = None, full: bool = Fal
     from joblib import Parallel, delayed
     from tqdm import tqdm
 
-    wanted = plans(seed, count=count, full=full)
+    wanted = plans(seed, count=count, full=full, laws=laws)
     for part in ("sealed", "trials", "results"):
         inside(out, part).mkdir(parents=True, exist_ok=True)
     note = out / "generator.json"
-    identity = {"schema": SCHEMA, "seed": seed, "full": full, "plans": len(wanted)}
+    identity: dict[str, object] = {"schema": SCHEMA, "seed": seed, "full": full, "plans": len(wanted)}
+    identity |= {"laws": True} if laws else {}
     same_trials(note, identity)
     intact.write(note, identity)
     missing = [plan for plan in wanted if not _made(out, plan, seed)]

@@ -25,6 +25,9 @@ from dipc_gym.trials.plant import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_JOI
     ROTOR, GAP, STIFFNESS, SHAFT_DAMPING,
     DRIFT, DRIFT_TIME, DWELL, DWELL_TIME, SLOSH_MASS, SLOSH_RATE, SLOSH_DAMPING,
     CREEP_STIFFNESS, CREEP_TIME, LEAK, ENCODER_SIZE, ENCODER_WAVE,
+    LAW, BUMP1, CENTRE1, WIDTH1, BUMP2, CENTRE2, WIDTH2, BUMP3, CENTRE3, WIDTH3,
+    FALL, FALL_SPEED, FALL_POWER, RISE, RISE_SPEED, RISE_POWER,
+    HYSTERESIS, HYSTERESIS_WIDTH, HYSTERESIS_POWER,
 ) = range(len(GLOBAL))  # fmt: skip
 (
     DAMPING, QUADRATIC, COULOMB, ASYMMETRY, EXCESS, STRIBECK_SPEED, BRISTLE, BRISTLE_DAMPING,
@@ -33,15 +36,27 @@ from dipc_gym.trials.plant import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_JOI
     BIAS, GAIN, LAG, FILTER,
 ) = range(len(JOINT))  # fmt: skip
 # The state: joint positions, joint velocities, rotor angle and speed, current, bristle, winding heat,
-# sloshing mass and its speed, creeping spring.
-V, ROTOR_Q, ROTOR_V, CURRENT, BRISTLE_Z, HEAT, SLOSH_Q, SLOSH_V, CREEP = 3, 6, 7, 8, 9, 10, 11, 12, 13
-STATE_SIZE = 14
+# sloshing mass and its speed, creeping spring, hysteresis.
+V, ROTOR_Q, ROTOR_V, CURRENT, BRISTLE_Z, HEAT, SLOSH_Q, SLOSH_V, CREEP, BENT = 3, 6, 7, 8, 9, 10, 11, 12, 13, 14
+STATE_SIZE = 15
+# What a law of any shape is: of the driven joint, but for the last, which acts on the first pole.
+NO_LAW, LEVEL_OF_PLACE, LEVEL_OF_SPEED, FORCE_OF_PLACE, AMPLIFIER, DRAG_OF_PLACE, GAIN_OF_PLACE, PULL_OF_CART = range(8)
 FREE = 2  # mode of a joint without dry friction; -1 and 1: sliding; 0: held
 
 NO_FEEDBACK = np.zeros(2 * MAX_JOINTS + 2)
 
 
 _jit = numba.njit(cache=True, fastmath=False, error_model="numpy")
+
+
+@_jit
+def _bumps(p, x):  # type: ignore[no-untyped-def]
+    """A sum of three bell curves."""
+    out = 0.0
+    for k in range(BUMP1, WIDTH3 + 1, 3):
+        if p[k] != 0.0:
+            out += p[k] * np.exp(-(((x - p[k + 1]) / p[k + 2]) ** 2))
+    return out
 
 
 @_jit
@@ -54,6 +69,11 @@ def _level(p, j, position, speed, direction, time, load):  # type: ignore[no-unt
     level += p[b + PER_LOAD] * abs(load)
     if p[b + EXCESS] != 0.0:
         level += p[b + EXCESS] * np.exp(-((speed / p[b + STRIBECK_SPEED]) ** 2))
+    if j == 0 and p[LAW] == LEVEL_OF_PLACE:
+        level += _bumps(p, position)
+    if j == 0 and p[LAW] == LEVEL_OF_SPEED:
+        level += p[FALL] * np.exp(-((abs(speed) / p[FALL_SPEED]) ** p[FALL_POWER]))
+        level += p[RISE] * (abs(speed) / p[RISE_SPEED]) ** p[RISE_POWER]
     if j == 0 and p[DRIFT] != 0.0:
         level += p[DRIFT] * (1.0 - np.exp(-time / p[DRIFT_TIME]))
     return max(level, 0.0)
@@ -66,7 +86,8 @@ def _dry(p, j):  # type: ignore[no-untyped-def]
     if p[b + BRISTLE] > 0.0:
         return False
     there = p[b + COULOMB] > 0.0 or p[b + PER_LOAD] > 0.0 or p[b + EXCESS] > 0.0
-    return there or (j == 0 and (p[DRIFT] > 0.0 or p[DWELL] > 0.0))
+    law = p[LAW] == LEVEL_OF_PLACE or p[LAW] == LEVEL_OF_SPEED
+    return there or (j == 0 and (p[DRIFT] > 0.0 or p[DWELL] > 0.0 or law))
 
 
 @_jit
@@ -78,6 +99,8 @@ def amplifier(p, command, gain):  # type: ignore[no-untyped-def]
         u = u - min(max(u, -dead), dead)
     if p[VLIMIT] > 0.0:
         u = min(max(u, -p[VLIMIT]), p[VLIMIT])
+    if p[LAW] == AMPLIFIER:
+        u += _bumps(p, u)
     return u * gain
 
 
@@ -154,6 +177,19 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
         out[SLOSH_Q] = s[SLOSH_V]
         out[SLOSH_V] = -pull
         rhs[0] += p[SLOSH_MASS] * pull
+    if p[HYSTERESIS] > 0.0:
+        # Bouc and Wen's: the force bends with the way, and less the further it is bent that way.
+        share = s[BENT] / p[HYSTERESIS_WIDTH]
+        out[BENT] = s[V] - (0.5 * abs(s[V]) * share + 0.5 * s[V] * abs(share)) * abs(share) ** (p[HYSTERESIS_POWER] - 1)
+        rhs[0] -= p[HYSTERESIS] * share
+    if p[LAW] == FORCE_OF_PLACE:
+        rhs[0] += _bumps(p, s[0])
+    elif p[LAW] == DRAG_OF_PLACE:
+        rhs[0] -= _bumps(p, s[0]) * s[V]
+    elif p[LAW] == GAIN_OF_PLACE:
+        rhs[0] += _bumps(p, s[0]) * u
+    elif p[LAW] == PULL_OF_CART:
+        rhs[1] += _bumps(p, s[0]) * np.sin(2.0 * s[1])
     if p[CREEP_STIFFNESS] > 0.0:
         out[CREEP] = s[V] - s[CREEP] / p[CREEP_TIME]
         rhs[0] -= p[CREEP_STIFFNESS] * s[CREEP]

@@ -55,6 +55,7 @@ class Judgement:
         misnamed: unknown physics given a known name.
         reached: share of the reachable improvement on the held-out recording, converged simulation.
         reached_own_step: the same with the integrator and step of the model's file.
+        error: of the improved model on the held-out recording, in noise standard deviations, converged simulation.
         inside: printed intervals that cover the truth.
         printed: intervals printed for parameters whose truth is known.
         parameters: parameters whose truth is known, of rightly named effects.
@@ -82,6 +83,7 @@ class Judgement:
     misnamed: bool | None = None
     reached: float | None = None
     reached_own_step: float | None = None
+    error: float | None = None
     inside: int = 0
     printed: int = 0
     parameters: int = 0
@@ -138,6 +140,8 @@ def judge(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attemp
         _judge_intervals(result, answer, said)
     result.reached = _reached(answer, attempt.get("sensor_errors"))
     result.reached_own_step = _reached(answer, attempt.get("sensor_errors_own_step"))
+    errors = attempt.get("sensor_errors")
+    result.error = None if errors is None else in_noise(errors, answer["noise"])
     return result
 
 
@@ -153,6 +157,8 @@ def _route(said: Mapping[str, Any], truth: Mapping[str, Any], places: Mapping[st
     """How a name is right for a hidden effect; empty if it is not."""
     if said["effect"] == truth["effect"]:
         return "same" if said.get("together") else "truth"
+    if said["effect"] in truth.get("alike", ()):
+        return "truth"
     listed = {other["effect"] for other in said.get("same_here") or []}
     return "same" if said["effect"] in places and truth["effect"] in listed else ""
 

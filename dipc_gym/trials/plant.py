@@ -12,6 +12,9 @@ GLOBAL = (
     "rotor", "gap", "stiffness", "shaft_damping",  # transmission
     "drift", "drift_time", "dwell", "dwell_time", "slosh_mass", "slosh_rate", "slosh_damping",  # in no catalogue
     "creep_stiffness", "creep_time", "leak", "encoder_size", "encoder_wave",
+    "law", "bump1", "centre1", "width1", "bump2", "centre2", "width2", "bump3", "centre3", "width3",  # of any shape
+    "fall", "fall_speed", "fall_power", "rise", "rise_speed", "rise_power",
+    "hysteresis", "hysteresis_width", "hysteresis_power",
 )  # fmt: skip
 
 JOINT = (

@@ -48,6 +48,13 @@ def _percent(quartiles: Mapping[str, Any]) -> str:
     return f"{median} % ({low} to {high}, {quartiles['of']} trials)"
 
 
+def _times(quartiles: Mapping[str, Any]) -> str:
+    if not quartiles["of"]:
+        return "none"
+    low, median, high = (f"{quartiles[key]:.3g}" for key in ("low", "median", "high"))
+    return f"{median} ({low} to {high}, {quartiles['of']} trials)"
+
+
 def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
     """Tables for the README.
 
@@ -75,12 +82,14 @@ def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
         f"| right place | {_share(s['place'])} |",
         f"| held-out error reached, median (quartiles) | {_percent(s['reached'])} |",
         f"| the same at the file's own time step | {_percent(s['reached_own_step'])} |",
+        f"| held-out error of 1.5 times the noise or less | {_share(s['close'])} |",
         "| **other questions** | |",
         f"| false alarms where nothing is missing | {alarms} |",
         f"| right numbers called wrong there | {s['nulls_renumbered']} of {s['nulls']} |",
         f"| wrong numbers called just that | {_share(s['wrong_numbers'])} |",
         f"| unknown physics of twice the noise or more called unknown | {_share(s['unknown'])} |",
         f"| unknown physics given a known name | {_share(s['unknown_misnamed'])} |",
+        f"| held-out error there, times the noise, median (quartiles) | {_times(s['unknown_error'])} |",
         f"| 90 % intervals that cover the truth | {_share(s['interval_coverage'])} |",
         f"| intervals printed, of parameters of effects named right | {_share(s['intervals_printed'])} |",
         f"| right name first, all sizes | {_share(s['name_all_sizes'])} |",

@@ -74,8 +74,8 @@ class Contest:
 
 
 def compare(
-    out: Path, *, seed: int, count: int | None = None, full: bool = False, jobs: int | None = None,
-    backend: Backend = "local",
+    out: Path, *, seed: int, count: int | None = None, full: bool = False, laws: bool = False,
+    jobs: int | None = None, backend: Backend = "local",
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Give the trials of a folder to the rivals, and write `rivals.md` and `rivals.json`.
 
@@ -86,6 +86,7 @@ def compare(
         seed: see `dipc_gym.trials.run.trial`.
         count: likewise.
         full: likewise.
+        laws: likewise.
         jobs: likewise.
         backend: likewise.
 
@@ -94,13 +95,13 @@ def compare(
     """
     sweep.check(jobs, backend)
     with alone(out):
-        return _compare(out, seed, count, full, jobs, backend)
+        return _compare(out, seed, count, full, laws, jobs, backend)
 
 
 def _compare(
-    out: Path, seed: int, count: int | None, full: bool, jobs: int | None, backend: Backend
+    out: Path, seed: int, count: int | None, full: bool, laws: bool, jobs: int | None, backend: Backend
 ) -> list[dict[str, Any]]:
-    made = generate(out, seed=seed, count=count, full=full, jobs=processes(jobs, backend))
+    made = generate(out, seed=seed, count=count, full=full, laws=laws, jobs=processes(jobs, backend))
     names = [plan.name for plan in made]
     contests = [
         Contest(
@@ -190,6 +191,9 @@ def markdown(rows: Sequence[Mapping[str, Any]], *, seed: int) -> str:
     if rows:
         spent = ", ".join(f"{NAMES[k]} {np.median([r['seconds'][k] for r in rows]):.0f}" for k in NAMES)
         lines += ["", f"Median seconds a trial: {spent}."]
+        both = [r["error"] for r in rows if r["kind"] != "null" and r["error"]["diagnose"] is not None]
+        ahead = sum(error["diagnose"] <= error["network"] for error in both)
+        lines += ["", f"Where something is hidden, `diagnose` is at or below the network in {ahead} of {len(both)}."]
     return "\n".join(lines) + "\n"
 
 

@@ -23,16 +23,17 @@ from dipc_gym.trials.secret import Plan
 
 
 def trial(
-    out: Path, *, seed: int, count: int | None = None, full: bool = False, jobs: int | None = None,
-    backend: Backend = "local", patience: float = PATIENCE,
+    out: Path, *, seed: int, count: int | None = None, full: bool = False, laws: bool = False,
+    jobs: int | None = None, backend: Backend = "local", patience: float = PATIENCE,
 ) -> dict[str, Any]:  # fmt: skip
     """The blind trial: generate, diagnose, score.
 
     Args:
         out: folder; gets `trials/`, `sealed/`, `results/`, `report.md`, `report.json` and `report.png`.
         seed: determines the trials.
-        count: number of trials; None: 42, or 430 with `full`.
+        count: number of trials; None: 42, 430 with `full`, 150 with `laws`.
         full: the long version.
+        laws: the trial of laws.
         jobs: trials at a time; see `sweep.run`.
         backend: where the tool runs; on a cluster the nodes must share `out`. See `sweep.run`.
         patience: seconds before a diagnosis is stopped and counts as failed.
@@ -49,12 +50,13 @@ def trial(
     """
     sweep.check(jobs, backend)
     with alone(out):
-        return _trial(out, plans(seed, count=count, full=full), seed, count, full, jobs, backend, patience)
+        planned = plans(seed, count=count, full=full, laws=laws)
+        return _trial(out, planned, seed, count, full, laws, jobs, backend, patience)
 
 
 def _trial(
-    out: Path, planned: Sequence[Plan], seed: int, count: int | None, full: bool, jobs: int | None, backend: Backend,
-    patience: float,
+    out: Path, planned: Sequence[Plan], seed: int, count: int | None, full: bool, laws: bool, jobs: int | None,
+    backend: Backend, patience: float,
 ) -> dict[str, Any]:  # fmt: skip
     # Rates of false alarms take the most trials and the least time: a run that is stopped early has these.
     order = [plan.name for plan in sorted(planned, key=lambda plan: plan.kind != "null")]
@@ -63,7 +65,7 @@ def _trial(
         for name in order
         if not _done(out, name)
     ]
-    generate(out, seed=seed, count=count, full=full, jobs=processes(jobs, backend))
+    generate(out, seed=seed, count=count, full=full, laws=laws, jobs=processes(jobs, backend))
     try:
         for name, texts in swept(attempts, jobs=jobs, backend=backend, label="diagnose"):
             _keep(texts, inside(out, f"results/{name}"))

@@ -16,6 +16,8 @@ from dipc_gym.trials.records import judgement
 
 SIZES = (0.0, 1.0, 2.0, 5.0, 20.0, 100.0, math.inf)
 """Edges of effect size: change of the held-out prediction in noise standard deviations."""
+CLOSE = 1.5
+"""Times the noise: a held-out error up to which a law is as good as right."""
 SHARES = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1, math.inf)
 """Edges of the same as a share of the signal."""
 
@@ -80,6 +82,8 @@ def summarise(judged: Sequence[Judgement]) -> dict[str, Any]:
         "wrong_numbers": _rate([j.name for j in judged if j.kind == "wrong"]),
         "unknown": _rate([j.unknown for j in unknown if j.clear]),
         "unknown_misnamed": _rate([j.misnamed for j in unknown]),
+        "close": _rate([j.error <= CLOSE for j in clear if j.error is not None]),
+        "unknown_error": _quartiles([j.error for j in unknown if j.clear]),
         "reached": _quartiles([j.reached for j in clear]),
         "reached_own_step": _quartiles([j.reached_own_step for j in clear]),
         "interval_coverage": _rate([k < inside for k in range(printed)]),

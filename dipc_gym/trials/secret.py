@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dipc_gym.trials import rigs
+from dipc_gym.trials import rigs, shapes
 from dipc_gym.trials.catalogue import effects, unknowns
 from dipc_gym.trials.effects import RIVALS, SETS, Effect, Hidden, draw
 from dipc_gym.trials.plant import index
@@ -33,6 +33,7 @@ class Plan:
         rig: its name.
         effect: id for a single, else empty.
         tuned: refit the nominal model's damping and motor constant to the training recordings beforehand.
+        laws: of the trial of laws; what is hidden has a shape of its own.
     """
 
     number: int
@@ -40,6 +41,7 @@ class Plan:
     rig: str
     effect: str
     tuned: bool
+    laws: bool = False
 
     @property
     def name(self) -> str:
@@ -64,12 +66,12 @@ class Secret:
     def drawn(cls, plan: Plan, rng: np.random.Generator) -> Secret:
         """Draw rig, effects, commands and noise; simulate."""
         rig = rigs.RIGS[plan.rig](rng)
-        while plan.effect and plan.effect not in {e.name for e in effects(rig)}:
+        while plan.effect and plan.effect not in {e.name for e in (shapes.named if plan.laws else effects)(rig)}:
             # A torque motor has no winding: draw the other kind.
             rig = rigs.RIGS[plan.rig](rng)
         # Some simulators know of dry friction already; not where the secret is a level of its own.
         known = bool(rng.random() < 0.15) and plan.rig in ("cart", "motor_axis", "pendulum")
-        known = known and plan.effect not in LEVELS
+        known = known and plan.effect not in LEVELS and not plan.laws
         if known:
             plant = rig.plant.copy()
             plant[index("coulomb", 0)] = rig.force[0] * np.exp(rng.uniform(np.log(0.05), np.log(0.25)))
@@ -175,7 +177,13 @@ class Secret:
             "tuned": self.tuned,
             "known_friction": self.known_friction,
             "missing": [
-                {"effect": h.effect.name, "at": h.effect.at, "also_at": list(h.effect.also_at), "kind": h.effect.kind}
+                {
+                    "effect": h.effect.name,
+                    "at": h.effect.at,
+                    "also_at": list(h.effect.also_at),
+                    "kind": h.effect.kind,
+                    "alike": list(h.effect.alike),
+                }
                 for h in self.hidden
             ],
             "all_of": len(self.hidden) > 1,
@@ -196,7 +204,7 @@ class Secret:
                 "rotor": rig.rotor,
                 **{name: float(rig.plant[index(name)]) for name in ("kt", "resistance")},
             },
-            "held_out_predictable": not self.once and plan.kind != "unknown",
+            "held_out_predictable": not self.once and (plan.kind != "unknown" or plan.laws),
             "test_error": {
                 "nominal": error(self.nominal),
                 "recalibrated": error(refit.plant),
@@ -250,7 +258,8 @@ class Secret:
         scale = recalibrated if refit else without
         limit = SAME * min(1.0, scale)
         kept = [value for h in others for value in h.values]
-        found: list[dict[str, str]] = []
+        places = (hidden.effect.at, *hidden.effect.also_at)
+        found = [{"effect": name, "at": at} for name in hidden.effect.alike for at in places]
         # What an unknown includes may be all of it that shows: friction that grows at rest, on a rig that never rests.
         names = (*RIVALS.get(hidden.effect.name, ()), *hidden.effect.includes)
         for rival in effects(self.rig):
@@ -332,10 +341,10 @@ def _choose(plan: Plan, rig: Rig, rng: np.random.Generator, known: bool) -> list
     if plan.kind in ("null", "wrong"):
         return []
     if plan.kind == "unknown":
-        candidates = unknowns(rig)
+        candidates = shapes.nameless(rig) if plan.laws else unknowns(rig)
         picked = draw(candidates[rng.integers(len(candidates))], rng)
         return [_without_level(picked) if known or rng.random() < 0.5 else picked]
-    catalogue = effects(rig)
+    catalogue = shapes.named(rig) if plan.laws else effects(rig)
     if known:
         catalogue = [e for e in catalogue if e.name not in LEVELS]
     if plan.kind == "single":

@@ -99,7 +99,10 @@ def judgement(
         len(changed),
         len(found.unnamed),
         len(modelled),
+        train.recalibrated,
     )
+    if errors.nominal <= judge.AT_FLOOR and verdict == "unexplained":
+        notes.append(sentences.not_in_test(train.recalibrated, errors.nominal))
     missing = late(
         "How much each effect is worth",
         lambda: findings.missing_effects(search, found, test, errors, verdict, wide),

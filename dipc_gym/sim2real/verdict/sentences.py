@@ -88,6 +88,14 @@ def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = 
     return "Nothing is open. Record again when the rig is changed."
 
 
+def not_in_test(before: float, test: float) -> str:
+    """Note on what test data do not show; errors on windows compared on and on test data, in units of noise."""
+    return (
+        f"The test data do not show what is missing ({test:.3g} times the noise there, {before:.3g} in the part before "
+        "them): they hold no motion in which it acts. Record such motion again, and hold that recording out."
+    )
+
+
 def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
     """Notes where predictions and forces disagree on whether the improved model is better."""
     notes = []

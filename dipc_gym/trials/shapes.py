@@ -1,0 +1,156 @@
+"""Laws of any shape, for the trial of laws: of a kind that has a name, and of none.
+
+Shapes are sums of bell curves, powers and exponentials, with numbers at random. The tool writes laws as straight lines
+between knots, and its formulas are sines, constants and squares: none of these can be one of them but by approximation.
+"""
+
+from __future__ import annotations
+
+from dipc_gym.trials import integrator
+from dipc_gym.trials.effects import Effect, Number
+from dipc_gym.trials.plant import index
+from dipc_gym.trials.rigs import Rig
+
+NARROWEST, WIDEST = 0.08, 0.6
+"""Widths of bell curves, in usual ranges of the input."""
+
+
+def named(rig: Rig) -> list[Effect]:
+    """Physics that has a name in kind, with a shape of its own.
+
+    Of an axis that turns for good, nothing goes with where it is but what comes back with every turn.
+    """
+    at, force, speed, span = rig.joints[0], rig.force[0], rig.speed[0], rig.span[0]
+    n, m = ("N", "m") if rig.linear else ("N m", "rad")
+    middle = rig.start[0]
+    level = Number("level", n, index("coulomb", 0), 0.02 * force, 0.3 * force)
+    found = [
+        _law(
+            "friction.position",
+            at,
+            integrator.LEVEL_OF_PLACE,
+            (level, *_bumps(n, m, 0.03 * force, 0.4 * force, middle, span, "log")),
+            alike=("friction.position",),
+        ),
+        _law(
+            "friction.speed",
+            at,
+            integrator.LEVEL_OF_SPEED,
+            (
+                level,
+                Number("fall", n, index("fall"), 0.02 * force, 0.2 * force),
+                Number("fall_speed", f"{m}/s", index("fall_speed"), 0.05 * speed, 0.8 * speed),
+                Number("fall_power", "", index("fall_power"), 0.5, 1.6),
+                Number("rise", n, index("rise"), 0.02 * force, 0.3 * force),
+                Number("rise_speed", f"{m}/s", index("rise_speed"), 0.7 * speed, 1.5 * speed),
+                Number("rise_power", "", index("rise_power"), 0.4, 3.0),
+            ),
+            alike=("friction.speed", "friction.stribeck"),
+        ),
+        _law(
+            "load.position",
+            at,
+            integrator.FORCE_OF_PLACE,
+            _bumps(n, m, 0.03 * force, 0.4 * force, middle, span),
+            alike=("load.position", "motor.cogging"),
+            also_at=("motor",),
+        ),
+        _law(
+            "motor.map",
+            "motor",
+            integrator.AMPLIFIER,
+            _bumps("", "", 0.03 * rig.command, 0.3 * rig.command, 0.0, 1.5 * rig.command),
+            alike=("motor.map", "motor.deadzone", "motor.saturation"),
+            also_at=(at,),
+        ),
+    ]
+    return [law for law in found if not (rig.name == "motor_axis" and law.name.endswith(".position"))]
+
+
+def nameless(rig: Rig) -> list[Effect]:
+    """Physics that has no name, and goes with the state or with its past."""
+    at, force, speed, span = rig.joints[0], rig.force[0], rig.speed[0], rig.span[0]
+    n, m = ("N", "m") if rig.linear else ("N m", "rad")
+    middle, drag = rig.start[0], force / speed
+    gain = force / rig.command
+    found = [
+        _law(
+            "unknown",
+            at,
+            integrator.DRAG_OF_PLACE,
+            _bumps(n, m, 0.05 * drag, 0.6 * drag, middle, span, "log"),
+            kind="drag along a stretch of the way",
+        ),
+        _law(
+            "unknown",
+            at,
+            integrator.GAIN_OF_PLACE,
+            _bumps(n, m, 0.03 * gain, 0.3 * gain, middle, span),
+            also_at=("motor",),
+            kind="drive that is stronger here and weaker there",
+        ),
+        Effect(
+            "unknown",
+            at,
+            (
+                Number("force", n, index("hysteresis"), 0.03 * force, 0.4 * force),
+                Number("width", m, index("hysteresis_width"), 0.02 * span, 0.4 * span),
+                Number("power", "", index("hysteresis_power"), 1.0, 3.0),
+            ),
+            includes=("friction.coulomb", "friction.speed", "load.spring"),
+            kind="hysteresis after Bouc and Wen",
+        ),
+        Effect(
+            "unknown",
+            at,
+            (Number("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),),
+            fixed=(
+                (index("slosh_mass"), 0.15 * rig.plant[index("m0")]),
+                (index("m0"), -0.15 * rig.plant[index("m0")]),
+                (index("slosh_damping"), 0.05),
+            ),
+            kind="hidden mode",
+        ),
+    ]
+    if rig.name == "motor_axis":
+        found = found[2:]
+    if rig.count > 1:
+        pull = rig.force[1]
+        found.append(
+            _law(
+                "unknown",
+                rig.joints[1],
+                integrator.PULL_OF_CART,
+                _bumps("N m", "m", 0.05 * pull, 0.5 * pull, middle, span),
+                kind="torque on a pole that goes with where the cart is",
+            )
+        )
+    return found
+
+
+def _law(
+    name: str,
+    at: str,
+    law: int,
+    numbers: tuple[Number, ...],
+    *,
+    alike: tuple[str, ...] = (),
+    also_at: tuple[str, ...] = (),
+    kind: str = "",
+) -> Effect:
+    return Effect(name, at, numbers, ((index("law"), float(law)),), also_at, (), kind or f"{name} of any shape", alike)
+
+
+def _bumps(
+    n: str, m: str, low: float, high: float, middle: float, span: float, kind: str = "signed"
+) -> tuple[Number, ...]:
+    """Heights, centres and widths of three bell curves within a usual range of the input."""
+    return tuple(
+        number
+        for k in (1, 2, 3)
+        for number in (
+            Number(f"bump{k}", n, index(f"bump{k}"), low, high, kind),
+            Number(f"centre{k}", m, index(f"centre{k}"), middle - 0.7 * span, middle + 0.7 * span, "uniform"),
+            Number(f"width{k}", m, index(f"width{k}"), NARROWEST * span, WIDEST * span),
+        )
+    )
