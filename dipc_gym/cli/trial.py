@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Trial:
         """Generate, diagnose, score, print the table."""
         if self.full and self.laws:
             raise ValueError("--full and --laws are two different trials: choose one")
-        which = {"count": self.count, "full": self.full, "laws": self.laws}
+        which: dict[str, Any] = {"count": self.count, "full": self.full, "laws": self.laws}
         if self.rivals:
             from dipc_gym.trials.generate import plans
             from dipc_gym.trials.rivals import compare
