@@ -53,21 +53,21 @@ def windows(text, threads, repeats):
     source = physics.from_model(mujoco.MjModel.from_xml_string(text))
     model, n = source.model, source.model.nv
     rng = np.random.default_rng(0)
-    starts = np.tile(0.2 * rng.normal(size=(1, WINDOWS, 2 * n)), (VARIANTS, 1, 1))
+    initial = np.tile(0.2 * rng.normal(size=(1, WINDOWS, 2 * n)), (VARIANTS, 1, 1))
     commands = 0.5 * rng.normal(size=(SAMPLES, model.nu))
     sims = batch.Batch(model, VARIANTS * WINDOWS, threads)
     held = np.repeat(commands, round(PERIOD / STEP), axis=0)
 
     def mujocos():
         sims.time[:] = 0
-        sims.qpos[:], sims.qvel[:] = starts.reshape(-1, 2 * n)[:, :n], starts.reshape(-1, 2 * n)[:, n:]
+        sims.qpos[:], sims.qvel[:] = initial.reshape(-1, 2 * n)[:, :n], initial.reshape(-1, 2 * n)[:, n:]
         return sims.rollout(len(held), np.broadcast_to(held, (sims.nsim, *held.shape)), record=("sensordata",))
 
     what, parameters = program.read([source])
     times = np.tile(PERIOD * np.arange(SAMPLES), (WINDOWS, n, 1))
     jobs = run.Jobs(
         np.repeat(parameters, VARIANTS, axis=0),
-        starts,
+        initial,
         np.zeros(WINDOWS),
         np.zeros(WINDOWS, dtype=np.int64),
         np.full(WINDOWS, SAMPLES),
@@ -77,10 +77,10 @@ def windows(text, threads, repeats):
         times.max(axis=(1, 2)),
     )
     one = run.Jobs(
-        **{**vars(jobs), "parameters": parameters, "starts": starts[:1], "which": np.zeros(1, dtype=np.int64)}
+        **{**vars(jobs), "parameters": parameters, "starts": initial[:1], "which": np.zeros(1, dtype=np.int64)}
     )
     directions = run.Directions(np.zeros((8, parameters.shape[1])), np.zeros((8, WINDOWS, 2 * n)))
-    directions.starts[:, :, 0] = 1.0
+    directions.initial[:, :, 0] = 1.0
 
     def ours():
         return run.run(what, jobs, STEP, threads=threads)[0]

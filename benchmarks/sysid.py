@@ -34,10 +34,10 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recorder
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import evaluate, fit
 from dipc_gym.sim2real.estimation.segments import prepare
-from dipc_gym.sim2real.model.parameters import own_numbers
+from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.simulation.batch import Stepping
 
 CART = """
@@ -112,7 +112,7 @@ def theirs(text, runs, first, *, threads, optimizer):
 
 
 def prepared(text, runs, threads, span=(0.0, 1.0)):
-    """Windows and start states, as a diagnosis makes them; and the source."""
+    """Windows and initial states, as a diagnosis makes them; and the source."""
     source = mjcf.from_text(text)
     stepping = Stepping(PERIOD, mujoco.mjtIntegrator.mjINT_RK4)
     return source, prepare(source, physics.load(source), runs, stepping, span=span, threads=threads)
@@ -120,12 +120,12 @@ def prepared(text, runs, threads, span=(0.0, 1.0)):
 
 def ours(source, ready, windows):
     """One fit of mass, damping and friction: found numbers."""
-    numbers = [n for n in own_numbers(Document(source), ready.structure.model) if n.parameter in TRUE]
+    parameters = [n for n in model_parameters(Document(source), ready.structure.model) if n.attribute in TRUE]
     problem = ready.problem
     if windows < len(problem.windows):
         problem = problem.pick(np.linspace(0, len(problem.windows) - 1, windows).astype(int))
-    found = fit(problem, replace(ready.structure, numbers=tuple(numbers)))
-    return {n.parameter: slot.value(z) for n, slot, z in zip(numbers, found.structure.slots, found.z, strict=True)}
+    found = fit(problem, replace(ready.structure, model_parameters=tuple(parameters)))
+    return {n.attribute: slot.value(z) for n, slot, z in zip(parameters, found.structure.slots, found.z, strict=True)}
 
 
 def speed(threads, repeats):
@@ -169,7 +169,7 @@ def judged(text, run, threads):
     """Held-out errors of a model: of windows in units of noise, of the inverse force."""
     source, ready = prepared(text, [run], threads, (SHARE, 1.0))
     mse, _ = evaluate(ready.problem, ready.structure, np.zeros(0))
-    (force,) = evidence.force_errors(physics.load(source), [run], ready.motions, (SHARE, 1.0))
+    (force,) = unexplained.force_errors(physics.load(source), [run], ready.motions, (SHARE, 1.0))
     return float(np.sqrt(np.mean(mse))), float(force)
 
 

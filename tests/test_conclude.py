@@ -42,7 +42,7 @@ class _Searched:
 
 
 def _fitted(name: str) -> SimpleNamespace:
-    """A push happens once, heat is a trend; what is plain has one number, everything else two."""
+    """A push happens once, heat is a trend; what is plain has one parameter, everything else two."""
     ids = {"push": "disturbance.pulse", "heat": "motor.thermal"}
     like = [catalogue()[ids.get(key, "friction.coulomb")] for key in name.split()]
     kinds = [
@@ -52,8 +52,8 @@ def _fitted(name: str) -> SimpleNamespace:
     terms = [
         SimpleNamespace(key=key, effect=SimpleNamespace(**kind)) for key, kind in zip(name.split(), kinds, strict=True)
     ]
-    numbers = sum(1 if term.key == "plain" else 2 for term in terms)
-    return SimpleNamespace(name=name, structure=SimpleNamespace(terms=terms), z=np.zeros(numbers))
+    count = sum(1 if term.key == "plain" else 2 for term in terms)
+    return SimpleNamespace(name=name, structure=SimpleNamespace(terms=terms), z=np.zeros(count))
 
 
 def _conclude(
@@ -77,9 +77,9 @@ def _conclude(
         ]
 
     monkeypatch.setattr(judge, "rivals", rivals)
-    monkeypatch.setattr(sparse, "fewest_numbers", lambda _, fit: fit)
-    monkeypatch.setattr(sparse, "other_numbers", lambda *_: [])
-    monkeypatch.setattr(judge, "unseen_error", lambda _, fit: errors[fit.name])
+    monkeypatch.setattr(sparse, "fewest_parameters", lambda _, fit: fit)
+    monkeypatch.setattr(sparse, "other_parameters", lambda *_: [])
+    monkeypatch.setattr(judge, "comparison_error", lambda _, fit: errors[fit.name])
     monkeypatch.setattr(judge, "error_on", lambda _, fit: errors[fit.name])
 
     def apart(_: object, new: SimpleNamespace, old: SimpleNamespace) -> SimpleNamespace:
@@ -130,8 +130,8 @@ def test_effects_that_validation_data_strike_off_altogether(monkeypatch: pytest.
 @pytest.mark.parametrize(
     ("chosen", "same", "stays"),
     [
-        ("first", ["second", "plain"], "plain"),  # one number for two
-        ("first", ["second"], "first"),  # as many numbers: nothing says which
+        ("first", ["second", "plain"], "plain"),  # one parameter for two
+        ("first", ["second"], "first"),  # as many parameters: nothing says which
         ("plain", ["first"], "plain"),
     ],
 )
@@ -210,7 +210,7 @@ def test_ctrl_c_while_effects_are_judged_keeps_them(monkeypatch: pytest.MonkeyPa
         raise KeyboardInterrupt
 
     search = _Searched("", "first")
-    monkeypatch.setattr(sparse, "fewest_numbers", stopped)
+    monkeypatch.setattr(sparse, "fewest_parameters", stopped)
     found = conclude.conclude(search)  # type: ignore[arg-type]
     assert found.fitted.name == "first"  # type: ignore[attr-defined]
     assert found.rivals == {"first": []}

@@ -17,13 +17,13 @@ from dipc_gym import cli, mjcf, physics, recording
 from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.segments import prepare
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis, Errors
-from dipc_gym.sim2real.selection.score import Comparison, compare
+from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict import improve, judge, sentences
 
@@ -469,7 +469,7 @@ def test_an_undriven_joint_transmits_no_force_to_compare_with() -> None:
     )
     given = physics.from_model(mjcf.compile(puck))
     prepared = prepare(puck, given, [coasting], Stepping(0.002, mujoco.mjtIntegrator.mjINT_RK4))
-    (error,) = evidence.force_errors(given, [coasting], prepared.motions, (0.0, 1.0))
+    (error,) = unexplained.force_errors(given, [coasting], prepared.motions, (0.0, 1.0))
     assert math.isnan(error)
 
 
@@ -480,7 +480,7 @@ def test_an_actuator_with_several_inputs_is_no_place_for_an_effect() -> None:
     model = mjcf.compile(mjcf.from_text(text))
     names = tuple(mjcf.controls(model))
     still = Recording("still", np.arange(50) * 0.01, np.zeros((50, 2)), np.zeros((50, 1)), names, ("cart",))
-    found = {e.id: evidence.places(e, model, ["cart"], still) for e in catalogue().values()}
+    found = {e.id: unexplained.places(e, model, ["cart"], still) for e in catalogue().values()}
     assert found["timing.delay"] == []
     assert found["friction.coulomb"] == ["cart"]
 
@@ -584,7 +584,7 @@ def test_comparison_needs_more_than_chance() -> None:
     blocks = np.arange(60) // 2
     assert not compare(old * np.exp(rng.normal(0, 0.05, 60)), old, blocks).clear
     assert compare(0.7 * old * np.exp(rng.normal(0, 0.05, 60)), old, blocks).clear
-    assert not Comparison(0.01, 1e-6).clear
+    assert not Improvement(0.01, 1e-6).clear
 
 
 @pytest.mark.parametrize(
@@ -635,8 +635,8 @@ def test_evidence_on_a_model_with_a_rotor_of_its_own() -> None:
         {"gap": 1e-3, "rotor_inertia": 0.1, "contact_rate": 1e3, "contact_damping": 0.3},
     )
     structure = prepared.structure.with_term(term)
-    scene = evidence.scene(structure.physics(structure.first), runs, prepared.motions, 1.0)
+    scene = unexplained.scene(structure.physics(structure.first), runs, prepared.motions, 1.0)
     for effect in catalogue().values():
-        for at in evidence.places(effect, scene.model, structure.base, runs[0]):
+        for at in unexplained.places(effect, scene.model, structure.base, runs[0]):
             for guess in effect.guesses(scene.at(effect.place, at, {})):
                 assert all(math.isfinite(value) for value in guess.values())

@@ -26,7 +26,7 @@ from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.effects.waves import waves
-from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.problem import predict
 from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.model.structure import Structure, Term
@@ -122,13 +122,13 @@ def ready(rig: str) -> Prepared:
 @functools.cache
 def places(effect: str, rig: str) -> list[str]:
     joints = ready(rig).structure.base
-    return evidence.places(catalogue()[effect], ready(rig).structure.model, joints, recorded(rig))
+    return unexplained.places(catalogue()[effect], ready(rig).structure.model, joints, recorded(rig))
 
 
 def shaped(effect: str, rig: str, at: str) -> tuple[Effect, list[Mapping[str, float]]]:
     """An effect with the shape that the evidence asks for, if its shape is free, and its guesses."""
     known = catalogue()[effect]
-    scene = evidence.scene(physics.load(RIGS[rig]), [recorded(rig)], ready(rig).motions, 1.0)
+    scene = unexplained.scene(physics.load(RIGS[rig]), [recorded(rig)], ready(rig).motions, 1.0)
     found = known.proposals(scene.at(known.place, at, {}))
     return found[0][0], [dict(guess) for _, guess in found]
 
@@ -150,7 +150,7 @@ def added(rig: str, effect: Effect, at: str, values: Mapping[str, float]) -> Str
 
 def predicted(rig: str, structure: Structure, everywhere: bool = False) -> np.ndarray:
     problem = whole(rig).problem if everywhere else ready(rig).problem
-    return predict(problem, structure, [structure.first], problem.starts[None])[0]
+    return predict(problem, structure, [structure.first], problem.initial[None])[0]
 
 
 def units(effect: Effect) -> dict[str, str]:
@@ -251,7 +251,7 @@ def test_what_is_written_is_what_was_fitted(rig: str, effect: str, at: str) -> N
     assert bool(loaded.extras) == known.needs_loader
     assert mjcf.controls(loaded.model) == mjcf.controls(structure.model)
     problem = ready(rig).problem
-    fitted = predict(problem, structure, [z], problem.starts[None])
+    fitted = predict(problem, structure, [z], problem.initial[None])
     # With steps and warm-up of the same length, the file alone says everything.
     again = Structure(Document(source), loaded.model, structure.base)
     stepping = replace(problem.stepping, timestep=min(problem.stepping.timestep, structure.finest))
@@ -260,8 +260,8 @@ def test_what_is_written_is_what_was_fitted(rig: str, effect: str, at: str) -> N
         assert again.warm == structure.warm
     elif again.warm:  # a winding's temperature is known at any time, and so need not settle
         structure = replace(structure, terms=(replace(structure.terms[0], effect=_settling(known)),))
-        fitted = predict(problem, structure, [z], problem.starts[None])
-    assert np.array_equal(predict(other, again, [again.first], problem.starts[None]), fitted)
+        fitted = predict(problem, structure, [z], problem.initial[None])
+    assert np.array_equal(predict(other, again, [again.first], problem.initial[None]), fitted)
 
 
 def _settling(effect: Effect) -> Effect:
@@ -417,8 +417,8 @@ def test_waves_are_found_under_noise_ten_times_as_large(count: float, phase: flo
     t = np.arange(20_000) * 1e-3
     x = 0.5 * np.sin(1.7 * t) + 0.5 * np.sin(0.61 * t + 1)
     v = np.gradient(x, t)
-    scene = evidence.scene(physics.load(CART), [recorded("cart")], ready("cart").motions, 1.0).at("joint", "cart", {})
-    scene = replace(scene, position=x, velocity=v, force=np.zeros_like(x))
+    seen = unexplained.scene(physics.load(CART), [recorded("cart")], ready("cart").motions, 1.0)
+    scene = replace(seen.at("joint", "cart", {}), position=x, velocity=v, force=np.zeros_like(x))
     reach = float(np.ptp(x))
     carrier = -scene.direction if along else np.ones_like(x)
     wave = carrier * np.sin(2 * np.pi * count / reach * x + phase)

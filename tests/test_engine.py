@@ -110,15 +110,15 @@ def test_a_program_that_says_something_else_is_refused() -> None:
         check.check(what, heavier, source)
 
 
-def jobs_for(parameters: Array, starts: Array, commands: Array, samples: int, joints: int) -> Jobs:
+def jobs_for(parameters: Array, initial: Array, commands: Array, samples: int, joints: int) -> Jobs:
     """Windows of two-millisecond samples that begin with the first command."""
-    windows = starts.shape[1]
+    windows = initial.shape[1]
     times = np.repeat((0.002 * np.arange(samples))[None, None], windows, axis=0).repeat(joints, axis=1)
     zero = np.zeros(windows, dtype=np.int64)
     held = Commands(0.002 * np.arange(len(commands)), commands[None])
     count = np.full(windows, len(commands))
-    sets = np.zeros(len(starts), dtype=np.int64)
-    return Jobs(parameters, starts, np.zeros(windows), zero, count, held, sets, times, times.max(axis=(1, 2)))
+    sets = np.zeros(len(initial), dtype=np.int64)
+    return Jobs(parameters, initial, np.zeros(windows), zero, count, held, sets, times, times.max(axis=(1, 2)))
 
 
 @settings(max_examples=3, deadline=None)
@@ -132,14 +132,14 @@ def test_windows_without_events_are_mujocos_at_a_fine_step(seed: int, joints: in
     first = text.find("<tendon>") if "<tendon>" in text else begin
     source = loaded(f"{text[:first]}<actuator>{driven}</actuator>{text[end:]}")
     what, parameters = program.read([source])
-    starts, commands = 0.3 * rng.normal(size=(1, 2, 2 * joints)), rng.normal(size=(25, joints))
-    readings, _ = run(what, jobs_for(parameters, starts, commands, 25, joints), 1e-4)
+    initial, commands = 0.3 * rng.normal(size=(1, 2, 2 * joints)), rng.normal(size=(25, joints))
+    readings, _ = run(what, jobs_for(parameters, initial, commands, 25, joints), 1e-4)
     model = source.model
     model.opt.integrator, model.opt.timestep = RK4, 1e-4
     data = mujoco.MjData(model)
     for window in range(2):
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = starts[0, window, :joints], starts[0, window, joints:]
+        data.qpos[:], data.qvel[:] = initial[0, window, :joints], initial[0, window, joints:]
         for sample in range(25):
             mujoco.mj_forward(model, data)
             assert readings[0, window, :, sample] == pytest.approx(data.sensordata, abs=1e-9)
@@ -155,14 +155,16 @@ def test_with_events_both_converge_to_the_same() -> None:
     source = loaded(text)
     source_run = record(source, sweep(3.0), 1.0, start=(0, 0.4, -0.3))
     windows = cut([source_run], np.ones(3), 0.25, (0.0, 1.0))
-    starts = np.concatenate([source_run.sensors[(windows.start / 0.002).round().astype(int)], np.zeros((4, 3))], axis=1)
+    initial = np.concatenate(
+        [source_run.sensors[(windows.start / 0.002).round().astype(int)], np.zeros((4, 3))], axis=1
+    )
     base = ["cart", "pole1", "pole2"]
-    ours = {h: simulate([source], windows, starts[None], Stepping(h, RK4), base=base)[0] for h in (1e-3, 1e-4)}
+    ours = {h: simulate([source], windows, initial[None], Stepping(h, RK4), base=base)[0] for h in (1e-3, 1e-4)}
     theirs = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batch, "compiled", lambda *_: (_ for _ in ()).throw(Uncovered("for comparison")))
         for h in (1e-3, 1e-4):
-            theirs[h] = simulate([source], windows, starts[None], Stepping(h, RK4), base=base)[0]
+            theirs[h] = simulate([source], windows, initial[None], Stepping(h, RK4), base=base)[0]
     apart = {h: np.abs(theirs[h] - ours[1e-4]).max() for h in theirs}
     assert apart[1e-4] < 0.2 * apart[1e-3]
     assert np.abs(ours[1e-3] - ours[1e-4]).max() < 0.2 * apart[1e-3]
@@ -174,8 +176,8 @@ def test_a_block_stops_where_the_closed_form_says(level: float) -> None:
     text = CART.replace('damping="21.4"', f'damping="0" frictionloss="{level}"').replace("0.06", "1e-9")
     source = loaded(text)
     what, parameters = program.read([source])
-    starts = np.array([[[0.0, 0.7]]])
-    readings, ends = run(what, jobs_for(parameters, starts, np.zeros((2, 1)), 1500, 1), 0.002)
+    initial = np.array([[[0.0, 0.7]]])
+    readings, ends = run(what, jobs_for(parameters, initial, np.zeros((2, 1)), 1500, 1), 0.002)
     assert ends[0, 0].tolist() == pytest.approx([1.26 * 0.7**2 / 2 / level, 0.0], abs=1e-9)
     assert np.all(np.diff(readings[0, 0, 0]) >= 0)
 
@@ -211,18 +213,18 @@ def test_sensitivities_are_limits_of_differences(
 ) -> None:
     """By all numbers of an effect and all starts, through reversals, sticking and late commands."""
     problem, structure = hanging.problem, hanging.structure.with_term(Term(catalogue()[effect], at, guess))
-    z, starts = structure.first, problem.starts
+    z, initial = structure.first, problem.initial
     probes = [z + 1e-7 * unit for unit in np.eye(len(z))]
-    found = sensitivities(problem, structure, z, probes, starts)
+    found = sensitivities(problem, structure, z, probes, initial)
     assert found is not None
-    readings, by_numbers, by_starts = found
-    assert readings == pytest.approx(predict(problem, structure, [z], starts[None])[0], abs=1e-12)
+    readings, by_parameters, by_initial = found
+    assert readings == pytest.approx(predict(problem, structure, [z], initial[None])[0], abs=1e-12)
     size = 1e-5
-    moved = [(z + sign * size * unit, starts) for unit in np.eye(len(z)) for sign in (1, -1)]
-    moved += [(z, starts + sign * size * unit) for unit in np.eye(6) for sign in (1, -1)]
+    moved = [(z + sign * size * unit, initial) for unit in np.eye(len(z)) for sign in (1, -1)]
+    moved += [(z, initial + sign * size * unit) for unit in np.eye(6) for sign in (1, -1)]
     said = predict(problem, structure, [one for one, _ in moved], np.stack([begin for _, begin in moved]))
     differences = (said[::2] - said[1::2]) / (2 * size)
-    for exact, difference in zip([*by_numbers, *by_starts], differences, strict=True):
+    for exact, difference in zip([*by_parameters, *by_initial], differences, strict=True):
         # Where a joint barely sticks or not within the difference, there is no limit: all windows but one must agree.
         off = np.abs(exact - difference).max(axis=(1, 2)) / max(np.abs(difference).max(), 1e-9)
         assert np.sort(off)[-2] < 1e-5
@@ -234,14 +236,14 @@ def test_sensitivities_of_a_random_tree() -> None:
     # What a stop pushes on is known to a ten thousandth only; its derivatives as well.
     source = loaded(re.sub("<fixed limited.*?</fixed>", "", random_tree(rng, 7), flags=re.DOTALL))
     what, parameters = program.read([source])
-    starts = 0.2 * rng.normal(size=(1, 2, what.nx))
-    starts[..., 14:] = 0.0
-    jobs = jobs_for(parameters, starts, rng.normal(size=(20, source.model.nu)), 20, 7)
+    initial = 0.2 * rng.normal(size=(1, 2, what.nx))
+    initial[..., 14:] = 0.0
+    jobs = jobs_for(parameters, initial, rng.normal(size=(20, source.model.nu)), 20, 7)
     fixed = dict(what.tree.fixed)
     free = [k for k in range(len(parameters[0])) if k not in fixed and abs(parameters[0, k]) < 1e6]
     links = program.rigid
     free = [k for k in free if not (3 <= k < what.tree.count and (k - links.GRAVITY) % links.LINK < links.GEOMETRY)]
-    along, unit = np.zeros((10, parameters.shape[1])), np.zeros((10, *starts.shape[1:]))
+    along, unit = np.zeros((10, parameters.shape[1])), np.zeros((10, *initial.shape[1:]))
     along[:3, free] = rng.normal(size=(3, len(free))) * np.abs(parameters[0, free])
     unit[3:] = rng.normal(size=unit[3:].shape)
     readings, changes, _, _ = differentiate(what, jobs, Directions(along, unit), 5e-4)
@@ -249,7 +251,7 @@ def test_sensitivities_of_a_random_tree() -> None:
     for k in range(10):
         ends = []
         for size in (1e-6, -1e-6):
-            moved = replace(jobs, parameters=parameters + size * along[k], starts=starts + size * unit[k])
+            moved = replace(jobs, parameters=parameters + size * along[k], initial=initial + size * unit[k])
             ends.append(run(what, moved, 5e-4)[0][0])
         difference = (ends[0] - ends[1]) / 2e-6
         assert np.abs(changes[k] - difference).max() < 1e-5 * np.abs(difference).max()
@@ -285,9 +287,9 @@ def test_what_is_not_covered_runs_on_mujoco() -> None:
         for ends in ("-170 170", "-2 2")
     )
     windows = cut([record(plain, sweep(2.0), 0.5)], np.ones(3), 0.25, (0.0, 1.0))
-    starts = 0.1 * np.random.default_rng(0).normal(size=(1, len(windows), 6))
+    initial = 0.1 * np.random.default_rng(0).normal(size=(1, len(windows), 6))
     ours, theirs, unmet, met = (
-        simulate([one], windows, starts, Stepping(0.001, RK4), base=base)[0] for one in (plain, thin, wide, narrow)
+        simulate([one], windows, initial, Stepping(0.001, RK4), base=base)[0] for one in (plain, thin, wide, narrow)
     )
     assert ours == pytest.approx(theirs, abs=1e-9)
     assert np.array_equal(ours, unmet)
@@ -305,9 +307,9 @@ def test_a_simulation_that_diverges_ends_itself_and_no_other() -> None:
     broken = physics.Physics(copy.copy(source.model))
     broken.model.dof_damping[:] = -1e5
     what, parameters = program.read([source, broken])
-    starts = np.tile([0.0, 0.1], (2, 3, 1))
-    starts[0, 1] = np.nan
-    readings, _ = run(what, jobs_for(parameters, starts, np.zeros((2, 1)), 50, 1), 0.001)
+    initial = np.tile([0.0, 0.1], (2, 3, 1))
+    initial[0, 1] = np.nan
+    readings, _ = run(what, jobs_for(parameters, initial, np.zeros((2, 1)), 50, 1), 0.001)
     assert np.isfinite(readings[0, [0, 2]]).all()
     assert np.isnan(readings[0, 1]).all()
     assert np.isnan(readings[1, :, :, -1]).all()

@@ -134,10 +134,10 @@ def test_time_limit() -> None:
 
 def test_start_is_random_and_near_upright() -> None:
     env = make(exact_state=True)
-    starts = np.array([env.reset(seed=seed)[0] for seed in range(50)])
-    assert (np.abs(starts[:, :3]) <= 0.02).all()
-    assert (np.ptp(starts[:, :3], axis=0) > 0.03).all()
-    assert not starts[:, 3:].any()
+    initial = np.array([env.reset(seed=seed)[0] for seed in range(50)])
+    assert (np.abs(initial[:, :3]) <= 0.02).all()
+    assert (np.ptp(initial[:, :3], axis=0) > 0.03).all()
+    assert not initial[:, 3:].any()
 
 
 def test_no_observation_stands_still() -> None:

@@ -1,4 +1,4 @@
-"""Fits find the numbers that a simulation was made with, and leave noise alone."""
+"""Fits find the parameters that a simulation was made with, and leave noise alone."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.estimation.fit import Fit, _stepped, correct_starts, evaluate, fit, weights
-from dipc_gym.sim2real.estimation.problem import predict, residual
+from dipc_gym.sim2real.estimation.fit import Fit, _stepped, correct_initial, evaluate, fit, weights
+from dipc_gym.sim2real.estimation.problem import normalised_residual, predict
 from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.estimation.shooting import Shooting, typical
-from dipc_gym.sim2real.model.parameters import own_numbers
+from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection.screen import pairs, screen
 from dipc_gym.sim2real.simulation.batch import Stepping
@@ -91,16 +91,16 @@ def ready(recording: Recording, text: str = CART, **more: object) -> Prepared:
 
 
 def free(P: Prepared, *keys: str) -> Structure:
-    numbers = own_numbers(P.structure.document, P.structure.model)
-    return replace(P.structure, numbers=tuple(n for n in numbers if n.key in keys))
+    parameters = model_parameters(P.structure.document, P.structure.model)
+    return replace(P.structure, model_parameters=tuple(n for n in parameters if n.key in keys))
 
 
 def intervals(fitted: Fit) -> np.ndarray:
-    """Standard deviation of each mapped number, were the model exact: from the sum of the windows' quadratics."""
+    """Standard deviation of each mapped parameter, were the model exact: from the sum of the windows' quadratics."""
     return np.sqrt(np.diag(np.linalg.inv(fitted.quadratics.A.sum(axis=0))))
 
 
-# Numbers come back
+# Parameters come back
 
 
 def test_a_known_damping_and_mass_come_back() -> None:
@@ -154,9 +154,9 @@ def test_a_prior_holds_what_the_data_does_not_say() -> None:
     """Mass, damping and motor constant scale together; what the owner knows of one of them sets the others."""
     P = ready(run())
     keys = ("cart.damping", "cart.mass", "motor.resistance", "motor.motorconst")
-    numbers = {n.key: n for n in own_numbers(P.structure.document, P.structure.model)}
-    known = replace(numbers["cart.mass"], expected=1.26 * 1.1, sigma=1e-3)
-    structure = replace(P.structure, numbers=(known, *(numbers[key] for key in keys if key != "cart.mass")))
+    parameters = {n.key: n for n in model_parameters(P.structure.document, P.structure.model)}
+    known = replace(parameters["cart.mass"], expected=1.26 * 1.1, sigma=1e-3)
+    structure = replace(P.structure, model_parameters=(known, *(parameters[key] for key in keys if key != "cart.mass")))
     fitted = fit(P.problem, structure)
     values = structure.values(fitted.z)
     assert values["cart.mass"] == pytest.approx(1.26 * 1.1, rel=5e-3)
@@ -169,14 +169,14 @@ def test_a_prior_holds_what_the_data_does_not_say() -> None:
 
 
 def test_the_right_model_leaves_the_noise() -> None:
-    """Prediction error of the nominal model, starts corrected: one, within three per cent."""
+    """Prediction error of the nominal model, initial states corrected: one, within three per cent."""
     errors = []
     for seed in range(4):
         P = ready(run(seconds=8.0, seed=seed))
         fitted = fit(P.problem, P.structure)
         # What the start of each window takes away of its samples is no prediction.
         samples = P.problem.counts
-        errors.append(np.sqrt(np.mean(fitted.mse * samples / (samples - P.problem.starts.shape[1]))))
+        errors.append(np.sqrt(np.mean(fitted.mse * samples / (samples - P.problem.initial.shape[1]))))
     assert np.median(errors) == pytest.approx(1.0, abs=0.03)
 
 
@@ -193,18 +193,18 @@ def test_what_is_not_there_is_fitted_to_nothing() -> None:
         assert abs(value) < 0.02 * next(iter(guess.values())), effect
 
 
-# Starts
+# Initial states
 
 
 def test_starts_are_eliminated() -> None:
-    """However wrong the starts, within their spread, the error that no start explains is the same."""
+    """However wrong the initial states, within their spread, the error that no initial state explains is the same."""
     P = ready(run(seconds=4.0))
     rng = np.random.default_rng(0)
-    off = P.problem.starts + rng.normal(size=P.problem.starts.shape) * P.problem.spread * 0.5
-    exact, moved = (fit(replace(P.problem, starts=s), P.structure) for s in (P.problem.starts, off))
+    off = P.problem.initial + rng.normal(size=P.problem.initial.shape) * P.problem.spread * 0.5
+    exact, moved = (fit(replace(P.problem, initial=s), P.structure) for s in (P.problem.initial, off))
     assert exact.error == pytest.approx(moved.error, rel=0.02)
-    assert np.all(np.abs(exact.starts - moved.starts)[:, 0] < 5 * NOISY)
-    before = residual(P.problem, predict(P.problem, P.structure, [P.structure.first], off[None])[0])
+    assert np.all(np.abs(exact.initial - moved.initial)[:, 0] < 5 * NOISY)
+    before = normalised_residual(P.problem, predict(P.problem, P.structure, [P.structure.first], off[None])[0])
     assert np.sqrt(np.mean(before**2)) > 3 * moved.error
 
 
@@ -215,30 +215,30 @@ def test_what_is_left_cannot_be_explained_by_a_start() -> None:
 
 
 def test_corrected_starts_are_a_simulation() -> None:
-    """Predictions that are drawn come from real start states, and are as good as the fit says."""
+    """Predictions that are drawn come from real initial states, and are as good as the fit says."""
     P = ready(run(friction=2.0, seconds=4.0))
     structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0}))
     fitted = fit(P.problem, structure)
-    starts, readings = correct_starts(P.problem, fitted)
-    again = predict(P.problem, structure, [fitted.z], starts[None])[0]
+    initial, readings = correct_initial(P.problem, fitted)
+    again = predict(P.problem, structure, [fitted.z], initial[None])[0]
     assert np.array_equal(again, readings)
-    rest = residual(P.problem, readings)
-    assert np.sqrt(np.mean(rest**2)) == pytest.approx(fitted.error, rel=0.03)
+    left = normalised_residual(P.problem, readings)
+    assert np.sqrt(np.mean(left**2)) == pytest.approx(fitted.error, rel=0.03)
 
 
-def test_unseen_windows_are_judged_without_being_fitted() -> None:
+def test_comparison_windows_are_judged_without_being_fitted() -> None:
     P = ready(run(friction=2.0), span=(0.0, 1.0))
-    train, unseen = P.problem.pick(np.arange(0, 32, 2)), P.problem.pick(np.arange(1, 32, 2))
+    train, comparison = P.problem.pick(np.arange(0, 32, 2)), P.problem.pick(np.arange(1, 32, 2))
     structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.0}))
     fitted = fit(train, structure)
-    mse, _ = evaluate(unseen, structure, fitted.z)
-    nominal, _ = evaluate(unseen, P.structure, P.structure.first)
+    mse, _ = evaluate(comparison, structure, fitted.z)
+    nominal, _ = evaluate(comparison, P.structure, P.structure.first)
     assert np.sqrt(mse.mean()) == pytest.approx(1.0, abs=0.1)
     assert np.sqrt(nominal.mean()) > 20
 
 
 def test_what_numbers_say_of_windows_does_not_depend_on_those_beside_them() -> None:
-    """A fit learns of more windows by being joined with what its numbers say of those."""
+    """A fit learns of more windows by being joined with what its parameters say of those."""
     P = ready(run(friction=2.0), span=(0.0, 1.0))
     structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.5}))
     z = structure.first
@@ -248,21 +248,21 @@ def test_what_numbers_say_of_windows_does_not_depend_on_those_beside_them() -> N
     np.testing.assert_allclose(joined.mse, together.mse)
     np.testing.assert_allclose(joined.jacobian, together.jacobian, atol=1e-9)
     np.testing.assert_allclose(joined.quadratics.A, together.quadratics.A, rtol=1e-9)
-    np.testing.assert_array_equal(joined.pick(np.arange(5)).starts, parts[0].starts)
+    np.testing.assert_array_equal(joined.pick(np.arange(5)).initial, parts[0].initial)
 
 
 def test_a_rig_that_rests_needs_no_start_corrected() -> None:
-    """Held-out stretches may hold nothing but zeros, of which every start that is tried is the same."""
+    """Held-out stretches may hold nothing but zeros, of which every initial state that is tried is the same."""
     problem, structure = ready(run()).problem, ready(run()).structure
     still = tuple(
         replace(r, commands=np.zeros_like(r.commands), sensors=np.zeros_like(r.sensors))
         for r in problem.windows.recordings
     )
     windows = replace(problem.windows, recordings=still, observed=np.zeros_like(problem.windows.observed))
-    resting = replace(problem, windows=windows, starts=np.zeros_like(problem.starts))
-    mse, starts = evaluate(resting, structure, structure.first)
+    resting = replace(problem, windows=windows, initial=np.zeros_like(problem.initial))
+    mse, initial = evaluate(resting, structure, structure.first)
     assert not mse.any()
-    assert not starts.any()
+    assert not initial.any()
 
 
 def test_three_joints_fit_together() -> None:
@@ -350,7 +350,7 @@ def test_bounds_hold() -> None:
 
 
 def test_a_structure_is_what_is_written() -> None:
-    """The text of a fitted structure holds its numbers to the last digit."""
+    """The text of a fitted structure holds its parameters to the last digit."""
     P = ready(run(seconds=3.0))
     structure = free(P, "cart.damping", "motor.resistance")
     z = np.array([0.1234567, -0.0765432])
@@ -361,8 +361,8 @@ def test_a_structure_is_what_is_written() -> None:
     assert isinstance(mujoco.MjModel.from_xml_string(Document(mjcf.from_text(CART)).text()), mujoco.MjModel)
 
 
-def test_a_good_guess_promises_what_it_brings() -> None:
-    """On a double pendulum, whose own numbers have a null space that a joint step could run along."""
+def test_a_good_guess_has_the_predicted_gain_that_it_brings() -> None:
+    """On a double pendulum, whose model parameters have a null space that a joint step could run along."""
     wave = {"sine": 0.2, "cosine": 0.2, "wavelength": 0.13}
     document = Document(mjcf.from_text(HANGING))
     catalogue()["load.position"].edit(document, "cart", wave)
@@ -370,28 +370,28 @@ def test_a_good_guess_promises_what_it_brings() -> None:
         physics.load(document.text()), sweep(3.0), 12.0, noise=NOISE["hanging"], integrator=RK4, start=(0, 1.5, -1.0)
     )
     S = ready(run, HANGING)
-    numbers = tuple(own_numbers(S.structure.document, S.structure.model))
-    alone = fit(S.problem, replace(S.structure, numbers=numbers), most=8)
+    parameters = tuple(model_parameters(S.structure.document, S.structure.model))
+    alone = fit(S.problem, replace(S.structure, model_parameters=parameters), most=8)
     (tried,) = screen(S.problem, alone, [Term(catalogue()["load.position"], "cart", wave)], np.arange(9))
     whole = alone.structure.with_term(tried.term)
-    after = fit(S.problem, whole, carry(alone.structure, alone.z, whole), alone.starts)
+    after = fit(S.problem, whole, carry(alone.structure, alone.z, whole), alone.initial)
     brought = float(np.mean(np.log1p(alone.mse) - np.log1p(after.mse)))
     assert after.error < 1.1
-    assert tried.promise > 0.5 * brought > 0.5
+    assert tried.predicted_gain > 0.5 * brought > 0.5
 
 
-def test_what_own_numbers_do_for_a_few_windows_is_no_promise_of_an_effect() -> None:
-    """A winding is screened in fine steps, so on eight windows alone, whose waves the rig's own numbers can mimic."""
+def test_what_model_parameters_do_for_a_subset_is_no_gain_of_an_effect() -> None:
+    """A winding is screened in fine steps, so on eight windows alone, whose waves the rig's parameters can mimic."""
     document = Document(mjcf.from_text(HANGING))
     catalogue()["load.position"].edit(document, "cart", {"sine": 0.1, "cosine": 0.0, "wavelength": 0.13})
     run = record(physics.load(document.text()), sweep(3.0), 8.0, noise=NOISE["hanging"], integrator=RK4)
     S = ready(run, HANGING)
-    numbers = tuple(own_numbers(S.structure.document, S.structure.model))
-    fitted = fit(S.problem, replace(S.structure, numbers=numbers), most=8)
+    parameters = tuple(model_parameters(S.structure.document, S.structure.model))
+    fitted = fit(S.problem, replace(S.structure, model_parameters=parameters), most=8)
     winding = [Term(catalogue()["motor.inductance"], "motor", {"time_constant": 3e-4})]
     every = np.arange(len(S.problem.windows))
     (eight,), (all_,) = (screen(S.problem, fitted, winding, some) for some in (every[::4], every))
-    assert eight.promise == pytest.approx(all_.promise, abs=0.15)
+    assert eight.predicted_gain == pytest.approx(all_.predicted_gain, abs=0.15)
 
 
 @given(z=st.lists(st.floats(-5, 5), min_size=5, max_size=5))
@@ -410,37 +410,37 @@ def test_effects_that_need_each_other_are_seen_together() -> None:
     catalogue()["drag.quadratic"].edit(document, "cart", {"coefficient": 12.0})
     catalogue()["friction.coulomb"].edit(document, "cart", {"level": 0.9})
     S = ready(record(physics.load(document.text()), sweep(6.0), 12.0, noise=NOISE["cart"], integrator=RK4), CART)
-    numbers = tuple(n for n in own_numbers(S.structure.document, S.structure.model) if n.key == "cart.damping")
-    refitted = fit(S.problem, replace(S.structure, numbers=numbers), most=20)
+    parameters = tuple(n for n in model_parameters(S.structure.document, S.structure.model) if n.key == "cart.damping")
+    refitted = fit(S.problem, replace(S.structure, model_parameters=parameters), most=20)
     guesses = {
         "drag.quadratic": {"coefficient": 5.0},
         "friction.coulomb": {"level": 2.0},
         "load.spring": {"stiffness": 20.0, "rest": 0.0},
     }
-    few = np.arange(len(S.problem.windows))[::2]
-    tried = screen(S.problem, refitted, [Term(catalogue()[k], "cart", v) for k, v in guesses.items()], few)
-    promise, structure = pairs(S.problem, refitted, tried, few)[0]
+    subset = np.arange(len(S.problem.windows))[::2]
+    tried = screen(S.problem, refitted, [Term(catalogue()[k], "cart", v) for k, v in guesses.items()], subset)
+    predicted_gain, structure = pairs(S.problem, refitted, tried, subset)[0]
     assert {term.effect.id for term in structure.terms} == {"drag.quadratic", "friction.coulomb"}
-    assert promise > 1.0 + max(one.promise for one in tried)
-    both = fit(S.problem, structure, carry(refitted.structure, refitted.z, structure), refitted.starts)
+    assert predicted_gain > 1.0 + max(one.predicted_gain for one in tried)
+    both = fit(S.problem, structure, carry(refitted.structure, refitted.z, structure), refitted.initial)
     assert both.error < 0.1 * refitted.error
 
 
 def test_one_hypothesis_makes_no_pair() -> None:
     S = ready(run(seconds=3.0))
     alone = fit(S.problem, S.structure)
-    few = np.arange(4)
-    tried = screen(S.problem, alone, [Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0})], few)
+    subset = np.arange(4)
+    tried = screen(S.problem, alone, [Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0})], subset)
     assert len(tried) == 1
-    assert pairs(S.problem, alone, tried, few) == []
-    assert pairs(S.problem, alone, [], few) == []
+    assert pairs(S.problem, alone, tried, subset) == []
+    assert pairs(S.problem, alone, [], subset) == []
 
 
 def test_what_the_length_of_a_step_does_to_a_number() -> None:
     """Told from one simulation with halved steps, as twice what a refit with these moves it by."""
     P = prepared(CART, [run()], stepping=Stepping(0.002, mujoco.mjtIntegrator.mjINT_EULER))
     coarse = fit(P.problem, free(P, "cart.damping", "cart.mass"))
-    halved = fit(replace(P.problem, finer=2), coarse.structure, coarse.z, coarse.starts)
+    halved = fit(replace(P.problem, finer=2), coarse.structure, coarse.z, coarse.initial)
     assert findings.step_shift(coarse, P.problem) == pytest.approx(2 * np.abs(halved.z - coarse.z), rel=0.1)
     exact = ready(run())
     assert findings.step_shift(fit(exact.problem, coarse.structure), exact.problem).max() < 1e-6
@@ -461,7 +461,7 @@ def test_friction_under_load_knows_the_drive_of_its_own_step() -> None:
     loaded = base.with_term(
         Term(catalogue()["friction.load"], "cart", {"level": 0.5, "by_drive": 0.1, "by_weight": 0.0})
     )
-    at = P.problem.starts[None]
+    at = P.problem.initial[None]
     coarse = predict(P.problem, loaded, [loaded.first], at)
     fine = predict(replace(P.problem, finer=32), loaded, [loaded.first], at)
     without = predict(P.problem, base, [base.first], at)
@@ -491,9 +491,9 @@ def test_a_model_that_is_to_be_simulated_as_it_is_keeps_its_step() -> None:
     term = Term(catalogue()["motor.inductance"], "motor", {"time_constant": 3e-3})
     coarse = replace(S.problem, stepping=Stepping(0.002, None))
     physics_of = S.structure.with_term(term)
-    own = predict(coarse, physics_of, [physics_of.first], coarse.starts[None])
-    finer = predict(replace(coarse, finer=4), physics_of, [physics_of.first], coarse.starts[None])
-    exact = predict(replace(S.problem, finer=4), physics_of, [physics_of.first], coarse.starts[None])
+    own = predict(coarse, physics_of, [physics_of.first], coarse.initial[None])
+    finer = predict(replace(coarse, finer=4), physics_of, [physics_of.first], coarse.initial[None])
+    exact = predict(replace(S.problem, finer=4), physics_of, [physics_of.first], coarse.initial[None])
     assert np.abs(own - exact).max() > 2 * np.abs(finer - exact).max() > 0
 
 
@@ -525,13 +525,13 @@ def test_a_pair_is_not_tried_again_under_another_name() -> None:
     """What answers to another name, and does the same, would only be fitted twice."""
     S, known = ready(run(friction=3.0)), catalogue()
     alone = fit(S.problem, S.structure)
-    few = np.arange(len(S.problem.windows))
+    subset = np.arange(len(S.problem.windows))
     terms = [
         Term(known[name], "cart", {key: 1.0})
         for name, key in (("friction.coulomb", "level"), ("drag.quadratic", "coefficient"))
     ]
-    one, other = screen(S.problem, alone, terms, few)
+    one, other = screen(S.problem, alone, terms, subset)
     again = replace(other, term=replace(other.term, at="elsewhere"))
-    promises = [promise for promise, _ in pairs(S.problem, alone, [one, other], few)]
-    assert len(promises) == 1
-    assert [promise for promise, _ in pairs(S.problem, alone, [one, other, again], few)] == promises
+    gains = [predicted_gain for predicted_gain, _ in pairs(S.problem, alone, [one, other], subset)]
+    assert len(gains) == 1
+    assert [predicted_gain for predicted_gain, _ in pairs(S.problem, alone, [one, other, again], subset)] == gains

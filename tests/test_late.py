@@ -33,13 +33,13 @@ FEW = [catalogue()[name] for name in ("friction.coulomb", "drag.quadratic")]
 
 
 def test_a_number_that_is_not_known_at_all_has_no_interval() -> None:
-    number = SimpleNamespace(parameter="mass", at="cart", value=1.0, unit="kg")
-    structure = SimpleNamespace(numbers=(number,), slots=(SimpleNamespace(value=math.exp),))
+    mass = SimpleNamespace(attribute="mass", at="cart", value=1.0, unit="kg")
+    structure = SimpleNamespace(model_parameters=(mass,), slots=(SimpleNamespace(value=math.exp),))
     fitted: Any = SimpleNamespace(structure=structure, z=np.array([0.5]))
     for wide in (1e4, math.inf, math.nan):
-        (entry,) = findings.changed_numbers(fitted, np.array([wide]))
+        (entry,) = findings.changed_parameters(fitted, np.array([wide]))
         assert "low" not in entry
-    (entry,) = findings.changed_numbers(fitted, np.array([0.1]))
+    (entry,) = findings.changed_parameters(fitted, np.array([0.1]))
     assert entry["low"] == pytest.approx(math.exp(0.4))
 
 
@@ -53,7 +53,7 @@ STAGES: dict[str, list[tuple[Any, str]]] = {
         (Search, "refine"),
         (judgement, "_force_errors"),
         (judge, "intervals"),
-        (findings, "changed_numbers"),
+        (findings, "changed_parameters"),
         (findings, "missing_effects"),
         (improve, "improved_model"),
     ],

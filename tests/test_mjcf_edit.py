@@ -16,7 +16,7 @@ import dipc_gym
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document, text
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.model.parameters import fixed_masses, own_numbers
+from dipc_gym.sim2real.model.parameters import fixed_masses, model_parameters
 
 RIG = Path(dipc_gym.__file__).with_name("rig.xml")
 CLASSES = """<mujoco>
@@ -137,7 +137,7 @@ def test_sections_may_stand_more_than_once() -> None:
     assert rig.actuator("one").get("gear") == "-3"
     assert rig.sensor("angle").get("joint") == "a"
     # A drive that is geared to turn the other way has a gain all the same.
-    gear = next(number for number in own_numbers(rig, compiled(rig)) if number.key == "one.gear")
+    gear = next(number for number in model_parameters(rig, compiled(rig)) if number.key == "one.gear")
     assert gear.value == 3
     gear.write(rig, 4.0)
     assert compiled(rig).actuator("one").gear[0] == -4
@@ -216,7 +216,7 @@ def test_drag_keeps_the_damping_that_a_class_gives() -> None:
 
 def test_a_refitted_number_keeps_its_neighbours_from_a_class() -> None:
     file = document(CLASSES)
-    (damping,) = (n for n in own_numbers(file, compiled(file)) if n.key == "cart.damping")
+    (damping,) = (n for n in model_parameters(file, compiled(file)) if n.key == "cart.damping")
     damping.write(file, 9.0)
     model = compiled(file)
     assert model.dof_damping[0] == 9
@@ -241,10 +241,10 @@ def test_a_mass_is_refitted_only_where_what_is_written_holds(compiler: str, inne
         "</worldbody></mujoco>"
     )
     model = compiled(file)
-    numbers = own_numbers(file, model)
-    masses = [number for number in numbers if number.key == "cart.mass"]
+    parameters = model_parameters(file, model)
+    masses = [number for number in parameters if number.key == "cart.mass"]
     assert bool(masses) == free
-    assert bool(fixed_masses(file, model, numbers)) != free
+    assert bool(fixed_masses(file, model, parameters)) != free
     for mass in masses:
         mass.write(file, 3.0)
         assert compiled(file).body("cart").mass[0] == pytest.approx(3.0)
@@ -376,5 +376,5 @@ def test_numbers_that_a_refit_cannot_write_are_left_out() -> None:
             <inertial pos="0 0 -1" mass="1" diaginertia="1 1 1"/></body></replicate>
         </worldbody></mujoco>"""
     )
-    numbers = own_numbers(Document(source), mjcf.compile(source))
-    assert [number.key for number in numbers] == ["rail.damping"]
+    parameters = model_parameters(Document(source), mjcf.compile(source))
+    assert [number.key for number in parameters] == ["rail.damping"]

@@ -58,22 +58,24 @@ def test_what_earns_its_place(small: bool, before: float, after: float, earned: 
 @pytest.mark.parametrize(
     ("after", "tried"),
     [
-        ({"gap drag": 6.0}, ["gap drag", "rub drag"]),  # a quarter of what it promised: no gap beside others either
-        ({"gap drag": 2.0}, ["gap drag", "gap load", "rub drag"]),  # as promised
+        ({"gap drag": 6.0}, ["gap drag", "rub drag"]),  # a quarter of what was predicted: no gap beside others either
+        ({"gap drag": 2.0}, ["gap drag", "gap load", "rub drag"]),  # as predicted
         ({"rub drag": 6.0}, ["gap drag", "gap load", "rub drag"]),  # what takes no fine steps is tried anyway
     ],
 )
 def test_a_gap_that_fell_short_beside_one_effect_is_not_tried_beside_others(
     after: dict[str, float], tried: list[str]
 ) -> None:
-    """The mean square error is 8 before and 1 after, where nothing else is said; each pair promised a fall of 1.0."""
+    """The mean square error is 8 before and 1 after, where nothing else is said; the predicted gain of each pair is
+    1.0.
+    """
     said: list[str] = []
 
     def sketch(base: SimpleNamespace, structure: SimpleNamespace) -> SimpleNamespace:
         said.append(name := " ".join(term.key for term in structure.terms))
         return SimpleNamespace(mse=np.full(9, after.get(name, 1.0)), error=2.0)
 
-    search = SimpleNamespace(few=np.arange(9), sketch=sketch, slow=lambda term: term.key == "gap")
+    search = SimpleNamespace(subset=np.arange(9), sketch=sketch, slow=lambda term: term.key == "gap")
     asked: list[Any] = []
     for name in ("gap drag", "gap load", "rub drag"):
         terms = [SimpleNamespace(key=key) for key in name.split()]
@@ -106,14 +108,14 @@ def test_what_elaborates_waits_for_the_plain_one(plain: float, elaborate: float,
         (Tried(Term(catalogue()[name], "cart", {}), 1.0, SimpleNamespace(error=error)), None)  # type: ignore[arg-type]
         for name, error in errors.items()
     ]
-    search = SimpleNamespace(few=np.arange(4))
+    search = SimpleNamespace(subset=np.arange(4))
     current = SimpleNamespace(mse=np.full(9, 100.0**2))
     left = Search._plain_first(search, sketched, current)  # type: ignore[arg-type]
     assert [tried.term.effect.id for tried, _ in left] == kept
 
 
 @pytest.mark.parametrize(
-    ("promise", "lag_leaves", "asked"),
+    ("share", "lag_leaves", "asked"),
     [
         (0.7, 1.0, {"timing.sensor_lag", "transmission.compliance"}),  # it keeps up
         (0.4, 9.0, {"timing.sensor_lag", "transmission.compliance"}),  # nothing else will do
@@ -121,14 +123,16 @@ def test_what_elaborates_waits_for_the_plain_one(plain: float, elaborate: float,
         (0.2, 9.0, {"timing.sensor_lag"}),
     ],
 )
-def test_what_takes_fine_steps_and_promised_less_waits_for_the_others(
-    promise: float, lag_leaves: float, asked: set[str]
+def test_what_takes_fine_steps_and_gains_less_waits_for_the_others(
+    share: float, lag_leaves: float, asked: set[str]
 ) -> None:
-    """A coupling promises a share of what a lag does, and the lag's sketch leaves so many times the noise."""
+    """The predicted gain of a coupling is a share of that of a lag, and the lag's sketch leaves so many times the
+    noise.
+    """
 
     class Searching(Search):
-        def _sketched(self, starts: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
-            (tried, base) = starts[0]
+        def _sketched(self, by_key: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
+            (tried, base) = by_key[0]
             error = lag_leaves if tried.term.effect.id == "timing.sensor_lag" else 5.0
             sketch = SimpleNamespace(error=error, structure=None)
             return [(replace(tried, sketch=sketch), base)]  # type: ignore[arg-type]
@@ -136,10 +140,10 @@ def test_what_takes_fine_steps_and_promised_less_waits_for_the_others(
     stepping = SimpleNamespace(timestep=0.001)
     search = Searching(SimpleNamespace(stepping=stepping), *[None] * 3, (), (), lambda: None)  # type: ignore[arg-type]
     base = SimpleNamespace(structure=SimpleNamespace(with_term=lambda _: SimpleNamespace(elaborates=lambda _: False)))
-    promised = {"timing.sensor_lag": 2.0, "transmission.compliance": 2.0 * promise}
-    ranked = [(Tried(Term(catalogue()[name], "at", {}), worth), base) for name, worth in promised.items()]
-    starts = {tried.key: [(tried, base)] for tried, base in ranked}
-    sketched = search._in_turn(ranked, starts, SimpleNamespace(error=50.0))  # type: ignore[arg-type]
+    gains = {"timing.sensor_lag": 2.0, "transmission.compliance": 2.0 * share}
+    ranked = [(Tried(Term(catalogue()[name], "at", {}), worth), base) for name, worth in gains.items()]
+    by_key = {tried.key: [(tried, base)] for tried, base in ranked}
+    sketched = search._in_turn(ranked, by_key, SimpleNamespace(error=50.0))  # type: ignore[arg-type]
     assert {tried.term.effect.id for tried, _ in sketched} == asked
 
 
@@ -179,7 +183,7 @@ def test_a_few_windows_tell_at_the_noise(scale: float, worse: int, better: int, 
 
 
 @pytest.mark.parametrize(
-    ("rest", "after", "stands_out"),
+    ("others", "after", "stands_out"),
     [
         (1.0, (1.0, 1.0), True),  # a limit that is met in two windows, and explains both
         (1.0, (1.0, 60.0), False),  # one of them is left: a push would do as well
@@ -187,10 +191,10 @@ def test_a_few_windows_tell_at_the_noise(scale: float, worse: int, better: int, 
     ],
 )
 def test_what_acts_seldom_stands_out_where_it_leaves_nothing(
-    rest: float, after: tuple[float, float], stands_out: bool
+    others: float, after: tuple[float, float], stands_out: bool
 ) -> None:
     """Two of 72 windows are predicted badly, the others at the noise or not."""
-    before = np.append(np.full(70, rest), [400.0, 90.0])
+    before = np.append(np.full(70, others), [400.0, 90.0])
     search = SimpleNamespace(
         mse=lambda fitted: fitted.mse,
         earns=lambda new, old: True,
@@ -198,11 +202,11 @@ def test_what_acts_seldom_stands_out_where_it_leaves_nothing(
     )
     search.settles = lambda new, old: Search.settles(search, new, old)  # type: ignore[arg-type]
     term = SimpleNamespace(effect=SimpleNamespace(once=False))
-    fits = [SimpleNamespace(mse=mse) for mse in (np.append(np.full(70, rest), after), before)]
+    fits = [SimpleNamespace(mse=mse) for mse in (np.append(np.full(70, others), after), before)]
     assert Search.stands_out(search, term, *fits) is stands_out  # type: ignore[arg-type]
 
 
-def test_windows_of_other_recordings_at_the_time_of_an_odd_one_are_left_aside() -> None:
+def test_windows_of_other_recordings_at_the_time_of_an_outlier_are_left_aside() -> None:
     windows = SimpleNamespace(
         start=np.array([0.0, 1.0, 2.0, 3.0] * 2), source=np.repeat([0, 1], 4), times=np.linspace(0, 0.25, 5)[None]
     )
@@ -214,68 +218,68 @@ def test_windows_of_other_recordings_at_the_time_of_an_odd_one_are_left_aside() 
 
 def test_sketches_know_windows_that_stood_out_before_them() -> None:
     """What stands out later is added at the end, and older sketches are compared on what they know."""
-    search = SimpleNamespace(few=np.array([4, 7, 9, 2]))
+    search = SimpleNamespace(subset=np.array([4, 7, 9, 2]))
     old = SimpleNamespace(mse=np.ones(3))
     assert Search.known_to(search, old).tolist() == [4, 7, 9]  # type: ignore[arg-type]
 
 
-def test_windows_beside_an_odd_one_are_taken_in() -> None:
+def test_windows_beside_an_outlier_are_taken_in() -> None:
     """They tell when it began and ended; those of another recording do not."""
     fitted = SimpleNamespace(start=np.arange(9) / 2, source=np.zeros(9, dtype=int))
 
-    class Rest(SimpleNamespace):
+    class Aside(SimpleNamespace):
         def __len__(self) -> int:
             return len(self.start)
 
     start, source = np.array([0.25, 0.75, 1.5, 0.25]), np.array([0, 0, 0, 1])
-    rest = Rest(start=start, source=source, times=np.linspace(0, 0.25, 5)[None])
-    found = data.eventful(fitted, np.where(fitted.start == 0.5, 90.0, 1.0), rest, np.ones(4))  # type: ignore[arg-type]
+    aside = Aside(start=start, source=source, times=np.linspace(0, 0.25, 5)[None])
+    found = data.eventful(fitted, np.where(fitted.start == 0.5, 90.0, 1.0), aside, np.ones(4))  # type: ignore[arg-type]
     assert found.tolist() == [True, True, False, False]
-    found = data.eventful(fitted, np.ones(9), rest, np.array([1.0, 1.0, 90.0, 1.0]))  # type: ignore[arg-type]
+    found = data.eventful(fitted, np.ones(9), aside, np.array([1.0, 1.0, 90.0, 1.0]))  # type: ignore[arg-type]
     assert found.tolist() == [False, False, True, False]
-    many = Rest(start=np.arange(9.0), source=np.zeros(9, dtype=int), times=rest.times)
+    many = Aside(start=np.arange(9.0), source=np.zeros(9, dtype=int), times=aside.times)
     assert not data.eventful(fitted, np.ones(9), many, np.full(9, 90.0)).any()  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("everywhere", "among_few", "luck"),
+    ("everywhere", "among_subset", "luck"),
     [
         (0.0, 0.1, 0.1),
         (0.2, 0.5, 0.3),
         (0.2, 0.1, 0.0),
-        (-4.2, 0.1, 0.1),  # a step cut short along a null space does harm; numbers may as well stay where they are
+        (-4.2, 0.1, 0.1),  # a step cut short along a null space does harm; parameters may as well stay where they are
     ],
 )
-def test_what_own_numbers_promise_on_a_few_windows_by_chance(
-    monkeypatch: pytest.MonkeyPatch, everywhere: float, among_few: float, luck: float
+def test_what_model_parameters_gain_on_a_subset_by_chance(
+    monkeypatch: pytest.MonkeyPatch, everywhere: float, among_subset: float, luck: float
 ) -> None:
-    promises = {9: everywhere, 3: among_few}
+    gains = {9: everywhere, 3: among_subset}
 
     class Windows(int):
-        def pick(self, few: np.ndarray) -> Windows:
-            return Windows(len(few))
+        def pick(self, subset: np.ndarray) -> Windows:
+            return Windows(len(subset))
 
     monkeypatch.setattr(
-        screen, "_Overlay", lambda count, *_: SimpleNamespace(promise=lambda *_, beside: (promises[count], []))
+        screen, "_Overlay", lambda count, *_: SimpleNamespace(predicted_gain=lambda *_, beside: (gains[count], []))
     )
     found = screen._luck(Windows(9), Windows(9), np.arange(3))  # type: ignore[arg-type]
     assert found == pytest.approx(luck)
 
 
 @pytest.mark.parametrize(
-    ("stays", "terms", "few", "whole", "kept"),
+    ("stays", "terms", "subset", "whole", "kept"),
     [
         (1.5, 2, 1.0, 1.0, 1.0),  # another valley leads to the noise
-        (1.5, 2, 1.4999, 1.0, 1.5),  # hardly better on the few windows: the whole is not asked
-        (1.5, 2, 1.0, 1.6, 1.5),  # the few windows promised too much
-        (1.5, 1, 1.0, 1.0, 1.5),  # what is alone was begun from nominal numbers already
+        (1.5, 2, 1.4999, 1.0, 1.5),  # hardly better on the subset: the whole is not asked
+        (1.5, 2, 1.0, 1.6, 1.5),  # the subset foretold too much
+        (1.5, 1, 1.0, 1.0, 1.5),  # what is alone was begun from nominal parameters already
         (1.1, 2, 1.0, 1.0, 1.1),  # at the noise
     ],
 )
 def test_several_effects_that_stay_above_the_noise_are_begun_anew(
-    monkeypatch: pytest.MonkeyPatch, stays: float, terms: int, few: float, whole: float, kept: float
+    monkeypatch: pytest.MonkeyPatch, stays: float, terms: int, subset: float, whole: float, kept: float
 ) -> None:
-    """Errors in units of noise: where the fit stays, and what comes of a new one on few and on all windows."""
+    """Errors in units of noise: where the fit stays, and what comes of a new one on the subset and on all windows."""
 
     def fitted(error: float, count: int) -> SimpleNamespace:
         structure = SimpleNamespace(terms=("",) * terms)
@@ -286,7 +290,7 @@ def test_several_effects_that_stay_above_the_noise_are_begun_anew(
     monkeypatch.setattr(
         search,
         "fit",
-        lambda some, *_, **__: fitted(whole if some is problem else few, len(some.windows)),
+        lambda some, *_, **__: fitted(whole if some is problem else subset, len(some.windows)),
     )
-    made = SimpleNamespace(problem=problem, few=np.arange(0, 60, 3))
+    made = SimpleNamespace(problem=problem, subset=np.arange(0, 60, 3))
     assert Search._anew(made, fitted(stays, 60)).error == kept  # type: ignore[arg-type]

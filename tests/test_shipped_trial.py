@@ -15,7 +15,7 @@ import mujoco
 from dipc_gym import mjcf, recording
 from dipc_gym.sim2real import diagnose
 from dipc_gym.sim2real.replay import replay
-from dipc_gym.trials.judge import judge
+from dipc_gym.trials.grade import grade
 
 TRIAL = Path(__file__).parent / "trial"
 
@@ -30,7 +30,7 @@ def test_names_what_is_missing_and_predicts_a_recording_that_it_never_saw(tmp_pa
     mujoco.MjModel.from_xml_path(str(improved))  # stock MuJoCo loads what is written
     seen = replay(improved, TRIAL / "test.npz", window=answer["window"], step=0.001)
     errors = {"sensor_errors": {sensor.name: sensor.error for sensor in seen.sensors}}
-    score = judge(answer, found.to_dict(), errors)
+    score = grade(answer, found.to_dict(), errors)
     assert found.verdict == "explained", found.sentence
     assert score.name, found.sentence
     assert score.set

@@ -97,13 +97,13 @@ def test_as_given_is_mujocos_own_step_to_the_last_bit(text: str) -> None:
     count = plain.model.nv
     run = record(plain, sweep(2.0), 1.0, period=0.001, step=0.001, start=[0.05, 0.4, -0.2][:count])
     windows = cut([run], np.ones(count), 0.25, (0.0, 1.0))
-    starts = np.random.default_rng(1).normal(size=(len(windows), 2 * count)) * 0.3
+    initial = np.random.default_rng(1).normal(size=(len(windows), 2 * count)) * 0.3
     base = [plain.model.joint(j).name for j in range(plain.model.njnt)]
-    readings = simulate([plain], windows, starts[None], AS_GIVEN, base=base)[0]
+    readings = simulate([plain], windows, initial[None], AS_GIVEN, base=base)[0]
     data = mujoco.MjData(plain.model)
     for k in range(len(windows)):
         mujoco.mj_resetData(plain.model, data)
-        data.qpos[:], data.qvel[:] = starts[k, :count], starts[k, count:]
+        data.qpos[:], data.qvel[:] = initial[k, :count], initial[k, count:]
         first = int(np.searchsorted(run.time, windows.start[k] - 1e-9))
         for i in range(readings.shape[1]):
             data.ctrl[:] = run.commands[first + i]
@@ -114,7 +114,8 @@ def test_as_given_is_mujocos_own_step_to_the_last_bit(text: str) -> None:
 def test_threads_do_not_change_a_bit() -> None:
     P = prepared(HANGING, [record(rig(HANGING), sweep(3.0), 2.0, noise=NOISE["hanging"])])
     one, two = (
-        predict(replace(P.problem, threads=n), P.structure, [P.structure.first], P.problem.starts[None]) for n in (1, 2)
+        predict(replace(P.problem, threads=n), P.structure, [P.structure.first], P.problem.initial[None])
+        for n in (1, 2)
     )
     assert np.array_equal(one, two)
 
@@ -126,7 +127,7 @@ def test_a_simulation_that_diverges_is_not_restarted() -> None:
     document = base.document.copy()
     document.set(document.joint("cart"), damping=-1e9)
     broken = Structure(document, base.model, base.base)
-    readings = predict(P.problem, broken, [broken.first], P.problem.starts[None])[0]
+    readings = predict(P.problem, broken, [broken.first], P.problem.initial[None])[0]
     assert readings.shape == P.problem.windows.observed.shape
     assert not (np.abs(readings[:, -1]) < 1e6).any()
 
@@ -142,10 +143,10 @@ def test_a_simulation_that_diverges_is_not_restarted() -> None:
 )
 def test_a_window_that_diverges_leaves_the_others_alone(effect: str, values: dict[str, float]) -> None:
     windows = cut([noisy(rig(CART), 0.5)], np.ones(1), 0.25, (0.0, 1.0))
-    starts = np.zeros((2, len(windows), 2))
-    starts[1, 1] = np.nan
+    initial = np.zeros((2, len(windows), 2))
+    initial[1, 1] = np.nan
     dry = rig(CART, effect, "cart", **values)
-    whole, broken = (simulate([dry], windows, one[None], FINE, base=["cart"])[0] for one in starts)
+    whole, broken = (simulate([dry], windows, one[None], FINE, base=["cart"])[0] for one in initial)
     others = np.arange(len(windows)) != 1
     assert not np.isfinite(broken[1]).any()
     assert np.array_equal(broken[others], whole[others])
@@ -161,8 +162,8 @@ def test_irregular_samples_are_read_between_steps() -> None:
     time = np.cumsum(rng.uniform(0.5, 1.5, 300) * 0.004)
     run = Recording("irregular", time, np.zeros((300, 1)), np.zeros((300, 1)), ["drive"], ["angle"])
     windows = cut([run], np.ones(1), 0.25, (0.0, 1.0))
-    starts = np.tile([0.7, 2.0], (len(windows), 1))
-    readings = simulate([rig(text)], windows, starts[None], FINE, base=["shoulder"])[0]
+    initial = np.tile([0.7, 2.0], (len(windows), 1))
+    readings = simulate([rig(text)], windows, initial[None], FINE, base=["shoulder"])[0]
     inertia = 0.01 + 0.8 * 0.2**2
     exact = solve_ivp(
         lambda t, y: [y[1], -0.8 * 9.81 * 0.2 * np.sin(y[0]) / inertia],
@@ -185,8 +186,8 @@ def test_commands_are_averaged_over_each_step() -> None:
     force = rng.normal(size=400)
     run = Recording("steps", time, force[:, None], np.zeros((400, 1)), ["drive"], ["angle"])
     windows = cut([run], np.ones(1), 0.25, (0.0, 1.0))
-    starts = np.zeros((len(windows), 2))
-    readings = simulate([rig(text)], windows, starts[None], FINE, base=["shoulder"])[0]
+    initial = np.zeros((len(windows), 2))
+    readings = simulate([rig(text)], windows, initial[None], FINE, base=["shoulder"])[0]
     for k in range(len(windows)):
         first = int(np.searchsorted(time, windows.start[k] - 1e-12))
         n = int(windows.valid[k].sum())
@@ -206,12 +207,12 @@ def test_a_delay_is_an_earlier_command() -> None:
     run = record(rig(CART), sweep(4.0), 2.0, period=0.001, step=0.001)
     late = rig(CART, "timing.delay", "motor", delay=0.007)
     windows = cut([run], np.ones(1), 0.25, (0.0, 1.0)).pick(np.arange(1, 7))
-    starts = np.tile([0.0, 0.1], (len(windows), 1))
-    readings = simulate([late], windows, starts[None], AS_GIVEN, base=["cart"])[0]
+    initial = np.tile([0.0, 0.1], (len(windows), 1))
+    readings = simulate([late], windows, initial[None], AS_GIVEN, base=["cart"])[0]
 
     shifted = replace(run, commands=np.concatenate([np.repeat(run.commands[:1], 7, axis=0), run.commands[:-7]]))
     moved = replace(windows, recordings=(shifted,))
-    assert readings == pytest.approx(simulate([rig(CART)], moved, starts[None], AS_GIVEN, base=["cart"])[0], abs=1e-12)
+    assert readings == pytest.approx(simulate([rig(CART)], moved, initial[None], AS_GIVEN, base=["cart"])[0], abs=1e-12)
 
     data = mujoco.MjData(late.model)
     for k in range(len(windows)):
@@ -219,7 +220,7 @@ def test_a_delay_is_an_earlier_command() -> None:
         mujoco.mj_resetData(late.model, data)
         for i in range(first - 20, first + readings.shape[1]):
             if i == first:  # until here its history fills
-                data.qpos[:], data.qvel[:] = starts[k]
+                data.qpos[:], data.qvel[:] = initial[k]
             data.ctrl[:] = run.commands[i]
             mujoco.mj_step(late.model, data)
             if i >= first:
@@ -257,8 +258,8 @@ def test_commands_that_change_within_a_step_do_so_to_second_order(text: str, joi
     run = noisy(late, 4.0)
     base = mjcf.base_joints(late.model)
     windows = cut([run], np.ones(run.sensors.shape[1]), 0.25, (0.2, 1.0))
-    starts = np.zeros((1, len(windows), 2 * joints))
-    coarse, fine = (simulate([late], windows, starts, Stepping(h, RK4), base=base) for h in (0.002, 0.0001))
+    initial = np.zeros((1, len(windows), 2 * joints))
+    coarse, fine = (simulate([late], windows, initial, Stepping(h, RK4), base=base) for h in (0.002, 0.0001))
     # Such commands move the cart by up to 2e-5 m within a step, and the poles by 8e-5 rad.
     assert np.abs(coarse - fine).max() < 5e-6
 
@@ -277,7 +278,7 @@ def test_what_sticks_stays_where_it_is_whenever_commands_change() -> None:
 
 
 def test_every_variant_has_its_own_fields() -> None:
-    """A batch of structures with different numbers predicts what each would alone, the loader's effects included."""
+    """A batch of structures with different parameters predicts what each would alone, the loader's effects included."""
     P = prepared(HANGING, [record(rig(HANGING), sweep(3.0), 1.5, noise=NOISE["hanging"], start=(0, 0.4, -0.3))])
     S = P.structure
     for effect, at, guess in (
@@ -292,8 +293,8 @@ def test_every_variant_has_its_own_fields() -> None:
     ):
         structure = S.with_term(Term(catalogue()[effect], at, guess))
         Z = [structure.first, structure.first + 0.2, structure.first - 0.2]
-        together = predict(P.problem, structure, Z, P.problem.starts[None])
-        alone = [predict(P.problem, structure, [z], P.problem.starts[None])[0] for z in Z]
+        together = predict(P.problem, structure, Z, P.problem.initial[None])
+        alone = [predict(P.problem, structure, [z], P.problem.initial[None])[0] for z in Z]
         assert together == pytest.approx(np.stack(alone), abs=1e-10), effect
         assert not np.allclose(together[0], together[1], atol=1e-9), effect
 
@@ -329,7 +330,7 @@ def test_a_lagging_sensor_remembers_the_motion_before_its_window() -> None:
         Stepping(5e-4, RK4),
         base=["cart"],
         warm=0.06,
-        warm_starts=states[None, begin - 30],
+        warm_initial=states[None, begin - 30],
     )[0, 0, :, 0]
     bend = gear * 10 / mass * period**2  # by how much a step bends, with the largest force
     np.testing.assert_allclose(readings, windows.observed[0, :, 0], atol=5e-3 * bend)
@@ -346,7 +347,7 @@ def test_currents_follow_voltages_with_their_time_constant() -> None:
         windows = cut([run], np.ones(1), 0.25, (0.0, 1.0)).pick(np.array([1]))
         zero = np.zeros((1, 1, 2))
         stepping = Stepping(5e-4, RK4)
-        readings = simulate([winding], windows, zero, stepping, base=["cart"], warm=0.06, warm_starts=zero[0])[0]
+        readings = simulate([winding], windows, zero, stepping, base=["cart"], warm=0.06, warm_initial=zero[0])[0]
         t = np.maximum(windows.start[0] + windows.times[0] - 0.3, 0.0)
         force = 5.0 * 78.7 * 0.06 / 1.2
         exact = force / 1e4 * (t**2 / 2 - tau * t + tau**2 * (1 - np.exp(-t / tau)))
@@ -403,8 +404,8 @@ def test_a_late_sensor_reads_what_it_would_have_read_before(delay: float) -> Non
     volts = np.array([[command(t)] for t in time])
     run = Recording("late", time, volts, seen, ["motor"], ["cart", "pole1", "pole2"])
     windows = cut([run], np.ones(3), 0.25, (0.0, 1.0)).pick(np.array([1, 2]))
-    starts = truth(windows.start - delay)[None]
-    found = simulate([late, plain], windows, starts, FINE, base=["cart", "pole1", "pole2"])
+    initial = truth(windows.start - delay)[None]
+    found = simulate([late, plain], windows, initial, FINE, base=["cart", "pole1", "pole2"])
     assert found[0] == pytest.approx(windows.observed, abs=1e-6)
     assert np.abs(found[1] - windows.observed).max() > 1e-4
 
@@ -444,12 +445,12 @@ def test_windings_are_as_hot_as_in_a_simulation_of_the_whole(hot: tuple[Recordin
 
 
 def test_a_hot_motor_is_predicted_only_from_its_temperature(hot: tuple[Recording, np.ndarray, np.ndarray]) -> None:
-    """With the effect's numbers the windows are predicted to the noise; from a cold start they are not."""
+    """With the effect's parameters the windows are predicted to the noise; from a cold start they are not."""
     P = prepared(CART, [hot[0]], stepping=Stepping(0.001, RK4))
     S = P.structure.with_term(Term(catalogue()["motor.thermal"], "motor", HOT))
     late = P.problem.pick(P.problem.windows.start > 10)
-    error = late.windows.observed - predict(late, S, [S.first], late.starts[None])[0]
-    cold = late.windows.observed - predict(late, P.structure, [P.structure.first], late.starts[None])[0]
+    error = late.windows.observed - predict(late, S, [S.first], late.initial[None])[0]
+    cold = late.windows.observed - predict(late, P.structure, [P.structure.first], late.initial[None])[0]
     assert np.sqrt(np.mean(error**2)) < 0.1 * np.sqrt(np.mean(cold**2))
 
 
@@ -468,7 +469,7 @@ def test_a_rotor_behind_play_is_where_the_warm_up_left_it() -> None:
     S = P.structure.with_term(Term(catalogue()["transmission.backlash"], "motor", values))
 
     def error(structure: Structure) -> float:
-        readings = predict(P.problem, structure, [structure.first], P.problem.starts[None])[0]
+        readings = predict(P.problem, structure, [structure.first], P.problem.initial[None])[0]
         return float(np.median(np.abs(P.problem.windows.observed - readings).max(axis=1)))
 
     effect = type("Centred", (type(S.terms[0].effect),), {"warm": 0.0})()

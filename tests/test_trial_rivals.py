@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from dipc_gym.trials import catalogue, generate, network, replayed, rigs, rivals, windows
+from dipc_gym.trials import catalogue, generate, network, prediction, replayed, rigs, rivals
 from dipc_gym.trials.generate import write_csv
 
 CART = "cart"
@@ -25,7 +25,7 @@ def rig_with(tmp_path, effect=None, values=(), *, rig=CART, nominal=None):
         one = next(e for e in catalogue.effects(made) if e.name == effect)
         plant = one.apply(plant, np.asarray(values, dtype=float))
     recordings = [
-        windows.record(made, plant, rigs.excitation(made, kind, rng), windows.ONES, rng)
+        prediction.record(made, plant, rigs.excitation(made, kind, rng), prediction.ONES, rng)
         for kind in ("chirp", "noise", "steps")
     ]
     for name, recording in zip(("train_1", "train_2", "test"), recordings, strict=True):
@@ -44,9 +44,9 @@ def first(motion, windows_=24):
 
 
 def generators_error(rig, plant, recording):
-    seen = windows.Windows(rig, recording, rig.plant)
-    rest = seen.residual(windows.predict(rig, plant, recording), recording.measured)
-    return windows.rms(rest[: 24 * replayed.WINDOW * rig.count])
+    seen = prediction.Windows(rig, recording, rig.plant)
+    rest = seen.residual(prediction.predict(rig, plant, recording), recording.measured)
+    return prediction.rms(rest[: 24 * replayed.WINDOW * rig.count])
 
 
 @pytest.mark.parametrize(("rig", "effect", "values"), [("upright", None, ()), ("pendulum", "drag.quadratic", (0.01,))])

@@ -15,12 +15,12 @@ import pytest
 pytest.importorskip("numba")
 
 import dipc_gym
-from dipc_gym.trials import attempt, catalogue, generate, integrator, judge, publish, rigs, run, score, windows
+from dipc_gym.trials import attempt, catalogue, generate, grade, integrator, prediction, publish, rigs, run, score
 from dipc_gym.trials.plant import SIZE, index
 
 PACKAGE = Path(dipc_gym.__file__).parent
 PYTHON = sys.executable
-GENERATOR = ("integrator", "rigs", "effects", "catalogue", "windows", "secret", "generate")
+GENERATOR = ("integrator", "rigs", "hidden", "catalogue", "shapes", "prediction", "secret", "generate")
 
 
 def cart(**joint):
@@ -285,20 +285,20 @@ def test_every_effect_shows_at_its_largest_and_keeps_the_balance_of_units(name):
     rng = np.random.default_rng(2)
     rig = rigs.RIGS[name](rng)
     drive = rigs.excitation(rig, "chirp", rng)
-    clean = windows.record(rig, rig.plant, drive, windows.ONES, np.random.default_rng(0), step=2.5e-4)
-    seen = windows.Windows(rig, clean, rig.plant)
-    assert windows.rms(seen.residual(windows.predict(rig, rig.plant, clean), clean.reading)) < 1e-2
+    clean = prediction.record(rig, rig.plant, drive, prediction.ONES, np.random.default_rng(0), step=2.5e-4)
+    seen = prediction.Windows(rig, clean, rig.plant)
+    assert prediction.rms(seen.residual(prediction.predict(rig, rig.plant, clean), clean.reading)) < 1e-2
     for effect in [*catalogue.effects(rig), *catalogue.unknowns(rig)]:
-        if not effect.numbers:
+        if not effect.parameters:
             continue
         low = effect.name == "motor.saturation"
-        largest = np.array([n.low if low or n.name == "frequency" else n.high for n in effect.numbers])
+        largest = np.array([n.low if low or n.name == "frequency" else n.high for n in effect.parameters])
         if effect.name == "transmission.compliance":
-            largest = np.array([n.low for n in effect.numbers])
+            largest = np.array([n.low for n in effect.parameters])
         plant = effect.apply(rig.plant, largest)
-        changed = seen.residual(windows.predict(rig, plant, clean), clean.reading)
+        changed = seen.residual(prediction.predict(rig, plant, clean), clean.reading)
         blind = effect.name == "sensor.gain" and rig.count == 1 and name == "cart"
-        assert blind or windows.rms(changed) > 1.0, (effect.name, effect.at, effect.kind)
+        assert blind or prediction.rms(changed) > 1.0, (effect.name, effect.at, effect.kind)
 
 
 def test_catalogue_covers_every_id():
@@ -489,17 +489,17 @@ FINE = {"seconds": 5.0, "failure": None, "sensor_errors": {"cart": 1.9e-5}}
 
 
 def test_the_truth_is_right_and_a_stranger_is_not():
-    judged = judge.judge(sealed(), said(one("friction.coulomb", level=(3.1, 2.9, 3.2))), FINE)
+    judged = grade.grade(sealed(), said(one("friction.coulomb", level=(3.1, 2.9, 3.2))), FINE)
     assert (judged.name, judged.set, judged.place, judged.route) == (True, True, True, "truth")
     assert (judged.inside, judged.printed, judged.parameters) == (1, 1, 1)
     assert judged.reached == pytest.approx((10 - 1.9) / (10 - 1))
-    judged = judge.judge(sealed(), said(one("motor.deadzone", "motor"), one("friction.coulomb")), FINE)
+    judged = grade.grade(sealed(), said(one("motor.deadzone", "motor"), one("friction.coulomb")), FINE)
     assert (judged.name, judged.set, judged.place) == (False, False, False)
-    judged = judge.judge(sealed(), said(one("friction.coulomb", "pole1", level=(3.1, 2.9, 3.2))), FINE)
+    judged = grade.grade(sealed(), said(one("friction.coulomb", "pole1", level=(3.1, 2.9, 3.2))), FINE)
     assert (judged.name, judged.place, judged.printed) == (True, False, 0)
-    judged = judge.judge(sealed(), said(one("friction.coulomb", level=(3.1, None, None))), FINE)
+    judged = grade.grade(sealed(), said(one("friction.coulomb", level=(3.1, None, None))), FINE)
     assert (judged.printed, judged.parameters) == (0, 1)
-    judged = judge.judge(sealed(), said(one("friction.coulomb", level=(3.4, 3.2, 3.6))), FINE)
+    judged = grade.grade(sealed(), said(one("friction.coulomb", level=(3.4, 3.2, 3.6))), FINE)
     assert (judged.inside, judged.printed) == (0, 1)
 
 
@@ -507,38 +507,38 @@ def test_another_name_counts_only_if_it_is_the_same_and_the_tool_says_so():
     answer = sealed(
         missing=[("load.tilt", "world")], equivalents={"load.tilt@world": [{"effect": "load.constant", "at": "cart"}]}
     )
-    open_ = judge.judge(answer, said(one("load.constant", same=["load.tilt"])), FINE)
+    open_ = grade.grade(answer, said(one("load.constant", same=["load.tilt"])), FINE)
     assert (open_.name, open_.set, open_.place, open_.route) == (True, True, True, "same")
-    silent = judge.judge(answer, said(one("load.constant")), FINE)
+    silent = grade.grade(answer, said(one("load.constant")), FINE)
     assert (silent.name, silent.set, silent.place) == (False, False, True)
-    boast = judge.judge(sealed(), said(one("motor.deadzone", same=["friction.coulomb"])), FINE)
+    boast = grade.grade(sealed(), said(one("motor.deadzone", same=["friction.coulomb"])), FINE)
     assert boast.name is False
 
 
 def test_parts_pairs_and_refits():
     curve = sealed(missing=[("friction.stribeck", "cart")], includes=["friction.coulomb"])
-    assert judge.judge(curve, said(one("friction.coulomb"), one("friction.stribeck")), FINE).route == "part"
-    assert judge.judge(curve, said(one("friction.coulomb")), FINE).name is False
+    assert grade.grade(curve, said(one("friction.coulomb"), one("friction.stribeck")), FINE).route == "part"
+    assert grade.grade(curve, said(one("friction.coulomb")), FINE).name is False
     pair = sealed("pair", [("friction.coulomb", "cart"), ("load.spring", "cart")])
-    half = judge.judge(pair, said(one("load.spring")), FINE)
+    half = grade.grade(pair, said(one("load.spring")), FINE)
     assert (half.name, half.set) == (True, False)
-    both = judge.judge(pair, said(one("load.spring"), one("friction.coulomb")), FINE)
+    both = grade.grade(pair, said(one("load.spring"), one("friction.coulomb")), FINE)
     assert (both.name, both.set) == (True, True)
-    more = judge.judge(pair, said(one("load.spring"), one("friction.coulomb"), one("timing.delay")), FINE)
+    more = grade.grade(pair, said(one("load.spring"), one("friction.coulomb"), one("timing.delay")), FINE)
     assert (more.name, more.set) == (True, False)
     faint = pair | {"share_of_each": {"friction.coulomb@cart": 0.2, "load.spring@cart": 9.0}}
-    assert judge.judge(faint, said(one("load.spring")), FINE).set is True
-    assert judge.judge(faint, said(one("load.spring"), one("timing.delay")), FINE).set is False
+    assert grade.grade(faint, said(one("load.spring")), FINE).set is True
+    assert grade.grade(faint, said(one("load.spring"), one("timing.delay")), FINE).set is False
     both = [{"effect": "friction.coulomb", "at": "cart"}, {"effect": "load.constant", "at": "cart"}]
     split = sealed(missing=[("friction.asymmetric", "cart")], equivalent_sets={"friction.asymmetric@cart": [both]})
     told = [one("friction.coulomb", same=["friction.asymmetric"]), one("load.constant")]
-    assert judge.judge(split, said(*told), FINE).route == "same"
-    assert judge.judge(split, said(told[0]), FINE).name is False
-    assert judge.judge(split, said(one("friction.coulomb"), told[1]), FINE).name is False
+    assert grade.grade(split, said(*told), FINE).route == "same"
+    assert grade.grade(split, said(told[0]), FINE).name is False
+    assert grade.grade(split, said(one("friction.coulomb"), told[1]), FINE).name is False
     number = sealed(missing=[("friction.viscous", "cart")], recalibrated_suffices=True)
-    assert judge.judge(number, said(verdict="recalibrated"), FINE).route == "refit"
-    assert judge.judge(number, said(one("friction.viscous")), FINE).name is True
-    assert judge.judge(sealed(), said(verdict="recalibrated"), FINE).name is False
+    assert grade.grade(number, said(verdict="recalibrated"), FINE).route == "refit"
+    assert grade.grade(number, said(one("friction.viscous")), FINE).name is True
+    assert grade.grade(sealed(), said(verdict="recalibrated"), FINE).name is False
 
 
 def test_several_effects_that_are_the_truth_stand_for_it_beside_others():
@@ -549,21 +549,21 @@ def test_several_effects_that_are_the_truth_stand_for_it_beside_others():
         equivalent_sets={"load.tilt@world": [both], "motor.deadzone@motor": []},
     )
     told = [one("motor.deadzone", "motor"), one("sensor.bias", "pole1", same=["load.tilt"]), one("load.constant")]
-    judged = judge.judge(pair, said(*told), FINE)
+    judged = grade.grade(pair, said(*told), FINE)
     assert (judged.name, judged.set, judged.route) == (True, True, "truth")
-    assert judge.judge(pair, said(*told[1:], told[0]), FINE).route == "same"
-    assert judge.judge(pair, said(told[0], one("sensor.bias", "pole2"), told[2]), FINE).set is False
-    assert judge.judge(pair, said(*told, one("timing.delay")), FINE).set is False
+    assert grade.grade(pair, said(*told[1:], told[0]), FINE).route == "same"
+    assert grade.grade(pair, said(told[0], one("sensor.bias", "pole2"), told[2]), FINE).set is False
+    assert grade.grade(pair, said(*told, one("timing.delay")), FINE).set is False
 
 
 def test_what_a_refit_explains_has_its_size_beyond_the_nominal_model():
     faint = sealed(share_of_signal=0.1, recalibrated_suffices=True)
-    judged = judge.judge(faint, said(one("motor.deadzone")), FINE)
+    judged = grade.grade(faint, said(one("motor.deadzone")), FINE)
     assert (judged.size, judged.share, judged.clear) == (10.0, 0.1, True)  # right or wrong, it counts
-    assert not judge.judge(sealed(share_of_signal=1.9), said(), FINE).clear
-    assert not judge.judge(sealed("null", []), said(), FINE).clear
+    assert not grade.grade(sealed(share_of_signal=1.9), said(), FINE).clear
+    assert not grade.grade(sealed("null", []), said(), FINE).clear
     # Nothing said is no place found.
-    assert judge.judge(sealed(), said(verdict="consistent"), FINE).place is False
+    assert grade.grade(sealed(), said(verdict="consistent"), FINE).place is False
 
 
 @pytest.mark.parametrize(
@@ -590,40 +590,40 @@ def test_true_values_stand_under_the_names_that_are_printed(effect, numbers, pri
         parameters={f"{effect}@cart": {name: {"value": value, "unit": ""} for name, value in numbers.items()}},
     )
     around = {name: (value, value - 1e-9, value + 1e-9) for name, value in printed.items()}
-    judged = judge.judge(answer, said(one(effect, **around)), FINE)
+    judged = grade.grade(answer, said(one(effect, **around)), FINE)
     assert (judged.inside, judged.printed) == (len(printed), len(printed))
 
 
 def test_false_alarms_wrong_numbers_and_the_unknown():
     null = sealed("null", [])
-    assert judge.judge(null, said(verdict="consistent"), FINE).alarm is False
-    assert judge.judge(null, said(verdict="cannot tell"), FINE).alarm is False
-    assert judge.judge(null, said(verdict="unexplained"), FINE).alarm is True
-    assert judge.judge(null, said(one("unknown")), FINE).alarm is True
-    renumbered = judge.judge(null, said(verdict="recalibrated", recalibrated=[{}]), FINE)
+    assert grade.grade(null, said(verdict="consistent"), FINE).alarm is False
+    assert grade.grade(null, said(verdict="cannot tell"), FINE).alarm is False
+    assert grade.grade(null, said(verdict="unexplained"), FINE).alarm is True
+    assert grade.grade(null, said(one("unknown")), FINE).alarm is True
+    renumbered = grade.grade(null, said(verdict="recalibrated", recalibrated=[{}]), FINE)
     assert (renumbered.alarm, renumbered.renumbered) == (False, True)
     wrong = sealed("wrong", [])
-    assert judge.judge(wrong, said(verdict="recalibrated"), FINE).name is True
-    assert judge.judge(wrong, said(one("friction.viscous")), FINE).name is False
+    assert grade.grade(wrong, said(verdict="recalibrated"), FINE).name is True
+    assert grade.grade(wrong, said(one("friction.viscous")), FINE).name is False
     unknown = sealed("unknown", [("unknown", "cart")], includes=["friction.coulomb"], held_out_predictable=False)
     for diagnosis in (said(one("unknown")), said(verdict="unexplained"), said(one("friction.coulomb"), one("unknown"))):
-        judged = judge.judge(unknown, diagnosis, FINE)
+        judged = grade.grade(unknown, diagnosis, FINE)
         assert (judged.unknown, judged.misnamed) == (True, False)
-    judged = judge.judge(unknown, said(one("friction.load")), FINE)
+    judged = grade.grade(unknown, said(one("friction.load")), FINE)
     assert (judged.unknown, judged.misnamed, judged.reached) == (False, True, None)
     part = said(one("friction.coulomb"))
-    assert judge.judge(unknown, part, FINE).unknown is False
+    assert grade.grade(unknown, part, FINE).unknown is False
     whole = unknown | {"equivalents": {"unknown@cart": [{"effect": "friction.coulomb", "at": "cart"}]}}
-    assert judge.judge(whole, part, FINE).unknown is True
+    assert grade.grade(whole, part, FINE).unknown is True
 
 
 def test_a_failed_diagnosis_is_a_wrong_one():
     broken = {"seconds": 1.0, "failure": "it broke", "sensor_errors": None}
-    judged = judge.judge(sealed(), None, broken)
+    judged = grade.grade(sealed(), None, broken)
     assert (judged.verdict, judged.name, judged.set, judged.reached) == ("failed", False, False, None)
-    assert judge.judge(sealed("wrong", []), None, broken).name is False
+    assert grade.grade(sealed("wrong", []), None, broken).name is False
     # Failing on a null is no way to keep the false alarms down.
-    null = judge.judge(sealed("null", []), None, broken)
+    null = grade.grade(sealed("null", []), None, broken)
     assert null.alarm is None
     assert score.summarise([null])["summary"]["nulls"] == 0
 
@@ -734,7 +734,7 @@ def test_time_that_is_up_is_told_and_an_interruption_is_no_failure(tmp_path, mon
     note, _ = attempted(folder, limit=0.5)
     assert note["timed_out"]
     assert note["limit"] == 0.5
-    assert judge.judge(sealed(), said(one("friction.coulomb")), note).verdict == "failed"
+    assert grade.grade(sealed(), said(one("friction.coulomb")), note).verdict == "failed"
     monkeypatch.setattr(sys, "executable", fake_tool(tmp_path, "sys.exit(130)"))
     with pytest.raises(KeyboardInterrupt):
         attempted(folder)

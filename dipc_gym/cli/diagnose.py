@@ -17,7 +17,7 @@ class Diagnose:
     """Find the physics that a model lacks, say it in a sentence, and write it back as MJCF.
 
     The model is any MuJoCo model of hinge and slide joints without contacts whose sensors determine the joints. The
-    recordings are cut into windows of 0.25 s. First the model's own numbers are refitted, which is the fair rival of
+    recordings are cut into windows of 0.25 s. First the model's parameters are refitted, which is the fair rival of
     any new physics. Then every effect of the catalogue is tried at every place it can act, and kept only if it
     predicts windows that no fit has seen clearly better. What is reported was judged on data that no fit has touched,
     and that can strike effects off but add none: the recordings given with --held-out, else the last quarter of each.

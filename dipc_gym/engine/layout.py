@@ -147,8 +147,8 @@ class At(IntEnum):
     PROGRAM = 0
     PARAMETERS = 1
     PARAMETER_TANGENTS = 2
-    STARTS = 3
-    START_TANGENTS = 4
+    INITIAL = 3
+    INITIAL_TANGENTS = 4
     ENDS = 5
     END_TANGENTS = 6
     ROWS = 7

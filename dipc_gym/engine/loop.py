@@ -129,7 +129,9 @@ class _Run:
         self.stamps = code.numbers(code.offset(at[At.STAMPS], code.whole(entry, Row.STAMPS)))
         self.stamp_count = code.whole(entry, Row.COUNT)
         rows = code.product(row, self.nx)
-        self.starts = code.numbers(code.offset(at[At.STARTS], rows), code.offset(at[At.START_TANGENTS], rows, VECTOR))
+        self.initial = code.numbers(
+            code.offset(at[At.INITIAL], rows), code.offset(at[At.INITIAL_TANGENTS], rows, VECTOR)
+        )
         self.ends = code.numbers(code.offset(at[At.ENDS], rows), code.offset(at[At.END_TANGENTS], rows, VECTOR))
         each = code.product(self.ns, self.samples)
         self.times = code.numbers(code.offset(at[At.TIMES], code.product(window, each)))
@@ -147,7 +149,7 @@ class _Run:
         code = self.code
         self._begin(row)
         with code.count(self.nx) as k:
-            self.state[k] = self.starts[k]
+            self.state[k] = self.initial[k]
         with code.count(JOINTS + STOPS) as k:
             self.signs[k] = 0.0
         with code.count(self.ns) as k:

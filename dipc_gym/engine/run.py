@@ -44,7 +44,7 @@ class Jobs:
 
     Attributes:
         parameters: (variants, k).
-        starts: states at each window's start, (variants, windows, nx).
+        initial: states at each window's start, (variants, windows, nx).
         clock: time stamp of each window's start, s, (windows,).
         first: sample of `commands` from which each window reads, (windows,).
         count: samples from there on, (windows,).
@@ -55,7 +55,7 @@ class Jobs:
     """
 
     parameters: Array
-    starts: Array
+    initial: Array
     clock: Array
     first: Whole
     count: Whole
@@ -71,12 +71,12 @@ class Directions:
 
     Attributes:
         parameters: change of the parameters, (d, k).
-        starts: change of the starts, (d, windows, nx).
+        initial: change of the initial states, (d, windows, nx).
         commands: change of the commands, (d, samples, controls), or None.
     """
 
     parameters: Array
-    starts: Array
+    initial: Array
     commands: Array | None = None
 
 
@@ -96,13 +96,13 @@ def run(program: Program, jobs: Jobs, step: float, *, threads: int = 0) -> tuple
     Raises:
         Uncovered: a joint left its range.
     """
-    variants, windows, nx = jobs.starts.shape
+    variants, windows, nx = jobs.initial.shape
     rows = np.zeros((variants, windows, int(Row.SIZE)), dtype=np.int64)
     rows[..., Row.PARAMETERS] = np.arange(variants)[:, None]
     rows[..., Row.COMMANDS] = jobs.which[:, None] * len(jobs.commands.stamps) + jobs.first
     out = np.empty((variants, windows, *jobs.times.shape[1:]))
     ends = np.empty((variants, windows, nx))
-    _call(program, jobs, rows, jobs.starts, step, threads, out, ends, {})
+    _call(program, jobs, rows, jobs.initial, step, threads, out, ends, {})
     return out, ends
 
 
@@ -125,13 +125,13 @@ def differentiate(
     Raises:
         Uncovered: a joint left its range.
     """
-    (_, windows, nx), count = jobs.starts.shape, len(directions.parameters)
+    (_, windows, nx), count = jobs.initial.shape, len(directions.parameters)
     packs = max(1, -(-count // LANES))
     rows = np.zeros((packs, windows, int(Row.SIZE)), dtype=np.int64)
     rows[..., Row.DIRECTIONS] = np.arange(packs)[:, None]
     pack = np.arange(packs)[:, None] if directions.commands is not None else 0
     rows[..., Row.COMMANDS] = pack * len(jobs.commands.stamps) + jobs.first
-    starts = np.repeat(jobs.starts, packs, axis=0)
+    initial = np.repeat(jobs.initial, packs, axis=0)
     values = jobs.commands.values[jobs.which[0]]
     commands = np.repeat(values[None], packs if directions.commands is not None else 1, axis=0)
     changed = directions.commands if directions.commands is not None else np.zeros((LANES, *values.shape))
@@ -139,13 +139,13 @@ def differentiate(
     ends = np.empty((packs, windows, nx))
     tangents = {
         At.PARAMETER_TANGENTS: _packed(directions.parameters, packs),
-        At.START_TANGENTS: _packed(directions.starts, packs),
+        At.INITIAL_TANGENTS: _packed(directions.initial, packs),
         At.COMMAND_TANGENTS: _packed(changed, len(commands)),
         At.READING_TANGENTS: np.zeros((*out.shape, LANES)),
         At.END_TANGENTS: np.zeros((*ends.shape, LANES)),
     }
     moved = replace(jobs, commands=Commands(jobs.commands.stamps, commands))
-    _call(program, moved, rows, starts, step, threads, out, ends, tangents)
+    _call(program, moved, rows, initial, step, threads, out, ends, tangents)
     readings, states = (
         np.moveaxis(tangents[at], -1, 1).reshape(packs * LANES, *shape)[:count]
         for at, shape in ((At.READING_TANGENTS, out.shape[1:]), (At.END_TANGENTS, ends.shape[1:]))
@@ -164,7 +164,7 @@ def _call(
     program: Program,
     jobs: Jobs,
     rows: Whole,
-    starts: Array,
+    initial: Array,
     step: float,
     threads: int,
     out: Array,
@@ -179,7 +179,7 @@ def _call(
     arrays: dict[At, NDArray[np.generic]] = {
         At.PROGRAM: codes,
         At.PARAMETERS: jobs.parameters,
-        At.STARTS: starts,
+        At.INITIAL: initial,
         At.ENDS: ends,
         At.ROWS: rows,
         At.STAMPS: jobs.commands.stamps,

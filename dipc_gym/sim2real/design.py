@@ -1,10 +1,10 @@
 """The next experiment: the command whose recording would settle what is still open.
 
 A handful of commands is tried in simulation. Each is made as large as the range that the rig has visited allows. What
-the likeliest structure would then record is given to its rivals, their numbers and starts are refitted to it, and the
-command that leaves the closest rival furthest off, in units of noise, is proposed (Box and Hill 1967, with the
-refitted residual in the place of their criterion). With no rival, the command that determines the structure's own
-numbers best is.
+the likeliest structure would then record is given to its rivals, their parameters and initial states are refitted to
+it, and the command that leaves the closest rival furthest off, in units of noise, is proposed (Box and Hill 1967,
+with the refitted residual in the place of their criterion). With no rival, the command that determines the
+structure's own parameters best is.
 """
 
 from __future__ import annotations
@@ -23,11 +23,10 @@ from dipc_gym.sim2real.effects.base import is_dcmotor
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import Problem
-from dipc_gym.sim2real.model.parameters import own_numbers
+from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, names
 from dipc_gym.sim2real.simulation.batch import simulate
-from dipc_gym.sim2real.simulation.motion import Motion
-from dipc_gym.sim2real.simulation.motion import starts as initial_states
+from dipc_gym.sim2real.simulation.motion import Motion, initial_states
 from dipc_gym.sim2real.simulation.windows import Windows, cut
 
 Array = NDArray[np.float64]
@@ -108,10 +107,10 @@ def propose(
     *,
     seed: int = 0,
 ) -> Design:
-    """The command that tells structures apart, or determines the numbers of a single one.
+    """The command that tells structures apart, or determines the parameters of a single one.
 
     Args:
-        structures: with their fitted numbers, the likeliest first, then its rivals.
+        structures: with their fitted parameters, the likeliest first, then its rivals.
         problem: windows they were fitted to; gives noise, window length and step.
         recordings: that were made so far; give range and sample period.
         motions: of the base joints in them.
@@ -152,15 +151,15 @@ def propose(
         f"{_question(structures)} send {recordings[0].actuator_names[best.actuator]} {best.words}, of up to "
         f"{best.size:.3g}{_unit(likeliest[0], recordings[0], best.actuator)}, for {time[-1] + period:.0f} s, from rest "
         f"with {', '.join(begin)}. That moves {', '.join(reach)}, no further than the recordings did. "
-        + _promise(worth, bool(rivals)),
+        + _outlook(worth, bool(rivals)),
         _recording(recordings[0], time, rig.commands(best)),
         worth if rivals else math.nan,
     )
 
 
-def _promise(worth: float, rivals: bool) -> str:
+def _outlook(worth: float, rivals: bool) -> str:
     if not rivals:
-        return "Of the commands tried it determines the numbers best."
+        return "Of the commands tried it determines the parameters best."
     if worth < TELLING:
         return (
             f"Do not expect much: within this range no command leaves the closest rival off by more than {worth:.2g} "
@@ -256,8 +255,8 @@ class _Rig:
         motion = states.estimate(run, self.physics, 1e-2 * noise)
         length = float(self.problem.windows.times.max()) + run.period
         windows = replace(cut([run], noise, length, (0.0, 1.0)), motions=(motion,))
-        starts = initial_states([motion], windows.source, windows.start)
-        whole = replace(self.problem, windows=windows, starts=starts)
+        initial = initial_states([motion], windows.source, windows.start)
+        whole = replace(self.problem, windows=windows, initial=initial)
         return whole.pick(np.unique(np.linspace(1, len(windows) - 1, ENOUGH).round().astype(np.intp)))
 
 
@@ -290,13 +289,15 @@ def _worth(
     rig: _Rig,
     candidate: _Candidate,
 ) -> float:
-    """Error that the closest rival is left with, in units of noise; with no rival, how well numbers are determined."""
+    """Error that the closest rival is left with, in units of noise; with no rival, how well parameters are
+    determined.
+    """
     would = rig.would_record(candidate)
     if rivals:
         return min(_apart(likeliest, rival, rig, candidate, would) for rival in rivals)
     structure, z = likeliest
     if not structure.slots:
-        free = replace(structure, numbers=tuple(own_numbers(structure.document, structure.model)))
+        free = replace(structure, model_parameters=tuple(model_parameters(structure.document, structure.model)))
         structure, z = free, free.first
     A = fit(would, structure, z, most=0).quadratics.A.sum(axis=0)
     loose = np.diag([1 / min(slot.sigma, 10.0) ** 2 for slot in structure.slots])
@@ -344,7 +345,7 @@ def _beside_a_controller(
 
 def _question(structures: Sequence[tuple[Structure, Array]]) -> str:
     if len(structures) == 1:
-        return "To determine the model's numbers better,"
+        return "To determine the model's parameters better,"
     mine = set(names(structures[0][0].terms))
     others = sorted({key for structure, _ in structures[1:] for key in names(structure.terms) if key not in mine})
     theirs = [set(names(structure.terms)) for structure, _ in structures[1:]]

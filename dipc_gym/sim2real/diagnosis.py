@@ -14,7 +14,7 @@ from dipc_gym import mjcf
 from dipc_gym.provenance import versions
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import Effect, catalogue
-from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.result import Diagnosis
@@ -53,7 +53,7 @@ def diagnose(
     Raises:
         mjcf.MjcfError: the model cannot be treated.
         RecordingError: the recordings hold no window, or what is held out is fitted as well.
-        ValueError: a wish names no number of the model.
+        ValueError: a wish names no parameter of the model.
 
     Example:
         >>> from dipc_gym import recording
@@ -114,18 +114,20 @@ def _search(
     given, recalibrated = case.given, base.recalibrated
     search = Search(
         base.problem,
-        base.unseen,
-        base.rest,
+        base.comparison,
+        base.aside,
         case.borders,
         effects,
         case.prepared.structure.base,
-        lambda f, odd=(): evidence.scene(
-            f.structure.physics(f.z), given.recordings, case.prepared.motions, given.span[1], odd
+        lambda f, outliers=(): unexplained.scene(
+            f.structure.physics(f.z), given.recordings, case.prepared.motions, given.span[1], outliers
         ),
-        anchor=fit(base.problem, recalibrated.structure, np.zeros(len(given.numbers)), base.nominal.starts, most=0),
+        anchor=fit(
+            base.problem, recalibrated.structure, np.zeros(len(given.model_parameters)), base.nominal.initial, most=0
+        ),
         tell=tell,
     )
-    worst = judge.unseen_error(search, recalibrated)
+    worst = judge.comparison_error(search, recalibrated)
     located = judge.locate(search.look(recalibrated), search.joints)
     search.small = worst > judge.AT_FLOOR and judge.negligible(worst, base.problem.motion, located[0])
     if search.small:

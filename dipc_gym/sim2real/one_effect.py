@@ -13,10 +13,10 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import Effect
-from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.segments import prepare
-from dipc_gym.sim2real.model.parameters import own_numbers
+from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Term, carry
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict.improve import place_units
@@ -83,16 +83,16 @@ def fit_effect(
     step = min(LONGEST_STEP, *(r.period for r in recordings))
     ready = prepare(source, given, recordings, Stepping(step, mujoco.mjtIntegrator.mjINT_RK4), threads=threads)
     fitted = ready.problem.pick(np.arange(0, len(ready.problem.windows), 2))
-    unseen = ready.problem.pick(np.arange(1, len(ready.problem.windows), 2))
-    free = replace(ready.structure, numbers=tuple(own_numbers(Document(source), given.model)))
+    comparison = ready.problem.pick(np.arange(1, len(ready.problem.windows), 2))
+    free = replace(ready.structure, model_parameters=tuple(model_parameters(Document(source), given.model)))
     without = fit(fitted, free, most=20)
-    error_without = fit(unseen, free, without.z, most=0).error
-    seen = evidence.scene(without.structure.physics(without.z), recordings, ready.motions, 1.0)
+    error_without = fit(comparison, free, without.z, most=0).error
+    seen = unexplained.scene(without.structure.physics(without.z), recordings, ready.motions, 1.0)
 
     found = []
-    for at in evidence.places(effect, given.model, ready.structure.base, recordings[0]):
+    for at in unexplained.places(effect, given.model, ready.structure.base, recordings[0]):
         fits = [
-            fit(fitted, structure, carry(free, without.z, structure), without.starts)
+            fit(fitted, structure, carry(free, without.z, structure), without.initial)
             for guess in effect.guesses(seen.at(effect.place, at, {}))
             for structure in (free.with_term(Term(effect, at, guess)),)
         ]
@@ -101,7 +101,7 @@ def fit_effect(
         best = min(fits, key=lambda one: one.error)
         (term,) = best.structure.terms
         values, units = best.structure.term_values(best.z, term), place_units(best.structure, term)
-        error = fit(unseen, best.structure, best.z, most=0).error
+        error = fit(comparison, best.structure, best.z, most=0).error
         sentence, improved = effect.sentence(at, values, units), best.structure.write(best.z).text()
         found.append(EffectFit(effect.id, at, error_without, error, values, units, sentence, improved))
     return sorted(found, key=lambda one: one.error)

@@ -1,7 +1,7 @@
 """Replay a recording in a model, window by window, and say where the two part.
 
 Every window starts from the state that the sensors show, corrected so that the model predicts that window best. What
-is left is the model's: wrong numbers, absent physics, or a time step too long.
+is left is the model's: wrong parameters, absent physics, or a time step too long.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dipc_gym.files import whole
 from dipc_gym.provenance import versions
 from dipc_gym.recording import Recording
 from dipc_gym.recording import units as si
-from dipc_gym.sim2real.estimation.fit import correct_starts, fit
+from dipc_gym.sim2real.estimation.fit import correct_initial, fit
 from dipc_gym.sim2real.estimation.segments import joined, prepare
 from dipc_gym.sim2real.selection.data import from_zero
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step
@@ -95,8 +95,8 @@ class Replay:
         """Root mean square error of each window over all sensors, in units of their noise, (n,)."""
         w = self.windows
         alive = np.isfinite(w.noise)
-        rest = np.where(w.valid[..., None], w.observed - self.predicted, 0.0)[..., alive] / w.noise[alive]
-        return np.asarray(np.sqrt(np.sum(rest**2, axis=(1, 2)) / (w.valid.sum(axis=1) * alive.sum())))
+        residual = np.where(w.valid[..., None], w.observed - self.predicted, 0.0)[..., alive] / w.noise[alive]
+        return np.asarray(np.sqrt(np.sum(residual**2, axis=(1, 2)) / (w.valid.sum(axis=1) * alive.sum())))
 
     @property
     def error(self) -> float:
@@ -260,7 +260,7 @@ def replay(
         stepping = Stepping(step, mujoco.mjtIntegrator.mjINT_RK4)
     prepared = prepare(source, physics, [read], stepping, length=window, threads=threads)
     problem = prepared.problem
-    _, predicted = correct_starts(problem, fit(problem, prepared.structure))
+    _, predicted = correct_initial(problem, fit(problem, prepared.structure))
     inputs = {str(model): hashlib.sha256(Path(model).read_bytes()).hexdigest()}
     inputs |= {name: hashlib.sha256(data).hexdigest() for name, data in source.files.items()}
     inputs[str(recording)] = read.sha256

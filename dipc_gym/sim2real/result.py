@@ -85,7 +85,7 @@ class Diagnosis:
         sentence: what happened, for the rig's owner.
         located: where the unexplained force sits.
         missing: effects, the strongest first.
-        recalibrated: own numbers that had to change.
+        recalibrated: model parameters that had to change.
         train: errors on windows between the fitted ones.
         held_out: errors on windows that no fit has touched; they may strike effects off, and add none.
         force: error of the inverse model on the same data, of the force that each joint transmits.
@@ -162,8 +162,8 @@ class Work:
         recordings: that were fitted.
         held: windows for judging.
         prepared: windows for fitting.
-        nominal: fit of the starts alone.
-        recalibrated: fit of the own numbers.
+        nominal: fit of the initial states alone.
+        recalibrated: fit of the model parameters.
         final: fit of the chosen structure.
         search: with every hypothesis tried.
         replaced: rivals of each effect found, by its key.

@@ -118,7 +118,7 @@ def tool() -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """Diagnose one trial, and judge its improved model on the recording that the tool never saw.
+    """Diagnose one trial, and test its improved model on the recording that the tool never saw.
 
     All is done in temporary folders, out of the tool's reach to the sealed answers, and out of the way of other nodes.
 

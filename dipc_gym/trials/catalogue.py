@@ -1,14 +1,14 @@
 """What can be hidden in each rig: every catalogue effect at every place where it makes sense, and unknown physics.
 
 The same table serves twice. `draw` takes a size at random, log-uniform from clearly visible down to the noise
-floor; `dipc_gym.trials.windows` frees the same numbers to see whether another name explains a recording as well.
+floor; `dipc_gym.trials.prediction` frees the same parameters to see whether another name explains a recording as well.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from dipc_gym.trials.effects import Effect, Number
+from dipc_gym.trials.hidden import Effect, Parameter
 from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import Rig
 
@@ -34,43 +34,47 @@ def _joint(rig: Rig, joint: int) -> list[Effect]:
     def place(name: str) -> int:
         return index(name, joint)
 
-    level = Number("level", n, place("coulomb"), 0.0008 * force, 0.5 * force)
+    level = Parameter("level", n, place("coulomb"), 0.0008 * force, 0.5 * force)
     pulse = (
-        Number("force", n, place("pulse_size"), 0.02 * force, 1.5 * force, "signed"),
-        Number("start", "s", place("pulse_start"), 3.0, 14.0, "uniform"),
-        Number("duration", "s", place("pulse_length"), 0.03, 0.3),
+        Parameter("force", n, place("pulse_size"), 0.02 * force, 1.5 * force, "signed"),
+        Parameter("start", "s", place("pulse_start"), 3.0, 14.0, "uniform"),
+        Parameter("duration", "s", place("pulse_length"), 0.03, 0.3),
     )
     found = [
         Effect("friction.coulomb", at, (level,)),
         Effect(
             "friction.viscous",
             at,
-            (Number("damping", f"{n} s/{m}", place("damping"), 0.001 * force / speed, 0.5 * force / speed),),
+            (Parameter("damping", f"{n} s/{m}", place("damping"), 0.001 * force / speed, 0.5 * force / speed),),
         ),
         Effect(
             "drag.quadratic",
             at,
-            (Number("drag", f"{n} s^2/{m}^2", place("quadratic"), 0.001 * force / speed**2, 0.4 * force / speed**2),),
+            (
+                Parameter(
+                    "drag", f"{n} s^2/{m}^2", place("quadratic"), 0.001 * force / speed**2, 0.4 * force / speed**2
+                ),
+            ),
         ),
         Effect(
             "load.spring",
             at,
-            (Number("stiffness", f"{n}/{m}", place("spring"), 0.0015 * force / span, 0.8 * force / span),),
+            (Parameter("stiffness", f"{n}/{m}", place("spring"), 0.0015 * force / span, 0.8 * force / span),),
         )
         if rig.name != "motor_axis"
         else Effect(
             "load.spring",
             at,
-            (Number("stiffness", f"{n}/{m}", place("spring"), 0.0005 * force / span, 0.2 * force / span),),
+            (Parameter("stiffness", f"{n}/{m}", place("spring"), 0.0005 * force / span, 0.2 * force / span),),
         ),
-        Effect("load.constant", at, (Number("force", n, place("constant"), 0.001 * force, 0.4 * force, "signed"),)),
+        Effect("load.constant", at, (Parameter("force", n, place("constant"), 0.001 * force, 0.4 * force, "signed"),)),
         Effect(
             "disturbance.periodic",
             at,
             (
-                Number("amplitude", n, place("periodic_size"), 0.001 * force, 0.3 * force),
-                Number("frequency", "rad/s", place("periodic_rate"), 4.0, 50.0),
-                Number("phase", "rad", place("periodic_phase"), -np.pi, np.pi, "uniform"),
+                Parameter("amplitude", n, place("periodic_size"), 0.001 * force, 0.3 * force),
+                Parameter("frequency", "rad/s", place("periodic_rate"), 4.0, 50.0),
+                Parameter("phase", "rad", place("periodic_phase"), -np.pi, np.pi, "uniform"),
             ),
         ),
         Effect("disturbance.pulse", at, pulse, kind="half-sine"),
@@ -78,13 +82,13 @@ def _joint(rig: Rig, joint: int) -> list[Effect]:
     ]
     rotates = not (rig.linear and joint == 0)
     if rotates and rig.name != "motor_axis":
-        found.append(Effect("sensor.bias", at, (Number("bias", m, place("bias"), 1e-4, 0.05, "signed"),)))
+        found.append(Effect("sensor.bias", at, (Parameter("bias", m, place("bias"), 1e-4, 0.05, "signed"),)))
     if rig.name != "motor_axis":
-        found.append(Effect("sensor.gain", at, (Number("gain", "1", place("gain"), 0.0005, 0.1, "signed"),)))
+        found.append(Effect("sensor.gain", at, (Parameter("gain", "1", place("gain"), 0.0005, 0.1, "signed"),)))
     longest = 0.004 if rig.name == "upright" else 0.012
-    lag = Effect("timing.sensor_lag", at, (Number("delay", "s", place("lag"), 1e-4, longest),), kind="delay")
+    lag = Effect("timing.sensor_lag", at, (Parameter("delay", "s", place("lag"), 1e-4, longest),), kind="delay")
     smooth = Effect(
-        "timing.sensor_lag", at, (Number("time_constant", "s", place("filter"), 1e-4, longest),), kind="filter"
+        "timing.sensor_lag", at, (Parameter("time_constant", "s", place("filter"), 1e-4, longest),), kind="filter"
     )
     return [*found, lag, smooth]
 
@@ -94,11 +98,11 @@ def _drive(rig: Rig) -> list[Effect]:
     at = rig.joints[0]
     force, speed, span = rig.force[0], rig.speed[0], rig.span[0]
     n, m = _units(rig, 0)
-    level = Number("level", n, index("coulomb", 0), 0.03 * force, 0.3 * force)
+    level = Parameter("level", n, index("coulomb", 0), 0.03 * force, 0.3 * force)
     stribeck = (
         level,
-        Number("excess", n, index("excess", 0), 0.01 * force, 0.4 * force),
-        Number("stribeck_speed", f"{m}/s", index("stribeck_speed", 0), 0.02 * speed, 0.15 * speed),
+        Parameter("excess", n, index("excess", 0), 0.01 * force, 0.4 * force),
+        Parameter("stribeck_speed", f"{m}/s", index("stribeck_speed", 0), 0.02 * speed, 0.15 * speed),
     )
     own = rig.plant[index("m0")]
     # Bristles deflect by a few thousandths of the range before they slip.
@@ -117,7 +121,7 @@ def _drive(rig: Rig) -> list[Effect]:
         Effect(
             "friction.asymmetric",
             at,
-            (level, Number("asymmetry", "1", index("asymmetry", 0), 0.03, 0.6, "signed")),
+            (level, Parameter("asymmetry", "1", index("asymmetry", 0), 0.03, 0.6, "signed")),
             includes=(*part, "load.constant"),
         ),
         Effect(
@@ -125,27 +129,29 @@ def _drive(rig: Rig) -> list[Effect]:
             at,
             (
                 level,
-                Number("variation", "1", index("place_size", 0), 0.1, 0.9),
-                Number("wave", f"rad/{m}", index("place_wave", 0), np.pi / span, 8 * np.pi / span),
-                Number("phase", "rad", index("place_phase", 0), -np.pi, np.pi, "uniform"),
+                Parameter("variation", "1", index("place_size", 0), 0.1, 0.9),
+                Parameter("wave", f"rad/{m}", index("place_wave", 0), np.pi / span, 8 * np.pi / span),
+                Parameter("phase", "rad", index("place_phase", 0), -np.pi, np.pi, "uniform"),
             ),
             includes=part,
         ),
-        Effect("friction.load", at, (Number("slope", "1", index("per_load", 0), 0.001, 0.3),), includes=part),
+        Effect("friction.load", at, (Parameter("slope", "1", index("per_load", 0), 0.001, 0.3),), includes=part),
         Effect(
             "load.position",
             at,
             (
-                Number("amplitude", n, index("force_size", 0), 0.0015 * force, 0.4 * force),
-                Number("wave", f"rad/{m}", index("force_wave", 0), np.pi / span, 8 * np.pi / span),
-                Number("phase", "rad", index("force_phase", 0), -np.pi, np.pi, "uniform"),
+                Parameter("amplitude", n, index("force_size", 0), 0.0015 * force, 0.4 * force),
+                Parameter("wave", f"rad/{m}", index("force_wave", 0), np.pi / span, 8 * np.pi / span),
+                Parameter("phase", "rad", index("force_phase", 0), -np.pi, np.pi, "uniform"),
             ),
         ),
         _mass(rig),
     ]
     if rig.name != "motor_axis":
         found.append(
-            Effect("load.tilt", "world", (Number("tilt", "rad", index("tilt"), 1e-4, 0.06, "signed"),), also_at=(at,))
+            Effect(
+                "load.tilt", "world", (Parameter("tilt", "rad", index("tilt"), 1e-4, 0.06, "signed"),), also_at=(at,)
+            )
         )
     return found
 
@@ -156,13 +162,13 @@ def _mass(rig: Rig) -> Effect:
     if rig.name == "pendulum":
         com = rig.plant[index("com1")]
         m1 = rig.plant[index("m1")]
-        extra = Number(
+        extra = Parameter(
             "mass", "kg", index("m0"), 0.003 * m1, 0.4 * m1, factor=com**2, also=((index("mgl"), 9.81 * com),)
         )
         return Effect("inertia.mass", at, (extra,))
     own = rig.plant[index("m0")]
     return Effect(
-        "inertia.mass", at, (Number("mass", "kg" if rig.linear else "kg m^2", index("m0"), 0.003 * own, 0.4 * own),)
+        "inertia.mass", at, (Parameter("mass", "kg" if rig.linear else "kg m^2", index("m0"), 0.003 * own, 0.4 * own),)
     )
 
 
@@ -181,19 +187,21 @@ def _motor(rig: Rig) -> list[Effect]:
     least, most = (2.5, 7.0) if rig.name == "upright" else (0.8, 2.2)
     found = [
         Effect(
-            "motor.deadzone", "motor", (Number("width", volt, index("dead"), 0.0015 * rig.command, 0.4 * rig.command),)
+            "motor.deadzone",
+            "motor",
+            (Parameter("width", volt, index("dead"), 0.0015 * rig.command, 0.4 * rig.command),),
         ),
         Effect(
             "motor.saturation",
             "motor",
-            (Number("voltage", volt, index("vlimit"), least * rig.command, most * rig.command),),
+            (Parameter("voltage", volt, index("vlimit"), least * rig.command, most * rig.command),),
             kind="voltage",
         ),
-        Effect("timing.delay", "motor", (Number("delay", "s", index("delay"), 1e-4, longest),)),
+        Effect("timing.delay", "motor", (Parameter("delay", "s", index("delay"), 1e-4, longest),)),
         Effect(
             "transmission.backlash",
             "motor",
-            (Number("gap", m, index("gap"), 0.0003 * span, 0.04 * span),),
+            (Parameter("gap", m, index("gap"), 0.0003 * span, 0.04 * span),),
             fixed=(*shaft, (index("stiffness"), contact), (index("shaft_damping"), 0.3 * np.sqrt(contact * rotor))),
             also_at=(at,),
         ),
@@ -201,7 +209,7 @@ def _motor(rig: Rig) -> list[Effect]:
             "transmission.compliance",
             "motor",
             (
-                Number(
+                Parameter(
                     "stiffness",
                     f"{n}/{m}",
                     index("stiffness"),
@@ -215,32 +223,32 @@ def _motor(rig: Rig) -> list[Effect]:
     ]
     if not rig.voltage_driven:
         gain = plant[index("kt")]
-        back = Number("back_emf", "N m s/rad", index("ke"), 0.001 * force / speed / gain, 0.3 * force / speed / gain)
+        back = Parameter("back_emf", "N m s/rad", index("ke"), 0.001 * force / speed / gain, 0.3 * force / speed / gain)
         return [*found, Effect("motor.back_emf", "motor", (back,), also_at=(at,))]
     resistance, ke, kt = plant[index("resistance")], plant[index("ke")], plant[index("kt")]
     stall = rig.command * kt / resistance
     cogging = (
-        Number("amplitude", n, index("cog_size"), 0.001 * force, 0.25 * force),
-        Number("wave", f"rad/{m}", index("cog_wave"), 4 * rig.gear, 12 * rig.gear),
-        Number("phase", "rad", index("cog_phase"), -np.pi, np.pi, "uniform"),
+        Parameter("amplitude", n, index("cog_size"), 0.001 * force, 0.25 * force),
+        Parameter("wave", f"rad/{m}", index("cog_wave"), 4 * rig.gear, 12 * rig.gear),
+        Parameter("phase", "rad", index("cog_phase"), -np.pi, np.pi, "uniform"),
     )
     heat = rig.command**2 / resistance
     found += [
         Effect(
             "motor.saturation",
             "motor",
-            (Number("force", n, index("flimit"), 0.7 * least * stall, 0.8 * most * stall),),
+            (Parameter("force", n, index("flimit"), 0.7 * least * stall, 0.8 * most * stall),),
             kind="force",
         ),
         Effect(
             "motor.inductance",
             "motor",
-            (Number("inductance", "H", index("inductance"), 1e-4 * resistance, 8e-3 * resistance),),
+            (Parameter("inductance", "H", index("inductance"), 1e-4 * resistance, 8e-3 * resistance),),
         ),
         Effect(
             "motor.back_emf",
             "motor",
-            (Number("back_emf", f"V s/{m}", index("ke"), 0.003 * ke, 0.4 * ke, "signed"),),
+            (Parameter("back_emf", f"V s/{m}", index("ke"), 0.003 * ke, 0.4 * ke, "signed"),),
             also_at=(at,),
         ),
         Effect("motor.cogging", "motor", cogging, also_at=(at,)),
@@ -248,10 +256,10 @@ def _motor(rig: Rig) -> list[Effect]:
             "motor.thermal",
             "motor",
             (
-                Number(
+                Parameter(
                     "thermal_resistance", "K/W", index("heat_resistance"), 0.002 / 0.0039 / heat, 0.8 / 0.0039 / heat
                 ),
-                Number("time_constant", "s", index("heat_time"), 3.0, 15.0),
+                Parameter("time_constant", "s", index("heat_time"), 3.0, 15.0),
             ),
             fixed=((index("heat_coefficient"), 0.0039),),
         ),
@@ -265,15 +273,15 @@ def unknowns(rig: Rig) -> list[Effect]:
     force, span = rig.force[0], rig.span[0]
     n, m = _units(rig, 0)
     own = rig.plant[index("m0")]
-    level = Number("level", n, index("coulomb", 0), 0.05 * force, 0.25 * force)
+    level = Parameter("level", n, index("coulomb", 0), 0.05 * force, 0.25 * force)
     part = ("friction.coulomb",)
     found = [
         Effect(
             "unknown",
             at,
             (
-                Number("drift", n, index("drift"), 0.05 * force, 0.3 * force),
-                Number("drift_time", "s", index("drift_time"), 3.0, 10.0),
+                Parameter("drift", n, index("drift"), 0.05 * force, 0.3 * force),
+                Parameter("drift_time", "s", index("drift_time"), 3.0, 10.0),
                 level,
             ),
             includes=part,
@@ -283,8 +291,8 @@ def unknowns(rig: Rig) -> list[Effect]:
             "unknown",
             at,
             (
-                Number("dwell", n, index("dwell"), 0.1 * force, 0.5 * force),
-                Number("dwell_time", "s", index("dwell_time"), 0.03, 0.4),
+                Parameter("dwell", n, index("dwell"), 0.1 * force, 0.5 * force),
+                Parameter("dwell_time", "s", index("dwell_time"), 0.03, 0.4),
                 level,
             ),
             includes=(*part, "friction.stribeck"),
@@ -293,7 +301,7 @@ def unknowns(rig: Rig) -> list[Effect]:
         Effect(
             "unknown",
             at,
-            (Number("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),),
+            (Parameter("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),),
             fixed=((index("slosh_mass"), 0.15 * own), (index("m0"), -0.15 * own), (index("slosh_damping"), 0.05)),
             kind="sloshing load with a resonance of its own",
         ),
@@ -301,23 +309,23 @@ def unknowns(rig: Rig) -> list[Effect]:
             "unknown",
             at,
             (
-                Number("stiffness", f"{n}/{m}", index("creep_stiffness"), 0.05 * force / span, 0.6 * force / span),
-                Number("creep_time", "s", index("creep_time"), 0.05, 1.0),
+                Parameter("stiffness", f"{n}/{m}", index("creep_stiffness"), 0.05 * force / span, 0.6 * force / span),
+                Parameter("creep_time", "s", index("creep_time"), 0.05, 1.0),
             ),
             kind="creeping (viscoelastic) spring",
         ),
         Effect(
             "unknown",
             at,
-            (Number("leak", "1/s", index("leak"), -0.025, 0.04, "uniform"),),
+            (Parameter("leak", "1/s", index("leak"), -0.025, 0.04, "uniform"),),
             kind="load that changes its mass over the recording",
         ),
         Effect(
             "unknown",
             at,
             (
-                Number("eccentricity", m, index("encoder_size"), 0.0005 * span, 0.01 * span, "signed"),
-                Number(
+                Parameter("eccentricity", m, index("encoder_size"), 0.0005 * span, 0.01 * span, "signed"),
+                Parameter(
                     "wave",
                     f"rad/{m}",
                     index("encoder_wave"),

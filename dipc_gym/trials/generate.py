@@ -17,9 +17,9 @@ from dipc_gym.interrupts import held_back
 from dipc_gym.places import inside
 from dipc_gym.trials import records, rigs, shapes
 from dipc_gym.trials.catalogue import effects
+from dipc_gym.trials.prediction import Recording
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Rig, nominal_xml
 from dipc_gym.trials.secret import Plan, Secret
-from dipc_gym.trials.windows import Recording
 
 SCHEMA = "dipc-gym/trial/1"
 SMALL = {"null": 15, "single": 18, "pair": 3, "unknown": 3, "wrong": 3}

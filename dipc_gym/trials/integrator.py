@@ -7,7 +7,7 @@ Between events the state is advanced by a fourth-order Runge-Kutta step. Dry fri
 (cf. Karnopp, "Computer simulation of stick-slip friction in mechanical dynamic systems", 1985, but without his
 velocity band): a joint slides in one direction or is held exactly; the instant at which a sliding velocity
 crosses zero is found, the joint is then held, and it breaks away when the force that holds it exceeds the
-static level. A plant is one flat vector of numbers, see `dipc_gym.trials.plant`.
+static level. A plant is one flat vector of parameters, see `dipc_gym.trials.plant`.
 """
 
 from __future__ import annotations

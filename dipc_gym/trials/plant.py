@@ -1,4 +1,4 @@
-"""The numbers of a rig, hidden effects included, as one flat vector; zero means "not there"."""
+"""The parameters of a rig, hidden effects included, as one flat vector; zero means "not there"."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SIZE = JOINT_BASE + MAX_JOINTS * JOINT_SIZE
 
 
 def index(name: str, joint: int | None = None) -> int:
-    """Place of a number in the plant vector.
+    """Place of a parameter in the plant vector.
 
     Args:
         name: one of `GLOBAL`, or one of `JOINT` together with `joint`.

@@ -15,7 +15,7 @@ from typing import Any
 from dipc_gym import intact
 from dipc_gym.intact import DamagedError
 from dipc_gym.places import PlaceError, inside
-from dipc_gym.trials.judge import Judgement, judge
+from dipc_gym.trials.grade import Grade, grade
 
 NAMED = {"effect": str, "at": str}
 KINDS = ("null", "single", "pair", "unknown", "wrong")
@@ -84,7 +84,7 @@ def attempt(out: Path, name: str) -> tuple[dict[str, Any], dict[str, Any] | None
     return note, intact.read(written, DIAGNOSIS) if written.exists() else None
 
 
-def judgement(out: Path, name: str) -> Judgement:
+def graded(out: Path, name: str) -> Grade:
     """How an attempt did.
 
     Raises:
@@ -124,10 +124,10 @@ def _same_files(path: Path, folder: Path, record: Mapping[str, Any]) -> None:
 
 def _judged(
     path: Path, sealed: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, note: Mapping[str, Any]
-) -> Judgement:
-    """What the judge says, who looks closer than a shape can: a stranger's numbers need not fit each other."""
+) -> Grade:
+    """What grading says, which looks closer than a shape can: a stranger's numbers need not fit each other."""
     try:
-        found = judge(sealed, diagnosis, note)
+        found = grade(sealed, diagnosis, note)
         for name in (found.rig, found.verdict, *found.truth, *found.said):
             if not PLAIN.fullmatch(name):
                 raise ValueError(f"{name[:40]!r} is no name")

@@ -1,9 +1,9 @@
-"""A rival of the diagnosis: the model's own numbers refitted by `mujoco.sysid`, as a careful user would do it.
+"""A rival of the diagnosis: the model's parameters refitted by `mujoco.sysid`, as a careful user would do it.
 
 Google DeepMind's toolbox comes with MuJoCo (extra `mujoco[sysid]`). It is given what helps it: short windows from
 estimated states, so that neither drift nor an unstable rig overwhelms it; residuals in units of noise and without
 what a better start would remove; steps of one sample, so that its interpolation of commands does no harm; readings
-beside the step they belong to. It fits the numbers it is told to fit and names nothing.
+beside the step they belong to. It fits the parameters it is told to fit and names nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from dipc_gym.trials.replayed import Array, Motion, from_starts, without_start
 
 BOUNDS = {"damping": (0.05, 10.0), "frictionloss": (0.05, 10.0), "armature": (0.3, 3.0)}
-"""Bounds of numbers, as factors of the nominal one; wider ones diverge at a step of one sample."""
+"""Bounds of parameters, as factors of the nominal one; wider ones diverge at a step of one sample."""
 OTHERS = (0.3, 3.0)
 """Bounds of gear and masses."""
 ITERATIONS = 12
@@ -34,7 +34,7 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
         noise: standard deviation of each reading's noise.
 
     Returns:
-        The refitted model, and each number as a factor of the nominal one.
+        The refitted model, and each parameter as a factor of the nominal one.
 
     Raises:
         ImportError: what `mujoco.sysid` needs is not installed.
@@ -56,7 +56,7 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
     spec.option.timestep = motions[0].step
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     params = ParameterDict()
-    for name, write in _numbers(spec).items():
+    for name, write in _parameters(spec).items():
         low, high = BOUNDS.get(name.rsplit(".", 1)[1], OTHERS)
         params.add(Parameter(name, 1.0, low, high, modifier=write))
     given = spec.compile()
@@ -98,7 +98,7 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
     return apply_param_modifiers(found, spec), factors
 
 
-def _numbers(spec: mujoco.MjSpec) -> dict[str, Callable[[mujoco.MjSpec, object], None]]:
+def _parameters(spec: mujoco.MjSpec) -> dict[str, Callable[[mujoco.MjSpec, object], None]]:
     """What may be scaled, by name, and how a spec is given a factor."""
     writers: dict[str, Callable[[mujoco.MjSpec, object], None]] = {}
 

@@ -1,4 +1,4 @@
-"""The rigs of the trial: their numbers, the simulator that is given away, how they are driven and measured."""
+"""The rigs of the trial: their parameters, the simulator that is given away, how they are driven and measured."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Rig:
         name: `cart` (poles locked), `hanging`, `upright`, `motor_axis` or `pendulum`.
         joints: joint names; the first one is driven.
         linear: whether the driven joint is a slide.
-        plant: its numbers, see `dipc_gym.trials.integrator`.
+        plant: its parameters, see `dipc_gym.trials.integrator`.
         gear: motor turns per unit of the driven joint.
         voltage_driven: a DC motor; otherwise the command is a torque.
         rotor: inertia of the motor seen at the joint, of which the simulator knows (`armature`) if `knows_rotor`.
@@ -238,7 +238,7 @@ def motor_constant(rig: Rig, plant: Array) -> float:
 
 
 def nominal_xml(rig: Rig, plant: Array) -> str:
-    """The simulator that is given away: the rig's structure with the numbers of `plant`, as MJCF text."""
+    """The simulator that is given away: the rig's structure with the parameters of `plant`, as MJCF text."""
     model = ElementTree.Element(
         "mujoco", model={"hanging": "dipc_rig", "upright": "dipc_rig"}.get(rig.name, f"{rig.name}_rig")
     )
@@ -308,5 +308,5 @@ def nominal_xml(rig: Rig, plant: Array) -> str:
 
 
 def with_plant(rig: Rig, plant: Array) -> Rig:
-    """The same rig with other numbers."""
+    """The same rig with other parameters."""
     return replace(rig, plant=plant)

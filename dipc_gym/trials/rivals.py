@@ -21,7 +21,7 @@ from dipc_gym.places import inside
 from dipc_gym.sweep import Backend
 from dipc_gym.trials import records
 from dipc_gym.trials.generate import generate
-from dipc_gym.trials.judge import CLEAR, in_noise
+from dipc_gym.trials.grade import CLEAR, in_noise
 from dipc_gym.trials.run import processes, swept
 
 NAMES = {"sysid": "`mujoco.sysid` refit", "network": "residual network"}

@@ -101,7 +101,7 @@ def _done(out: Path, name: str) -> bool:
     try:
         said, _ = records.attempt(out, name)
         if said["failure"] is None and inside(out, f"sealed/{name}.json").exists():
-            records.judgement(out, name)
+            records.graded(out, name)
     except DamagedError as damage:
         intact.set_aside(note, damage)
         return False

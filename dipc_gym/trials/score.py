@@ -1,4 +1,4 @@
-"""Open the sealed answers, judge every trial, and sum up."""
+"""Open the sealed answers, grade every trial, and sum up."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from dipc_gym.trials.judge import Judgement
-from dipc_gym.trials.records import judgement
+from dipc_gym.trials.grade import Grade
+from dipc_gym.trials.records import graded
 
 SIZES = (0.0, 1.0, 2.0, 5.0, 20.0, 100.0, math.inf)
 """Edges of effect size: change of the held-out prediction in noise standard deviations."""
@@ -48,7 +48,7 @@ def score(out: Path, names: Sequence[str]) -> dict[str, Any]:
         DamagedError: an answer or an attempt is not what was written.
     """
     tried = [name for name in names if (out / "results" / name / "attempt.json").exists()]
-    judged = [judgement(out, name) for name in tried]
+    judged = [graded(out, name) for name in tried]
     return {"open": len(names) - len(judged), **summarise(judged)}
 
 
@@ -57,7 +57,7 @@ def _rate(values: Sequence[bool | None]) -> dict[str, float | int | None]:
     return {"right": sum(known), "of": len(known), "rate": sum(known) / len(known) if known else None}
 
 
-def summarise(judged: Sequence[Judgement]) -> dict[str, Any]:
+def summarise(judged: Sequence[Grade]) -> dict[str, Any]:
     """Rates, quantiles, the confusion matrix and the single judgements."""
     hidden = [j for j in judged if j.kind in ("single", "pair")]
     clear = [j for j in hidden if j.clear]
@@ -106,9 +106,7 @@ def summarise(judged: Sequence[Judgement]) -> dict[str, Any]:
     }
 
 
-def _binned(
-    judged: Sequence[Judgement], edges: Sequence[float], key: Callable[[Judgement], float]
-) -> list[dict[str, Any]]:
+def _binned(judged: Sequence[Grade], edges: Sequence[float], key: Callable[[Grade], float]) -> list[dict[str, Any]]:
     rows = []
     for low, high in itertools.pairwise(edges):
         some = [j for j in judged if low <= key(j) < high]
@@ -132,6 +130,6 @@ def _quartiles(values: Sequence[float | None]) -> dict[str, float | int | None]:
     return {"median": median, "low": low, "high": high, "of": len(known)}
 
 
-def _seconds(judged: Sequence[Judgement]) -> dict[str, float | None]:
+def _seconds(judged: Sequence[Grade]) -> dict[str, float | None]:
     known = [j.seconds for j in judged if math.isfinite(j.seconds)]
     return {"median": float(np.median(known)) if known else None, "most": max(known, default=None)}

@@ -10,10 +10,10 @@ import numpy as np
 
 from dipc_gym.trials import rigs, shapes
 from dipc_gym.trials.catalogue import effects, unknowns
-from dipc_gym.trials.effects import RIVALS, SETS, Effect, Hidden, draw
+from dipc_gym.trials.hidden import RIVALS, SETS, Effect, Hidden, draw
 from dipc_gym.trials.plant import index
+from dipc_gym.trials.prediction import ONES, WINDOW, Recording, Windows, fit, predict, record, rms, standard_parameters
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig, excitation
-from dipc_gym.trials.windows import ONES, WINDOW, Recording, Windows, fit, predict, record, rms, standard_numbers
 
 LEVELS = ("friction.coulomb", "friction.stribeck", "friction.asymmetric", "friction.position")
 SAME = 0.1
@@ -106,7 +106,7 @@ class Secret:
         """Refit the simulator to the recordings, as its owner would, unless nothing would be left to find."""
         rig, train = self.rig, self.recordings[:2]
         windows = [Windows(rig, r, rig.plant) for r in train]
-        own = [n for n in standard_numbers(rig, rig.plant) if n.name.split(".")[0] in ("damping", "motor_constant")]
+        own = [n for n in standard_parameters(rig, rig.plant) if n.name.split(".")[0] in ("damping", "motor_constant")]
         nominal = fit(windows, [r.measured for r in train], rig.plant, [], [], effort=8, own=own).plant
         left = [w.residual(predict(rig, nominal, r), r.reading) for w, r in zip(windows, train, strict=True)]
         if rms(np.concatenate(left)) > FAINTEST:
@@ -138,7 +138,7 @@ class Secret:
         moved = 0.0
         for recording in self.recordings[:2]:
             windows = Windows(self.rig, recording, self.rig.plant)
-            # A tuned or a wrong simulator says nothing about the effect itself: compare with the rig's own numbers.
+            # A tuned or a wrong simulator says nothing about the effect itself: compare with the rig's parameters.
             base = self.nominal if self.wrong else self.rig.plant
             moved = max(moved, rms(windows.residual(predict(self.rig, base, recording), recording.reading)))
         return moved > FAINTEST
@@ -313,25 +313,25 @@ class Secret:
 
 
 def _starts(rival: Effect, hidden: Hidden) -> list[list[float]]:
-    """A few places to start a rival's fit from; numbers of the same name and unit start from the truth.
+    """A few places to start a rival's fit from; parameters of the same name and unit start from the truth.
 
-    A single number is found from anywhere, save in the transmission, where contacts hide it.
+    A single parameter is found from anywhere, save in the transmission, where contacts hide it.
     """
-    known = {(n.name, n.unit): v for n, v in zip(hidden.effect.numbers, hidden.values, strict=True)}
+    known = {(n.name, n.unit): v for n, v in zip(hidden.effect.parameters, hidden.values, strict=True)}
 
     def middle(position: float) -> list[float]:
         values = []
-        for number in rival.numbers:
-            if (number.name, number.unit) in known:
-                values.append(known[number.name, number.unit])
-            elif number.kind == "uniform":
-                values.append(0.5 * (number.low + number.high))
+        for parameter in rival.parameters:
+            if (parameter.name, parameter.unit) in known:
+                values.append(known[parameter.name, parameter.unit])
+            elif parameter.kind == "uniform":
+                values.append(0.5 * (parameter.low + parameter.high))
             else:
-                values.append(float(number.low ** (1 - position) * number.high**position))
+                values.append(float(parameter.low ** (1 - position) * parameter.high**position))
         return values
 
-    single = len(rival.numbers) == 1 and not rival.name.startswith("transmission.")
-    if single or known.keys() >= {(n.name, n.unit) for n in rival.numbers}:
+    single = len(rival.parameters) == 1 and not rival.name.startswith("transmission.")
+    if single or known.keys() >= {(n.name, n.unit) for n in rival.parameters}:
         return [middle(0.5)]
     return [middle(0.5), middle(0.85), middle(0.2)]
 
@@ -353,7 +353,7 @@ def _choose(plan: Plan, rig: Rig, rng: np.random.Generator, known: bool) -> list
         if driven and rng.random() < 0.6:
             choices = driven
         return [draw(choices[rng.integers(len(choices))], rng)]
-    # A pair: two different families, neither of them a mere number of the model.
+    # A pair: two different families, neither of them a mere parameter of the model.
     strong = [
         e for e in catalogue if e.name not in ("friction.viscous", "inertia.mass", "motor.back_emf", "sensor.gain")
     ]
@@ -368,10 +368,10 @@ def _choose(plan: Plan, rig: Rig, rng: np.random.Generator, known: bool) -> list
 
 def _without_level(hidden: Hidden) -> Hidden:
     """The same unknown without dry friction under it (left in where it could not act without)."""
-    numbers = hidden.effect.numbers
-    if not numbers or numbers[-1].name != "level" or "rest" in hidden.effect.kind:
+    parameters = hidden.effect.parameters
+    if not parameters or parameters[-1].name != "level" or "rest" in hidden.effect.kind:
         return hidden
-    return Hidden(replace(hidden.effect, numbers=numbers[:-1], includes=()), hidden.values[:-1])
+    return Hidden(replace(hidden.effect, parameters=parameters[:-1], includes=()), hidden.values[:-1])
 
 
 def _wander(rng: np.random.Generator) -> Array:
@@ -384,7 +384,7 @@ def _wander(rng: np.random.Generator) -> Array:
 
 
 def _perturb(rig: Rig, rng: np.random.Generator) -> tuple[Array, list[dict[str, float | str]]]:
-    """A simulator with the right structure and one or two wrong numbers."""
+    """A simulator with the right structure and one or two wrong parameters."""
     nominal = rig.plant.copy()
     at = rig.joints[0]
     places: dict[str, tuple[str, list[int]]] = {

@@ -7,7 +7,7 @@ between knots, and its formulas are sines, constants and squares: none of these 
 from __future__ import annotations
 
 from dipc_gym.trials import integrator
-from dipc_gym.trials.effects import Effect, Number
+from dipc_gym.trials.hidden import Effect, Parameter
 from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import Rig
 
@@ -23,7 +23,7 @@ def named(rig: Rig) -> list[Effect]:
     at, force, speed, span = rig.joints[0], rig.force[0], rig.speed[0], rig.span[0]
     n, m = ("N", "m") if rig.linear else ("N m", "rad")
     middle = rig.start[0]
-    level = Number("level", n, index("coulomb", 0), 0.02 * force, 0.3 * force)
+    level = Parameter("level", n, index("coulomb", 0), 0.02 * force, 0.3 * force)
     found = [
         _law(
             "friction.position",
@@ -38,12 +38,12 @@ def named(rig: Rig) -> list[Effect]:
             integrator.LEVEL_OF_SPEED,
             (
                 level,
-                Number("fall", n, index("fall"), 0.02 * force, 0.2 * force),
-                Number("fall_speed", f"{m}/s", index("fall_speed"), 0.05 * speed, 0.8 * speed),
-                Number("fall_power", "", index("fall_power"), 0.5, 1.6),
-                Number("rise", n, index("rise"), 0.02 * force, 0.3 * force),
-                Number("rise_speed", f"{m}/s", index("rise_speed"), 0.7 * speed, 1.5 * speed),
-                Number("rise_power", "", index("rise_power"), 0.4, 3.0),
+                Parameter("fall", n, index("fall"), 0.02 * force, 0.2 * force),
+                Parameter("fall_speed", f"{m}/s", index("fall_speed"), 0.05 * speed, 0.8 * speed),
+                Parameter("fall_power", "", index("fall_power"), 0.5, 1.6),
+                Parameter("rise", n, index("rise"), 0.02 * force, 0.3 * force),
+                Parameter("rise_speed", f"{m}/s", index("rise_speed"), 0.7 * speed, 1.5 * speed),
+                Parameter("rise_power", "", index("rise_power"), 0.4, 3.0),
             ),
             alike=("friction.speed", "friction.stribeck"),
         ),
@@ -93,9 +93,9 @@ def nameless(rig: Rig) -> list[Effect]:
             "unknown",
             at,
             (
-                Number("force", n, index("hysteresis"), 0.03 * force, 0.4 * force),
-                Number("width", m, index("hysteresis_width"), 0.02 * span, 0.4 * span),
-                Number("power", "", index("hysteresis_power"), 1.0, 3.0),
+                Parameter("force", n, index("hysteresis"), 0.03 * force, 0.4 * force),
+                Parameter("width", m, index("hysteresis_width"), 0.02 * span, 0.4 * span),
+                Parameter("power", "", index("hysteresis_power"), 1.0, 3.0),
             ),
             includes=("friction.coulomb", "friction.speed", "load.spring"),
             kind="hysteresis after Bouc and Wen",
@@ -103,7 +103,7 @@ def nameless(rig: Rig) -> list[Effect]:
         Effect(
             "unknown",
             at,
-            (Number("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),),
+            (Parameter("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),),
             fixed=(
                 (index("slosh_mass"), 0.15 * rig.plant[index("m0")]),
                 (index("m0"), -0.15 * rig.plant[index("m0")]),
@@ -132,7 +132,7 @@ def _law(
     name: str,
     at: str,
     law: int,
-    numbers: tuple[Number, ...],
+    numbers: tuple[Parameter, ...],
     *,
     alike: tuple[str, ...] = (),
     also_at: tuple[str, ...] = (),
@@ -143,14 +143,14 @@ def _law(
 
 def _bumps(
     n: str, m: str, low: float, high: float, middle: float, span: float, kind: str = "signed"
-) -> tuple[Number, ...]:
+) -> tuple[Parameter, ...]:
     """Heights, centres and widths of three bell curves within a usual range of the input."""
     return tuple(
         number
         for k in (1, 2, 3)
         for number in (
-            Number(f"bump{k}", n, index(f"bump{k}"), low, high, kind),
-            Number(f"centre{k}", m, index(f"centre{k}"), middle - 0.7 * span, middle + 0.7 * span, "uniform"),
-            Number(f"width{k}", m, index(f"width{k}"), NARROWEST * span, WIDEST * span),
+            Parameter(f"bump{k}", n, index(f"bump{k}"), low, high, kind),
+            Parameter(f"centre{k}", m, index(f"centre{k}"), middle - 0.7 * span, middle + 0.7 * span, "uniform"),
+            Parameter(f"width{k}", m, index(f"width{k}"), NARROWEST * span, WIDEST * span),
         )
     )

@@ -33,7 +33,7 @@ from dipc_gym.places import PlaceError
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.policy import Evaluation, Policy
 from dipc_gym.recording.tables import RecordingError, write_table
-from dipc_gym.sim2real.model.parameters import fixed_masses, own_numbers
+from dipc_gym.sim2real.model.parameters import fixed_masses, model_parameters
 from dipc_gym.sweep import SweepError
 from dipc_gym.training import train
 from dipc_gym.training.seeds import PolicyTraining, keep
@@ -114,8 +114,8 @@ def _model(folder: Path) -> None:
     source = mjcf.read(folder / "rig.xml")
     given = physics.load(source)
     mjcf.check_supported(given.model, source.name)
-    numbers = own_numbers(document := Document(source), given.model)
-    fixed_masses(document, given.model, numbers)
+    parameters = model_parameters(document := Document(source), given.model)
+    fixed_masses(document, given.model, parameters)
     env = gymnasium.make(ENV_ID, model=folder / "rig.xml")
     _drive(env)
     inner: Any = env.unwrapped
@@ -179,8 +179,8 @@ def _sb3_policy() -> bytes:
 
 def _statistics() -> bytes:
     held = Statistics(np.full(6, 0.1), np.full(6, 0.04), 1000.0)
-    numbers = {"mean": held.mean.tolist(), "variance": held.variance.tolist(), "count": held.count}
-    return _json({"schema": "dipc-gym/statistics/1", **numbers, "epsilon": held.epsilon, "clip": held.clip})
+    parameters = {"mean": held.mean.tolist(), "variance": held.variance.tolist(), "count": held.count}
+    return _json({"schema": "dipc-gym/statistics/1", **parameters, "epsilon": held.epsilon, "clip": held.clip})
 
 
 def _compensator(folder: Path) -> None:

@@ -21,7 +21,7 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of an effect.
+    """A parameter of an effect.
 
     Attributes:
         name: as reports call it.
@@ -33,7 +33,7 @@ class Parameter:
             of step soon.
         fixed: whether it stays at its guess, as the range that a table covers.
         above: name of an earlier parameter of the effect that it is never smaller than.
-        step: a sizeable change of a number that has no natural zero, as a time; 0 where its own size tells.
+        step: a sizeable change of a parameter that has no natural zero, as a time; 0 where its own size tells.
         sigma: standard deviation, in steps, of its prior about the first guess; values of a table have one, for a knot
             that no motion comes near would else be free.
     """
@@ -68,7 +68,7 @@ class Evidence:
         period: of the recording, s.
         level: of dry friction that the structure has there already, N or N m; None without.
         at: name of the place.
-        odd: times at which windows begin that are predicted far worse than most, the worst first, s.
+        outliers: times at which outlier windows begin, the worst first, s.
         inputs: what a law may depend on, (n,) each: `position cart`, `velocity pole1`, `command motor`.
     """
 
@@ -85,7 +85,7 @@ class Evidence:
     period: float
     level: float | None = None
     at: str = ""
-    odd: tuple[float, ...] = ()
+    outliers: tuple[float, ...] = ()
     inputs: Mapping[str, Array] = field(default_factory=dict)
 
     @property
@@ -137,14 +137,14 @@ class Effect(ABC):
     Attributes:
         id: name in reports, `friction.coulomb`; a colon sets off a form of it, which `name` leaves out.
         place: what it acts at.
-        parameters: its numbers.
+        parameters: its parameters.
         rivals: ids of effects it is easily mistaken for.
-        contains: ids of effects that are this one with a number at its limit; adding this one replaces them.
+        contains: ids of effects that are this one with a parameter at its limit; adding this one replaces them.
         law: what it settles at its place: two effects that settle the same exclude each other.
         finest: longest step at which it can be simulated, s.
         warm: s of simulation before a window, so that hidden states settle.
         needs_loader: whether stock MuJoCo leaves it out.
-        moves_readings: whether it changes what sensors say of a state, so that estimated starts mean little.
+        moves_readings: whether it changes what sensors say of a state, so that estimated initial states mean little.
         linear: parameters in proportion to which, taken together, its response grows from nothing.
         levels: parameters that are levels of dry friction.
         free: whether its law takes any shape, as a table; such effects are asked where no formula comes to the noise.

@@ -35,8 +35,8 @@ class Periodic(Effect):
         n = int(back[0]) + 1 if len(back) else len(evidence.time)
         t = np.arange(evidence.time[0], evidence.time[n - 1], step)
         f = np.interp(t, evidence.time[:n], evidence.force[:n])
-        # What goes with the motion may be friction, or own numbers that are off; or the motion is what the rig makes of
-        # the disturbance, as where it is balanced.
+        # What goes with the motion may be friction, or model parameters that are off; or the motion is what the rig
+        # makes of the disturbance, as where it is balanced.
         v, load, q = (
             np.interp(t, evidence.time[:n], x[:n]) for x in (evidence.velocity, evidence.load, evidence.position)
         )

@@ -29,10 +29,10 @@ class Pulse(Effect):
     leaves = 0.0
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Where the unexplained force, averaged over a short time, stands out most, in the windows that are odd."""
+        """Where the unexplained force, averaged over a short time, stands out most, in the outlier windows."""
         f = evidence.force - np.median(evidence.force)
         found = []
-        stretches = [np.abs(evidence.time - (start + _HALF)) < 2 * _HALF for start in evidence.odd[:3]]
+        stretches = [np.abs(evidence.time - (start + _HALF)) < 2 * _HALF for start in evidence.outliers[:3]]
         for width in (0.05, 0.2):
             n = max(3, int(width / max(evidence.period, 1e-9)))
             mean = np.convolve(f, np.ones(n) / n, mode="same")

@@ -12,7 +12,7 @@ from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, 
 
 
 class Viscous(Effect):
-    """Viscous friction; a model that has some already gets its number refitted instead."""
+    """Viscous friction; a model that has some already gets its parameter refitted instead."""
 
     id = "friction.viscous"
     place = "joint"

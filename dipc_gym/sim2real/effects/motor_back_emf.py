@@ -21,7 +21,7 @@ class BackEmf(Effect):
     rivals = ("friction.viscous", "motor.saturation")
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
-        """On an actuator that is no DC motor, at a joint without damping (else that number is refitted)."""
+        """On an actuator that is no DC motor, at a joint without damping (else that parameter is refitted)."""
         joint = joint_of(model, at)
         return (
             not is_dcmotor(model, at)

@@ -1,6 +1,6 @@
 """Fit a structure to windows of recordings by multiple shooting.
 
-What remains of each window after its start is eliminated is a quadratic in the structure's numbers; screening and
+What remains of each window after its start is eliminated is a quadratic in the structure's parameters; screening and
 intervals work on these quadratics without simulating again.
 """
 
@@ -24,12 +24,12 @@ TRUSTED = 0.5  # share of the fall that derivatives foretold, from which they ar
 
 @dataclass(frozen=True)
 class Quadratics:
-    """Each window's squared error as a quadratic in the step of the numbers: c - 2 b.d + d.A.d.
+    """Each window's squared error as a quadratic in the step of the parameters: c - 2 b.d + d.A.d.
 
     Attributes:
         A: (n, p, p).
         b: (n, p).
-        c: (n,), at the present numbers.
+        c: (n,), at the present parameters.
     """
 
     A: Array
@@ -47,21 +47,21 @@ class Fit:
 
     Attributes:
         structure: what was fitted.
-        z: its mapped numbers, (p,).
-        starts: corrected start states, (n, 2 nb).
-        raw: residual in units of noise at these starts, (n, m, ns).
-        left: the same less what a further correction of the starts would explain, prior rows appended, (n, M).
+        z: its mapped parameters, (p,).
+        initial: corrected initial states, (n, 2 nb).
+        raw: residual in units of noise at these initial states, (n, m, ns).
+        left: the same less what a further correction of the initial states would explain, prior rows appended, (n, M).
         mse: mean square of it in each window, (n,).
-        sensitivity: of the readings to the starts, in units of noise, (n, m ns + 2 nb, 2 nb).
+        sensitivity: of the readings to the initial states, in units of noise, (n, m ns + 2 nb, 2 nb).
         quadratics: local model of the squared errors.
-        jacobian: change of `left` per unit of each mapped number, with opposite sign, (n, M, p).
+        jacobian: change of `left` per unit of each mapped parameter, with opposite sign, (n, M, p).
         steps: accepted steps.
         converged: whether the last step changed next to nothing.
     """
 
     structure: Structure
     z: Array
-    starts: Array
+    initial: Array
     raw: Array
     left: Array
     mse: Array
@@ -81,7 +81,7 @@ class Fit:
         q = self.quadratics
         return replace(
             self,
-            starts=self.starts[which],
+            initial=self.initial[which],
             raw=self.raw[which],
             left=self.left[which],
             mse=self.mse[which],
@@ -91,11 +91,11 @@ class Fit:
         )
 
     def join(self, other: Fit) -> Fit:
-        """What the same numbers say of these windows and of others."""
+        """What the same parameters say of these windows and of others."""
         q, o = self.quadratics, other.quadratics
         return replace(
             self,
-            starts=np.append(self.starts, other.starts, 0),
+            initial=np.append(self.initial, other.initial, 0),
             raw=np.append(self.raw, other.raw, 0),
             left=np.append(self.left, other.left, 0),
             mse=np.append(self.mse, other.mse),
@@ -114,18 +114,18 @@ def fit(
     problem: Problem,
     structure: Structure,
     z: Array | None = None,
-    starts: Array | None = None,
+    initial: Array | None = None,
     *,
     most: int = 8,
     tolerance: float = 2e-3,
 ) -> Fit:
-    """Fit the numbers of a structure and the windows' starts (Levenberg-Marquardt).
+    """Fit the parameters of a structure and the windows' initial states (Levenberg-Marquardt).
 
     Args:
-        problem: windows and starts.
-        structure: its numbers are fitted; with none, the starts alone are.
-        z: mapped numbers to begin at, (p,).
-        starts: start states to begin at, (n, 2 nb).
+        problem: windows and initial states.
+        structure: its parameters are fitted; with none, the initial states alone are.
+        z: mapped parameters to begin at, (p,).
+        initial: initial states to begin at, (n, 2 nb).
         most: at most so many accepted steps.
         tolerance: stop when the objective falls by less than this share.
     """
@@ -139,10 +139,10 @@ def fit(
     def penalised(mse: Array, z: Array, scale: float) -> float:
         return mean_loss(mse, scale) + float(prior @ (z - centre) ** 2)
 
-    # The starts first: against wrong starts, every column would be judged wrongly.
-    s, rest, columns, S = shooting.settled(z, problem.starts if starts is None else starts, numbers=True)
+    # The initial states first: against wrong initial states, every column would be judged wrongly.
+    s, residual, columns, S = shooting.settled(z, problem.initial if initial is None else initial, parameters=True)
     while True:
-        both, moves = project(S, np.concatenate([shooting.rows(s, rest)[..., None], columns], axis=2))
+        both, moves = project(S, np.concatenate([shooting.rows(s, residual)[..., None], columns], axis=2))
         r, J = both[..., 0], both[..., 1:]
         quadratics = Quadratics(np.swapaxes(J, 1, 2) @ J, np.einsum("nmk,nm->nk", J, r), np.einsum("nm,nm->n", r, r))
         mse = shooting.mse(r)
@@ -154,15 +154,15 @@ def fit(
         g = w @ quadratics.b / len(w) - prior * (z - centre)
         now, accepted = penalised(mse, z, scale), False
         for _ in range(TRIES):
-            # No number may do more than double, or change by a factor of e.
+            # No parameter may do more than double, or change by a factor of e.
             reach = np.maximum(1.0, np.abs(z) * ~logs)
             trial = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, reach)
             foretold = now - penalised(quadratics.after(trial - z) / problem.counts, trial, scale)
             ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
-            tries = np.stack([s + ahead, s + ahead / 3, s, problem.starts])
-            moved, after = shooting.best_starts(tries, shooting.residuals([trial] * len(tries), tries))
-            # What the starts can still explain does not speak against numbers: behind a gap, or where a joint sticks,
-            # a straight line does not foretell where a window has to start.
+            tries = np.stack([s + ahead, s + ahead / 3, s, problem.initial])
+            moved, after = shooting.best_initial(tries, shooting.residuals([trial] * len(tries), tries))
+            # What the initial states can still explain does not speak against parameters: behind a gap, or where a
+            # joint sticks, a straight line does not foretell where a window has to start.
             lagged = shooting.lags(moved, after, S)
             if lagged:
                 moved, after = shooting.corrected(trial, moved, after, S)
@@ -178,8 +178,8 @@ def fit(
         if accepted:
             small = now - then < tolerance * max(now, 1e-9) or bool(np.abs(trial - z).max() < 1e-4)
             astray = lagged or now - then < TRUSTED * foretold
-            columns, S = shooting.secant(columns, S, trial - z, moved - s, rest - after)
-            z, s, rest = trial, moved, after
+            columns, S = shooting.secant(columns, S, trial - z, moved - s, residual - after)
+            z, s, residual = trial, moved, after
             damping, steps = max(damping / 8, 1e-7), steps + 1
         else:
             damping = 1e-3
@@ -187,14 +187,14 @@ def fit(
         # Derivatives are carried along from step to step, and worked out anew where they did not foretell one.
         exact = not converged and (small or astray)
         if exact:
-            _, columns, S = shooting.derivatives(z, s, rest)
-    return Fit(structure, z, s, rest, r, mse, S, quadratics, J, steps, converged)
+            _, columns, S = shooting.derivatives(z, s, residual)
+    return Fit(structure, z, s, residual, r, mse, S, quadratics, J, steps, converged)
 
 
 def _stepped(structure: Structure, z: Array, curvature: Array, slope: Array, reach: Array) -> Array:
-    """Mapped numbers after a Newton step of `reach` at most, (p,).
+    """Mapped parameters after a Newton step of `reach` at most, (p,).
 
-    Numbers that stand at a bound and would go beyond it stay; the others must not make up for where those cannot go.
+    Parameters that stand at a bound and would go beyond it stay; the others must not make up for where those cannot go.
     """
     free = np.ones(len(z), dtype=bool)
     while True:
@@ -207,41 +207,41 @@ def _stepped(structure: Structure, z: Array, curvature: Array, slope: Array, rea
         free &= ~held
 
 
-def correct_starts(problem: Problem, fitted: Fit, rounds: int = 3) -> tuple[Array, Array]:
-    """Start states that predict each window best, and what is predicted from them.
+def correct_initial(problem: Problem, fitted: Fit, rounds: int = 3) -> tuple[Array, Array]:
+    """Initial states that predict each window best, and what is predicted from them.
 
-    A fit judges windows by what no start could explain, and does not need these; whoever draws or reports
+    A fit judges windows by what no initial state could explain, and does not need these; whoever draws or reports
     predictions does.
 
     Args:
-        problem: windows and estimated starts.
-        fitted: structure and numbers; its starts are where the search begins.
-        rounds: Gauss-Newton steps; each keeps a window's better start.
+        problem: windows and estimated initial states.
+        fitted: structure and parameters; its initial states are where the search begins.
+        rounds: Gauss-Newton steps; each keeps a window's better initial state.
 
     Returns:
-        Starts (n, 2 nb) and readings (n, m, ns).
+        Initial states (n, 2 nb) and readings (n, m, ns).
     """
     shooting = Shooting(problem, fitted.structure)
-    s, rest, S = fitted.starts, fitted.raw, fitted.sensitivity
+    s, residual, S = fitted.initial, fitted.raw, fitted.sensitivity
     for k in range(rounds):
         if k:
-            _, _, S = shooting.derivatives(fitted.z, s, rest, numbers=False)
-        s, rest = shooting.corrected(fitted.z, s, rest, S, [problem.starts])
+            _, _, S = shooting.derivatives(fitted.z, s, residual, parameters=False)
+        s, residual = shooting.corrected(fitted.z, s, residual, S, [problem.initial])
     return s, predict(problem, fitted.structure, [fitted.z], s[None])[0]
 
 
-def evaluate(problem: Problem, structure: Structure, z: Array, starts: Array | None = None) -> tuple[Array, Array]:
-    """Predict windows that took no part in a fit; only their starts are corrected.
+def evaluate(problem: Problem, structure: Structure, z: Array, initial: Array | None = None) -> tuple[Array, Array]:
+    """Predict windows that took no part in a fit; only their initial states are corrected.
 
     Args:
         problem: the windows.
         structure: of the model.
-        z: its mapped numbers, (p,).
-        starts: start states to begin at, (n, 2 nb).
+        z: its mapped parameters, (p,).
+        initial: initial states to begin at, (n, 2 nb).
 
     Returns:
-        Mean square error of each window in units of noise, (n,), and the corrected starts.
+        Mean square error of each window in units of noise, (n,), and the corrected initial states.
     """
     shooting = Shooting(problem, structure)
-    s, rest, _, S = shooting.settled(z, problem.starts if starts is None else starts, numbers=False)
-    return shooting.mse(shooting.left(s, rest, S)), s
+    s, residual, _, S = shooting.settled(z, problem.initial if initial is None else initial, parameters=False)
+    return shooting.mse(shooting.left(s, residual, S)), s

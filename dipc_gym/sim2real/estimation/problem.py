@@ -16,7 +16,7 @@ from dipc_gym.physics import Physics
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
 from dipc_gym.sim2real.simulation.compiled import compiled, derivatives
-from dipc_gym.sim2real.simulation.motion import starts as early
+from dipc_gym.sim2real.simulation.motion import initial_states
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -28,19 +28,19 @@ _BLOCK = 1.0  # s; neighbouring windows closer than this count as one when error
 
 @dataclass(frozen=True)
 class Problem:
-    """Windows to predict, and what is known of their starts.
+    """Windows to predict, and what is known of their initial states.
 
     Attributes:
         windows: what to predict.
-        starts: estimated positions and velocities at each window's start, (n, 2 nb).
-        spread: standard deviation of the estimated starts, (2 nb,).
+        initial: estimated positions and velocities at each window's start, (n, 2 nb).
+        spread: standard deviation of the estimated initial states, (2 nb,).
         stepping: of the simulation.
         threads: 0 for all cores.
         finer: how many times shorter the steps are than structures need, to see what the step costs.
     """
 
     windows: Windows
-    starts: Array
+    initial: Array
     spread: Array
     stepping: Stepping
     threads: int = 0
@@ -48,11 +48,13 @@ class Problem:
 
     def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Problem:
         """Some of the windows."""
-        return replace(self, windows=self.windows.pick(which), starts=self.starts[which])
+        return replace(self, windows=self.windows.pick(which), initial=self.initial[which])
 
     def join(self, other: Problem) -> Problem:
         """These windows and others of the same recordings."""
-        return replace(self, windows=self.windows.join(other.windows), starts=np.append(self.starts, other.starts, 0))
+        return replace(
+            self, windows=self.windows.join(other.windows), initial=np.append(self.initial, other.initial, 0)
+        )
 
     @property
     def counts(self) -> Array:
@@ -74,44 +76,44 @@ class Problem:
         return block.ravel()
 
 
-def predict(problem: Problem, structure: Structure, Z: Sequence[Array], starts: Array) -> Array:
-    """Readings (variants, n, m, ns) of a structure under several sets of numbers."""
+def predict(problem: Problem, structure: Structure, Z: Sequence[Array], initial: Array) -> Array:
+    """Readings (variants, n, m, ns) of a structure under several sets of parameters."""
     variants = [structure.physics(z) for z in Z]
-    return predict_with(problem, structure, variants, starts)
+    return predict_with(problem, structure, variants, initial)
 
 
-def predict_with(problem: Problem, structure: Structure, variants: Sequence[Physics], starts: Array) -> Array:
+def predict_with(problem: Problem, structure: Structure, variants: Sequence[Physics], initial: Array) -> Array:
     """Readings (variants, n, m, ns) of models that have this structure."""
     windows, warm = problem.windows, structure.warm
     return simulate(
         variants,
         windows,
-        starts,
+        initial,
         _stepping(problem, structure),
         base=structure.base,
         warm=warm,
-        warm_starts=early(windows.motions, windows.source, windows.start - warm) if warm else None,
+        warm_initial=initial_states(windows.motions, windows.source, windows.start - warm) if warm else None,
         threads=problem.threads,
     )
 
 
 def sensitivities(
-    problem: Problem, structure: Structure, z: Array, probes: Sequence[Array], starts: Array
+    problem: Problem, structure: Structure, z: Array, probes: Sequence[Array], initial: Array
 ) -> tuple[Array, Array, Array] | None:
-    """What a structure predicts, and how that changes with its numbers and its starts.
+    """What a structure predicts, and how that changes with its parameters and its initial states.
 
     Args:
         problem: windows to predict.
         structure: of the model.
-        z: its mapped numbers, (p,).
-        probes: for each number all of them, that one a little larger or smaller; how a model's own numbers follow from
-            them is a smooth map, for which a difference will do.
-        starts: (n, 2 nb).
+        z: its mapped parameters, (p,).
+        probes: for each parameter all of them, that one a little larger or smaller; how a model's parameters follow
+            from them is a smooth map, for which a difference will do.
+        initial: (n, 2 nb).
 
     Returns:
-        Readings (n, m, ns) of the engine, whatever the problem's integrator, their change per unit of each number
-        (p, n, m, ns), and per unit of each start (2 nb, n, m, ns); None where the engine does not simulate the model
-        or its change.
+        Readings (n, m, ns) of the engine, whatever the problem's integrator, their change per unit of each parameter
+        (p, n, m, ns), and per unit of each initial state (2 nb, n, m, ns); None where the engine does not simulate
+        the model or its change.
     """
     windows, warm = problem.windows, structure.warm
     stepping = _stepping(replace(problem, stepping=replace(problem.stepping, integrator=_RK4)), structure)
@@ -119,17 +121,17 @@ def sensitivities(
     try:
         variants = [structure.physics(one) for one in (z, *probes)]
         of = compiled(variants, windows, structure.base, grid_step(windows, stepping))
-        begin = early(windows.motions, windows.source, windows.start - warm) if warm else None
-        return derivatives(of, steps, starts, warm, begin, problem.threads)
+        begin = initial_states(windows.motions, windows.source, windows.start - warm) if warm else None
+        return derivatives(of, steps, initial, warm, begin, problem.threads)
     except Uncovered:
         return None
 
 
-def residual(problem: Problem, readings: Array) -> Array:
+def normalised_residual(problem: Problem, readings: Array) -> Array:
     """(observed - readings) / noise, zero where nothing was observed."""
-    rest = (problem.windows.observed - readings) / problem.windows.noise
-    rest = np.nan_to_num(np.clip(rest, -FAR, FAR), nan=FAR)
-    return np.where(problem.windows.valid[..., None], rest, 0.0)
+    scaled = (problem.windows.observed - readings) / problem.windows.noise
+    scaled = np.nan_to_num(np.clip(scaled, -FAR, FAR), nan=FAR)
+    return np.where(problem.windows.valid[..., None], scaled, 0.0)
 
 
 def _stepping(problem: Problem, structure: Structure) -> Stepping:

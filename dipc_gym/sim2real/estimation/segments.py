@@ -1,7 +1,8 @@
-"""From recordings and a model to the windows that are predicted: noise, motion, window length, uncertainty of starts.
+"""From recordings and a model to the windows that are predicted: noise, motion, window length, uncertainty of initial
+states.
 
 A window must be long enough for physics to show above the noise, and so short that its start is not forgotten: on a
-rig that balances or tumbles, a start error grows exponentially, and what it explains away grows with it.
+rig that balances or tumbles, an initial error grows exponentially, and what it explains away grows with it.
 """
 
 from __future__ import annotations
@@ -21,19 +22,18 @@ from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.simulation.batch import Stepping
-from dipc_gym.sim2real.simulation.motion import Motion
-from dipc_gym.sim2real.simulation.motion import starts as initial_states
+from dipc_gym.sim2real.simulation.motion import Motion, initial_states
 from dipc_gym.sim2real.simulation.windows import Windows, cut
 
 Array = NDArray[np.float64]
 
 LENGTH = 0.25  # s, of a window unless the rig asks for shorter ones
-GROWTH = 10.0  # times its size that a start error may grow to within a window
+GROWTH = 10.0  # times its size that an initial error may grow to within a window
 FEWEST = 12  # samples in a window
 STEADY = 0.9  # share of the windows that must stay below that growth; the rest may tumble over a dead centre
 FINEST = 2.0**-24  # of a sensor's range: nothing real is read to more than 24 bits, and no simulation is as exact
 
-# A start is held to its estimate only loosely, since the window's own samples know it better.
+# An initial state is held to its estimate only loosely, since the window's own samples know it better.
 _LOOSE = 5.0  # times the noise, for a position
 _DIFFERENCED = 0.002  # s over which a position's noise becomes a velocity's
 _ROUGH = 0.05  # of the usual speed, for a velocity
@@ -44,8 +44,8 @@ class Prepared:
     """A prediction problem, and what it was made from.
 
     Attributes:
-        problem: windows and their estimated starts.
-        structure: the model as it is, with no number free.
+        problem: windows and their estimated initial states.
+        structure: the model as it is, with no parameter free.
         motions: of the base joints, one for each recording.
         length: of the windows, s.
     """
@@ -63,7 +63,7 @@ class Prepared:
         """
         windows = self.problem.windows
         cuts = replace(_cut(windows.recordings, windows.noise, self.length, span), motions=self.motions)
-        return replace(self.problem, windows=cuts, starts=initial_states(self.motions, cuts.source, cuts.start))
+        return replace(self.problem, windows=cuts, initial=initial_states(self.motions, cuts.source, cuts.start))
 
 
 def prepare(
@@ -83,7 +83,7 @@ def prepare(
         physics: the same, loaded.
         recordings: of one rig, with the model's sensors.
         stepping: of the simulations.
-        length: of a window, s; None means 0.25 s, or less where this model makes start errors grow beyond tenfold.
+        length: of a window, s; None means 0.25 s, or less where this model makes initial errors grow beyond tenfold.
         span: the part of each recording to use, as fractions of its duration.
         threads: of the simulations; 0 for all cores.
 
@@ -149,7 +149,7 @@ def position_noise(physics: Physics, noise: Array) -> Array:
 
 
 def steady_length(problem: Problem, structure: Structure, longest: float) -> float:
-    """Length, s, within which start errors stay below `GROWTH` times their size in most windows.
+    """Length, s, within which initial errors stay below `GROWTH` times their size in most windows.
 
     Args:
         problem: windows of the longest length.
@@ -165,16 +165,16 @@ def steady_length(problem: Problem, structure: Structure, longest: float) -> flo
 
 
 def growth(problem: Problem, structure: Structure, longest: float) -> Array:
-    """How many times its first size a start error has at each sample, (n, m).
+    """How many times its first size an initial error has at each sample, (n, m).
 
-    A start error is one of the noise's size in every position, and in every velocity what moves a free mass by as
+    An initial error is one of the noise's size in every position, and in every velocity what moves a free mass by as
     much within the longest window; a free mass thus reaches 1.4, an unstable mode exp(rate time).
     """
     windows = problem.windows
     alive = np.isfinite(windows.noise)
     position = position_noise(structure.physics(structure.first), windows.noise)
     size = np.concatenate([position, position / longest])
-    tries = problem.starts + np.concatenate([np.zeros((1, len(size))), np.diag(size)])[:, None]
+    tries = problem.initial + np.concatenate([np.zeros((1, len(size))), np.diag(size)])[:, None]
     readings = predict(problem, structure, [structure.first] * len(tries), tries)[..., alive] / windows.noise[alive]
     moved = np.linalg.norm(readings[1:] - readings[0], axis=0)  # (n, m, sensors)
     grown = (moved / np.maximum(moved[:, :1], 1.0)).max(axis=2, initial=0.0)

@@ -1,7 +1,7 @@
-"""The linearised problem of multiple shooting: what the numbers and the start of each window change.
+"""The linearised problem of multiple shooting: what the parameters and the initial state of each window change.
 
-Every window has a start state of its own, so a fit has many unknowns; they are eliminated window by window (variable
-projection, Golub and Pereyra 1973), which leaves a small problem in the structure's numbers.
+Every window has an initial state of its own, so a fit has many unknowns; they are eliminated window by window (variable
+projection, Golub and Pereyra 1973), which leaves a small problem in the structure's parameters.
 """
 
 from __future__ import annotations
@@ -12,142 +12,150 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.estimation.problem import FAR, Problem, predict, residual, sensitivities
+from dipc_gym.sim2real.estimation.problem import FAR, Problem, normalised_residual, predict, sensitivities
 from dipc_gym.sim2real.model.structure import Structure
 
 Array = NDArray[np.float64]
 
-LAG = 0.02  # of the log square error that starts could still explain, from which they are corrected
+LAG = 0.02  # of the log square error that initial states could still explain, from which they are corrected
 FAR_OUT = 4.0  # times the usual square error, from which something else happened in a window
-_TOUCH = 1e-6  # the same where only a model's numbers are differenced, and the engine knows the rest
-_PROBE = 0.02  # finite difference of a mapped number; smaller ones drown in the kinks of dry friction
+_TOUCH = 1e-6  # the same where only a model's parameters are differenced, and the engine knows the rest
+_PROBE = 0.02  # finite difference of a mapped parameter; smaller ones drown in the kinks of dry friction
 
 
 class Shooting:
     """A structure laid over windows.
 
     Args:
-        problem: windows and estimated starts.
+        problem: windows and estimated initial states.
         structure: of the model.
     """
 
     def __init__(self, problem: Problem, structure: Structure) -> None:
         self.problem, self.structure = problem, structure
-        self.nb2 = problem.starts.shape[1]
+        self.nb2 = problem.initial.shape[1]
         self.nudge = np.maximum(problem.spread, 1e-7)
         # A sensor with a bias or a lag tells a state only through the model.
         self.spread = problem.spread * (1e3 if structure.moves_readings else 1.0)
 
-    def residuals(self, Z: Sequence[Array], starts: Array) -> Array:
-        """Of several sets of numbers or starts (variants or 1, n, 2 nb), in units of noise, (variants, n, m, ns)."""
-        readings = predict(self.problem, self.structure, Z, starts)
-        return np.stack([residual(self.problem, one) for one in readings])
+    def residuals(self, Z: Sequence[Array], initial: Array) -> Array:
+        """Of several sets of parameters or initial states (variants or 1, n, 2 nb), in units of noise, (variants, n,
+        m, ns).
+        """
+        readings = predict(self.problem, self.structure, Z, initial)
+        return np.stack([normalised_residual(self.problem, one) for one in readings])
 
-    def rows(self, starts: Array, rest: Array) -> Array:
-        """Residuals (n, m, ns) and how far starts are from their estimates, (n, m ns + 2 nb)."""
-        return np.concatenate([rest.reshape(len(starts), -1), (self.problem.starts - starts) / self.spread], axis=1)
+    def rows(self, initial: Array, residual: Array) -> Array:
+        """Residuals (n, m, ns) and how far initial states are from their estimates, (n, m ns + 2 nb)."""
+        return np.concatenate(
+            [residual.reshape(len(initial), -1), (self.problem.initial - initial) / self.spread], axis=1
+        )
 
     def mse(self, rows: Array) -> Array:
         """Mean square of each window's rows, (n,)."""
         return np.einsum("nm,nm->n", rows, rows) / self.problem.counts
 
-    def best_starts(self, tries: Array, rests: Array) -> tuple[Array, Array]:
-        """For each window the start of several (tries, n, 2 nb) that leaves least, and its residual (n, m, ns)."""
-        mse = [self.mse(self.rows(start, rest)) for start, rest in zip(tries, rests, strict=True)]
+    def best_initial(self, tries: Array, residuals: Array) -> tuple[Array, Array]:
+        """For each window the initial state of several (tries, n, 2 nb) that leaves least, and its residual (n, m,
+        ns).
+        """
+        mse = [self.mse(self.rows(start, residual)) for start, residual in zip(tries, residuals, strict=True)]
         best, each = np.argmin(mse, axis=0), np.arange(tries.shape[1])
-        return tries[best, each], rests[best, each]
+        return tries[best, each], residuals[best, each]
 
     def corrected(
-        self, z: Array, starts: Array, rest: Array, S: Array, others: Sequence[Array] = ()
+        self, z: Array, initial: Array, residual: Array, S: Array, others: Sequence[Array] = ()
     ) -> tuple[Array, Array]:
-        """Starts after a Gauss-Newton step where that is better, and their residual.
+        """Initial states after a Gauss-Newton step where that is better, and their residual.
 
         Args:
-            z: mapped numbers, (p,).
-            starts: (n, 2 nb).
-            rest: their residual, (n, m, ns).
-            S: sensitivity to the starts.
-            others: starts to try beside.
+            z: mapped parameters, (p,).
+            initial: (n, 2 nb).
+            residual: their residual, (n, m, ns).
+            S: sensitivity to the initial states.
+            others: initial states to try beside.
         """
-        ahead = self.nudge * project(S, self.rows(starts, rest)[..., None])[1][..., 0]
-        # A rig at rest needs no other start than the one it has.
-        new = [one for one in (starts + ahead, starts + ahead / 3, *others) if not np.array_equal(one, starts)]
+        ahead = self.nudge * project(S, self.rows(initial, residual)[..., None])[1][..., 0]
+        # A rig at rest needs no other initial state than the one it has.
+        new = [one for one in (initial + ahead, initial + ahead / 3, *others) if not np.array_equal(one, initial)]
         if not new:
-            return starts, rest
+            return initial, residual
         tries = np.stack(new)
-        return self.best_starts(
-            np.append(tries, starts[None], axis=0), np.append(self.residuals([z] * len(new), tries), rest[None], axis=0)
+        return self.best_initial(
+            np.append(tries, initial[None], axis=0),
+            np.append(self.residuals([z] * len(new), tries), residual[None], axis=0),
         )
 
-    def settled(self, z: Array, starts: Array, *, numbers: bool) -> tuple[Array, Array, Array, Array]:
-        """Corrected starts, their residual, and `derivatives` there.
+    def settled(self, z: Array, initial: Array, *, parameters: bool) -> tuple[Array, Array, Array, Array]:
+        """Corrected initial states, their residual, and `derivatives` there.
 
         A joint that sticks may as well start at rest, and the estimate is asked again. Where a straight line did not
         tell where to start, a second one is drawn from there, for each window whatever the others do.
         """
-        estimate, half = self.problem.starts, self.nb2 // 2
+        estimate, half = self.problem.initial, self.nb2 // 2
         still = estimate.copy()
         still[np.abs(still) < 2 * self.problem.spread * (np.arange(self.nb2) >= half)] = 0.0
-        rest, _, S = self.derivatives(z, starts, numbers=False)
-        starts, rest = self.corrected(z, starts, rest, S, [still, estimate])
-        _, columns, S = self.derivatives(z, starts, rest, numbers=numbers)
-        behind = np.flatnonzero(self._behind(starts, rest, S))
+        residual, _, S = self.derivatives(z, initial, parameters=False)
+        initial, residual = self.corrected(z, initial, residual, S, [still, estimate])
+        _, columns, S = self.derivatives(z, initial, residual, parameters=parameters)
+        behind = np.flatnonzero(self._behind(initial, residual, S))
         if len(behind):
             some = Shooting(self.problem.pick(behind), self.structure)
-            begin, left = some.corrected(z, starts[behind], rest[behind], S[behind])
-            starts, rest, columns, S = starts.copy(), rest.copy(), columns.copy(), S.copy()
-            starts[behind] = begin
-            rest[behind], columns[behind], S[behind] = some.derivatives(z, begin, left, numbers=numbers)
-        return starts, rest, columns, S
+            begin, left = some.corrected(z, initial[behind], residual[behind], S[behind])
+            initial, residual, columns, S = initial.copy(), residual.copy(), columns.copy(), S.copy()
+            initial[behind] = begin
+            residual[behind], columns[behind], S[behind] = some.derivatives(z, begin, left, parameters=parameters)
+        return initial, residual, columns, S
 
-    def left(self, starts: Array, rest: Array, S: Array) -> Array:
-        """Rows (n, M) less what a further correction of the starts would explain."""
-        return project(S, self.rows(starts, rest)[..., None])[0][..., 0]
+    def left(self, initial: Array, residual: Array, S: Array) -> Array:
+        """Rows (n, M) less what a further correction of the initial states would explain."""
+        return project(S, self.rows(initial, residual)[..., None])[0][..., 0]
 
-    def _behind(self, starts: Array, rest: Array, S: Array) -> NDArray[np.bool_]:
-        """Which windows a further correction of their starts would bring much nearer, (n,)."""
-        left, mse = self.mse(self.left(starts, rest, S)), self.mse(self.rows(starts, rest))
+    def _behind(self, initial: Array, residual: Array, S: Array) -> NDArray[np.bool_]:
+        """Which windows a further correction of their initial states would bring much nearer, (n,)."""
+        left, mse = self.mse(self.left(initial, residual, S)), self.mse(self.rows(initial, residual))
         return np.asarray(np.log1p(mse) - np.log1p(left) > LAG)
 
-    def lags(self, starts: Array, rest: Array, S: Array) -> bool:
-        """Whether a further correction of the starts would explain much."""
-        left, mse = self.mse(self.left(starts, rest, S)), self.mse(self.rows(starts, rest))
+    def lags(self, initial: Array, residual: Array, S: Array) -> bool:
+        """Whether a further correction of the initial states would explain much."""
+        left, mse = self.mse(self.left(initial, residual, S)), self.mse(self.rows(initial, residual))
         scale = typical(left)
         return mean_loss(mse, scale) - mean_loss(left, scale) > LAG
 
     def derivatives(
-        self, z: Array, starts: Array, rest: Array | None = None, *, numbers: bool = True
+        self, z: Array, initial: Array, residual: Array | None = None, *, parameters: bool = True
     ) -> tuple[Array, Array, Array]:
-        """How residuals change with the numbers and with the starts; one batch, for a small one costs little less.
+        """How residuals change with the parameters and with the initial states; one batch, for a small one costs
+        little less.
 
         Args:
-            z: mapped numbers, (p,).
-            starts: (n, 2 nb).
-            rest: their residual, (n, m, ns), where it is known.
-            numbers: whether changes with the numbers are asked for.
+            z: mapped parameters, (p,).
+            initial: (n, 2 nb).
+            residual: their residual, (n, m, ns), where it is known.
+            parameters: whether changes with the parameters are asked for.
 
         Returns:
-            The residual, (n, m, ns); the change of the scaled readings per unit of each mapped number, zeros for the
-            prior appended, (n, M, p), or (n, M, 0); and their sensitivity to the starts, per nudge so that columns are
-            of order one, with the prior's rows, (n, M, 2 nb).
+            The residual, (n, m, ns); the change of the scaled readings per unit of each mapped parameter, zeros for the
+            prior appended, (n, M, p), or (n, M, 0); and their sensitivity to the initial states, per nudge so that
+            columns are of order one, with the prior's rows, (n, M, 2 nb).
         """
-        exact = self._exact(z, starts, rest, numbers=numbers)
+        exact = self._exact(z, initial, residual, parameters=parameters)
         if exact is not None:
             return exact
-        n, probes, steps = len(starts), *(self._probes(z) if numbers else ([], np.zeros(0)))
+        n, probes, steps = len(initial), *(self._probes(z) if parameters else ([], np.zeros(0)))
         Z = [*probes, *[z] * self.nb2]
-        begin = np.stack([*[starts] * len(probes), *(starts + self.nudge * unit for unit in np.eye(self.nb2))])
-        if rest is None:
-            Z, begin = [*Z, z], np.append(begin, starts[None], axis=0)
+        begin = np.stack([*[initial] * len(probes), *(initial + self.nudge * unit for unit in np.eye(self.nb2))])
+        if residual is None:
+            Z, begin = [*Z, z], np.append(begin, initial[None], axis=0)
         moved = self.residuals(Z, begin)
-        rest = moved[-1] if rest is None else rest
-        change = np.moveaxis((rest - moved[: len(probes) + self.nb2]).reshape(len(probes) + self.nb2, n, -1), 0, -1)
+        residual = moved[-1] if residual is None else residual
+        change = np.moveaxis((residual - moved[: len(probes) + self.nb2]).reshape(len(probes) + self.nb2, n, -1), 0, -1)
         prior = np.broadcast_to(np.diag(self.nudge / self.spread), (n, self.nb2, self.nb2))
         columns = np.concatenate([change[..., : len(probes)] / steps, np.zeros((n, self.nb2, len(probes)))], axis=1)
-        return rest, columns, np.concatenate([change[..., len(probes) :], prior], axis=1)
+        return residual, columns, np.concatenate([change[..., len(probes) :], prior], axis=1)
 
     def _exact(
-        self, z: Array, starts: Array, rest: Array | None, *, numbers: bool
+        self, z: Array, initial: Array, residual: Array | None, *, parameters: bool
     ) -> tuple[Array, Array, Array] | None:
         """`derivatives` by the engine; None where it does not simulate the model.
 
@@ -155,31 +163,31 @@ class Shooting:
         """
         if any(term.effect.once for term in self.structure.terms):
             return None  # when a push begins and ends has no derivative in code that asks whether it acts
-        n, (probes, steps) = len(starts), self._probes(z, _TOUCH) if numbers else ([], np.zeros(0))
+        n, (probes, steps) = len(initial), self._probes(z, _TOUCH) if parameters else ([], np.zeros(0))
         free = np.flatnonzero(np.isfinite(steps))
         if len(free) < len(steps):
             return None
-        found = sensitivities(self.problem, self.structure, z, probes, starts)
+        found = sensitivities(self.problem, self.structure, z, probes, initial)
         if found is None:
             return None
-        readings, by_numbers, by_starts = found
+        readings, by_parameters, by_initial = found
         elsewhere = self.problem.stepping.integrator != mujoco.mjtIntegrator.mjINT_RK4
         if elsewhere and not np.isfinite(readings[self.problem.windows.valid]).all():
             return None
-        if rest is None:
-            rest = residual(self.problem, readings)
+        if residual is None:
+            residual = normalised_residual(self.problem, readings)
             if elsewhere:
-                rest = self.residuals([z], starts[None])[0]
-        told = self.problem.windows.valid[..., None] & np.isfinite(readings) & (np.abs(rest) < FAR)
-        slopes = np.where(told, np.concatenate([by_numbers, by_starts]), 0.0) / self.problem.windows.noise
+                residual = self.residuals([z], initial[None])[0]
+        told = self.problem.windows.valid[..., None] & np.isfinite(readings) & (np.abs(residual) < FAR)
+        slopes = np.where(told, np.concatenate([by_parameters, by_initial]), 0.0) / self.problem.windows.noise
         change = np.moveaxis(np.nan_to_num(slopes).reshape(len(slopes), n, -1), 0, -1)
         count = len(steps)
         prior = np.broadcast_to(np.diag(self.nudge / self.spread), (n, self.nb2, self.nb2))
         columns = np.concatenate([change[..., :count], np.zeros((n, self.nb2, count))], axis=1)
-        return rest, columns, np.concatenate([change[..., count:] * self.nudge, prior], axis=1)
+        return residual, columns, np.concatenate([change[..., count:] * self.nudge, prior], axis=1)
 
     def _probes(self, z: Array, size: float = _PROBE) -> tuple[list[Array], Array]:
-        """Numbers with one of them moved at a time, away from a bound, and by how much; infinite where it cannot."""
+        """Parameters with one of them moved at a time, away from a bound, and by how much; infinite where it cannot."""
         logs = np.array([slot.log for slot in self.structure.slots], dtype=bool)
         steps = size * np.maximum(1.0, np.abs(z) * ~logs)
         probes = []
@@ -195,8 +203,8 @@ class Shooting:
         Args:
             columns: before the step, (n, M, p).
             S: before the step, (n, M, 2 nb).
-            step: of the mapped numbers, (p,).
-            moved: of the starts, (n, 2 nb).
+            step: of the mapped parameters, (p,).
+            moved: of the initial states, (n, 2 nb).
             change: of the residual with opposite sign, (n, m, ns).
         """
         both = np.concatenate([columns, S], axis=2)
@@ -233,7 +241,9 @@ def mean_loss(mse: Array, scale: float) -> float:
 
 
 def project(S: Array, rows: Array) -> tuple[Array, Array]:
-    """Remove from rows (n, M, k) what the starts can explain; also the start steps (n, 2 nb, k) that do so."""
+    """Remove from rows (n, M, k) what the initial states can explain; also the steps of these (n, 2 nb, k) that do
+    so.
+    """
     Q, R = np.linalg.qr(S)
     inside = np.swapaxes(Q, 1, 2) @ rows
     return rows - Q @ inside, np.linalg.solve(R, inside)

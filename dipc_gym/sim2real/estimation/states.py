@@ -193,7 +193,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     commands = physics.command(_delayed(model, recording), recording.time)
     model.actuator_delay[:] = 0
     gaps = np.diff(motion.time, prepend=motion.time[0])
-    rest, load = np.empty((n, model.nv)), np.empty((n, model.nv))
+    residual, load = np.empty((n, model.nv)), np.empty((n, model.nv))
     nu = recording.commands.shape[1]
     position, velocity, acceleration = (x @ out.T for x in (motion.position, motion.velocity, motion.acceleration))
     for k in range(n):
@@ -208,10 +208,10 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
         physics.act(data, model.dof_frictionloss, data.qfrc_applied)
         data.qacc[:] = acceleration[k]
         mujoco.mj_inverse(model, data)
-        rest[k] = data.qfrc_inverse - data.qfrc_actuator - data.qfrc_applied
+        residual[k] = data.qfrc_inverse - data.qfrc_actuator - data.qfrc_applied
         load[k] = data.qfrc_actuator + data.qfrc_bias
     model.dof_frictionloss[:], model.actuator_delay[:] = level, delay
-    return rest @ out, load @ out
+    return residual @ out, load @ out
 
 
 def _delayed(model: mujoco.MjModel, recording: Recording) -> Array:

@@ -1,4 +1,4 @@
-"""The numbers a model has already: what a refit may change before any new physics is considered."""
+"""The parameters a model has already: what a refit may change before any new physics is considered."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from dipc_gym.sim2real.effects.base import is_dcmotor
 
 
 @dataclass(frozen=True)
-class Number:
-    """A positive number of the nominal model.
+class ModelParameter:
+    """A positive parameter of the nominal model, as an effect has `Parameter`s.
 
     Attributes:
-        parameter: MJCF attribute, as `damping`.
+        attribute: of the MJCF, as `damping`.
         at: joint, body or actuator.
         value: in the nominal model; a negative gear counts by its size, and keeps its sign.
         unit: SI.
@@ -29,7 +29,7 @@ class Number:
         expected: where its owner expects it; the nominal value if None.
     """
 
-    parameter: str
+    attribute: str
     at: str
     value: float
     unit: str
@@ -39,13 +39,13 @@ class Number:
 
     @property
     def key(self) -> str:
-        """`at.parameter`, as on the command line."""
-        return f"{self.at}.{self.parameter}"
+        """`at.attribute`, as on the command line."""
+        return f"{self.at}.{self.attribute}"
 
 
-def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
-    """Every number of the model that a refit may change, those that are zero left out: they are absent structure."""
-    found: list[Number] = []
+def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelParameter]:
+    """Every parameter of the model that a refit may change, those that are zero left out: they are absent structure."""
+    found: list[ModelParameter] = []
     for name in document.joint_names():
         if not _exists(model, mujoco.mjtObj.mjOBJ_JOINT, name):
             continue
@@ -55,42 +55,44 @@ def own_numbers(document: Document, model: mujoco.MjModel) -> list[Number]:
         force, length = ("N m", "rad") if turning else ("N", "m")
         inertia = "kg m^2" if turning else "kg"
         # Friction is the least known of all: a bearing's damping may be a guess that is off by a factor of fifty.
-        for parameter, value, unit, sigma in (
+        for attribute, value, unit, sigma in (
             ("damping", model.dof_damping[dof], f"{force} s/{length}", 1.5),
             ("frictionloss", model.dof_frictionloss[dof], force, 1.5),
             ("stiffness", model.jnt_stiffness[joint.id], f"{force}/{length}", 0.5),
             ("armature", model.dof_armature[dof], inertia, 0.5),
         ):
             if np.ravel(value)[0] > 0:
-                write = _first_of("joint", name, parameter)
-                found.append(Number(parameter, name, float(np.ravel(value)[0]), unit, write, sigma))
+                write = _first_of("joint", name, attribute)
+                found.append(ModelParameter(attribute, name, float(np.ravel(value)[0]), unit, write, sigma))
     for name in document.actuator_names():
         if not _exists(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name):
             continue
         i = model.actuator(name).id
         if is_dcmotor(model, name):
             element = document.actuator(name)
-            for parameter, unit in (("resistance", "ohm"), ("motorconst", "N m/A")):
-                values = document.effective(element, parameter, "0").split()
+            for attribute, unit in (("resistance", "ohm"), ("motorconst", "N m/A")):
+                values = document.effective(element, attribute, "0").split()
                 if values and float(values[0]) > 0:
                     found.append(
-                        Number(parameter, name, float(values[0]), unit, _all_of("actuator", name, parameter), 0.3)
+                        ModelParameter(
+                            attribute, name, float(values[0]), unit, _all_of("actuator", name, attribute), 0.3
+                        )
                     )
         elif model.actuator_ctrlnum[i]:
             gear = float(model.actuator_gear[i, 0])
             if gear:
                 write = _first_of("actuator", name, "gear", sign=math.copysign(1.0, gear))
-                found.append(Number("gear", name, abs(gear), "", write, 0.3))
+                found.append(ModelParameter("gear", name, abs(gear), "", write, 0.3))
     for name in _moving_bodies(document, model):
         write = _mass(model, name)
         if _takes_mass(document, model, name, write):
-            found.append(Number("mass", name, float(model.body(name).mass[0]), "kg", write, 0.1))
+            found.append(ModelParameter("mass", name, float(model.body(name).mass[0]), "kg", write, 0.1))
     return found
 
 
-def fixed_masses(document: Document, model: mujoco.MjModel, numbers: Sequence[Number]) -> list[str]:
+def fixed_masses(document: Document, model: mujoco.MjModel, parameters: Sequence[ModelParameter]) -> list[str]:
     """A sentence about the moving bodies whose mass no refit can change, if there are any."""
-    free = {n.at for n in numbers if n.parameter == "mass"}
+    free = {n.at for n in parameters if n.attribute == "mass"}
     fixed = [name for name in _moving_bodies(document, model) if name not in free]
     if not fixed:
         return []
@@ -105,35 +107,35 @@ class Wishes:
     """What the owner of a rig knows.
 
     Attributes:
-        fix: own numbers that are right, as `cart.mass`.
-        prior: own numbers with mean and standard deviation.
+        fix: parameters that are right, as `cart.mass`.
+        prior: parameters with mean and standard deviation.
     """
 
     fix: tuple[str, ...] = ()
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    def apply(self, numbers: Sequence[Number]) -> list[Number]:
-        """The numbers that are free, with their priors.
+    def apply(self, parameters: Sequence[ModelParameter]) -> list[ModelParameter]:
+        """The parameters that are free, with their priors.
 
         Raises:
-            ValueError: a name that is no number of the model.
+            ValueError: a name that is no parameter of the model.
         """
-        known = [n.key for n in numbers]
+        known = [n.key for n in parameters]
         for key in (*self.fix, *self.prior):
             if key not in known:
                 names = f"{', '.join(known)}{suggestion(key, known)}"
-                raise ValueError(f"--fix or --prior {key!r}: the model's numbers are {names}")
+                raise ValueError(f"--fix or --prior {key!r}: the model's parameters are {names}")
         out = []
-        for number in numbers:
-            if number.key in self.fix:
+        for parameter in parameters:
+            if parameter.key in self.fix:
                 continue
-            if number.key in self.prior:
-                mean, spread = self.prior[number.key]
+            if parameter.key in self.prior:
+                mean, spread = self.prior[parameter.key]
                 if not (0 < mean < math.inf and 0 < spread < math.inf):
-                    raise ValueError(f"--prior {number.key}: mean and spread must be positive and finite")
+                    raise ValueError(f"--prior {parameter.key}: mean and spread must be positive and finite")
                 # Of the log-normal distribution with this mean and spread, whose reach stays finite.
-                number = replace(number, sigma=math.sqrt(math.log1p((spread / mean) ** 2)), expected=mean)
-            out.append(number)
+                parameter = replace(parameter, sigma=math.sqrt(math.log1p((spread / mean) ** 2)), expected=mean)
+            out.append(parameter)
         return out
 
 

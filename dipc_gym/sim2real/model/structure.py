@@ -1,4 +1,4 @@
-"""A structure: the nominal model, the numbers of its own that are free, and the effects added to it."""
+"""A structure: the nominal model, those of its parameters that are free, and the effects added to it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.base import Effect, Parameter
 from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
-from dipc_gym.sim2real.model.parameters import Number
+from dipc_gym.sim2real.model.parameters import ModelParameter
 
 Array = NDArray[np.float64]
 
 WARM = 0.06  # s that bristles, currents and delays need to reach their state
 FAST = 5e-4  # s, longest step for what moves within milliseconds
 _KEPT = 32  # models that a structure keeps compiled
-FARTHEST = 4.0  # standard deviations of its prior by which an own number may move
+FARTHEST = 4.0  # standard deviations of its prior by which a model parameter may move
 
 
 @dataclass(frozen=True)
@@ -42,20 +42,20 @@ class Term:
 
 @dataclass(frozen=True)
 class Slot:
-    """One free number of a structure, mapped so that a unit step is a sizeable change.
+    """One free parameter of a structure, mapped so that a unit step is a sizeable change.
 
     Attributes:
-        key: `place.parameter` of an own number, or `effect@place.parameter`.
+        key: `place.attribute` of a model parameter, or `effect@place.parameter`.
         unit: SI.
         low: smallest value.
         high: largest value.
-        log: whether the mapped number is a logarithm.
-        scale: value that the mapped number 1 stands for (0 if `log`).
-        sigma: standard deviation of the mapped number's prior; infinite for effects that have none.
+        log: whether it is mapped to its logarithm.
+        scale: value that the mapped value 1 stands for (0 if `log`).
+        sigma: standard deviation of the mapped parameter's prior; infinite for effects that have none.
         centre: mean of that prior.
         fine: relative change that a unit step makes, if `log`.
-        above: key of an earlier number that this one is never smaller than.
-        origin: value that the mapped number 0 stands for (unless `log`).
+        above: key of an earlier parameter that this one is never smaller than.
+        origin: value that the mapped value 0 stands for (unless `log`).
     """
 
     key: str
@@ -71,37 +71,37 @@ class Slot:
     origin: float = 0.0
 
     def value(self, z: float) -> float:
-        """The number itself."""
+        """The parameter of a mapped value."""
         value = self.scale * math.exp(min(z * self.fine, 50.0)) if self.log else self.origin + self.scale * z
         return min(max(value, self.low), self.high)
 
     def mapped(self, value: float) -> float:
-        """The mapped number of a value."""
+        """The mapped value of a parameter."""
         return math.log(value / self.scale) / self.fine if self.log else (value - self.origin) / self.scale
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Nominal model, free own numbers, added effects.
+    """Nominal model, those of its parameters that are free, added effects.
 
     Attributes:
         document: the nominal model's text.
         model: the nominal model.
         base: names of its joints.
-        numbers: own numbers that are free.
+        model_parameters: those of its own that are free.
         terms: effects added, in the order in which they are written.
     """
 
     document: Document
     model: mujoco.MjModel
     base: tuple[str, ...]
-    numbers: tuple[Number, ...] = ()
+    model_parameters: tuple[ModelParameter, ...] = ()
     terms: tuple[Term, ...] = ()
     slots: tuple[Slot, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         slots = []
-        for n in self.numbers:
+        for n in self.model_parameters:
             centre, reach = math.log((n.expected or n.value) / n.value), FARTHEST * n.sigma
             low, high = n.value * math.exp(centre - reach), n.value * math.exp(centre + reach)
             slots.append(Slot(n.key, n.unit, low, high, True, n.value, n.sigma, centre))
@@ -119,15 +119,15 @@ class Structure:
 
     @functools.cached_property
     def first(self) -> Array:
-        """Mapped numbers at the nominal values and the guesses, (p,)."""
-        z = [0.0] * len(self.numbers)
+        """Mapped parameters at the nominal values and the guesses, (p,)."""
+        z = [0.0] * len(self.model_parameters)
         for term in self.terms:
             for p in _free(term.effect):
                 z.append(self.slots[len(z)].mapped(term.guess[p.name]))
         return np.array(z)
 
     def clip(self, z: Array) -> Array:
-        """The nearest mapped numbers within bounds."""
+        """The nearest mapped parameters within bounds."""
         out = z.copy()
         for i, slot in enumerate(self.slots):
             value = slot.value(z[i])
@@ -158,7 +158,7 @@ class Structure:
         return len(self.terms) == len(other.terms) and all(plainer(term) for term in self.terms)
 
     def values(self, z: Array) -> dict[str, float]:
-        """Every free number by key."""
+        """Every free parameter by key."""
         return {slot.key: slot.value(x) for slot, x in zip(self.slots, z, strict=True)}
 
     def term_values(self, z: Array, term: Term) -> dict[str, float]:
@@ -169,10 +169,10 @@ class Structure:
         }
 
     def write(self, z: Array) -> Document:
-        """The nominal document with these numbers and effects written in."""
+        """The nominal document with these parameters and effects written in."""
         document, values = self.document.copy(), self.values(z)
-        for number in self.numbers:
-            number.write(document, values[number.key])
+        for parameter in self.model_parameters:
+            parameter.write(document, values[parameter.key])
         for term in self.terms:
             term.effect.edit(document, term.at, self.term_values(z, term))
         return document
@@ -194,7 +194,7 @@ class Structure:
 
     @functools.cached_property
     def _made(self) -> dict[bytes, Physics]:
-        """Models compiled lately, by their numbers; a fit asks for the same ones again."""
+        """Models compiled lately, by their parameters; a fit asks for the same ones again."""
         return {}
 
     @property
@@ -250,7 +250,7 @@ def _fallback(low: float, high: float) -> float:
 
 
 def carry(old: Structure, z: Array, new: Structure) -> Array:
-    """Mapped numbers of `new` that start where `old` stands, and at the guess where `old` has no such number."""
+    """Mapped parameters of `new` that start where `old` stands, and at the guess where `old` has no such parameter."""
     values, out = old.values(z), new.first.copy()
     for i, slot in enumerate(new.slots):
         if slot.key in values and not (slot.log and values[slot.key] <= 0):

@@ -18,7 +18,7 @@ from dipc_gym.files import write_whole
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.places import inside
 from dipc_gym.recording.units import of_sensor
-from dipc_gym.sim2real.estimation.fit import Fit, correct_starts, fit
+from dipc_gym.sim2real.estimation.fit import Fit, correct_initial, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import joined
 from dipc_gym.sim2real.report import page
@@ -121,7 +121,7 @@ def report_data(found: Diagnosis, model: str, command: str) -> page.ReportData:
     work = found.work
     if work is None:
         return page.ReportData(model, diagnosis, command=command, notes=found.notes)
-    before = "recalibrated" if work.recalibrated.structure.numbers else "nominal"
+    before = "recalibrated" if work.recalibrated.structure.model_parameters else "nominal"
     held = {
         name: _on(work.held, fitted)
         for name, fitted in (("nominal", work.nominal), ("recalibrated", work.recalibrated), ("improved", work.final))
@@ -142,9 +142,9 @@ def report_data(found: Diagnosis, model: str, command: str) -> page.ReportData:
 
 
 def _on(problem: Problem, fitted: Fit) -> Array:
-    """Readings (n, m, ns) of held-out windows as a fit predicts them, starts corrected."""
+    """Readings (n, m, ns) of held-out windows as a fit predicts them, initial states corrected."""
     again = fit(problem, fitted.structure, fitted.z, most=0)
-    _, readings = correct_starts(problem, again)
+    _, readings = correct_initial(problem, again)
     return readings
 
 
@@ -188,7 +188,7 @@ def _rising(time: Array) -> Array:
 
 def _maps(work: Work, structural: bool, order: Sequence[str]) -> list[page.Mismatch]:
     structure = work.prepared.structure
-    first = work.search.look(work.recalibrated if work.recalibrated.structure.numbers else work.nominal)
+    first = work.search.look(work.recalibrated if work.recalibrated.structure.model_parameters else work.nominal)
     after = work.search.look(work.final) if structural else None
     maps = []
     for j, joint in enumerate(structure.base):
@@ -229,11 +229,13 @@ def _candidates(work: Work) -> list[page.Candidate]:
             continue
         if tried.fitted is not None:
             error = tried.fitted.error
-            gain = compare(search.unseen_mse(tried.fitted), search.unseen_mse(baseline), search.unseen.blocks)
+            gain = compare(
+                search.comparison_mse(tried.fitted), search.comparison_mse(baseline), search.comparison.blocks
+            )
         else:  # the windows of a sketch are among the worse ones
-            few = search.known_to(tried.sketch)
-            error = tried.sketch.error * baseline.error / float(np.sqrt(np.mean(baseline.mse[few])))
-            gain = compare(tried.sketch.mse, baseline.mse[few], search.problem.blocks[few])
+            subset = search.known_to(tried.sketch)
+            error = tried.sketch.error * baseline.error / float(np.sqrt(np.mean(baseline.mse[subset])))
+            gain = compare(tried.sketch.mse, baseline.mse[subset], search.problem.blocks[subset])
         rows[tried.key] = page.Candidate(
             tried.term.effect.name,
             tried.term.at,
@@ -253,9 +255,9 @@ def _residuals(work: Work, held: dict[str, Array], before: str, structural: bool
     for k, sensor in enumerate(w.recordings[0].sensor_names):
         if not np.isfinite(w.noise[k]):
             continue
-        rest = {n: (w.observed[..., k] - held[n][..., k]) / w.noise[k] for n in (before, "improved")}
+        residual = {n: (w.observed[..., k] - held[n][..., k]) / w.noise[k] for n in (before, "improved")}
         lags = min(LAGS, w.valid.shape[1] // 2)
-        correlation = {n: _autocorrelation(r, w.valid, lags) for n, r in rest.items()}
+        correlation = {n: _autocorrelation(r, w.valid, lags) for n, r in residual.items()}
         last = correlation["improved" if structural else before]
         band = 1.96 / np.sqrt(w.valid.sum())
         white = float(np.abs(last[1:]).max())
@@ -269,8 +271,8 @@ def _residuals(work: Work, held: dict[str, Array], before: str, structural: bool
             page.SensorResidual(
                 sensor,
                 time,
-                joined(rest[before], w.valid),
-                joined(rest["improved"], w.valid) if structural else None,
+                joined(residual[before], w.valid),
+                joined(residual["improved"], w.valid) if structural else None,
                 np.arange(lags) * w.period,
                 correlation[before],
                 correlation["improved"] if structural else None,
@@ -281,11 +283,11 @@ def _residuals(work: Work, held: dict[str, Array], before: str, structural: bool
     return out
 
 
-def _autocorrelation(rest: Array, valid: NDArray[np.bool_], lags: int) -> Array:
+def _autocorrelation(residual: Array, valid: NDArray[np.bool_], lags: int) -> Array:
     """Autocorrelation within windows, averaged over them."""
-    rest = np.where(valid, rest, 0.0)
-    power = np.array([np.sum(rest[:, : rest.shape[1] - lag] * rest[:, lag:]) for lag in range(lags)])
-    pairs = np.array([np.sum(valid[:, : rest.shape[1] - lag] & valid[:, lag:]) for lag in range(lags)])
+    residual = np.where(valid, residual, 0.0)
+    power = np.array([np.sum(residual[:, : residual.shape[1] - lag] * residual[:, lag:]) for lag in range(lags)])
+    pairs = np.array([np.sum(valid[:, : residual.shape[1] - lag] & valid[:, lag:]) for lag in range(lags)])
     mean = power / np.maximum(pairs, 1)
     return mean / max(mean[0], 1e-300)
 

@@ -25,7 +25,7 @@ Status = Literal["chosen", "same model here", "not told apart", "ruled out", "sc
 
 VERDICTS = {
     "consistent": "The model predicts these recordings as well as their noise allows.",
-    "recalibrated": "Some numbers of the model were off. No physics is missing.",
+    "recalibrated": "Some parameters of the model were off. No physics is missing.",
     "explained": "With the physics that was missing, prediction comes down to the noise.",
     "modelled": "Prediction comes down to the noise with a law that has no name: a fit, not yet an understanding.",
     "partly explained": "The physics named here helps. Some structure is left that no known effect accounts for.",
@@ -47,7 +47,7 @@ class Trace:
         time: s, rising, (n,).
         observed: readings, (n,).
         nominal: prediction of the model as given, (n,).
-        recalibrated: with its own numbers refitted, (n,); None if there is nothing to refit.
+        recalibrated: with its parameters refitted, (n,); None if there is nothing to refit.
         improved: with what was missing, (n,); None if nothing is.
     """
 
@@ -263,7 +263,7 @@ def _fit(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
     held_out, floor = fit.get("held_out") or {}, fit.get("noise_floor")
     labels = {
         "nominal": "The model as given",
-        "recalibrated": "Its own numbers refitted",
+        "recalibrated": "Its parameters refitted",
         "improved": "With the missing physics",
     }
     if all(m["effect"] == "unknown" for m in diagnosis.get("missing") or []):

@@ -1,4 +1,4 @@
-"""What is known before any effect is tried: how well the model predicts as given, and with its own numbers refitted."""
+"""What is known before any effect is tried: how well the model predicts as given, and with its parameters refitted."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ class Baseline:
     """What is known before any effect is tried.
 
     Attributes:
-        problem: windows to fit, those in which something odd happened among them.
-        unseen: windows to compare on.
-        rest: windows left aside, and those to validate by.
+        problem: windows to fit, outlier windows among them.
+        comparison: windows to compare on.
+        aside: windows left aside, and those to validate by.
         test: windows for the judgement alone.
-        nominal: the model as given, start states fitted.
-        recalibrated: its own numbers fitted as well.
+        nominal: the model as given, initial states fitted.
+        recalibrated: its parameters fitted as well.
         fine: error of the model as given in fine steps, in units of noise, where it predicts to the noise in its own
             and all windows are therefore simulated in these; None elsewhere.
     """
 
     problem: Problem
-    unseen: Problem
-    rest: Problem
+    comparison: Problem
+    aside: Problem
     test: Problem
     nominal: Fit
     recalibrated: Fit
@@ -43,21 +43,24 @@ def baseline(case: Case) -> Baseline:
     structure, own = case.prepared.structure, Stepping(case.given.physics.model.opt.timestep)
     whole, test = case.prepared.problem, case.test
     late = whole.windows.start >= case.borders[whole.windows.source]
-    problem, unseen, rest = data.split(whole.pick(~late))
-    rest = rest.join(whole.pick(late))
+    problem, comparison, aside = data.split(whole.pick(~late))
+    aside = aside.join(whole.pick(late))
     nominal, fine = fit(problem, structure), None
     if _predicts_better(replace(problem, stepping=own), nominal):
         fine = nominal.error
-        problem, unseen, rest, test = (replace(part, stepping=own) for part in (problem, unseen, rest, test))
+        problem, comparison, aside, test = (replace(part, stepping=own) for part in (problem, comparison, aside, test))
         nominal = fit(problem, structure)
-    free = replace(structure, numbers=case.given.numbers)
-    recalibrated = fit(problem, free, starts=nominal.starts, most=20)
-    odd = data.odd(rest, recalibrated)
-    if len(odd):
-        problem, rest = problem.join(rest.pick(odd)), rest.pick(np.delete(np.arange(len(rest.windows)), odd))
+    free = replace(structure, model_parameters=case.given.model_parameters)
+    recalibrated = fit(problem, free, initial=nominal.initial, most=20)
+    outliers = data.outliers_aside(aside, recalibrated)
+    if len(outliers):
+        problem, aside = (
+            problem.join(aside.pick(outliers)),
+            aside.pick(np.delete(np.arange(len(aside.windows)), outliers)),
+        )
         nominal = fit(problem, structure)
-        recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.starts)
-    return Baseline(problem, unseen, rest, test, nominal, recalibrated, fine)
+        recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.initial)
+    return Baseline(problem, comparison, aside, test, nominal, recalibrated, fine)
 
 
 def _predicts_better(problem: Problem, fitted: Fit) -> bool:

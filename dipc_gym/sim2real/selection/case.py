@@ -19,7 +19,7 @@ from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
-from dipc_gym.sim2real.model.parameters import Number, Wishes, fixed_masses, own_numbers
+from dipc_gym.sim2real.model.parameters import ModelParameter, Wishes, fixed_masses, model_parameters
 from dipc_gym.sim2real.selection import data
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.simulation.compiled import left_to_mujoco
@@ -56,7 +56,7 @@ class Given:
         physics: the same, loaded.
         recordings: to fit and to validate, times counted from zero.
         held_out: to test with; none where the last part of each recording is.
-        numbers: parameters of the model that a refit may change.
+        model_parameters: those that a refit may change.
         notes: on recordings and masses.
     """
 
@@ -64,7 +64,7 @@ class Given:
     physics: physics.Physics
     recordings: tuple[Recording, ...]
     held_out: tuple[Recording, ...]
-    numbers: tuple[Number, ...]
+    model_parameters: tuple[ModelParameter, ...]
     notes: tuple[str, ...]
 
     @property
@@ -111,16 +111,16 @@ def gather(
     Raises:
         mjcf.MjcfError: the model cannot be treated.
         RecordingError: what is held out is fitted as well.
-        ValueError: a wish names no number of the model.
+        ValueError: a wish names no parameter of the model.
     """
     loaded = physics.load(source)
     mjcf.check_supported(loaded.model, source.name)
     data.check_apart(recordings, held_out)
     fitted, tested = data.from_zero(recordings), data.from_zero(held_out)
     notes = [f"{r.name}: {note}" for r in (*fitted, *tested) for note in r.notes]
-    numbers = own_numbers(document := Document(source), loaded.model)
-    notes += fixed_masses(document, loaded.model, numbers) + left_to_mujoco(loaded)
-    return Given(source, loaded, tuple(fitted), tuple(tested), tuple(wishes.apply(numbers)), tuple(notes))
+    parameters = model_parameters(document := Document(source), loaded.model)
+    notes += fixed_masses(document, loaded.model, parameters) + left_to_mujoco(loaded)
+    return Given(source, loaded, tuple(fitted), tuple(tested), tuple(wishes.apply(parameters)), tuple(notes))
 
 
 def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
@@ -149,9 +149,9 @@ def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
             f"{', '.join(str(r.path or r.name) for r in given.tested)}: too short to judge by; no window of "
             f"{whole.length:.3g} s begins later than {data.LATE:g} s after the start: record longer"
         )
-    quiet = _quiet(prepared)
-    if quiet:
-        raise CannotTell(quiet, IN_MOTION)
+    standstill = _standstill(prepared)
+    if standstill:
+        raise CannotTell(standstill, IN_MOTION)
     noise = prepared.problem.windows.noise
     test = replace(test, windows=replace(test.windows, noise=noise))
     tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
@@ -162,11 +162,11 @@ def _borders(given: Given, prepared: Prepared) -> Array:
     """Times from which windows validate; see `Case`."""
     borders = np.array([r.time[0] + FIT * given.span[1] * r.duration for r in given.recordings])
     windows = prepared.problem.windows
-    few = np.sum(windows.start < borders[windows.source]) < data.PLENTY
-    return np.full(len(borders), np.inf) if few else borders
+    scarce = np.sum(windows.start < borders[windows.source]) < data.PLENTY
+    return np.full(len(borders), np.inf) if scarce else borders
 
 
-def _quiet(prepared: Prepared) -> str:
+def _standstill(prepared: Prepared) -> str:
     """Why these recordings tell nothing, or an empty string."""
     positions = np.concatenate([m.position for m in prepared.motions])
     nb = positions.shape[1]

@@ -19,7 +19,7 @@ from dipc_gym.sim2real.simulation.windows import Windows
 Array = NDArray[np.float64]
 
 WINDOWS = 72  # fitted and compared on, two thirds and one third; more say little more
-ODD = 6  # windows in which something else happened, at most
+MOST_OUTLIERS = 6  # windows in which something else happened, at most
 PLENTY = 36  # windows from which the first ones can be spared
 LATE = 0.05  # s before a window whose commands must be known: they may act late
 APART = 0.05  # s from one window to another that is not beside it
@@ -77,50 +77,50 @@ def split(problem: Problem) -> tuple[Problem, Problem, Problem]:
     return problem.pick(np.delete(chosen, np.s_[1::3])), problem.pick(chosen[1::3]), problem.pick(others)
 
 
-def odd_windows(mse: Array, others: Array | None = None) -> NDArray[np.intp]:
+def outliers(mse: Array, others: Array | None = None) -> NDArray[np.intp]:
     """Windows that are predicted far worse than most (of others, if given), by mean square errors, the worst first."""
-    worst = np.argsort(-mse)[:ODD]
+    worst = np.argsort(-mse)[:MOST_OUTLIERS]
     return worst[mse[worst] > FAR_OUT * typical(mse if others is None else others)]
 
 
-def odd(rest: Problem, recalibrated: Fit) -> NDArray[np.intp]:
+def outliers_aside(aside: Problem, recalibrated: Fit) -> NDArray[np.intp]:
     """Windows, of those left aside, in which something happened that the others do not show: a push, a knock."""
-    if not len(rest.windows):
+    if not len(aside.windows):
         return np.zeros(0, dtype=np.intp)
-    mse, _ = evaluate(rest, recalibrated.structure, recalibrated.z)
-    return odd_windows(mse, recalibrated.mse)
+    mse, _ = evaluate(aside, recalibrated.structure, recalibrated.z)
+    return outliers(mse, recalibrated.mse)
 
 
-def eventful(windows: Windows, mse: Array, rest: Windows, rest_mse: Array) -> NDArray[np.bool_]:
-    """Which windows of those left aside are odd or beside one that is, (n,); those tell when it began and ended.
+def eventful(windows: Windows, mse: Array, aside: Windows, aside_mse: Array) -> NDArray[np.bool_]:
+    """Which windows of those left aside are outliers or beside one that is, (n,); those tell when it began and ended.
 
     Args:
         windows: that are fitted.
         mse: how well they are predicted.
-        rest: windows left aside.
-        rest_mse: how well these are predicted, (n,).
+        aside: windows left aside.
+        aside_mse: how well these are predicted, (n,).
     """
     far = FAR_OUT * typical(mse)
-    if not 0 < np.sum(mse > far) + np.sum(rest_mse > far) <= ODD:
-        return np.zeros(len(rest), dtype=bool)
-    fitted, aside = odd_windows(mse), odd_windows(rest_mse, mse)
-    start = np.append(windows.start[fitted], rest.start[aside])
-    source = np.append(windows.source[fitted], rest.source[aside])
-    return np.asarray((_beside(rest, start) & (rest.source[:, None] == source)).any(axis=1))
+    if not 0 < np.sum(mse > far) + np.sum(aside_mse > far) <= MOST_OUTLIERS:
+        return np.zeros(len(aside), dtype=bool)
+    fitted, left = outliers(mse), outliers(aside_mse, mse)
+    start = np.append(windows.start[fitted], aside.start[left])
+    source = np.append(windows.source[fitted], aside.source[left])
+    return np.asarray((_beside(aside, start) & (aside.source[:, None] == source)).any(axis=1))
 
 
 def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
-    """Which windows to keep, (n,): all but those of other recordings at the time of odd ones.
+    """Which windows to keep, (n,): all but those of other recordings at the time of outliers.
 
     Each recording has a clock of its own. What happened once happened in one of them, and an effect that has a time
     would be held against the others.
 
     Args:
         windows: of all recordings.
-        mse: how well they are predicted, (n,); the odd ones are told by it.
+        mse: how well they are predicted, (n,); the outliers are told by it.
     """
     far = mse > FAR_OUT * typical(mse)
-    if far.sum() > ODD:  # no event
+    if far.sum() > MOST_OUTLIERS:  # no event
         return np.ones(len(mse), dtype=bool)
     elsewhere = windows.source[:, None] != windows.source[far]
     return far | ~(_beside(windows, windows.start[far]) & elsewhere).any(axis=1)

@@ -31,20 +31,20 @@ def attend(search: Search) -> Fit:
     current = search.path[-1]
     if quiet(current):
         # When something began and ended is told by the windows around it, those to compare on among them.
-        mse = search.unseen_mse(current)
-        if len(search.rest.windows):
-            mse = np.append(mse, evaluate(search.rest, current.structure, current.z)[0])
-        others, compared = search.unseen.join(search.rest), len(search.unseen.windows)
+        mse = search.comparison_mse(current)
+        if len(search.aside.windows):
+            mse = np.append(mse, evaluate(search.aside, current.structure, current.z)[0])
+        others, compared = search.comparison.join(search.aside), len(search.comparison.windows)
         which = data.eventful(search.problem.windows, current.mse, others.windows, mse)
-        search.rest = search.rest.pick(~which[compared:])
+        search.aside = search.aside.pick(~which[compared:])
         if which[:compared].any():
-            search.compare_on(search.unseen.pick(~which[:compared]))
+            search.compare_on(search.comparison.pick(~which[:compared]))
         _take_in(search, others.pick(which))
-    windows = search.problem.windows.join(search.unseen.windows)
+    windows = search.problem.windows.join(search.comparison.windows)
     _leave_aside(search, data.without_echoes(windows, search.mse(search.path[-1])))
     current = search.path[-1]
     if quiet(current):
-        search.few = np.append(search.few, np.setdiff1d(data.odd_windows(current.mse), search.few))
+        search.subset = np.append(search.subset, np.setdiff1d(data.outliers(current.mse), search.subset))
     return current
 
 
@@ -67,14 +67,14 @@ def _take_in(search: Search, new: Problem) -> None:
 
 
 def _leave_aside(search: Search, keep: NDArray[np.bool_]) -> None:
-    """Go on with some of the windows, of the fitted and then of the unseen ones."""
+    """Go on with some of the windows, of the fitted and then of the comparison windows."""
     if keep.all():
         return
     count = len(search.problem.windows)
-    which, few = np.flatnonzero(keep[:count]), np.flatnonzero(keep[search.few])
+    which, subset = np.flatnonzero(keep[:count]), np.flatnonzero(keep[search.subset])
     search.problem = search.problem.pick(which)
-    search.compare_on(search.unseen.pick(keep[count:]))
+    search.compare_on(search.comparison.pick(keep[count:]))
     search.path = [fitted.pick(which) for fitted in search.path]
     search.anchor = search.anchor and search.anchor.pick(which)
-    search.rounds = [[tried.pick(which, few) for tried in hypotheses] for hypotheses in search.rounds]
-    search.few = np.searchsorted(which, search.few[few])
+    search.rounds = [[tried.pick(which, subset) for tried in hypotheses] for hypotheses in search.rounds]
+    search.subset = np.searchsorted(which, search.subset[subset])

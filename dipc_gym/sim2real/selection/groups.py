@@ -28,7 +28,7 @@ def best(search: Search, ranked: Sequence[tuple[Tried, Fit]], sketched: Sequence
 
     Args:
         search: in progress.
-        ranked: hypotheses and what they were laid over, the most promising first.
+        ranked: hypotheses and what they were laid over, the largest predicted gain first.
         sketched: sketches of single effects.
         current: the present fit.
     """
@@ -44,7 +44,7 @@ def best(search: Search, ranked: Sequence[tuple[Tried, Fit]], sketched: Sequence
             found.append(sketch)
     if not found:
         return None
-    losses = ranking.losses([one.mse for one in found] + [current.mse[search.few]] + [one.mse for one in sketched])
+    losses = ranking.losses([one.mse for one in found] + [current.mse[search.subset]] + [one.mse for one in sketched])
     together, alone = losses[: len(found)], min(losses[len(found) :])
     if alone - min(together) < LARGE:
         return None
@@ -70,7 +70,7 @@ def _kinds(search: Search, ranked: Sequence[tuple[Tried, Fit]]) -> list[list[Tri
         if usual and not search.slow(tried.term):
             by_id.setdefault(effect.id, []).append(tried)
     several = [group for group in by_id.values() if len(group) > 1]
-    return sorted(several, key=lambda group: -sum(max(tried.promise, 0.0) for tried in group))[:KINDS]
+    return sorted(several, key=lambda group: -sum(max(tried.predicted_gain, 0.0) for tried in group))[:KINDS]
 
 
 def _with(structure: Structure, hypotheses: Sequence[Tried]) -> Structure:
@@ -86,10 +86,10 @@ def _needed(search: Search, sketch: Fit, current: Fit) -> Fit:
     """A sketch without members that its quadratics say the others make idle, refitted."""
     structure, kept = sketch.structure, {term.key for term in current.structure.terms}
     added = [term for term in structure.terms if term.key not in kept]
-    idle = [term for term in added if ranking.foretold_loss(sketch, term, search.problem.counts[search.few]) < WORTH]
+    idle = [term for term in added if ranking.foretold_loss(sketch, term, search.problem.counts[search.subset]) < WORTH]
     if not idle:
         return sketch
     for term in idle:
         structure = structure.without(term.key)
     begin = carry(sketch.structure, sketch.z, structure)
-    return fit(search.problem.pick(search.few), structure, begin, sketch.starts, most=5)
+    return fit(search.problem.pick(search.subset), structure, begin, sketch.initial, most=5)

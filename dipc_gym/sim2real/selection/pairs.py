@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from dipc_gym.sim2real.selection.search import Search
 
 ENOUGH = 2  # pairs that predict alike and are fitted to all windows
-SHORT = 0.5  # share of what a pair promised that its sketch must bring
+SHORT = 0.5  # share of the predicted gain of a pair that its sketch must bring
 
-Pair = tuple[float, Fit, Structure]  # what it promises, what it was laid over, and the structure with both effects
+Pair = tuple[float, Fit, Structure]  # its predicted gain, what it was laid over, and the structure with both effects
 
 
 def promising(search: Search) -> list[Pair]:
-    """Two hypotheses at a time, by what they promise together on top of the bases of this round."""
+    """Two hypotheses at a time, by their predicted gains together on top of the bases of this round."""
     found: dict[frozenset[str], Pair] = {}
     for base, handicap, tried in search.screened:
-        for promise, structure in screen.pairs(search.problem, base, tried, search.few):
+        for predicted_gain, structure in screen.pairs(search.problem, base, tried, search.subset):
             key = frozenset(names(structure.terms))
-            if promise - handicap > max(WORTH, found[key][0] if key in found else 0.0):
-                found[key] = promise - handicap, base, structure
-    most = max((promise for promise, _, _ in found.values()), default=0.0)
+            if predicted_gain - handicap > max(WORTH, found[key][0] if key in found else 0.0):
+                found[key] = predicted_gain - handicap, base, structure
+    most = max((predicted_gain for predicted_gain, _, _ in found.values()), default=0.0)
     worth = [pair for pair in found.values() if pair[0] > max(map(search.least, pair[2].terms[-2:])) * most]
     return sorted(worth, key=lambda pair: -pair[0])[:FINALISTS]
 
@@ -39,12 +39,12 @@ def promising(search: Search) -> list[Pair]:
 def sketched(search: Search, pairs: Sequence[Pair], current: Fit) -> list[tuple[Fit, Fit]]:
     """What each pair was laid over, and its sketch, of those that can be simulated and may be needed.
 
-    What takes fine steps, and fell short of its promise beside one effect, is not tried beside others: a gap that is
-    not there takes up a little of anything, and each try of it the time of ten others.
+    What takes fine steps, and fell short of its predicted gain beside one effect, is not tried beside others: a gap
+    that is not there takes up a little of anything, and each try of it the time of ten others.
     """
     found: list[tuple[Fit, Fit]] = []
     short: set[str] = set()
-    for promise, base, structure in sorted(pairs, key=lambda pair: len(pair[2].slots)):
+    for predicted_gain, base, structure in sorted(pairs, key=lambda pair: len(pair[2].slots)):
         slow = {term.key for term in structure.terms[-2:] if search.slow(term)}
         if slow & short or ranking.idle(structure, [sketch for _, sketch in found]):
             continue
@@ -52,7 +52,7 @@ def sketched(search: Search, pairs: Sequence[Pair], current: Fit) -> list[tuple[
         if sketch is None:
             continue
         found.append((base, sketch))
-        if ranking.brought(sketch, current.mse[search.few]) < SHORT * promise:
+        if ranking.brought(sketch, current.mse[search.subset]) < SHORT * predicted_gain:
             short |= slow
     return found
 
@@ -68,8 +68,8 @@ def best(search: Search, sketched: Sequence[tuple[Fit, Fit]], current: Fit) -> F
     if not sketched:
         return None
     losses = ranking.losses([sketch.mse for _, sketch in sketched])
-    first, blocks = sketched[int(np.argmin(losses))][1], search.problem.blocks[search.few]
-    gained = compare(first.mse, current.mse[search.few], blocks).gain
+    first, blocks = sketched[int(np.argmin(losses))][1], search.problem.blocks[search.subset]
+    gained = compare(first.mse, current.mse[search.subset], blocks).gain
     alike = [pair for pair in sketched if ranking.alike(compare(first.mse, pair[1].mse, blocks), gained)]
     for base, sketch in sorted(alike, key=lambda pair: ranking.cost(pair[1]))[:ENOUGH]:
         fitted = search.full(base, sketch, current)

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dipc_gym.sim2real.estimation.evidence import places
 from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.unexplained import places
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.score import LARGE
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 def prune(search: Search, current: Fit) -> Fit:
-    """Take out effects that do not earn their place any more; put plainer ones in the place of idle numbers."""
+    """Take out effects that do not earn their place any more; put plainer ones in the place of idle parameters."""
     for term in current.structure.terms:
         plain = term.effect.linear and not (term.effect.contains or term.effect.once or term.effect.free)
         if plain and ranking.foretold_loss(current, term, search.problem.counts) > LARGE:
             continue  # needed beyond doubt, without a refit
-        rest = current.structure.without(term.key)
-        less = search.near(current, rest) if rest.terms else None
+        remaining = current.structure.without(term.key)
+        less = search.near(current, remaining) if remaining.terms else None
         plainer = [_swap(search, current, term, inner) for inner in term.effect.contains]
         for other in [fitted for fitted in (less, *plainer) if fitted is not None]:
             if other is less and term.effect.once:
@@ -41,8 +41,8 @@ def prune(search: Search, current: Fit) -> Fit:
 def _swap(search: Search, current: Fit, term: Term, effect: str) -> Fit | None:
     """Refit with another effect in the place of one; None where it cannot act."""
     other = next((e for e in search.effects if e.id == effect), None)
-    rest = current.structure.without(term.key)
-    if other is None or any(t.key == f"{effect}@{term.at}" for t in rest.terms):
+    remaining = current.structure.without(term.key)
+    if other is None or any(t.key == f"{effect}@{term.at}" for t in remaining.terms):
         return None
     scene = search.look(current)
     if term.at not in places(other, current.structure.model, search.joints, scene.recordings[0]):
@@ -54,4 +54,4 @@ def _swap(search: Search, current: Fit, term: Term, effect: str) -> Fit | None:
     if not proposals:
         return None
     shaped, guess = proposals[0]
-    return search.near(current, rest.with_term(Term(shaped, term.at, dict(guess))))
+    return search.near(current, remaining.with_term(Term(shaped, term.at, dict(guess))))

@@ -1,4 +1,4 @@
-"""Which hypotheses a search goes on with: by promise, by what they leave, and by what they cost."""
+"""Which hypotheses a search goes on with: by predicted gain, by what they leave, and by what they cost."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import mean_loss, typical
 from dipc_gym.sim2real.model.structure import Structure, Term
-from dipc_gym.sim2real.selection.data import odd_windows
-from dipc_gym.sim2real.selection.score import WORTH, Comparison
+from dipc_gym.sim2real.selection.data import outliers
+from dipc_gym.sim2real.selection.score import WORTH, Improvement
 from dipc_gym.sim2real.selection.screen import Tried
 
 Array = NDArray[np.float64]
 
 FINALISTS = 6  # hypotheses, or pairs, sketched in a round
-FEW = 18  # windows that a sketch has at least
+SUBSET = 18  # windows that a sketch has at least
 AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
 AT_NOISE = 1.05  # times the noise: nothing is left that would tell an elaboration from what it elaborates
 
 
-def alike(difference: Comparison, gained: float) -> bool:
+def alike(difference: Improvement, gained: float) -> bool:
     """Whether a fit predicts as well as the best: by the standard error, or within a fiftieth of its gain."""
     return difference.alike and difference.gain < 0.02 * gained + WORTH
 
@@ -34,22 +34,22 @@ def updated(tried: Sequence[Tried], news: Sequence[Tried]) -> list[Tried]:
     return [*news, *(one for one in tried if one.key not in known)]
 
 
-def promise(pair: tuple[Tried, Fit]) -> float:
+def predicted_gain(pair: tuple[Tried, Fit]) -> float:
     """What screening foretold of a hypothesis."""
-    return pair[0].promise
+    return pair[0].predicted_gain
 
 
 def brought(sketch: Fit, before: Array) -> float:
     """By how much a sketch lowers the log error of its windows from mean square errors `before`, (n,).
 
-    On the scale of the noise, as promises are.
+    On the scale of the noise, as predicted gains are.
     """
     return mean_loss(before, 1.0) - mean_loss(sketch.mse, 1.0)
 
 
 def complete(sketch: Fit) -> bool:
     """Whether a sketch leaves nothing, in no window."""
-    return sketch.error < AT_NOISE and not len(odd_windows(sketch.mse))
+    return sketch.error < AT_NOISE and not len(outliers(sketch.mse))
 
 
 def losses(errors: Sequence[Array]) -> list[float]:
@@ -91,18 +91,18 @@ def idle(structure: Structure, sketches: Sequence[Fit]) -> bool:
     return any(sketch.error < AT_NOISE and structure.elaborates(sketch.structure) for sketch in sketches)
 
 
-def few(mse: Array) -> NDArray[np.intp]:
+def subset(mse: Array) -> NDArray[np.intp]:
     """A third of the windows, those with the largest errors (n,) among them."""
     count = len(mse)
-    if count <= FEW:
+    if count <= SUBSET:
         return np.arange(count)
     return np.unique(
-        np.append(np.linspace(0, count - 1, max(count // 3, FEW)).round(), np.argsort(-mse)[: FEW // 4])
+        np.append(np.linspace(0, count - 1, max(count // 3, SUBSET)).round(), np.argsort(-mse)[: SUBSET // 4])
     ).astype(np.intp)
 
 
 def cost(fitted: Fit | None) -> tuple[int, int, int, int]:
-    """What the simpler of two structures has less of: numbers, effects, and effects that stock MuJoCo lacks.
+    """What the simpler of two structures has less of: parameters, effects, and effects that stock MuJoCo lacks.
 
     Of names for one and the same model, what acts at a joint goes before what a motor or a sensor would have to do.
     """
@@ -113,6 +113,6 @@ def cost(fitted: Fit | None) -> tuple[int, int, int, int]:
 
 
 def as_fitted(fitted: Fit) -> Term:
-    """The last effect of a structure with its fitted numbers for guesses."""
+    """The last effect of a structure with its fitted parameters for guesses."""
     term = fitted.structure.terms[-1]
     return replace(term, guess=fitted.structure.term_values(fitted.z, term))

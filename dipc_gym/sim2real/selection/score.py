@@ -19,11 +19,11 @@ LARGE = 0.5  # improvement of the mean log square error (an error one fifth smal
 ALIKE = 2.0  # standard errors within which two fits are not told apart
 WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
 QUIET = 1.5  # usual square error up to which windows are at the noise
-FEW = 3  # blocks that tell two fits apart at the noise, if no other says the opposite
+TELLING = 3  # blocks that tell two fits apart at the noise, if no other says the opposite
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Improvement:
     """How much better one fit predicts than another.
 
     Attributes:
@@ -53,7 +53,7 @@ class Comparison:
         return not self.shows and self.gain < max(WORTH / 2, ALIKE * self.error)
 
 
-def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
+def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Improvement:
     """Paired comparison of mean square errors (n,) of windows, by blocks."""
     usual = min(typical(new), typical(old))
     difference = loss(old, usual) - loss(new, usual)
@@ -62,11 +62,11 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Comparison:
     sums, sizes = sums[sizes > 0], sizes[sizes > 0]
     mean = float(np.sum(sums) / np.sum(sizes))
     if len(sums) < 3:
-        return Comparison(mean, math.inf)
+        return Improvement(mean, math.inf)
     each = sums / sizes
-    shows = usual < QUIET and int(np.sum(each > LARGE)) >= FEW and not np.any(each < -LARGE)
+    shows = usual < QUIET and int(np.sum(each > LARGE)) >= TELLING and not np.any(each < -LARGE)
     spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
-    return Comparison(mean, float(spread) * _few_blocks(len(sums)), shows)
+    return Improvement(mean, float(spread) * _few_blocks(len(sums)), shows)
 
 
 def _few_blocks(count: int) -> float:

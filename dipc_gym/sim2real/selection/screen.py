@@ -1,4 +1,4 @@
-"""Rank hypotheses, and pairs of them, by what they promise, at the cost of one simulation a hypothesis.
+"""Rank hypotheses, and pairs of them, by their predicted gains, at the cost of one simulation a hypothesis.
 
 The response of a model to an effect at a first guess is laid over the residual, beside everything that is free already.
 Two effects may need each other: drag is worth nothing while a damping that was refitted without friction does its work,
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect
 from dipc_gym.sim2real.estimation.fit import Fit, Quadratics
-from dipc_gym.sim2real.estimation.problem import Problem, predict_with, residual
+from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict_with
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 
 Array = NDArray[np.float64]
@@ -31,17 +31,17 @@ class Tried:
     """A hypothesis and what became of it.
 
     Attributes:
-        term: the effect, its place, and numbers to begin at.
-        promise: fall of the log error that screening foretold.
-        sketch: the fit to a few windows, or None if it was not among the finalists.
+        term: the effect, its place, and parameters to begin at.
+        predicted_gain: fall of the log error that screening foretold.
+        sketch: the fit to a subset of the windows, or None if it was not among the finalists.
         fitted: the full fit, or None if the sketch did not keep up.
         score: mean log square error of all windows; infinite if not fitted.
-        response: what the effect adds to the predictions of a few windows at these numbers, less what their starts
-            could explain, in units of noise, (n, M); for the round in which it was screened.
+        response: what the effect adds to the predictions of a subset of the windows at these parameters, less what
+            their initial states could explain, in units of noise, (n, M); for the round in which it was screened.
     """
 
     term: Term
-    promise: float
+    predicted_gain: float
     sketch: Fit | None = None
     fitted: Fit | None = None
     score: float = math.inf
@@ -52,34 +52,38 @@ class Tried:
         """`effect@place`."""
         return self.term.key
 
-    def pick(self, which: NDArray[np.intp], few: NDArray[np.intp]) -> Tried:
-        """What its fits say of some of the windows, and of some of the few that were sketched on."""
-        sketch = self.sketch and self.sketch.pick(few[few < len(self.sketch.mse)])
+    def pick(self, which: NDArray[np.intp], subset: NDArray[np.intp]) -> Tried:
+        """What its fits say of some of the windows, and of some of the subset that was sketched on."""
+        sketch = self.sketch and self.sketch.pick(subset[subset < len(self.sketch.mse)])
         return replace(self, sketch=sketch, fitted=self.fitted and self.fitted.pick(which))
 
 
-def screen(problem: Problem, current: Fit, terms: Sequence[Term], few: NDArray[np.intp]) -> list[Tried]:
-    """Rank hypotheses by what they promise; the best guess of each, the most promising first.
+def screen(problem: Problem, current: Fit, terms: Sequence[Term], subset: NDArray[np.intp]) -> list[Tried]:
+    """Rank hypotheses by their predicted gains; the best guess of each, the largest predicted gain first.
 
     Args:
         problem: windows to predict.
         current: fit that the hypotheses are laid over.
         terms: hypotheses, several guesses of one among them.
-        few: windows that have to do for what must be simulated in finer steps; responses are kept for them.
+        subset: windows that have to do for what must be simulated in finer steps; responses are kept for them.
     """
     guesses: dict[str, list[Term]] = {}
     for term in terms:
         guesses.setdefault(term.key, []).append(term)
-    some, currently = problem.pick(few), current.pick(few)
-    luck = _luck(problem, current, few)
+    some, currently = problem.pick(subset), current.pick(subset)
+    luck = _luck(problem, current, subset)
     found = []
     for group in guesses.values():
         slow = min(group[0].effect.finest, current.structure.finest) < problem.stepping.timestep
         tried = _best(*((some, currently) if slow else (problem, current)), group)
         if tried is not None:
-            here = {"promise": max(tried.promise - luck, 0.0)} if slow else {"response": tried.response[few]}
+            here = (
+                {"predicted_gain": max(tried.predicted_gain - luck, 0.0)}
+                if slow
+                else {"response": tried.response[subset]}
+            )
             found.append(replace(tried, **here))
-    return sorted(found, key=lambda tried: -tried.promise)
+    return sorted(found, key=lambda tried: -tried.predicted_gain)
 
 
 def _best(problem: Problem, current: Fit, group: Sequence[Term]) -> Tried | None:
@@ -94,19 +98,21 @@ def _best(problem: Problem, current: Fit, group: Sequence[Term]) -> Tried | None
         possible.append(term)
     if not possible:
         return None
-    all_readings = predict_with(problem, current.structure.with_term(possible[0]), variants, current.starts[None])
+    all_readings = predict_with(problem, current.structure.with_term(possible[0]), variants, current.initial[None])
     tried = []
     for term, readings in zip(possible, all_readings, strict=True):
         response = _response(problem, current, readings)
-        promise, size = _promise(problem, current, term.effect, response)
+        predicted_gain, size = _promise(problem, current, term.effect, response)
         scaled = _scaled(term, size)
-        tried.append(Tried(scaled, promise, response=response if scaled is term else size * response))
-    return max(tried, key=lambda one: one.promise)
+        tried.append(Tried(scaled, predicted_gain, response=response if scaled is term else size * response))
+    return max(tried, key=lambda one: one.predicted_gain)
 
 
 def _response(problem: Problem, current: Fit, readings: Array) -> Array:
-    """What `readings` (n, m, ns) add to the predictions of a fit, less what the starts could explain, (n, M)."""
-    change = current.raw - residual(problem, readings)
+    """What `readings` (n, m, ns) add to the predictions of a fit, less what the initial states could explain, (n,
+    M).
+    """
+    change = current.raw - normalised_residual(problem, readings)
     n = len(current.mse)
     rows = np.concatenate([change.reshape(n, -1, 1), np.zeros((n, current.sensitivity.shape[2], 1))], axis=1)
     Q, _ = np.linalg.qr(current.sensitivity)
@@ -116,43 +122,43 @@ def _response(problem: Problem, current: Fit, readings: Array) -> Array:
 def _promise(problem: Problem, current: Fit, effect: Effect, response: Array) -> tuple[float, float]:
     """Fall of the mean log square error by adding an effect at its best size, and that size in guesses."""
     overlay = _Overlay(problem, current, [response])
-    # Beside everything that is free, or alone where the other numbers would have to go too far along a null space.
+    # Beside everything that is free, or alone where the other parameters would have to go too far along a null space.
     found = [(0.0, 1.0)]
     for beside in (True, False):
-        promise, (size,) = overlay.promise([0], [effect], beside=beside)
+        predicted_gain, (size,) = overlay.predicted_gain([0], [effect], beside=beside)
         if size != 0.0:
-            found.append((promise, size))
+            found.append((predicted_gain, size))
     return max(found, key=lambda each: each[0])
 
 
 def pairs(
-    problem: Problem, current: Fit, tried: Sequence[Tried], few: NDArray[np.intp]
+    problem: Problem, current: Fit, tried: Sequence[Tried], subset: NDArray[np.intp]
 ) -> list[tuple[float, Structure]]:
-    """Structures with two of the hypotheses, and what they promise, the most promising first.
+    """Structures with two of the hypotheses, and their predicted gains, the largest predicted gain first.
 
     Args:
         problem: windows to predict.
         current: fit that the hypotheses were laid over.
         tried: what screening made of them.
-        few: the windows for which their responses are known.
+        subset: the windows for which their responses are known.
     """
     tried = _distinct(tried)
     if len(tried) < 2:
         return []
-    overlay = _Overlay(problem.pick(few), current.pick(few), [one.response for one in tried])
-    luck = _luck(problem, current, few)
+    overlay = _Overlay(problem.pick(subset), current.pick(subset), [one.response for one in tried])
+    luck = _luck(problem, current, subset)
     found = []
     for (i, one), (j, other) in itertools.combinations(enumerate(tried), 2):
         first, second = one.term, other.term
         if first.at == second.at and (excludes(first.effect, second.effect) or excludes(second.effect, first.effect)):
             continue
-        promise, sizes = overlay.promise([i, j], [first.effect, second.effect], beside=True)
+        predicted_gain, sizes = overlay.predicted_gain([i, j], [first.effect, second.effect], beside=True)
         if 0.0 in sizes:
             continue
         structure = current.structure
         for term, size in zip((first, second), sizes, strict=True):
             structure = structure.with_term(_scaled(term, size))
-        found.append((promise - luck, structure))
+        found.append((predicted_gain - luck, structure))
     return sorted(found, key=lambda pair: -pair[0])
 
 
@@ -163,17 +169,18 @@ def _distinct(tried: Sequence[Tried]) -> list[Tried]:
         direction = one.response.ravel() / max(float(np.linalg.norm(one.response)), 1e-12)
         if all(abs(direction @ other) < TWIN for _, other in kept):
             kept.append((one, direction))
-    return sorted((one for one, _ in kept), key=lambda one: -one.promise)
+    return sorted((one for one, _ in kept), key=lambda one: -one.predicted_gain)
 
 
-def _luck(problem: Problem, current: Fit, few: NDArray[np.intp]) -> float:
-    """What a fit's own numbers alone promise on a few of the windows beyond what they do on all: it is no effect's.
+def _luck(problem: Problem, current: Fit, subset: NDArray[np.intp]) -> float:
+    """What a fit's parameters alone seem to gain on a subset of the windows beyond what they do on all: it is no
+    effect's.
 
-    On all windows a fit that has converged promises nothing, and less where a step along a null space is cut short.
+    On all windows a fit that has converged has nothing to gain, and less where a step along a null space is cut short.
     """
-    own, here = _Overlay(problem, current, []), _Overlay(problem.pick(few), current.pick(few), [])
-    everywhere, among_few = (overlay.promise([], [], beside=True)[0] for overlay in (own, here))
-    return max(among_few - max(everywhere, 0.0), 0.0)
+    own, here = _Overlay(problem, current, []), _Overlay(problem.pick(subset), current.pick(subset), [])
+    everywhere, among_subset = (overlay.predicted_gain([], [], beside=True)[0] for overlay in (own, here))
+    return max(among_subset - max(everywhere, 0.0), 0.0)
 
 
 class _Overlay:
@@ -185,20 +192,23 @@ class _Overlay:
         self.own = list(range(len(responses), columns.shape[2]))
         self.counts, self.mse = problem.counts, current.mse
         self.quadratics = Quadratics(flat @ columns, (flat @ current.left[..., None])[..., 0], current.quadratics.c)
-        # A promise is a fall of log errors, and so are these weights: windows at the noise are not given up for others.
+        # A predicted gain is a fall of log errors, and so are these weights: windows at the noise are not given up
+        # for others.
         weight = 1.0 / (1.0 + current.mse) / self.counts
         self.A = np.einsum("n,nij->ij", weight, self.quadratics.A)
         self.b = weight @ self.quadratics.b
         prior = np.array([1 / slot.sigma**2 for slot in current.structure.slots])
         self.A[self.own, self.own] += prior / self.counts.mean()
 
-    def promise(self, which: Sequence[int], effects: Sequence[Effect], *, beside: bool) -> tuple[float, list[float]]:
+    def predicted_gain(
+        self, which: Sequence[int], effects: Sequence[Effect], *, beside: bool
+    ) -> tuple[float, list[float]]:
         """Fall of the mean log square error by some of the effects at their best sizes, and these sizes in guesses.
 
         Args:
             which: of the responses.
             effects: whose responses these are.
-            beside: whether the fit's own numbers may move as well.
+            beside: whether the fit's parameters may move as well.
         """
         free = [*which, *(self.own if beside else [])]
         A, b = self.A[np.ix_(free, free)], self.b[free]

@@ -2,9 +2,9 @@
 
 Screening costs one simulation a hypothesis: its response at a first guess, laid over the residual beside everything
 that is free already. The best few are sketched, that is fitted to a third of the windows, and those that keep up are
-fitted fully. Two at a time are tried where together they promise far more than any one does, or where no single one
-stands out. What decides is the error of other windows than those that were fitted, as a mean of logarithms, so that
-each window counts alike and its standard error means something.
+fitted fully. Two at a time are tried where together their predicted gain is far above that of any one, or where no
+single one stands out. What decides is the error of other windows than those that were fitted, as a mean of
+logarithms, so that each window counts alike and its standard error means something.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import LEAVES, Effect, dof
-from dipc_gym.sim2real.estimation.evidence import Scene, places
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.shooting import common_error, mean_loss
+from dipc_gym.sim2real.estimation.unexplained import Scene, places
 from dipc_gym.sim2real.model.structure import Structure, Term, carry, names
 from dipc_gym.sim2real.selection import data, groups, pairs, ranking, screen
 from dipc_gym.sim2real.selection.events import attend, quiet
 from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.ranking import AT_FLOOR, FINALISTS
-from dipc_gym.sim2real.selection.score import LARGE, WORTH, Comparison, compare
+from dipc_gym.sim2real.selection.score import LARGE, WORTH, Improvement, compare
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 
 Array = NDArray[np.float64]
@@ -36,8 +36,8 @@ ROUGH = 5e-3  # share of its objective by which a step must lower it where fits 
 MOST_EFFECTS = 6  # that are added
 FULLY = 3  # sketches that are fitted to all windows, beside the plainer ones that they elaborate
 KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
-IN_TURN = 0.25  # share of the largest promise from which what takes fine steps is sketched if nothing else will do
-SHAPES = 6  # laws of any shape that are sketched in a round whatever they promise
+IN_TURN = 0.25  # share of the largest predicted gain from which what takes fine steps is sketched, if nothing else does
+SHAPES = 6  # laws of any shape that are sketched in a round whatever their predicted gain
 ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
 MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
 IN_REACH = 3.0  # times the noise, from which a fit may yet come down to it
@@ -52,19 +52,19 @@ class Search:
 
     Attributes:
         problem: windows to fit.
-        unseen: windows to compare on, between those.
-        rest: windows left aside; `attend` takes in those that matter later.
+        comparison: windows to compare on, between those.
+        aside: windows left aside; `attend` takes in those that matter later.
         late: times in each recording from which windows that are left aside validate what the search comes to, s.
         effects: the catalogue.
         joints: base joints.
-        look: gives the evidence for a fit, and with it the times, s, at which windows begin that are odd.
+        look: gives the evidence for a fit, and with it the times, s, at which outlier windows begin.
         rounds: hypotheses of each round, the best first.
         small: whether the mismatch is so small and shapeless that only what explains all of it counts.
-        anchor: the model with its own numbers free but at their nominal values. Refitted without an effect that
-            matters they can be far off, and an effect tried on top of such numbers looks worse than it is.
+        anchor: the model with its parameters free but at their nominal values. Refitted without an effect that
+            matters they can be far off, and an effect tried on top of such parameters looks worse than it is.
         tell: called with a line about progress.
-        few: the windows of `problem` that are sketched on; what stands out later comes at the end, and older sketches
-            know only those before.
+        subset: the windows of `problem` that are sketched on; what stands out later comes at the end, and older
+            sketches know only those before.
         interrupted: whether Ctrl-C ended the search.
         shapes: whether laws of any shape are asked as well: where no formula comes down to the noise.
         last: whether laws of no kind are asked, and nothing else: where no law of a kind comes down to the noise.
@@ -74,8 +74,8 @@ class Search:
     """
 
     problem: Problem
-    unseen: Problem
-    rest: Problem
+    comparison: Problem
+    aside: Problem
     late: Array
     effects: Sequence[Effect]
     joints: tuple[str, ...]
@@ -83,7 +83,7 @@ class Search:
     small: bool = False
     anchor: Fit | None = None
     tell: Callable[[str], None] = lambda line: None
-    few: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    subset: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     rounds: list[list[Tried]] = field(default_factory=list)
     interrupted: bool = False
     shapes: bool = False
@@ -99,42 +99,42 @@ class Search:
 
         Of recordings too short to hold any, the windows compared on.
         """
-        windows = self.rest.windows
+        windows = self.aside.windows
         late = windows.start >= self.late[windows.source]
-        return self.rest.pick(late) if late.any() else self.unseen
+        return self.aside.pick(late) if late.any() else self.comparison
 
-    def compare_on(self, unseen: Problem) -> None:
+    def compare_on(self, comparison: Problem) -> None:
         """Compare on other windows from here on, or on the same in other steps."""
-        self.unseen = unseen
+        self.comparison = comparison
         self._known.clear()
 
-    def unseen_mse(self, fitted: Fit) -> Array:
-        """Mean square error of each unseen window, in units of noise, (n,)."""
+    def comparison_mse(self, fitted: Fit) -> Array:
+        """Mean square error of each comparison window, in units of noise, (n,)."""
         if id(fitted) not in self._known:
-            mse, _ = evaluate(self.unseen, fitted.structure, fitted.z)
+            mse, _ = evaluate(self.comparison, fitted.structure, fitted.z)
             self._known[id(fitted)] = (fitted, mse)
         return self._known[id(fitted)][1]
 
     def mse(self, fitted: Fit) -> Array:
-        """Mean square errors of the fitted windows, then of the unseen ones."""
-        return np.append(fitted.mse, self.unseen_mse(fitted))
+        """Mean square errors of the fitted windows, then of the comparison windows."""
+        return np.append(fitted.mse, self.comparison_mse(fitted))
 
-    def compare(self, new: Fit, old: Fit) -> Comparison:
-        """How much better `new` predicts than `old`, over fitted and unseen windows together.
+    def compare(self, new: Fit, old: Fit) -> Improvement:
+        """How much better `new` predicts than `old`, over fitted and comparison windows together.
 
-        There are far fewer numbers than windows, so what fitting flatters is little; three times as many windows tell
-        more. `confirmed` asks the unseen ones alone.
+        There are far fewer parameters than windows, so what fitting flatters is little; three times as many windows
+        tell more. `confirmed` asks the comparison windows alone.
         """
         return compare(self.mse(new), self.mse(old), self._blocks)
 
     @property
     def _blocks(self) -> NDArray[np.intp]:
-        """Of the fitted windows, then of the unseen ones; windows of both within one second share a block."""
-        return self.problem.join(self.unseen).blocks
+        """Of the fitted windows, then of the comparison windows; windows of both within one second share a block."""
+        return self.problem.join(self.comparison).blocks
 
     def confirmed(self, new: Fit, old: Fit) -> bool:
-        """Whether the unseen windows alone are better predicted too."""
-        return compare(self.unseen_mse(new), self.unseen_mse(old), self.unseen.blocks).gain > WORTH / 2
+        """Whether the comparison windows alone are better predicted too."""
+        return compare(self.comparison_mse(new), self.comparison_mse(old), self.comparison.blocks).gain > WORTH / 2
 
     # -------------------------------------------------------------------------------------------- one round
 
@@ -158,7 +158,7 @@ class Search:
 
     @staticmethod
     def _plain(current: Fit, effect: Effect, at: str) -> dict[str, float]:
-        """Numbers that an effect shares with plainer ones that are there and that it would replace."""
+        """Parameters that an effect shares with plainer ones that are there and that it would replace."""
         shared: dict[str, float] = {}
         for term in current.structure.terms:
             if term.at == at and term.effect.id in effect.contains:
@@ -167,57 +167,60 @@ class Search:
         return shared
 
     def sketch(self, base: Fit, structure: Structure) -> Fit | None:
-        """Fit a structure to a few of the windows, from the numbers of `base`; None where it cannot be simulated."""
+        """Fit a structure to a subset of the windows, from the parameters of `base`; None where it cannot be
+        simulated.
+        """
         z = carry(base.structure, base.z, structure)
         try:
-            return fit(self.problem.pick(self.few), structure, z, base.starts[self.few], most=5, tolerance=ROUGH)
+            return fit(self.problem.pick(self.subset), structure, z, base.initial[self.subset], most=5, tolerance=ROUGH)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
     def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.
 
-        A sketch that was still on its way, and not at the noise, goes on first: a step on a few windows costs a third,
+        A sketch that was still on its way, and not at the noise, goes on first: a step on a subset costs a third,
         and on all of them a gap or a contact far from its place holds a fit fast. None as well where it then does not
-        earn its place beside `current` even on the few windows. What comes near the noise goes on until nothing
+        earn its place beside `current` even on the subset. What comes near the noise goes on until nothing
         changes, and is begun anew where it stays there: the last stretch may be a long valley, at whose end a name is
         decided, or a wrong one.
         """
         try:
-            few = self.known_to(sketch)
+            subset = self.known_to(sketch)
             if not sketch.converged and sketch.error > AT_FLOOR:
-                sketch = fit(self.problem.pick(few), sketch.structure, sketch.z, sketch.starts, most=15)
-            if current is not None and not self._earned(sketch.mse, current.mse[few]):
+                sketch = fit(self.problem.pick(subset), sketch.structure, sketch.z, sketch.initial, most=15)
+            if current is not None and not self._earned(sketch.mse, current.mse[subset]):
                 return None
-            fitted = fit(self.problem, sketch.structure, sketch.z, base.starts, most=8, tolerance=ROUGH)
+            fitted = fit(self.problem, sketch.structure, sketch.z, base.initial, most=8, tolerance=ROUGH)
             if AT_FLOOR < fitted.error < IN_REACH:
-                fitted = self._anew(fit(self.problem, fitted.structure, fitted.z, fitted.starts, most=15))
+                fitted = self._anew(fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=15))
             return fitted
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
     def _anew(self, fitted: Fit) -> Fit:
-        """A fit of several effects, or what comes of their first guesses and nominal numbers if that predicts better.
+        """A fit of several effects, or what comes of their first guesses and nominal parameters if that predicts
+        better.
 
         What an effect took on while another was missing may hold it fast where it is.
         """
         structure = fitted.structure
         if fitted.error <= AT_FLOOR or len(structure.terms) < 2:
             return fitted
-        sketch = fit(self.problem.pick(self.few), structure, most=MOST_ANEW)
-        if compare(sketch.mse, fitted.mse[self.few], self.problem.blocks[self.few]).gain < WORTH:
+        sketch = fit(self.problem.pick(self.subset), structure, most=MOST_ANEW)
+        if compare(sketch.mse, fitted.mse[self.subset], self.problem.blocks[self.subset]).gain < WORTH:
             return fitted
         again = fit(self.problem, structure, sketch.z, most=8)
         return min(fitted, again, key=lambda one: mean_loss(one.mse, 1.0))
 
     def behind(self, sketch: Fit, fitted: Fit) -> bool:
         """Whether a sketch is so much worse than a full fit that fitting on would not bring it close."""
-        few = self.known_to(sketch)
-        return compare(fitted.mse[few], sketch.mse, self.problem.blocks[few]).gain > LARGE
+        subset = self.known_to(sketch)
+        return compare(fitted.mse[subset], sketch.mse, self.problem.blocks[subset]).gain > LARGE
 
     def known_to(self, sketch: Fit) -> NDArray[np.intp]:
         """The windows that a sketch was fitted to."""
-        return self.few[: len(sketch.mse)]
+        return self.subset[: len(sketch.mse)]
 
     def near(self, current: Fit, structure: Structure) -> Fit | None:
         """A full fit of a structure, unless its sketch tells that it is far from predicting as `current` does."""
@@ -238,20 +241,22 @@ class Search:
 
     def round(self, current: Fit) -> Fit | None:
         """Try every hypothesis on top of `current`; the best fit if it is clearly better, else None."""
-        starts = self._starts(current)
+        by_key = self._by_key(current)
         ranked = sorted(
-            (max(tries, key=ranking.promise) for tries in starts.values()), key=ranking.promise, reverse=True
+            (max(tries, key=ranking.predicted_gain) for tries in by_key.values()),
+            key=ranking.predicted_gain,
+            reverse=True,
         )
-        most = ranking.promise(ranked[0]) if ranked else 0.0
-        sketched = self._in_turn(ranked, starts, current)
+        most = ranking.predicted_gain(ranked[0]) if ranked else 0.0
+        sketched = self._in_turn(ranked, by_key, current)
         self.rounds.append(ranking.updated([tried for tried, _ in ranked], [tried for tried, _ in sketched]))
         if len(self.joints) > 1 and not _at_noise(sketched):
             together = groups.best(self, ranked, [one.sketch for one, _ in sketched if one.sketch], current)
             if together is not None:
                 return together
-        both_promise = [] if _at_noise(sketched) or current.error < AT_FLOOR else pairs.promising(self)
-        # Where two promise far more than any one does, and come down to the noise, one by one would lead astray.
-        early = [pair for pair in both_promise if pair[0] > most + LARGE]
+        both_gain = [] if _at_noise(sketched) or current.error < AT_FLOOR else pairs.promising(self)
+        # Where two gain far more than any one does, and come down to the noise, one by one would lead astray.
+        early = [pair for pair in both_gain if pair[0] > most + LARGE]
         both = pairs.sketched(self, early, current)
         found = pairs.best(self, [pair for pair in both if pair[1].error < AT_FLOOR], current)
         if found is not None:
@@ -268,71 +273,77 @@ class Search:
         chosen = self.choose(current, done)
         if chosen is not None:
             return self.polish(chosen)
-        return pairs.best(self, [*both, *pairs.sketched(self, both_promise[len(early) :], current)], current)
+        return pairs.best(self, [*both, *pairs.sketched(self, both_gain[len(early) :], current)], current)
 
     def least(self, term: Term) -> float:
-        """Share of the largest promise from which a hypothesis is sketched; what takes fine steps must promise more."""
+        """Share of the largest predicted gain from which a hypothesis is sketched; more for what takes fine steps."""
         return KEEPS_UP if self.slow(term) else 0.1
 
     def slow(self, term: Term) -> bool:
         """Whether an effect has to be simulated in finer steps than the others."""
         return term.effect.finest < self.problem.stepping.timestep
 
-    def _starts(self, current: Fit) -> dict[str, list[tuple[Tried, Fit]]]:
-        """Every hypothesis, by key: what it promises over `current` on top of each base, and that base."""
+    def _by_key(self, current: Fit) -> dict[str, list[tuple[Tried, Fit]]]:
+        """Every hypothesis, by key: its predicted gain over `current` on top of each base, and that base."""
         self.screened = [self._screen(base, current) for base in self._bases(current)]
-        starts: dict[str, list[tuple[Tried, Fit]]] = {}
+        by_key: dict[str, list[tuple[Tried, Fit]]] = {}
         for base, handicap, hypotheses in self.screened:
             for tried in hypotheses:
-                starts.setdefault(tried.key, []).append((replace(tried, promise=tried.promise - handicap), base))
-        return starts
+                by_key.setdefault(tried.key, []).append(
+                    (replace(tried, predicted_gain=tried.predicted_gain - handicap), base)
+                )
+        return by_key
 
     def _in_turn(
-        self, ranked: Sequence[tuple[Tried, Fit]], starts: dict[str, list[tuple[Tried, Fit]]], current: Fit
+        self, ranked: Sequence[tuple[Tried, Fit]], by_key: dict[str, list[tuple[Tried, Fit]]], current: Fit
     ) -> list[tuple[Tried, Fit]]:
-        """Sketches of the most promising hypotheses; of what takes fine steps and promised less only if none of these
+        """Sketches of the most promising hypotheses; of what takes fine steps and gains less only if none of these
         comes to the noise, for a straight line through its first guess foretells little far from there.
         """
-        shares = [ranking.promise(start) / max(ranking.promise(ranked[0]), WORTH) for start in ranked]
-        worth = [(start, share) for start, share in zip(ranked, shares, strict=True) if start[0].promise > WORTH / 2]
+        shares = [ranking.predicted_gain(start) / max(ranking.predicted_gain(ranked[0]), WORTH) for start in ranked]
+        worth = [
+            (start, share) for start, share in zip(ranked, shares, strict=True) if start[0].predicted_gain > WORTH / 2
+        ]
         first = ranking.finalists(
             [start for start, share in worth if share > self.least(start[0].term)],
             FINALISTS if current.error > ranking.AT_NOISE else FINALISTS // 2,
         )
         # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already,
-        # such a guess promises nothing as it stands. Only its fit tells.
+        # such a guess gains nothing as it stands. Only its fit tells.
         laws = [start for start in ranked if start[0].term.effect.free and start not in first]
-        sketched = self._sketches([*first, *laws[:SHAPES]], starts, current)
+        sketched = self._sketches([*first, *laws[:SHAPES]], by_key, current)
         if _at_noise(sketched):
             return sketched
         slow = [start for start, share in worth if self.slow(start[0].term) and IN_TURN < share <= KEEPS_UP]
-        return sketched + self._sketches(slow, starts, current)
+        return sketched + self._sketches(slow, by_key, current)
 
     def _sketches(
-        self, first: Sequence[tuple[Tried, Fit]], starts: dict[str, list[tuple[Tried, Fit]]], current: Fit
+        self, first: Sequence[tuple[Tried, Fit]], by_key: dict[str, list[tuple[Tried, Fit]]], current: Fit
     ) -> list[tuple[Tried, Fit]]:
         """Sketches of several hypotheses, plain ones first, for what elaborates one that leaves nothing needs none."""
         sketched: list[tuple[Tried, Fit]] = []
         for finalist, base in sorted(first, key=lambda start: len(start[0].term.effect.parameters)):
             structure = base.structure.with_term(finalist.term)
             if not ranking.idle(structure, [tried.sketch for tried, _ in sketched if tried.sketch]):
-                sketched += self._sketched(sorted(starts[finalist.key], key=ranking.promise, reverse=True), current)
+                sketched += self._sketched(
+                    sorted(by_key[finalist.key], key=ranking.predicted_gain, reverse=True), current
+                )
         return sketched
 
-    def _sketched(self, starts: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
-        """The best sketch of one hypothesis, if any, from the most promising start on.
+    def _sketched(self, by_key: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
+        """The best sketch of one hypothesis, if any, from the largest predicted gain on.
 
         A fit that brings less than screening foretold is stuck, unless it leaves nothing; then the next start is tried
         as well.
         """
         sketches: list[tuple[Tried, Fit]] = []
-        for tried, base in starts:
+        for tried, base in by_key:
             sketch = self.sketch(base, base.structure.with_term(tried.term))
             if sketch is None:
                 continue
             sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch), base))
-            if ranking.complete(sketch) or ranking.brought(sketch, current.mse[self.few]) > max(
-                tried.promise, WORTH / 2
+            if ranking.complete(sketch) or ranking.brought(sketch, current.mse[self.subset]) > max(
+                tried.predicted_gain, WORTH / 2
             ):
                 break
         losses = ranking.losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
@@ -344,7 +355,9 @@ class Search:
         What takes fine steps has to come nearer. Where the best is at the noise, what is far from it needs no more
         fitting, and nothing plainer goes first.
         """
-        losses = ranking.losses([current.mse[self.few], *(t.sketch.mse for t, _ in sketched if t.sketch is not None)])
+        losses = ranking.losses(
+            [current.mse[self.subset], *(t.sketch.mse for t, _ in sketched if t.sketch is not None)]
+        )
         gains = {t.key: losses[0] - after for (t, _), after in zip(sketched, losses[1:], strict=True)}
         most = max(gains.values(), default=0.0)
         least = max(KEEPS_UP * most, WORTH / 2)
@@ -358,7 +371,7 @@ class Search:
 
     def _plain_first(self, sketched: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
         """Without those far from the noise that elaborate one which would go before them (`core`)."""
-        before = float(np.sqrt(np.mean(current.mse[self.few])))
+        before = float(np.sqrt(np.mean(current.mse[self.subset])))
         brought = {tried.key: before - tried.sketch.error for tried, _ in sketched if tried.sketch is not None}
 
         def waits(tried: Tried) -> bool:
@@ -375,9 +388,9 @@ class Search:
         return sorted(scored, key=lambda tried: tried.score)
 
     def _bases(self, current: Fit) -> list[Fit]:
-        """What effects are tried on top of: the present fit, and at first the nominal numbers where it left them.
+        """What effects are tried on top of: the present fit, and at first the nominal parameters where it left them.
 
-        Numbers that made up for a formula are in the way of a law, so laws are tried on what was before it as well.
+        Parameters that made up for a formula are in the way of a law, so laws are tried on what was before it as well.
         """
         begin = self.path[0]
         before = [begin] if self.shapes and current.structure.terms else []
@@ -387,17 +400,17 @@ class Search:
         return [current, *before, *([self.anchor] if far else [])]
 
     def _screen(self, base: Fit, current: Fit) -> tuple[Fit, float, list[Tried]]:
-        """A base, by how much it is worse than `current`, and what hypotheses promise on top of it."""
+        """A base, by how much it is worse than `current`, and the predicted gains of hypotheses on top of it."""
         handicap = max(0.0, mean_loss(base.mse, 1.0) - mean_loss(current.mse, 1.0))
-        odd = self.problem.windows.start[data.odd_windows(base.mse)]
-        hypotheses = self.hypotheses(base, self.look(base, odd))
-        return base, handicap, screen.screen(self.problem, base, hypotheses, self.few)
+        outliers = self.problem.windows.start[data.outliers(base.mse)]
+        hypotheses = self.hypotheses(base, self.look(base, outliers))
+        return base, handicap, screen.screen(self.problem, base, hypotheses, self.subset)
 
     def polish(self, fitted: Fit) -> Fit:
         """Fit on until nothing changes."""
         if fitted.converged:
             return fitted
-        return fit(self.problem, fitted.structure, fitted.z, fitted.starts, most=25)
+        return fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=25)
 
     def choose(self, current: Fit, done: Sequence[Tried]) -> Fit | None:
         """The simplest of the hypotheses that predict best, if it is clearly better than `current`."""
@@ -436,7 +449,7 @@ class Search:
     def stands_out(self, term: Term, fitted: Fit, current: Fit) -> bool:
         """Whether a fit with one more effect is clearly better.
 
-        What happened once shows in a window or two, seen or unseen; it is believed where all others are at the noise.
+        What happened once shows in a window or two, fitted or not; it is believed where all others are at the noise.
         """
         if term.effect.once:
             fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
@@ -451,9 +464,9 @@ class Search:
         What acts that seldom can be told from nothing by no mean over windows, and from a push by leaving none.
         """
         before, after = self.mse(current), self.mse(fitted)
-        odd = data.odd_windows(before)
-        fall = np.log1p(before[odd]) - np.log1p(after[odd])
-        return quiet(current) and float(np.sum(fall)) > ONCE and not len(data.odd_windows(after, before))
+        outliers = data.outliers(before)
+        fall = np.log1p(before[outliers]) - np.log1p(after[outliers])
+        return quiet(current) and float(np.sum(fall)) > ONCE and not len(data.outliers(after, before))
 
     def earns(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit comes down to the noise, or takes a good part of what is left.
@@ -483,7 +496,7 @@ class Search:
 
     def run(self, start: Fit, most: int = MOST_EFFECTS) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
-        self.few, self.path = ranking.few(start.mse), [start]
+        self.subset, self.path = ranking.subset(start.mse), [start]
         named = self._add(most)
         if named.error <= AT_FLOOR or self.small or self.interrupted:
             return named
@@ -534,13 +547,13 @@ class Search:
     def refine(self, fitted: Fit) -> Fit:
         """Halve the steps, from here on, and fit a structure once more: what takes fine steps is off at any."""
         self.problem = replace(self.problem, finer=2)
-        self.compare_on(replace(self.unseen, finer=2))
-        return fit(self.problem, fitted.structure, fitted.z, fitted.starts, most=20)
+        self.compare_on(replace(self.comparison, finer=2))
+        return fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=20)
 
     def without(self, current: Fit, key: str) -> Fit:
-        """Refit with one effect less, from the numbers that it has now: the fit before may have been stuck."""
+        """Refit with one effect less, from the parameters that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)
-        return fit(self.problem, structure, carry(current.structure, current.z, structure), current.starts)
+        return fit(self.problem, structure, carry(current.structure, current.z, structure), current.initial)
 
 
 def _at_noise(sketched: Sequence[tuple[Tried, Fit]]) -> bool:

@@ -1,6 +1,6 @@
 """Simulate windows of recordings with many variants of a model at once: the one place where fits meet MuJoCo.
 
-Everything above this file sees a function from models and start states to predicted readings. A faster simulator
+Everything above this file sees a function from models and initial states to predicted readings. A faster simulator
 would replace this file alone.
 """
 
@@ -75,45 +75,45 @@ def grid_step(windows: Windows, stepping: Stepping) -> float:
 def simulate(
     variants: Sequence[Physics],
     windows: Windows,
-    starts: Array,
+    initial: Array,
     stepping: Stepping,
     *,
     base: Sequence[str],
     warm: float = 0.0,
-    warm_starts: Array | None = None,
+    warm_initial: Array | None = None,
     threads: int = 0,
 ) -> Array:
     """Predict the sensors of every window with every variant.
 
     Args:
-        variants: models of one structure with different numbers.
+        variants: models of one structure with different parameters.
         windows: what to predict.
-        starts: positions and velocities of the base joints at each window's start, (variants or 1, n, 2 nb).
+        initial: positions and velocities of the base joints at each window's start, (variants or 1, n, 2 nb).
         stepping: integrator and step.
-        base: names of the nb joints that `starts` describes; others begin where the joint that they follow does.
+        base: names of the nb joints that `initial` describes; others begin where the joint that they follow does.
         warm: s simulated before each window, so that bristles, currents and gaps reach their state.
-        warm_starts: as `starts`, at `warm` seconds before each window; needed if `warm` is positive.
+        warm_initial: as `initial`, at `warm` seconds before each window; needed if `warm` is positive.
         threads: for MuJoCo's batch; 0 means all cores.
 
     Returns:
         Readings (variants, n, m, ns); huge or not a number from where a simulation diverged.
     """
     n, count = len(windows), len(variants)
-    starts = np.broadcast_to(starts, (count, n, starts.shape[-1]))
+    initial = np.broadcast_to(initial, (count, n, initial.shape[-1]))
     if stepping.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         distinct = list({id(variant): variant for variant in variants}.values())
         which = np.array([next(i for i, one in enumerate(distinct) if one is variant) for variant in variants])
         with contextlib.suppress(Uncovered):
             of = compiled(distinct, windows, base, grid_step(windows, stepping))
-            return predicted(of, starts, which, warm, warm_starts, threads)
+            return predicted(of, initial, which, warm, warm_initial, threads)
     runs, track = _Runs(variants, windows, stepping, base, threads), None
     if warm > 0:
-        assert warm_starts is not None
+        assert warm_initial is not None
         before = math.ceil(warm / runs.step - 1e-9)
         # How a window is approached does not depend on its own start, which fits vary most.
         distinct = list({id(variant): variant for variant in variants}.values())
         approach = runs if len(distinct) == count else _Runs(distinct, windows, stepping, base, threads)
-        approach.begin(-before, np.broadcast_to(warm_starts, (len(distinct), *starts.shape[1:])))
+        approach.begin(-before, np.broadcast_to(warm_initial, (len(distinct), *initial.shape[1:])))
         track = approach.run(-before, before, record=bool(runs.physics.stage("lag")))
         if track is not None:
             track = np.append(track, approach.readings()[:, None], axis=1)
@@ -122,9 +122,9 @@ def simulate(
             rows = (which[:, None] * n + np.arange(n)).ravel()
             runs.sims.state[:] = approach.sims.state[rows]
             track = None if track is None else track[rows]
-        runs.put_back(starts)
+        runs.put_back(initial)
     else:
-        runs.begin(0, starts)
+        runs.begin(0, initial)
     ahead = runs.late.max(axis=1, keepdims=True) - runs.late
     nstep = math.floor((windows.times.max() + ahead.max(initial=0.0)) / runs.step + 1e-6) + 2
     readings = runs.run(0, nstep, record=True)
@@ -170,14 +170,14 @@ class _Runs:
         self.dry = DryFriction(self.sims, level[which]) if located else None
         self._base, self._hidden, self._leaders = _addresses(models[0], base)
 
-    def begin(self, at: int, starts: Array) -> None:
+    def begin(self, at: int, initial: Array) -> None:
         """Begin `at` steps after each window's start, from positions and velocities (variants, n, 2 nb)."""
         begin = self.windows.start + at * self.step
         self.sims.time[:] = (begin - self.late.max(axis=1, keepdims=True)).ravel()
         _warm_windings(self.sims, self.variants, self.delays, self.windows)
-        self._place(starts)
+        self._place(initial)
 
-    def put_back(self, starts: Array) -> None:
+    def put_back(self, initial: Array) -> None:
         """Put the joints at positions and velocities (variants, n, 2 nb).
 
         Whatever hides behind a gap keeps its place relative to them.
@@ -185,13 +185,13 @@ class _Runs:
         qpos, qvel = self.sims.qpos, self.sims.qvel
         apart = qpos[:, self._hidden] - qpos[:, self._leaders]
         faster = qvel[:, self._hidden] - qvel[:, self._leaders]
-        self._place(starts)
+        self._place(initial)
         qpos[:, self._hidden] += apart
         qvel[:, self._hidden] += faster
 
-    def _place(self, starts: Array) -> None:
+    def _place(self, initial: Array) -> None:
         qpos, qvel, nb = self.sims.qpos, self.sims.qvel, len(self._base)
-        flat = starts.reshape(-1, 2 * nb)
+        flat = initial.reshape(-1, 2 * nb)
         qpos[:, self._base], qvel[:, self._base] = flat[:, :nb], flat[:, nb:]
         qpos[:, self._hidden], qvel[:, self._hidden] = qpos[:, self._leaders], qvel[:, self._leaders]
 

@@ -34,7 +34,7 @@ class Compiled:
     Attributes:
         variants: models of one structure.
         windows: what to predict.
-        base: names of the joints that starts describe.
+        base: names of the joints that initial states describe.
         step: longest step, s.
         program: of the structure.
         parameters: of the variants, (variants, k).
@@ -63,7 +63,7 @@ class Compiled:
 
     @property
     def _lags(self) -> list[tuple[int, int, float]]:
-        """State of each lag, the state that its sensor reads, and the factor, which is a number of no variant."""
+        """State of each lag, the state that its sensor reads, and the factor, which is a parameter of no variant."""
         codes = self.program.codes
         first = int(codes[Head.SENSOR_AT])
         sensors = codes[first : first + int(codes[Head.SENSORS]) * int(Sensor.SIZE)].reshape(-1, int(Sensor.SIZE))
@@ -83,14 +83,14 @@ class Compiled:
         values = np.stack([variant.command(whole) for variant in self.variants]) if changed else whole[None]
         return Commands(np.concatenate([r.time for r in recordings]), values)
 
-    def jobs(self, at: float, length: Array, times: Array, starts: Array, commands: Commands) -> Jobs:
+    def jobs(self, at: float, length: Array, times: Array, initial: Array, commands: Commands) -> Jobs:
         """Simulations of every window from `at` seconds after its start on.
 
         Args:
             at: s.
             length: to simulate, s, (windows,).
             times: at which sensors are read after that, (windows, sensors, samples).
-            starts: states, (variants, windows, nx).
+            initial: states, (variants, windows, nx).
             commands: of all recordings.
         """
         windows, codes = self.windows, self.program.codes
@@ -107,23 +107,23 @@ class Compiled:
             first[mine] = begin + early
             count[mine] = np.minimum(late, len(recording.time)) - early
             begin += len(recording.time)
-        sets = np.arange(len(starts)) if len(commands.values) > 1 else np.zeros(len(starts), dtype=np.int64)
-        return Jobs(self.parameters[: len(starts)], starts, clock, first, count, commands, sets, times, length)
+        sets = np.arange(len(initial)) if len(commands.values) > 1 else np.zeros(len(initial), dtype=np.int64)
+        return Jobs(self.parameters[: len(initial)], initial, clock, first, count, commands, sets, times, length)
 
-    def begun(self, at: float, starts: Array) -> Array:
+    def begun(self, at: float, initial: Array) -> Array:
         """States (variants, windows, nx) that begin at positions and velocities of base joints (variants, n, 2 nb)."""
         base, hidden, leaders = self._dofs
         n, nb = self.model.nv, len(base)
         states = np.zeros((len(self.variants), len(self.windows), self.program.nx))
         for part in (0, 1):
-            states[..., [part * n + k for k in base]] = starts[..., part * nb : (part + 1) * nb]
+            states[..., [part * n + k for k in base]] = initial[..., part * nb : (part + 1) * nb]
             states[..., [part * n + k for k in hidden]] = states[..., [part * n + k for k in leaders]]
         self._heat(states, at)
         for lag, state, factor in self._lags:
             states[..., lag] = factor * states[..., state]
         return states
 
-    def put_back(self, states: Array, starts: Array) -> Array:
+    def put_back(self, states: Array, initial: Array) -> Array:
         """States (..., nx) with base joints at positions and velocities (..., 2 nb).
 
         What hides behind a gap keeps its place relative to them, and what a sensor remembers moves along. All of it is
@@ -134,7 +134,7 @@ class Compiled:
         out = states.copy()
         for part in (0, 1):
             at, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
-            out[..., at] = starts[..., part * nb : (part + 1) * nb]
+            out[..., at] = initial[..., part * nb : (part + 1) * nb]
             out[..., behind] += out[..., lead] - states[..., lead]
         for lag, state, factor in self._lags:
             out[..., lag] += factor * (out[..., state] - states[..., state])
@@ -204,30 +204,30 @@ def left_to_mujoco(source: Physics) -> list[str]:
 
 
 def predicted(
-    of: Compiled, starts: Array, which: NDArray[np.intp], warm: float, warm_starts: Array | None, threads: int
+    of: Compiled, initial: Array, which: NDArray[np.intp], warm: float, warm_initial: Array | None, threads: int
 ) -> Array:
     """Readings (rows, windows, samples, sensors) of several rows.
 
     Args:
         of: distinct variants and windows.
-        starts: positions and velocities of the base joints, (rows, windows, 2 nb).
+        initial: positions and velocities of the base joints, (rows, windows, 2 nb).
         which: variant of each row, (rows,).
         warm: s simulated before each window.
-        warm_starts: as `starts`, `warm` seconds before, (1 or variants, windows, 2 nb).
+        warm_initial: as `initial`, `warm` seconds before, (1 or variants, windows, 2 nb).
         threads: 0 for all cores.
     """
     commands = of.commands()
     if warm > 0:
-        assert warm_starts is not None
-        far = np.broadcast_to(warm_starts, (len(of.variants), *starts.shape[1:]))
+        assert warm_initial is not None
+        far = np.broadcast_to(warm_initial, (len(of.variants), *initial.shape[1:]))
         nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
         length = np.full(len(of.windows), warm)
         jobs = of.jobs(-warm, length, nothing, of.begun(-warm, far), commands)
         _, ends = run(of.program, jobs, of.step, threads=threads)
-        states = of.put_back(ends[which], starts)
+        states = of.put_back(ends[which], initial)
     else:
         rows = replace(of, variants=tuple(of.variants[k] for k in which), parameters=of.parameters[which])
-        states = rows.begun(0.0, starts)
+        states = rows.begun(0.0, initial)
     times, length = of.sampled()
     rows = replace(of, parameters=of.parameters[which])
     jobs = rows.jobs(0.0, length, times, states, commands)
@@ -239,26 +239,26 @@ def predicted(
 
 
 def derivatives(
-    of: Compiled, steps: Array, starts: Array, warm: float, warm_starts: Array | None, threads: int
+    of: Compiled, steps: Array, initial: Array, warm: float, warm_initial: Array | None, threads: int
 ) -> tuple[Array, Array, Array]:
-    """Readings of the first variant and how they change with numbers and starts.
+    """Readings of the first variant and how they change with parameters and initial states.
 
     Args:
-        of: the variant itself, and for each number one in which it is a little larger.
+        of: the variant itself, and for each parameter one in which it is a little larger.
         steps: by how much, (p,).
-        starts: positions and velocities of the base joints, (windows, 2 nb).
+        initial: positions and velocities of the base joints, (windows, 2 nb).
         warm: s simulated before each window.
-        warm_starts: as `starts`, `warm` seconds before.
+        warm_initial: as `initial`, `warm` seconds before.
         threads: 0 for all cores.
 
     Returns:
-        Readings (windows, samples, sensors), their change per unit of each number (p, ...), and per unit of each start
-        (2 nb, ...).
+        Readings (windows, samples, sensors), their change per unit of each parameter (p, ...), and per unit of each
+        initial state (2 nb, ...).
 
     Raises:
-        Uncovered: a number changes the geometry, whose derivatives the engine leaves out.
+        Uncovered: a parameter changes the geometry, whose derivatives the engine leaves out.
     """
-    count, nb2 = len(steps), starts.shape[1]
+    count, nb2 = len(steps), initial.shape[1]
     change = (of.parameters[1:] - of.parameters[0]) / steps[:, None]
     links = change[:, GRAVITY : of.program.tree.count].reshape(count, len(of.program.tree.parents), LINK)
     if links[..., :GEOMETRY].any():
@@ -272,21 +272,21 @@ def derivatives(
     commands = Commands(commands.stamps, commands.values[:1])
     along = np.zeros((count + nb2, of.parameters.shape[1]))
     along[:count] = change
-    unit = np.zeros((count + nb2, *starts.shape))
+    unit = np.zeros((count + nb2, *initial.shape))
     unit[count:] = np.eye(nb2)[:, None, :]
     if warm > 0:
-        assert warm_starts is not None
-        far = np.broadcast_to(warm_starts, starts.shape)
-        begun = of.begun(-warm, np.broadcast_to(far, (len(of.variants), *starts.shape)))
+        assert warm_initial is not None
+        far = np.broadcast_to(warm_initial, initial.shape)
+        begun = of.begun(-warm, np.broadcast_to(far, (len(of.variants), *initial.shape)))
         begin = (begun[1:] - begun[0]) / steps[:, None, None]
         nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
         jobs = one.jobs(-warm, np.full(len(of.windows), warm), nothing, begun[:1], commands)
         directions = Directions(change, begin, None if moved is None else moved[:count])
         _, _, ends, changes = differentiate(of.program, jobs, directions, of.step, threads=threads)
         whole = np.concatenate([changes, np.zeros((nb2, *changes.shape[1:]))])
-        states, tangents = of.put_back(ends, starts), of.put_back(whole, unit)
+        states, tangents = of.put_back(ends, initial), of.put_back(whole, unit)
     else:
-        begun = of.begun(0.0, np.broadcast_to(starts, (len(of.variants), *starts.shape)))
+        begun = of.begun(0.0, np.broadcast_to(initial, (len(of.variants), *initial.shape)))
         states = begun[0]
         tangents = np.concatenate([(begun[1:] - begun[0]) / steps[:, None, None], np.zeros((nb2, *begun.shape[1:]))])
         tangents[count:] = of.put_back(tangents[count:], unit[count:])
@@ -297,7 +297,7 @@ def derivatives(
     )
     said = of.sensed(readings, of.variants[0])
     if of.variants[0].stage("sensor"):
-        # A map of one reading: its slope, and what the numbers change in it.
+        # A map of one reading: its slope, and what the parameters change in it.
         slope = (of.sensed(readings + 1.0, of.variants[0]) - said)[None]
         changes = slope * changes
         for k in range(count):

@@ -28,7 +28,7 @@ _BLOCK = 0.02  # s over which heating is averaged
 
 
 def heating_motors(model: mujoco.MjModel) -> list[int]:
-    """Numbers of the DC motors driven by a voltage whose resistance depends on their temperature."""
+    """Parameters of the DC motors driven by a voltage whose resistance depends on their temperature."""
     return [
         i
         for i in range(model.nactuator)
@@ -107,7 +107,7 @@ def winding_temperatures(
     """Temperature of a winding above its surroundings, at times within a recording.
 
     Args:
-        variants: one model with different numbers.
+        variants: one model with different parameters.
         delays: of each control, s, (variants, nu).
         motor: number of the actuator.
         recording: the commands.

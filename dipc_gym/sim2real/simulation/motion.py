@@ -33,8 +33,8 @@ class Motion:
         return np.stack(columns, axis=-1)
 
 
-def starts(motions: Sequence[Motion], source: NDArray[np.intp], time: Array) -> Array:
-    """Start states (n, 2 nb) of windows that begin at `time` in the recordings `source`."""
+def initial_states(motions: Sequence[Motion], source: NDArray[np.intp], time: Array) -> Array:
+    """Initial states (n, 2 nb) of windows that begin at `time` in the recordings `source`."""
     out = np.empty((len(time), 2 * motions[0].position.shape[1]))
     for i, motion in enumerate(motions):
         mine = source == i

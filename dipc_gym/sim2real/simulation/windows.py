@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Windows:
-    """Short stretches of recordings, each predicted from a start state of its own.
+    """Short stretches of recordings, each predicted from an initial state of its own.
 
     Attributes:
         recordings: where they were cut from.

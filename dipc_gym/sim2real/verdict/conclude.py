@@ -20,11 +20,11 @@ class Conclusion:
     """What is left of a search.
 
     Attributes:
-        fitted: with the fewest own numbers changed.
+        fitted: with the fewest model parameters changed.
         rivals: of each of its effects, by key; none from when Ctrl-C ended the comparison.
         notes: effects that validation data strike off, or that stay without a name, in words.
         unnamed: keys of effects that improve predictions, but not by enough to be believed.
-        others: with other own numbers changed, as many, that predict as well.
+        others: with other model parameters changed, as many, that predict as well.
     """
 
     fitted: Fit
@@ -53,23 +53,25 @@ def conclude(search: Search) -> Conclusion:
         rival = _successor(search, upheld, [rival for group in rivals.values() for rival in group])
         if notes or rival is None or search.interrupted or swaps == SWAPS:
             break
-        search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer numbers'}")
+        search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer parameters'}")
         search.replace_last(rival.fitted)
     return Conclusion(fewest, rivals, notes, unnamed, _others(search, upheld, fewest))
 
 
 def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.Rival | None:
-    """The rival that takes a structure's place: one that predicts clearly better, or needs fewer numbers.
+    """The rival that takes a structure's place: one that predicts clearly better, or needs fewer parameters.
 
-    Of several that predict better alike, the simplest. One that is the same model here with fewer numbers goes before
-    a pair of effects that was accepted together, and so never compared with plainer ones.
+    Of several that predict better alike, the simplest. One that is the same model here with fewer parameters goes
+    before a pair of effects that was accepted together, and so never compared with plainer ones.
     """
-    if better := sorted((r for r in rivals if r.better), key=lambda rival: judge.unseen_error(search, rival.fitted)):
+    if better := sorted(
+        (r for r in rivals if r.better), key=lambda rival: judge.comparison_error(search, rival.fitted)
+    ):
         alike = [rival for rival in better if search.alike(better[0].fitted, rival.fitted, upheld)]
         return min(alike, key=lambda rival: ranking.cost(rival.fitted))
     same = [_alone(search, rival, upheld) for rival in rivals if rival.same]
     plainer = [rival for rival in same if len(rival.fitted.z) < len(upheld.z)]
-    return min(plainer, key=lambda one: (len(one.fitted.z), judge.unseen_error(search, one.fitted)), default=None)
+    return min(plainer, key=lambda one: (len(one.fitted.z), judge.comparison_error(search, one.fitted)), default=None)
 
 
 def _alone(search: Search, rival: judge.Rival, upheld: Fit) -> judge.Rival:
@@ -89,19 +91,19 @@ def _alone(search: Search, rival: judge.Rival, upheld: Fit) -> judge.Rival:
 
 
 def _upheld(search: Search) -> tuple[Fit, Fit, list[str], frozenset[str]]:
-    """The last accepted fit that validation data do not speak against, also with the fewest own numbers changed; notes
-    on what they strike off, and the keys of effects that stay without a name.
+    """The last accepted fit that validation data do not speak against, also with the fewest model parameters changed;
+    notes on what they strike off, and the keys of effects that stay without a name.
 
     What the best of dozens of effects takes up of structure that no catalogue has need not be there the next time.
     Validation data may strike an effect off; they never add one.
     """
     path, notes = search.path, list[str]()
     upheld = path[-1]
-    fewest, error = _with_fewest_numbers(search, upheld)
+    fewest, error = _with_fewest_parameters(search, upheld)
     for before in reversed(path[:-1]):
         if error <= judge.AT_FLOOR:
             break
-        simpler, without = _with_fewest_numbers(search, before)
+        simpler, without = _with_fewest_parameters(search, before)
         if not judge.refuted(without, error):
             break
         kept = names(simpler.structure.terms)
@@ -111,7 +113,7 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str], frozenset[str]]:
     if error <= judge.AT_FLOOR:
         return upheld, fewest, notes, frozenset()
     named, why, unnamed = _believable(search, upheld, error)
-    return named, fewest if named is upheld else _with_fewest_numbers(search, named)[0], notes + why, unnamed
+    return named, fewest if named is upheld else _with_fewest_parameters(search, named)[0], notes + why, unnamed
 
 
 def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[str], frozenset[str]]:
@@ -144,12 +146,13 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
     return upheld, notes, frozenset(unnamed)
 
 
-def _with_fewest_numbers(search: Search, fitted: Fit) -> tuple[Fit, float]:
-    """A fit with the fewest own numbers changed, as long as validation data do not speak for the others; its error.
+def _with_fewest_parameters(search: Search, fitted: Fit) -> tuple[Fit, float]:
+    """A fit with the fewest model parameters changed, as long as validation data do not speak for the others; its
+    error.
 
-    Where few windows tell a number, the others may not miss it.
+    Where few windows tell a parameter, the others may not miss it.
     """
-    fewest = sparse.fewest_numbers(search, fitted)
+    fewest = sparse.fewest_parameters(search, fitted)
     error = judge.error_on(search.validation, fewest)
     if error <= judge.AT_FLOOR:
         return fewest, error
@@ -158,11 +161,11 @@ def _with_fewest_numbers(search: Search, fitted: Fit) -> tuple[Fit, float]:
 
 
 def _others(search: Search, upheld: Fit, fewest: Fit) -> list[Fit]:
-    """With other own numbers changed; none if Ctrl-C ended the comparison."""
+    """With other model parameters changed; none if Ctrl-C ended the comparison."""
     if search.interrupted:
         return []
     try:
-        return sparse.other_numbers(search, upheld, fewest)
+        return sparse.other_parameters(search, upheld, fewest)
     except KeyboardInterrupt:
         _interrupted(search)
         return []

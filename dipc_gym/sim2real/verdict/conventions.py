@@ -26,7 +26,7 @@ from dipc_gym.sim2real.selection import data
 
 Array = NDArray[np.float64]
 
-# Of the error of the model as given, and with its own numbers refitted: with a convention changed, and no number, the
+# Of the error of the model as given, and with its parameters refitted: with a convention changed, and no parameter, the
 # error must fall below. In 50 blind trials none of those that were right brought it below the former.
 DECIDES = 0.5
 GROSS = 0.005  # of the motion: a smaller mismatch is none of conventions
@@ -108,14 +108,14 @@ def differing(
     span: tuple[float, float],
     late: Array,
 ) -> tuple[list[Convention], float]:
-    """Conventions with which the model as given predicts far better than it does without, whatever its numbers.
+    """Conventions with which the model as given predicts far better than it does without, whatever its parameters.
 
     Args:
         source: text of the model.
         physics: the same, loaded.
         recordings: of one rig.
         prepared: windows of them.
-        fits: as given, and with its own numbers refitted; the windows of `selection.split` first.
+        fits: as given, and with its parameters refitted; the windows of `selection.split` first.
         span: the part of each recording that the windows were cut from.
         late: times in each recording from which they were not fitted, s.
 
@@ -138,9 +138,9 @@ def differing(
         )
         w = again.problem.windows
         windows, _, _ = data.split(again.problem.pick(w.start < late[w.source]))
-        few = np.arange(0, len(windows.windows), 2)
-        error = common_error(fit(windows.pick(few), again.structure).mse)
-        if error < DECIDES * min(common_error(one.mse[few]) for one in fits):
+        half = np.arange(0, len(windows.windows), 2)
+        error = common_error(fit(windows.pick(half), again.structure).mse)
+        if error < DECIDES * min(common_error(one.mse[half]) for one in fits):
             tried.append((error, convention))
     least = min((error for error, _ in tried), default=math.inf)
     return [convention for error, convention in tried if error < ALIKE * least], least

@@ -1,4 +1,6 @@
-"""What was found, as diagnosis.json lists it: effects with sizes, intervals and rivals; own numbers that changed."""
+"""What was found, as diagnosis.json lists it: effects with sizes, intervals and rivals; model parameters that
+changed.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real.estimation.fit import Fit, fit
-from dipc_gym.sim2real.estimation.problem import Problem, predict, residual
+from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
 from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import Errors, Missing
@@ -21,56 +23,62 @@ from dipc_gym.sim2real.verdict.conclude import Conclusion
 
 Array = NDArray[np.float64]
 
-WIDEST = 50.0  # half width of an interval, as a logarithm, from which on it says nothing; a number is mapped no further
-AT_LIMIT = 1e-3  # share of itself, from which a number stands at its limit
-WIDEST = 50.0  # half width of an interval, as a logarithm, from which on it says nothing; a number is mapped no further
-FREE = 1.0  # standard deviation, as a logarithm, of a number of which nothing is known
+AT_LIMIT = 1e-3  # share of itself, from which a parameter stands at its limit
+WIDEST = (
+    50.0  # half width of an interval, as a logarithm, from which on it says nothing; a parameter is mapped no further
+)
+FREE = 1.0  # standard deviation, as a logarithm, of a parameter of which nothing is known
 
 
-def changed_numbers(final: Fit, wide: Array) -> list[dict[str, Any]]:
-    """Own numbers that had to change, as diagnosis.json lists them, with intervals of +- `wide` mapped numbers (p,)."""
+def changed_parameters(final: Fit, wide: Array) -> list[dict[str, Any]]:
+    """Model parameters that had to change, as diagnosis.json lists them, with intervals of +- `wide` mapped
+    parameters (p,).
+    """
     out = []
-    for i, number in enumerate(final.structure.numbers):
+    for i, parameter in enumerate(final.structure.model_parameters):
         if abs(final.z[i]) < improve.NEGLIGIBLE:
             continue
         value = final.structure.slots[i].value(final.z[i])
-        entry = {"parameter": number.parameter, "at": number.at, "was": number.value, "value": value}
+        entry = {"parameter": parameter.attribute, "at": parameter.at, "was": parameter.value, "value": value}
         if wide[i] <= WIDEST:
             entry |= {"low": value * math.exp(-wide[i]), "high": value * math.exp(wide[i])}
-        out.append(entry | {"unit": number.unit})
+        out.append(entry | {"unit": parameter.unit})
     return out
 
 
 def beyond_limits(problem: Problem, validation: Problem, recalibrated: Fit) -> list[str]:
-    """Note on own numbers that would explain all, were they allowed to be further off than their kind is taken to be.
+    """Note on model parameters that would explain all, were they allowed to be further off than their kind is taken
+    to be.
 
     Args:
         problem: windows to fit.
         validation: windows that no fit has touched.
-        recalibrated: the model's own numbers refitted, within their limits.
+        recalibrated: the model's parameters refitted, within their limits.
     """
-    numbers, slots = recalibrated.structure.numbers, recalibrated.structure.slots
+    parameters, slots = recalibrated.structure.model_parameters, recalibrated.structure.slots
     values = [slot.value(z) for slot, z in zip(slots, recalibrated.z, strict=True)]
     stand = [min(v / slot.low, slot.high / v) < 1 + AT_LIMIT for v, slot in zip(values, slots, strict=True)]
     if not any(stand):
         return []
-    wider = tuple(replace(n, sigma=max(n.sigma, FREE)) if at else n for n, at in zip(numbers, stand, strict=True))
-    freed = fit(problem, replace(recalibrated.structure, numbers=wider), recalibrated.z, recalibrated.starts, most=20)
+    wider = tuple(replace(n, sigma=max(n.sigma, FREE)) if at else n for n, at in zip(parameters, stand, strict=True))
+    freed = fit(
+        problem, replace(recalibrated.structure, model_parameters=wider), recalibrated.z, recalibrated.initial, most=20
+    )
     error = judge.error_on(validation, freed)
     if error > judge.AT_FLOOR:
         return []
     reached = [slot.value(z) for slot, z in zip(freed.structure.slots, freed.z, strict=True)]
-    far = [(n, value) for n, value, at in zip(numbers, reached, stand, strict=True) if at]
-    names = " and ".join(f"{n.parameter} of {n.at} ({value:.3g} for {n.value:.3g} {n.unit})" for n, value in far)
+    far = [(n, value) for n, value, at in zip(parameters, reached, stand, strict=True) if at]
+    names = " and ".join(f"{n.attribute} of {n.at} ({value:.3g} for {n.value:.3g} {n.unit})" for n, value in far)
     priors = " ".join(f"--prior {n.key}={n.value:g}+-{n.value:g}" for n, _ in far)
     return [
         f"Without any new physics {names} would explain these recordings too, to {error:.3g} times the noise; that is "
-        f"further off than a number of its kind is taken to be. If it may be, say so: {priors}."
+        f"further off than a parameter of its kind is taken to be. If it may be, say so: {priors}."
     ]
 
 
 def step_shift(final: Fit, problem: Problem) -> Array:
-    """How far each mapped number is off because steps have a length, (p,).
+    """How far each mapped parameter is off because steps have a length, (p,).
 
     Twice what it would move by if they were halved, as errors of first order do; bristles and contacts have such. It
     is told from what halved steps change in the predictions.
@@ -78,27 +86,29 @@ def step_shift(final: Fit, problem: Problem) -> Array:
     if not len(final.z):
         return np.zeros(0)
     fine = replace(problem, finer=2 * problem.finer)
-    change = final.raw - residual(fine, predict(fine, final.structure, [final.z], final.starts[None])[0])
+    change = final.raw - normalised_residual(fine, predict(fine, final.structure, [final.z], final.initial[None])[0])
     change = change.reshape(len(change), -1)
     w = 1.0 / (typical(final.mse) + final.mse + np.sum(change**2, axis=1) / problem.counts) / problem.counts
     prior = np.diag([1 / slot.sigma**2 for slot in final.structure.slots]) / problem.counts.mean() * w.sum()
     curvature = np.einsum("n,nij->ij", w, final.quadratics.A) + prior
-    # A Jacobian that starts have been eliminated from leaves out of the change what they could explain.
+    # A Jacobian that initial states have been eliminated from leaves out of the change what they could explain.
     slope = np.einsum("n,nmk,nm->k", w, final.jacobian[:, : change.shape[1]], change)
     return np.asarray(2 * np.abs(np.linalg.pinv(curvature, hermitian=True) @ slope))
 
 
 def choice_shift(fitted: Fit, others: Sequence[Fit]) -> Array:
-    """How far each mapped number moves if other own numbers were wrong than those that changed, (p,).
+    """How far each mapped parameter moves if other model parameters were wrong than those that changed, (p,).
 
     Args:
-        fitted: with the fewest own numbers changed.
+        fitted: with the fewest model parameters changed.
         others: with as many others changed, that predict as well.
     """
     shift = np.zeros(len(fitted.z))
     for other in others:
         known = {slot.key: z for slot, z in zip(other.structure.slots, other.z, strict=True)}
-        there = np.array([known.get(slot.key, 0.0) for slot in fitted.structure.slots])  # nominal numbers map to zero
+        there = np.array(
+            [known.get(slot.key, 0.0) for slot in fitted.structure.slots]
+        )  # nominal parameters map to zero
         shift = np.maximum(shift, np.abs(there - fitted.z))
     return shift
 
@@ -114,7 +124,7 @@ def missing_effects(
         test: windows to judge by.
         errors: on these.
         verdict: see `judge.verdict`.
-        wide: half widths of the intervals of the mapped numbers, (p,).
+        wide: half widths of the intervals of the mapped parameters, (p,).
     """
     final = found.fitted
     missing = []
@@ -123,7 +133,7 @@ def missing_effects(
             continue
         units = improve.place_units(final.structure, term)
         sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
-        # With structure left, an interval would tell how sure a wrong model is of its number; what happened once
+        # With structure left, an interval would tell how sure a wrong model is of its parameter; what happened once
         # leaves no blocks to resample.
         known = wide if verdict == "explained" and not term.effect.once else np.full(len(final.z), np.inf)
         rivals = [one for one in found.rivals[term.key] if _name(one.term) != _name(term)]
@@ -144,19 +154,21 @@ def missing_effects(
 
 
 def named_alone(final: Fit) -> list[Missing]:
-    """The effects of a fit with their numbers, where what they are worth cannot be told: shares are null."""
+    """The effects of a fit with their parameters, where what they are worth cannot be told: shares are null."""
     missing = []
     for term in final.structure.terms:
         units = improve.place_units(final.structure, term)
         sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
-        numbers = _parameters(final, term, units, np.full(len(final.z), np.inf))
+        parameters = _parameters(final, term, units, np.full(len(final.z), np.inf))
         loader = term.effect.needs_loader
-        missing.append(Missing(term.effect.name, term.at, sentence, math.nan, numbers, needs_loader=loader))
+        missing.append(Missing(term.effect.name, term.at, sentence, math.nan, parameters, needs_loader=loader))
     return missing
 
 
 def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[str, dict[str, Any]]:
-    """Numbers of an effect with units and 90 % intervals of +- `wide` mapped numbers (p,), where that is finite."""
+    """Parameters of an effect with units and 90 % intervals of +- `wide` mapped parameters (p,), where that is
+    finite.
+    """
     parameters: dict[str, dict[str, Any]] = {}
     names = {f"{term.key}.{p.name}": p.name for p in term.effect.parameters}
     for slot, z, half in zip(final.structure.slots, final.z, wide, strict=True):

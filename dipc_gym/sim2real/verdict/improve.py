@@ -1,4 +1,6 @@
-"""Write what was found back as MJCF, with numbers that hold at the step at which the file is simulated, if any do."""
+"""Write what was found back as MJCF, with parameters that hold at the step at which the file is simulated, if any
+do.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ from dipc_gym.sim2real.result import Errors
 from dipc_gym.sim2real.simulation.batch import Stepping, is_stiff
 from dipc_gym.sim2real.verdict import judge
 
-NEGLIGIBLE = 2e-3  # share of itself; a number that moves by less was right
+NEGLIGIBLE = 2e-3  # share of itself; a parameter that moves by less was right
 SHORTER = (2, 4, 8, 16)  # times than the model's own step, tried in turn where that is too coarse
 
 
@@ -33,7 +35,7 @@ def improved_model(
 ) -> tuple[str, str]:
     """Text of the improved model, refitted at its own step where that makes up for it, and a note on what it costs."""
     structure = final.structure
-    if not structure.numbers and not structure.terms:
+    if not structure.model_parameters and not structure.terms:
         return source.text, ""
     own = Stepping(given.model.opt.timestep, None)
     coarse = replace(prepared.problem, stepping=own)
@@ -43,7 +45,7 @@ def improved_model(
     error = judge.error_on(some, final)
     note = ""
     if error > enough:
-        # Numbers that make up for a step are wrong at any other; they are worth having where they do make up for it.
+        # Parameters that make up for a step are wrong at any other; they are worth having where they do make up for it.
         with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
             again = fit(some, structure, final.z, most=4)
             if (refitted := judge.error_on(some, again)) <= enough:
@@ -51,19 +53,19 @@ def improved_model(
     if error > enough:
         note = (
             f"At the model's own step of {1e3 * own.timestep:g} ms and with its integrator the improved model predicts "
-            f"to {error:.3g} times the noise, with a converged step to {errors.improved:.3g}, and no numbers make up "
-            f"for that: a shorter step is worth more than any further physics. {_advice(some, own, final, enough)}"
+            f"to {error:.3g} times the noise, with a converged step to {errors.improved:.3g}, and no parameters make "
+            f"up for that: a shorter step is worth more than any further physics. {_advice(some, own, final, enough)}"
         ).strip()
     z = written.z
     document = structure.write(z)
     lines = [t.effect.sentence(t.at, structure.term_values(z, t), place_units(structure, t)) for t in structure.terms]
     loaders = [t.key for t in structure.terms if t.effect.needs_loader]
-    if structure.numbers:
-        moved = {n.key: abs(change) >= NEGLIGIBLE for n, change in zip(structure.numbers, z, strict=False)}
+    if structure.model_parameters:
+        moved = {n.key: abs(change) >= NEGLIGIBLE for n, change in zip(structure.model_parameters, z, strict=False)}
         lines.append("Refitted: " + ", ".join(key if far else f"{key} (hardly)" for key, far in moved.items()) + ".")
     if written is not final:
         lines.append(
-            f"Numbers are what this file's step of {1e3 * own.timestep:g} ms and its integrator need to predict the "
+            f"Parameters are what this file's step of {1e3 * own.timestep:g} ms and its integrator need to predict the "
             "recordings; those that fine steps need are in diagnosis.json."
         )
     if loaders:

@@ -1,4 +1,4 @@
-"""Judge a finished search: how sure each number is, what could stand in an effect's place, and the verdict."""
+"""Judge a finished search: how sure each parameter is, what could stand in an effect's place, and the verdict."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from dipc_gym.sim2real.estimation.evidence import Scene
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
 from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.model.structure import Structure, Term, names
 from dipc_gym.sim2real.selection.ranking import AT_FLOOR
-from dipc_gym.sim2real.selection.score import WORTH, Comparison, compare
+from dipc_gym.sim2real.selection.score import WORTH, Improvement, compare
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.search import Search
 
 Array = NDArray[np.float64]
 
 SURE = 0.95  # quantile to which an interval reaches on either side: 90 % lie within
-FEWEST_BLOCKS = 3  # that tell how much a number depends on which of them there are
+FEWEST_BLOCKS = 3  # that tell how much a parameter depends on which of them there are
 SMALL = 1e-3  # of the motion within a window: a smaller mismatch is called missing physics only if it has a pattern
 PATTERN = 0.1  # share of the variance of the unexplained force that goes with something, from which it has one
 REFUTED = 1.05  # times the error on validation data without an effect, from which it is not named after all
@@ -39,7 +39,7 @@ class Rival:
 
     Attributes:
         term: what was tried instead.
-        fitted: the structure with it; to a few windows only, where that was enough to rule it out.
+        fitted: the structure with it; to a subset of the windows only, where that was enough to rule it out.
         same: whether it is the same model here: at the noise, and no window tells the two apart.
         ruled_out: whether it predicts clearly worse.
         better: whether it predicts clearly better.
@@ -52,18 +52,18 @@ class Rival:
     better: bool = False
 
 
-def unseen_error(search: Search, fitted: Fit) -> float:
+def comparison_error(search: Search, fitted: Fit) -> float:
     """Root mean square error on windows between the fitted ones, in units of noise."""
-    return float(np.sqrt(np.mean(search.unseen_mse(fitted))))
+    return float(np.sqrt(np.mean(search.comparison_mse(fitted))))
 
 
 def intervals(fitted: Fit, problem: Problem) -> Array:
-    """Half widths of 90 % intervals of the mapped numbers, (p,), from blocks of a second, whatever is left over.
+    """Half widths of 90 % intervals of the mapped parameters, (p,), from blocks of a second, whatever is left over.
 
     The delete-one jackknife over blocks: correlation within a block is allowed for, a wrong model is not. Where few
-    blocks carry most of what is known of a number, it is wider than the sandwich estimator, which is then too narrow
+    blocks carry most of what is known of a parameter, it is wider than the sandwich estimator, which is then too narrow
     (MacKinnon and White 1985). On the windows' quadratics it costs no simulation. Infinite where there are too few
-    blocks, or where no reading depends on a number.
+    blocks, or where no reading depends on a parameter.
     """
     q, counts = fitted.quadratics, problem.counts
     if not len(fitted.z):
@@ -77,10 +77,10 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     curvature, slope = np.zeros((count, p, p)), np.zeros((count, p))
     np.add.at(curvature, block, w[:, None, None] * q.A)
     np.add.at(slope, block, w[:, None] * q.b)
-    rest = np.linalg.pinv(curvature.sum(axis=0) + prior - curvature, hermitian=True)
-    moved = np.einsum("bij,bj->bi", rest, slope)
+    inverse = np.linalg.pinv(curvature.sum(axis=0) + prior - curvature, hermitian=True)
+    moved = np.einsum("bij,bj->bi", inverse, slope)
     half = stdtrit(count - 1, SURE) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0))
-    told = np.einsum("nii->i", q.A) > 1.0  # else doubling a number would change less than the noise of one reading
+    told = np.einsum("nii->i", q.A) > 1.0  # else doubling a parameter would change less than the noise of one reading
     return np.where(told, half, np.inf)
 
 
@@ -88,8 +88,8 @@ def share(search: Search, full: Fit, key: str) -> float:
     """How much of the improvement over the recalibrated model is lost without one effect, all else refitted."""
     if len(full.structure.terms) == 1:
         return 1.0
-    best, worst = unseen_error(search, full), unseen_error(search, search.path[0])
-    without = unseen_error(search, search.without(full, key))
+    best, worst = comparison_error(search, full), comparison_error(search, search.path[0])
+    without = comparison_error(search, search.without(full, key))
     return float(np.clip((without - best) / max(worst - best, 1e-9), 0.0, 1.0))
 
 
@@ -99,7 +99,7 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
     Those that came close in its round, those it is mistaken for, a single effect that stands for it and another one,
     and two that stand for it alone.
     """
-    error = unseen_error(search, full)
+    error = comparison_error(search, full)
     found: list[Rival] = []
     search.remember(full)
     for others, structure, before in _stand_ins(search, full, term, provisional=error > AT_FLOOR):
@@ -117,7 +117,7 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
             continue
         search.remember(swapped)
         difference = search.compare(full, swapped)
-        reached = unseen_error(search, swapped)
+        reached = comparison_error(search, swapped)
         close = difference.alike and difference.gain < 5 * WORTH
         same = close and difference.gain < WORTH and reached < max(AT_FLOOR, 1.02 * error)
         better = len(others) == 1 and _better(search, swapped, full)
@@ -127,13 +127,13 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
 
 
 def _better(search: Search, swapped: Fit, full: Fit) -> bool:
-    """Whether a rival predicts clearly better; at the noise, with no more numbers, beyond chance is enough."""
+    """Whether a rival predicts clearly better; at the noise, with no more parameters, beyond chance is enough."""
     gained = search.compare(swapped, full)
     if gained.clear:
         return search.confirmed(swapped, full)
-    closely = unseen_error(search, swapped) < AT_FLOOR and len(swapped.z) <= len(full.z)
-    unseen = compare(search.unseen_mse(swapped), search.unseen_mse(full), search.unseen.blocks)
-    return closely and gained.told and unseen.gain > 0
+    closely = comparison_error(search, swapped) < AT_FLOOR and len(swapped.z) <= len(full.z)
+    there = compare(search.comparison_mse(swapped), search.comparison_mse(full), search.comparison.blocks)
+    return closely and gained.told and there.gain > 0
 
 
 def _stand_ins(
@@ -141,7 +141,7 @@ def _stand_ins(
 ) -> Iterator[tuple[list[Term], Structure, Tried | None]]:
     """Effects to try in the place of one, the structure with them, and what its round made of it if it was tried.
 
-    Where structure is left, names are provisional, and telling them from what promised little is worth less.
+    Where structure is left, names are provisional, and telling them from what had little to gain is worth less.
     """
     everything = {t.key: t for round_ in search.rounds for t in round_}
     own = next((r for r in search.rounds if any(t.key == term.key and t.fitted for t in r)), [])
@@ -154,13 +154,13 @@ def _stand_ins(
         and term.effect.id not in t.term.effect.contains
         and (t.fitted is not None or (t.term.effect.id in listed and (t.sketch is not None or not provisional)))
     ]
-    others.sort(key=lambda t: (t.score, -t.promise))
-    rest = full.structure.without(term.key)
+    others.sort(key=lambda t: (t.score, -t.predicted_gain))
+    remaining = full.structure.without(term.key)
     fitting = (
-        t for t in others if not any(t.term.at == x.at and excludes(x.effect, t.term.effect) for x in rest.terms)
+        t for t in others if not any(t.term.at == x.at and excludes(x.effect, t.term.effect) for x in remaining.terms)
     )
     for other in itertools.islice(fitting, 3 if provisional else 5):
-        structure = rest.with_term(other.term)
+        structure = remaining.with_term(other.term)
         same = other.sketch is not None and set(names(other.sketch.structure.terms)) == set(names(structure.terms))
         yield [other.term], structure, other if same else None
     for tried in everything.values():
@@ -172,7 +172,7 @@ def _stand_ins(
     parts = [everything.get(f"{inner}@{term.at}") for inner in term.effect.contains]
     if len(parts) > 1 and all(part is not None and part.key not in present for part in parts):
         terms = [part.term for part in parts if part is not None]
-        yield terms, functools.reduce(Structure.with_term, terms, rest), None
+        yield terms, functools.reduce(Structure.with_term, terms, remaining), None
 
 
 @dataclass(frozen=True)
@@ -266,12 +266,13 @@ def error_on(problem: Problem, fitted: Fit) -> float:
     return float(np.sqrt(np.mean(mse)))
 
 
-def apart(search: Search, new: Fit, old: Fit) -> Comparison:
+def apart(search: Search, new: Fit, old: Fit) -> Improvement:
     """How much better one fit predicts than another on windows that no fit has touched, validation among them."""
     after, before = (
-        np.append(search.unseen_mse(one), evaluate(search.validation, one.structure, one.z)[0]) for one in (new, old)
+        np.append(search.comparison_mse(one), evaluate(search.validation, one.structure, one.z)[0])
+        for one in (new, old)
     )
-    blocks = search.unseen.blocks
+    blocks = search.comparison.blocks
     return compare(after, before, np.append(blocks, search.validation.blocks + blocks.max(initial=0) + 1))
 
 
@@ -288,12 +289,12 @@ def verdict(
 
     Args:
         errors: of the model as given, of the recalibrated and of the improved one.
-        small: whether what refitted numbers leave is `negligible`.
+        small: whether what refitted parameters leave is `negligible`.
         terms: how many effects were found and named.
         unnamed: how many improve predictions without a name.
         modelled: laws of no kind.
         elsewhere: error of the recalibrated model on the windows compared on: test data may not show what acts there.
-        changed: how many own numbers had to change.
+        changed: how many model parameters had to change.
     """
     nominal, recalibrated, improved = errors
     if modelled:

@@ -13,7 +13,7 @@ import numpy as np
 
 from dipc_gym import mjcf
 from dipc_gym.recording import Recording
-from dipc_gym.sim2real.estimation import evidence
+from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.result import Diagnosis, Errors, Work
 from dipc_gym.sim2real.selection.baseline import Baseline
@@ -52,7 +52,7 @@ def judgement(
     )
     notes = [*found.notes]
     open_choice = late(
-        "Whether other numbers would do",
+        "Whether other parameters would do",
         lambda: findings.choice_shift(found.fitted, found.others),
         lambda: np.full(len(found.fitted.z), np.inf),
     )
@@ -67,12 +67,12 @@ def judgement(
     fitted = Errors(*(f.error for f in three))
     train = late(
         "The error on windows to compare on",
-        lambda: Errors(*(judge.unseen_error(search, f) for f in three)),
+        lambda: Errors(*(judge.comparison_error(search, f) for f in three)),
         lambda: fitted,
     )
     if train.recalibrated > judge.AT_FLOOR and not search.interrupted:
         notes += late(
-            "Whether numbers further off would do",
+            "Whether parameters further off would do",
             lambda: findings.beyond_limits(base.problem, search.validation, recalibrated),
             list[str],
         )
@@ -84,11 +84,11 @@ def judgement(
     )
     notes += sentences.disagreement(errors, force)
     wide = late(
-        "The intervals of the numbers",
+        "The intervals of the parameters",
         lambda: judge.intervals(final, search.problem) + findings.step_shift(final, search.problem) + open_choice,
         lambda: np.full(len(final.z), np.inf),
     )
-    changed = late("Which numbers changed", lambda: findings.changed_numbers(final, wide), list[dict[str, Any]])
+    changed = late("Which parameters changed", lambda: findings.changed_parameters(final, wide), list[dict[str, Any]])
     small = judge.negligible(errors.recalibrated, case.test.motion, located[0])
     modelled = [term for term in final.structure.terms if term.effect.of_no_kind]
     named_terms = [term for term in final.structure.terms if term not in modelled and term.key not in found.unnamed]
@@ -112,7 +112,7 @@ def judgement(
         notes.append("The search was interrupted: effects may be lacking, and not all rivals were compared.")
     if verdict == "consistent":
         changed = []
-    notes += sentences.other_numbers(changed, [other.structure.numbers for other in found.others])
+    notes += sentences.other_parameters(changed, [other.structure.model_parameters for other in found.others])
     if verdict in ("partly explained", "unexplained") and errors.improved > judge.AT_FLOOR:
         named = missing
         missing = late(
@@ -155,7 +155,7 @@ def _best(search: Search, found: Conclusion, others: Sequence[Fit]) -> Conclusio
     for other in others:
         without = judge.error_on(search.validation, other)
         if judge.refuted(without, error):
-            note = sentences.refutation(found.fitted.structure.terms, without, error, "Refitted numbers")
+            note = sentences.refutation(found.fitted.structure.terms, without, error, "Refitted parameters")
             return Conclusion(other, notes=[*found.notes, note])
     return found
 
@@ -173,5 +173,5 @@ def _force_errors(
     span: tuple[float, float],
 ) -> dict[str, Errors]:
     """Errors of the inverse models at each joint."""
-    forces = [evidence.force_errors(f.structure.physics(f.z), tested, motions, span) for f in fits]
+    forces = [unexplained.force_errors(f.structure.physics(f.z), tested, motions, span) for f in fits]
     return {joint: Errors(*map(float, e)) for joint, e in zip(joints, np.stack(forces).T, strict=True)}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from dipc_gym.sim2real.model.parameters import Number
+from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.selection import ranking
@@ -26,27 +26,27 @@ def in_one_sentence(
     Args:
         verdict: see `judge.verdict`.
         missing: effects that were found.
-        changed: own numbers that had to change.
+        changed: model parameters that had to change.
         errors: on held-out windows, in units of noise.
-        others: whether other numbers would have done as well.
+        others: whether other parameters would have done as well.
     """
     goes = "falls" if errors.improved < errors.nominal else "goes"
     fall = f"On held-out data the error {goes} from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
     known = " ".join(m.sentence for m in missing if m.effect != "unknown")
-    rest = ""
+    left = ""
     if errors.improved > ranking.AT_FLOOR:
-        rest = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
+        left = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
     if verdict == "consistent":
-        return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.3g} times the noise.{rest}"
+        return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.3g} times the noise.{left}"
     if verdict == "recalibrated":
         names = ", ".join(f"{c['parameter']} of {c['at']}" for c in changed)
         instead = " (or others, which predict as well: see the notes)" if others else ""
-        return f"No physics is missing; wrong numbers were: {names}{instead}. {fall}.{rest}"
+        return f"No physics is missing; wrong parameters were: {names}{instead}. {fall}.{left}"
     if verdict == "explained":
         return f"The model lacks this: {known} {fall}; what is left looks like noise."
     if verdict == "modelled":
         law = " ".join(m.sentence for m in missing) or "What the model lacks has no name, but a law that predicts it."
-        return f"{law} {fall}.{rest}"
+        return f"{law} {fall}.{left}"
     if verdict == "partly explained":
         return f"{known} That helps, but structure is left that no known effect accounts for. {fall}."
     return f"{missing[0].sentence if missing else ''} {fall}.".strip()
@@ -58,7 +58,7 @@ def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = 
     Args:
         verdict: see `judge.verdict`.
         missing: effects that were found.
-        others: whether other own numbers than those that changed would have done as well.
+        others: whether other model parameters than those that changed would have done as well.
     """
     open_ = [(m, s) for m in missing for s in m.same_here]
     if open_:
@@ -82,8 +82,8 @@ def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = 
         )
     if others:
         return (
-            "Which of the model's numbers were wrong is open (see the notes): weigh or measure one of them and say so "
-            "with --fix or --prior."
+            "Which of the model's parameters were wrong is open (see the notes): weigh or measure one of them and say "
+            "so with --fix or --prior."
         )
     return "Nothing is open. Record again when the rig is changed."
 
@@ -138,12 +138,12 @@ def conventions(found: Sequence[Convention], given: float, error: float) -> tupl
     return reason, f"{mend[0].upper()}{mend[1:]}, and diagnose again: whatever is fitted over that is nonsense."
 
 
-def other_numbers(changed: Sequence[dict[str, Any]], others: Sequence[Sequence[Number]]) -> list[str]:
-    """Note on own numbers that may have been wrong in place of those that were changed."""
+def other_parameters(changed: Sequence[dict[str, Any]], others: Sequence[Sequence[ModelParameter]]) -> list[str]:
+    """Note on model parameters that may have been wrong in place of those that were changed."""
     if not changed or not others:
         return []
     names = " and ".join(f"{one['parameter']} of {one['at']}" for one in changed)
-    instead = "; ".join(" and ".join(f"{number.parameter} of {number.at}" for number in other) for other in others)
+    instead = "; ".join(" and ".join(f"{one.attribute} of {one.at}" for one in other) for other in others)
     return [
         f"These recordings do not tell whether {names} had to change, or others that predict as well: {instead}. Weigh "
         "or measure one of them and say so with --fix."

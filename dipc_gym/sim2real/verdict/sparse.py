@@ -1,6 +1,6 @@
-"""Which of a model's own numbers had to change: as few as predict as well as all of them.
+"""Which of a model's parameters had to change: as few as predict as well as all of them.
 
-Numbers such as mass, damping and motor gain have a null space: many changes predict alike. The fewest are worth
+Parameters such as mass, damping and motor gain have a null space: many changes predict alike. The fewest are worth
 reporting, and where others would do as well, so is that.
 """
 
@@ -24,24 +24,24 @@ from dipc_gym.sim2real.selection.search import ROUGH, Search
 
 Array = NDArray[np.float64]
 
-OTHERS = 4  # choices of numbers that are tried in place of those that changed
+OTHERS = 4  # choices of parameters that are tried in place of those that changed
 
 
-def fewest_numbers(search: Search, fitted: Fit) -> Fit:
-    """Put back to nominal every own number whose change was not needed, and refit the rest."""
-    subsets, k = _Subsets(search, fitted), len(fitted.structure.numbers)
+def fewest_parameters(search: Search, fitted: Fit) -> Fit:
+    """Put back to nominal every model parameter whose change was not needed, and refit the rest."""
+    reduced, k = _Reduced(search, fitted), len(fitted.structure.model_parameters)
     order: list[int] = []
     while len(order) < k:
-        order.append(min((i for i in range(k) if i not in order), key=lambda i: subsets.foretold([*order, i])[0]))
+        order.append(min((i for i in range(k) if i not in order), key=lambda i: reduced.foretold([*order, i])[0]))
 
     # The quadratics choose the order only: along a null space the fit may have come too far for them to tell whether
-    # nominal numbers would do.
+    # nominal parameters would do.
     @functools.cache
     def with_first(count: int) -> Fit | None:
-        return subsets.refitted(order[:count])
+        return reduced.refitted(order[:count])
 
     def suffices(count: int) -> bool:
-        return subsets.suffices(with_first(count))
+        return reduced.suffices(with_first(count))
 
     # Mostly none had to change, or few.
     low, high = 0, 0
@@ -51,39 +51,40 @@ def fewest_numbers(search: Search, fitted: Fit) -> Fit:
     return with_first(fewest) or fitted
 
 
-def other_numbers(search: Search, fitted: Fit, fewest: Fit) -> list[Fit]:
-    """Fits with as many own numbers changed as `fewest`, but others, that predict as well: which were wrong is open.
+def other_parameters(search: Search, fitted: Fit, fewest: Fit) -> list[Fit]:
+    """Fits with as many model parameters changed as `fewest`, but others, that predict as well: which were wrong is
+    open.
 
     Args:
         search: that has run.
-        fitted: with all own numbers free.
+        fitted: with all model parameters free.
         fewest: what `fewest_numbers` made of it; nothing is asked of one that leaves more than noise.
     """
-    keys = [number.key for number in fitted.structure.numbers]
-    chosen = {number.key for number in fewest.structure.numbers}
+    keys = [parameter.key for parameter in fitted.structure.model_parameters]
+    chosen = {parameter.key for parameter in fewest.structure.model_parameters}
     if not 0 < len(chosen) < len(keys) or fewest.error > AT_FLOOR:
         return []
     # They are told and counted, not written to the model: a third of the windows says that as well.
-    subsets = _Subsets(search, fitted, search.few)
+    reduced = _Reduced(search, fitted, search.subset)
     choices = (
         free for free in itertools.combinations(range(len(keys)), len(chosen)) if {keys[i] for i in free} != chosen
     )
-    likely = heapq.nsmallest(OTHERS, choices, key=lambda free: subsets.foretold(free)[0])
-    others = [subsets.refitted(free) for free in likely]
-    return [other for other in others if other is not None and subsets.suffices(other)]
+    likely = heapq.nsmallest(OTHERS, choices, key=lambda free: reduced.foretold(free)[0])
+    others = [reduced.refitted(free) for free in likely]
+    return [other for other in others if other is not None and reduced.suffices(other)]
 
 
-class _Subsets:
-    """A fit with some of its own numbers put back to nominal: foretold by its quadratics, or refitted to some windows.
+class _Reduced:
+    """A fit with some of its parameters put back to nominal: foretold by its quadratics, or refitted to some windows.
 
     Args:
         search: that has run.
-        fitted: to all windows, with all own numbers free.
+        fitted: to all windows, with all model parameters free.
         which: windows to refit to; None for all.
     """
 
     def __init__(self, search: Search, fitted: Fit, which: NDArray[np.intp] | None = None) -> None:
-        self.search, self.fitted, self.count = search, fitted, len(fitted.structure.numbers)
+        self.search, self.fitted, self.count = search, fitted, len(fitted.structure.model_parameters)
         self.windows = search.problem.counts
         self.some = np.arange(len(fitted.mse)) if which is None else which
         self.problem = search.problem.pick(self.some)
@@ -91,7 +92,7 @@ class _Subsets:
         self.A, self.b = np.einsum("n,nij->ij", w, fitted.quadratics.A), w @ fitted.quadratics.b
 
     def foretold(self, free: Sequence[int]) -> tuple[float, Array]:
-        """Mean loss with these numbers free, and all mapped numbers then, (p,)."""
+        """Mean loss with these parameters free, and all mapped parameters then, (p,)."""
         z, p = self.fitted.z, len(self.fitted.z)
         held = [i for i in range(self.count) if i not in free]
         open_ = [i for i in range(p) if i not in held]
@@ -104,19 +105,21 @@ class _Subsets:
         return float(np.mean(np.log1p(after / self.windows))), z + step
 
     def refitted(self, free: Sequence[int]) -> Fit | None:
-        """A fit with these numbers free; None where it cannot be simulated."""
+        """A fit with these parameters free; None where it cannot be simulated."""
         free = sorted(free)
-        numbers = tuple(self.fitted.structure.numbers[i] for i in free)
+        parameters = tuple(self.fitted.structure.model_parameters[i] for i in free)
         z = self.foretold(free)[1][[*free, *range(self.count, len(self.fitted.z))]]
         try:
-            structure = replace(self.fitted.structure, numbers=numbers)
-            return fit(self.problem, structure, z, self.fitted.starts[self.some], most=20, tolerance=ROUGH)
+            structure = replace(self.fitted.structure, model_parameters=parameters)
+            return fit(self.problem, structure, z, self.fitted.initial[self.some], most=20, tolerance=ROUGH)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
     def suffices(self, sparse: Fit | None) -> bool:
-        """Whether a refit predicts as well as the fit with all numbers free, on its windows and on the unseen ones."""
+        """Whether a refit predicts as well as the fit with all parameters free, on its windows and on the comparison
+        windows.
+        """
         if sparse is None:
             return False
-        free = np.append(self.fitted.mse[self.some], self.search.unseen_mse(self.fitted))
-        return compare(free, self.search.mse(sparse), self.problem.join(self.search.unseen).blocks).alike
+        free = np.append(self.fitted.mse[self.some], self.search.comparison_mse(self.fitted))
+        return compare(free, self.search.mse(sparse), self.problem.join(self.search.comparison).blocks).alike

@@ -36,7 +36,7 @@ class Scene:
         velocity: (n, nv).
         force: unexplained generalised force, (n, nv).
         load: that each joint transmits, (n, nv).
-        odd: times at which windows begin that are predicted far worse than most, the worst first, s.
+        outliers: times at which outlier windows begin, the worst first, s.
     """
 
     model: mujoco.MjModel
@@ -46,7 +46,7 @@ class Scene:
     velocity: Array
     force: Array
     load: Array
-    odd: tuple[float, ...] = ()
+    outliers: tuple[float, ...] = ()
 
     def at(self, place: Place, name: str, levels: dict[str, float]) -> Evidence:
         """The evidence at one place; a sensor's or actuator's joint stands for it.
@@ -85,7 +85,7 @@ class Scene:
             min(r.period for r in self.recordings),
             levels.get(joint),
             name,
-            self.odd,
+            self.outliers,
             self._inputs,
         )
 
@@ -109,7 +109,7 @@ def scene(
     recordings: Sequence[Recording],
     motions: Sequence[Motion],
     until: float,
-    odd: Sequence[float] = (),
+    outliers: Sequence[float] = (),
 ) -> Scene:
     """What a model leaves unexplained.
 
@@ -118,7 +118,7 @@ def scene(
         recordings: what was measured.
         motions: of the joints.
         until: the part of each recording to look at, from its start.
-        odd: times at which windows begin that are predicted far worse than most, s.
+        outliers: times at which outlier windows begin, s.
     """
     model = physics.model
     parts = []
@@ -128,7 +128,7 @@ def scene(
         parts.append((recording.time[:n], motion.position[:n], motion.velocity[:n], force[:n], load[:n]))
     time, position, velocity, force, load = (np.concatenate(part) for part in zip(*parts, strict=True))
     cut = tuple(recording.slice(0, _index(recording, until)) for recording in recordings)
-    return Scene(model, cut, time, position, velocity, force, load, tuple(odd))
+    return Scene(model, cut, time, position, velocity, force, load, tuple(outliers))
 
 
 def _index(recording: Recording, share: float) -> int:

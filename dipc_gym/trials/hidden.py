@@ -1,4 +1,4 @@
-"""Numbers, effects made of them, and which names could be one and the same model."""
+"""Parameters of effects, effects made of them, and which names could be one and the same model."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from dipc_gym.trials.rigs import Array
 
 
 @dataclass(frozen=True)
-class Number:
-    """One number of an effect.
+class Parameter:
+    """One parameter of an effect.
 
     Attributes:
         name: its natural name, such as `level`.
         unit: its unit.
-        place: its place in the plant vector; `factor` times the number is added there.
+        place: its place in the plant vector; `factor` times the parameter is added there.
         low: smallest value, or smallest magnitude for `signed`.
         high: largest.
         kind: `log`, `signed` (log-uniform magnitude, either sign) or `uniform`.
@@ -48,7 +48,7 @@ class Effect:
     Attributes:
         name: id, such as `friction.coulomb`, or `unknown`.
         at: joint, actuator, sensor or body name, or `world`.
-        numbers: its numbers; the first one is its size.
+        parameters: its parameters; the first one is its size.
         fixed: plant entries that come with it, added: (place, value).
         also_at: other places that name the same thing.
         includes: ids that are honest parts of it.
@@ -58,7 +58,7 @@ class Effect:
 
     name: str
     at: str
-    numbers: tuple[Number, ...]
+    parameters: tuple[Parameter, ...]
     fixed: tuple[tuple[int, float], ...] = ()
     also_at: tuple[str, ...] = ()
     includes: tuple[str, ...] = ()
@@ -70,9 +70,9 @@ class Effect:
         result = plant.copy()
         for place, value in self.fixed:
             result[place] += value
-        for number, value in zip(self.numbers, values, strict=True):
-            result[number.place] += number.factor * value
-            for place, factor in number.also:
+        for parameter, value in zip(self.parameters, values, strict=True):
+            result[parameter.place] += parameter.factor * value
+            for place, factor in parameter.also:
                 result[place] += factor * value
         return result
 
@@ -91,24 +91,24 @@ class Hidden:
     def parameters(self) -> dict[str, dict[str, float | str]]:
         """Natural parameters with units; a static level is also given as such."""
         found: dict[str, dict[str, float | str]] = {
-            number.name: {"value": value, "unit": number.unit}
-            for number, value in zip(self.effect.numbers, self.values, strict=True)
+            parameter.name: {"value": value, "unit": parameter.unit}
+            for parameter, value in zip(self.effect.parameters, self.values, strict=True)
         }
         if self.effect.alike:  # a shape, which no two people describe by the same numbers
             return {}
         if self.effect.name == "friction.stribeck":
             level, excess = self.values[0], self.values[1]
-            found["static"] = {"value": level + excess, "unit": self.effect.numbers[0].unit}
+            found["static"] = {"value": level + excess, "unit": self.effect.parameters[0].unit}
         if self.effect.name == "friction.asymmetric":
             level, share = self.values
-            found["forward"] = {"value": level * (1 + share), "unit": self.effect.numbers[0].unit}
-            found["backward"] = {"value": level * (1 - share), "unit": self.effect.numbers[0].unit}
+            found["forward"] = {"value": level * (1 + share), "unit": self.effect.parameters[0].unit}
+            found["backward"] = {"value": level * (1 - share), "unit": self.effect.parameters[0].unit}
         return found
 
 
 def draw(effect: Effect, rng: np.random.Generator) -> Hidden:
     """The effect with values at random."""
-    return Hidden(effect, tuple(number.draw(rng) for number in effect.numbers))
+    return Hidden(effect, tuple(parameter.draw(rng) for parameter in effect.parameters))
 
 
 RIVALS: dict[str, tuple[str, ...]] = {

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dipc_gym.trials import integrator
-from dipc_gym.trials.effects import Effect, Number
+from dipc_gym.trials.hidden import Effect, Parameter
 from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig
 
@@ -27,7 +27,7 @@ class Recording:
     """One recording with what no encoder shows.
 
     Attributes:
-        plant: the numbers it was made with.
+        plant: the parameters it was made with.
         command: shape (samples,).
         gain: factor on the command, shape (samples,).
         q: joint positions, shape (samples, joints).
@@ -70,7 +70,7 @@ def record(
 
     Args:
         rig: the rig.
-        plant: its true numbers.
+        plant: its true parameters.
         drive: excitation, shape (SAMPLES,).
         gain: factor on the command, shape (SAMPLES,).
         rng: source of the sensor noise.
@@ -115,7 +115,7 @@ def predict(
 
     Args:
         rig: the rig.
-        plant: the numbers that predict.
+        plant: the parameters that predict.
         recording: where the windows start, and the command.
         gain: factor on the command.
         true_start: start from the true states instead of what this plant's sensors say.
@@ -174,22 +174,22 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def standard_numbers(rig: Rig, plant: Array) -> list[Number]:
-    """The model's own numbers that anybody refits: damping, motor constant, driven mass, known dry friction."""
-    numbers = []
+def standard_parameters(rig: Rig, plant: Array) -> list[Parameter]:
+    """The model's parameters that anybody refits: damping, motor constant, driven mass, known dry friction."""
+    parameters = []
     for j, at in enumerate(rig.joints):
         scale = max(plant[index("damping", j)], 0.01 * rig.force[j] / rig.speed[j])
-        numbers.append(Number(f"damping.{at}", "", index("damping", j), 0, 0, "change", scale))
+        parameters.append(Parameter(f"damping.{at}", "", index("damping", j), 0, 0, "change", scale))
     kt, ke = plant[index("kt")], plant[index("ke")]
-    numbers.append(Number("motor_constant", "", index("kt"), 0, 0, "change", kt, ((index("ke"), ke),)))
+    parameters.append(Parameter("motor_constant", "", index("kt"), 0, 0, "change", kt, ((index("ke"), ke),)))
     # A pendulum's mass stands in its inertia and in its weight.
     weight = ((index("mgl"), plant[index("mgl")]),) if rig.name == "pendulum" else ()
-    numbers.append(Number("mass", "", index("m0"), 0, 0, "change", plant[index("m0")], weight))
+    parameters.append(Parameter("mass", "", index("m0"), 0, 0, "change", plant[index("m0")], weight))
     for j, at in enumerate(rig.joints):
         level = plant[index("coulomb", j)]
         if level > 0:
-            numbers.append(Number(f"coulomb.{at}", "", index("coulomb", j), 0, 0, "change", level))
-    return numbers
+            parameters.append(Parameter(f"coulomb.{at}", "", index("coulomb", j), 0, 0, "change", level))
+    return parameters
 
 
 @dataclass(frozen=True)
@@ -197,8 +197,8 @@ class Fit:
     """A refitted plant.
 
     Attributes:
-        plant: its numbers.
-        values: of the effect's own numbers, none for a mere refit.
+        plant: its parameters.
+        values: of the effect's parameters, none for a mere refit.
         error: windowed difference from the reference on the fitted recordings, noise units.
         end: where the solver stopped, for going on from there.
         converged: whether it stopped by itself.
@@ -213,30 +213,30 @@ class Fit:
 
 def fit(
     windows: Sequence[Windows], references: Sequence[Array], plant: Array, effects: Sequence[Effect],
-    start: Sequence[float], *, effort: int = 10, own: Sequence[Number] | None = None, onward: Fit | None = None,
+    start: Sequence[float], *, effort: int = 10, own: Sequence[Parameter] | None = None, onward: Fit | None = None,
 ) -> Fit:  # fmt: skip
-    """Fit the standard numbers, and those of added effects, to readings.
+    """Fit the standard parameters, and those of added effects, to readings.
 
-    Positive numbers are fitted as logarithms, the rest on the scale of their start. Levenberg-Marquardt
+    Positive parameters are fitted as logarithms, the rest on the scale of their start. Levenberg-Marquardt
     (`scipy.optimize.least_squares`) on a forward-difference Jacobian.
 
     Args:
         windows: one for each recording.
         references: readings to be predicted, one for each recording.
-        plant: start for the standard numbers.
+        plant: start for the standard parameters.
         effects: added to it.
-        start: values of the effects' numbers to start from.
+        start: values of the effects' parameters to start from.
         effort: largest number of Jacobians.
-        own: numbers of the model to refit; all `standard_numbers` if None.
-        onward: an earlier fit of the same numbers, to go on from where it stopped.
+        own: parameters of the model to refit; all `standard_parameters` if None.
+        onward: an earlier fit of the same parameters, to go on from where it stopped.
     """
     from scipy.optimize import least_squares
 
     rig = windows[0].rig
     if own is None:
-        own = standard_numbers(rig, plant)
-    added = [number for effect in effects for number in effect.numbers]
-    logarithmic = np.array([number.kind == "log" for number in added], dtype=bool)
+        own = standard_parameters(rig, plant)
+    added = [parameter for effect in effects for parameter in effect.parameters]
+    logarithmic = np.array([parameter.kind == "log" for parameter in added], dtype=bool)
     begin = np.asarray(start, dtype=float)
     scale = np.where(logarithmic, 1.0, np.where([n.kind == "uniform" for n in added], 0.3, np.abs(begin) + 1e-12))
     # A fit may leave the sizes that are drawn, except where that makes the simulation stiff and slow, and the more so
@@ -250,16 +250,16 @@ def fit(
 
     def split(x: Array) -> tuple[Array, Array]:
         result = plant.copy()
-        for number, change in zip(own, x[: len(own)], strict=True):
-            result[number.place] = max(result[number.place] + number.factor * change, 0.0)
-            for place, factor in number.also:
+        for parameter, change in zip(own, x[: len(own)], strict=True):
+            result[parameter.place] = max(result[parameter.place] + parameter.factor * change, 0.0)
+            for place, factor in parameter.also:
                 result[place] = max(result[place] + factor * change, 0.0)
         result[index("m0")] = max(result[index("m0")], 0.05 * plant[index("m0")])
         raw = x[len(own) :] * scale
         values = np.where(logarithmic, np.exp(np.clip(np.where(logarithmic, raw, 0.0), low, high)), raw)
         done = 0
         for effect in effects:
-            count = len(effect.numbers)
+            count = len(effect.parameters)
             result = effect.apply(result, values[done : done + count])
             done += count
         return result, values

@@ -1,4 +1,4 @@
-"""Judge one trial: what the tool said, beside the sealed answer.
+"""Grade one trial: what the tool said, beside the sealed answer.
 
 What counts as right:
 
@@ -6,7 +6,7 @@ What counts as right:
   rig with that data (the generator found so by simulation) and the tool says so in `same_here`, as may be several
   effects that together are the same model; or it is a part of the truth (the Coulomb level within a Stribeck
   curve) and the truth itself follows in the list; or nothing is called missing where a refit of the model's own
-  numbers already is the truth. Each route is counted by itself.
+  parameters already is the truth. Each route is counted by itself.
 - *set*: every effect of the truth is named once by these rules, and nothing else, parts aside; one of several that
   by itself moves the held-out prediction by less than twice the noise may be left out.
 - *place*: the first effect stands where the truth does (or its equivalent, for an equivalent name).
@@ -31,7 +31,7 @@ STRUCTURE_LEFT = ("unexplained", "partly explained")
 
 
 @dataclass
-class Judgement:
+class Grade:
     """One trial with its score; None where a question does not arise.
 
     Attributes:
@@ -39,7 +39,7 @@ class Judgement:
         rig: name.
         kind: `null`, `single`, `pair`, `unknown` or `wrong`.
         tuned: whether the nominal model was refitted beforehand.
-        size: what the truth changes in held-out predictions beyond a refit of the nominal model's numbers, in noise
+        size: what the truth changes in held-out predictions beyond a refit of the nominal model's parameters, in noise
             standard deviations; where such a refit is the truth, beyond the nominal model itself.
         share: the same as a share of the signal, of what the command does within a window.
         truth: effect ids.
@@ -50,7 +50,7 @@ class Judgement:
         set: right set.
         place: right place.
         alarm: something called missing where nothing is.
-        renumbered: numbers called wrong where none are.
+        renumbered: parameters called wrong where none are.
         unknown: unknown physics called unknown.
         misnamed: unknown physics given a known name.
         reached: share of the reachable improvement on the held-out recording, converged simulation.
@@ -97,7 +97,7 @@ class Judgement:
         return self.kind in ("single", "pair", "unknown") and self.size >= CLEAR
 
 
-def judge(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attempt: Mapping[str, Any]) -> Judgement:
+def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attempt: Mapping[str, Any]) -> Grade:
     """Score one diagnosis.
 
     Args:
@@ -108,10 +108,10 @@ def judge(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attemp
     if attempt.get("failure"):
         diagnosis = None
     said = list((diagnosis or {}).get("missing") or [])
-    # What a refit explains, or a simulator with wrong numbers lacks, shows against the nominal model only.
+    # What a refit explains, or a simulator with wrong parameters lacks, shows against the nominal model only.
     renumber = answer["recalibrated_suffices"] or answer["kind"] == "wrong"
     size = answer["moved_from_nominal" if renumber else "share_of_signal"]
-    result = Judgement(
+    result = Grade(
         trial=answer["trial"],
         rig=answer["rig"],
         kind=answer["kind"],
@@ -128,16 +128,16 @@ def judge(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attemp
     if answer["kind"] in ("null", "wrong"):
         # A tool that failed raised no alarm, but it gave no all-clear either.
         result.alarm = None if diagnosis is None else bool(said) or result.verdict in STRUCTURE_LEFT
-        numbers = bool((diagnosis or {}).get("recalibrated"))
+        refitted = bool((diagnosis or {}).get("recalibrated"))
         if answer["kind"] == "null":
-            result.renumbered = numbers and result.verdict == "recalibrated"
+            result.renumbered = refitted and result.verdict == "recalibrated"
         else:
             result.name = diagnosis is not None and not said and result.verdict == "recalibrated"
     elif answer["kind"] == "unknown":
-        _judge_unknown(result, answer, said)
+        _grade_unknown(result, answer, said)
     else:
-        _judge_names(result, answer, said)
-        _judge_intervals(result, answer, said)
+        _grade_names(result, answer, said)
+        _grade_intervals(result, answer, said)
     result.reached = _reached(answer, attempt.get("sensor_errors"))
     result.reached_own_step = _reached(answer, attempt.get("sensor_errors_own_step"))
     errors = attempt.get("sensor_errors")
@@ -163,7 +163,7 @@ def _route(said: Mapping[str, Any], truth: Mapping[str, Any], places: Mapping[st
     return "same" if said["effect"] in places and truth["effect"] in listed else ""
 
 
-def _judge_names(result: Judgement, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> None:
+def _grade_names(result: Grade, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> None:
     truths = answer["missing"]
     accepted = [_accepted(answer, truth) for truth in truths]
     if not said:
@@ -216,7 +216,7 @@ def _collapsed(answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> 
     return result
 
 
-def _judge_unknown(result: Judgement, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> None:
+def _grade_unknown(result: Grade, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> None:
     """Unknown physics: say so; a part of it, or a name that explains it just as well, is no mistake."""
     equal = {other["effect"] for others in answer["equivalents"].values() for other in others}
     explained = bool(said) and said[0]["effect"] in equal
@@ -286,7 +286,7 @@ def _values(answer: Mapping[str, Any], truth: str) -> dict[str, float]:
     return values
 
 
-def _judge_intervals(result: Judgement, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> None:
+def _grade_intervals(result: Grade, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> None:
     """Coverage, for effects that are named and placed as the truth is."""
     hidden = {
         (m["effect"], at): f"{m['effect']}@{m['at']}" for m in answer["missing"] for at in (m["at"], *m["also_at"])
