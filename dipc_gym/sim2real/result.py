@@ -34,6 +34,7 @@ class Missing:
         same_here: other names for the same model on this rig with this data.
         rivals: other effects that were tried in its place.
         needs_loader: whether stock MuJoCo leaves it out.
+        law: of a law of any shape its table: `inputs` (name, unit and knots each), `levels` and their `unit`.
     """
 
     effect: str
@@ -44,6 +45,7 @@ class Missing:
     same_here: tuple[dict[str, str], ...] = ()
     rivals: tuple[dict[str, Any], ...] = ()
     needs_loader: bool = False
+    law: dict[str, Any] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """As in diagnosis.json."""
@@ -55,6 +57,7 @@ class Missing:
             "same_here": list(self.same_here),
             "parameters": self.parameters,
             "rivals": list(self.rivals),
+            **({} if self.law is None else {"law": self.law}),
         }
 
 

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import mujoco
 import numpy as np
@@ -189,6 +189,10 @@ class Effect(ABC):
     @abstractmethod
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """First guesses, small enough that the response is nearly linear; each is tried."""
+
+    def table_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any] | None:
+        """The law as a table, where it is one: `inputs` (name, unit, knots each), `levels`, `unit` of these."""
+        return None
 
     @abstractmethod
     def edit(self, document: Document, at: str, values: Values) -> None:

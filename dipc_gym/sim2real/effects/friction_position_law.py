@@ -18,6 +18,7 @@ class FrictionOfPosition(Law):
     id = "friction.position:law"
     place = "joint"
     law = "dry friction"
+    of, slide = "position", "m"
     unit = "N"
     lowest = 0.0
     rivals = ("friction.speed", "load.position:law")
@@ -45,4 +46,4 @@ class FrictionOfPosition(Law):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        return f"Dry friction at {at} that depends on position: {self.where(values, unit)} {self.per(unit, 'm')}."
+        return f"Dry friction at {at} that depends on position: {self.where(values, unit)} {self.per(unit)}."

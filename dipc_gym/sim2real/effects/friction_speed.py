@@ -23,6 +23,7 @@ class FrictionOfSpeed(Law):
     id = "friction.speed"
     place = "joint"
     law = "dry friction"
+    of, slide = "speed", "m/s"
     unit = "N"
     lowest = 0.0
     rivals = ("friction.position:law", "friction.asymmetric")
@@ -51,7 +52,7 @@ class FrictionOfSpeed(Law):
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         levels, force = self.values(values), unit[self.parameters[0].name]
-        most, per = self.knots[-1], self.per(unit, "m/s")
+        most, per = self.knots[-1], self.per(unit)
         return (
             f"Friction at {at} that depends on speed: {levels[0]:.3g} {force} at rest, {min(levels):.3g} to "
             f"{max(levels):.3g} {force} up to {most:.3g} {per}."

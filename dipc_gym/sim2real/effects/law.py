@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ class Law(Effect):
     """
 
     free = True
+    of: str  # what it depends on
+    slide: str  # unit of that at a joint that slides
     unit: str
     lowest = -np.inf  # value
     from_nothing = True  # whether the whole law at zero does nothing, and half of it half as much
@@ -65,9 +68,14 @@ class Law(Effect):
         """The values of the table, in the order of its knots."""
         return [values[p.name] for p in self.parameters]
 
-    def per(self, unit: Mapping[str, str], slide: str) -> str:
-        """Unit of the input, from that of the values: what is `slide` along an axis turns in radians about one."""
-        return slide.replace("m", "rad") if unit[self.parameters[0].name].startswith("N m") else slide
+    def per(self, unit: Mapping[str, str]) -> str:
+        """Unit of the input, from that of the values: what slides along an axis turns in radians about one."""
+        return self.slide.replace("m", "rad") if unit[self.parameters[0].name].startswith("N m") else self.slide
+
+    def table_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
+        """Knots and values."""
+        inputs = [{"name": self.of, "unit": self.per(unit), "knots": list(self.knots)}]
+        return {"inputs": inputs, "levels": self.values(values), "unit": unit[self.parameters[0].name]}
 
     def where(self, values: Values, unit: Mapping[str, str]) -> str:
         """Range and place of the largest value, in words."""

@@ -17,6 +17,7 @@ class ForceOfPosition(Law):
 
     id = "load.position:law"
     place = "joint"
+    of, slide = "position", "m"
     unit = "N"
     rivals = ("friction.position:law", "motor.cogging")
     contains = ("load.constant", "load.spring", "load.position")
@@ -37,4 +38,4 @@ class ForceOfPosition(Law):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        return f"A force at {at} that depends on position: {self.where(values, unit)} {self.per(unit, 'm')}."
+        return f"A force at {at} that depends on position: {self.where(values, unit)} {self.per(unit)}."

@@ -19,6 +19,7 @@ class CommandMap(Law):
     id = "motor.map"
     place = "actuator"
     law = "command"
+    of, slide = "command", ""
     unit = "command"
     from_nothing = False
     rivals = ("motor.deadzone", "motor.saturation")

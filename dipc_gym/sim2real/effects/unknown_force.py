@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
+import mujoco
 import numpy as np
 
+from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
@@ -24,6 +27,7 @@ class UnknownForce(Effect):
     Args:
         shape: what the evidence asked for; None in the catalogue.
         speed: largest of the joint in the data.
+        units: of the inputs.
     """
 
     id = RESIDUAL
@@ -33,8 +37,8 @@ class UnknownForce(Effect):
     of_no_kind = True
     needs_loader = True
 
-    def __init__(self, shape: Surface | None = None, speed: float = 1.0) -> None:
-        self.shape, self.speed = shape, speed
+    def __init__(self, shape: Surface | None = None, speed: float = 1.0, units: Sequence[str] = ("", "")) -> None:
+        self.shape, self.speed, self.units = shape, speed, tuple(units)
         levels = [] if shape is None else shape.levels.ravel().tolist()
         self.first = {f"level_{k + 1}": level for k, level in enumerate(levels)}
         size = max((abs(level) for level in levels), default=1.0) or 1.0
@@ -46,7 +50,8 @@ class UnknownForce(Effect):
         found = surface(evidence.inputs, evidence.force, evidence.time)
         if found is None:
             return []
-        shaped = UnknownForce(found, 1.2 * float(np.max(np.abs(evidence.velocity))) or 1.0)
+        units = [_unit(evidence.model, one) for one in found.inputs]
+        shaped = UnknownForce(found, 1.2 * float(np.max(np.abs(evidence.velocity))) or 1.0, units)
         return [(shaped, shaped.first)]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
@@ -61,6 +66,17 @@ class UnknownForce(Effect):
         document.custom(RESIDUAL, at, [self.speed, len(first), len(second), *first, *second, *levels])
         document.depends(RESIDUAL, at, self.shape.inputs)
 
+    def table_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any] | None:
+        """Knots along one or two inputs, and levels; with two a row over the second for each knot of the first."""
+        if self.shape is None:
+            return None
+        inputs = [
+            {"name": name, "unit": of, "knots": knots.tolist()}
+            for name, of, knots in zip(self.shape.inputs, self.units, self.shape.knots, strict=False)
+        ]
+        levels = np.reshape([values[name] for name in self.first], self.shape.levels.shape)
+        return {"inputs": inputs, "levels": levels.tolist(), "unit": next(iter(unit.values()))}
+
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         assert self.shape is not None
@@ -70,3 +86,11 @@ class UnknownForce(Effect):
             f"Something acts at {at} that no effect in the catalogue accounts for; modelled as a force of "
             f"{min(levels):.3g} to {max(levels):.3g} {force} that depends on {' and '.join(inputs)}."
         )
+
+
+def _unit(model: mujoco.MjModel, one: str) -> str:
+    """Unit of an input."""
+    kind, _, name = one.partition(" ")
+    if kind == "command":
+        return ""
+    return ("rad" if mjcf.is_hinge(model, name) else "m") + ("/s" if kind == "velocity" else "")

@@ -233,6 +233,7 @@ def _parts(data: ReportData) -> dict[str, Any]:
         "first": first,
         "fit": _fit(data.diagnosis),
         "traces": [(trace, *plots.trace(trace)) for trace in data.traces[:MOST_TRACES]],
+        "laws": [plots.law(m["law"]) if m.get("law") else None for m in data.diagnosis.get("missing") or []],
         "maps": [(mismatch, plots.mismatch_map(mismatch, first)) for mismatch in data.maps[:MOST_MAPS]],
         "residuals": [(residual, *plots.residual(residual, first)) for residual in data.residuals[:MOST_RESIDUALS]],
         "not_drawn": {

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +95,29 @@ def mismatch_map(mismatch: Mismatch, first: Tone) -> list[Chart]:
             layers.append(charts.line(tone, centre[fine], mean[fine], across, up))
         found.append(Chart(f"Unexplained force at {mismatch.joint} against {name}", across, up, tuple(layers)))
     return found
+
+
+def law(law: Mapping[str, Any]) -> Chart:
+    """A law over its first input; of two inputs, where the second is small, in the middle and large."""
+    first, *others = law["inputs"]
+    x, levels = np.array(first["knots"], dtype=float), np.array(law["levels"], dtype=float)
+    lines: list[tuple[Tone, Array]] = [("after", levels)]
+    words = ""
+    if others:
+        across_all = levels.shape[1]
+        picked = (0, across_all // 2, across_all - 1)
+        tones: tuple[Tone, ...] = ("nominal", "before", "after")
+        lines = [(tone, levels[:, k]) for tone, k in zip(tones, picked, strict=True)]
+        at = ", ".join(number(float(others[0]["knots"][k])) for k in picked)
+        words = f", at {others[0]['name']} of {at} {others[0]['unit']}".rstrip()
+    across = axis(float(x[0]), float(x[-1]), first["name"], first["unit"])
+    up = axis(*span([y for _, y in lines], 1.0, zero=True), "law", law["unit"], 5)
+    return Chart(
+        f"The law over {first['name']}{words}",
+        across,
+        up,
+        tuple(charts.line(tone, x, y, across, up) for tone, y in lines),
+    )
 
 
 def residual(residual: SensorResidual, first: Tone) -> tuple[Chart, Chart]:

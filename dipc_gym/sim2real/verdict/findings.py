@@ -148,6 +148,7 @@ def missing_effects(
                 tuple(_each_once([_name(rival.term) for rival in rivals if rival.same])),
                 tuple(_each_once(tried)),
                 term.effect.needs_loader,
+                term.effect.table_of(final.structure.term_values(final.z, term), units),
             )
         )
     return sorted(missing, key=lambda one: -one.share)

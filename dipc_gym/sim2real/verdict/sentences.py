@@ -75,6 +75,11 @@ def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = 
             f"{r['effect']} at {r['at']} predicts nearly as well as {m.effect} at {m.at}. Record slow reversals and "
             "fast steps over the whole range for a minute."
         )
+    if verdict == "modelled":
+        return (
+            "A law is a fit, not yet an understanding: record again with another load, speed or range, and see whether "
+            "it still predicts. Where it does not, what it stands for depends on what was changed."
+        )
     if verdict in ("partly explained", "unexplained"):
         return (
             "Repeat one short command many times over several minutes, at rest in between: what changes from one time "
