@@ -31,7 +31,7 @@ class Trial:
     count: int | None = None
     """number of trials; without it 42, 430 with --full, 150 with --laws"""
     full: bool = False
-    """the long version, some 10 hours of one core; what has nothing missing comes first"""
+    """the long version, some three hours of one core; what has nothing missing comes first"""
     laws: bool = False
     """hide physics of shapes that no formula has: friction, forces and drives of any law, and what has no name"""
     jobs: int | None = None
