@@ -20,6 +20,7 @@ from dipc_gym.recording import Recorder, Recording, RecordingError
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation import segments, states
 from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.simulation.batch import Stepping
@@ -115,7 +116,7 @@ def files(folder: Path, text: str, recording: Recording) -> tuple[Path, Path]:
 @pytest.mark.parametrize("irregular", [False, True])
 def test_the_model_that_made_a_recording_predicts_it_within_its_noise(tmp_path: Path, irregular: bool) -> None:
     done = replay(*files(tmp_path, hanging(), Run(irregular=irregular).of(hanging())))
-    assert done.window == segments.LENGTH
+    assert done.window == ESTIMATION.window_length
     assert 0.85 < done.error < 1.1
     for sensor, noise in zip(done.sensors, NOISE, strict=True):
         assert sensor.noise == pytest.approx(noise, rel=0.1)
@@ -278,20 +279,20 @@ def prepared(length: float) -> segments.Prepared:
 
 def test_start_errors_grow_as_the_unstable_mode_says() -> None:
     slow = prepared(1.0)  # 3.8 / s
-    assert slow.length == segments.LENGTH
+    assert slow.length == ESTIMATION.window_length
     rate = np.sqrt(1.5 * 9.81 / 1.0)
     t = slow.problem.windows.times[0]
-    expected = np.hypot(np.cosh(rate * t), np.sinh(rate * t) / (rate * segments.LENGTH))
-    grown = segments.growth(slow.problem, slow.structure, segments.LENGTH)
+    expected = np.hypot(np.cosh(rate * t), np.sinh(rate * t) / (rate * ESTIMATION.window_length))
+    grown = segments.growth(slow.problem, slow.structure, ESTIMATION.window_length)
     np.testing.assert_allclose(grown[0], expected, rtol=0.02)
 
 
 def test_windows_are_shorter_where_an_unstable_rig_amplifies_the_start() -> None:
     fast = prepared(0.03)  # 22 / s
     rate = np.sqrt(1.5 * 9.81 / 0.03)
-    t = np.linspace(0, segments.LENGTH, 1000)
-    expected = np.hypot(np.cosh(rate * t), np.sinh(rate * t) / (rate * segments.LENGTH))
-    assert fast.length == pytest.approx(t[np.argmax(expected > segments.GROWTH)], abs=0.004)
+    t = np.linspace(0, ESTIMATION.window_length, 1000)
+    expected = np.hypot(np.cosh(rate * t), np.sinh(rate * t) / (rate * ESTIMATION.window_length))
+    assert fast.length == pytest.approx(t[np.argmax(expected > ESTIMATION.growth)], abs=0.004)
     assert fast.problem.windows.times.max() < fast.length
 
 
@@ -299,7 +300,10 @@ def test_an_unstable_rig_filmed_at_thirty_hertz_gets_no_longer_windows() -> None
     run = balancing(0.03)
     filmed = Recording("film", run.time[::17], run.commands[::17], run.sensors[::17], ("motor",), ("rod",))
     source = mjcf.from_text(balanced(0.03))
-    assert segments.prepare(source, physics.load(source), [filmed], Stepping(5e-4, None)).length <= segments.LENGTH
+    assert (
+        segments.prepare(source, physics.load(source), [filmed], Stepping(5e-4, None)).length
+        <= ESTIMATION.window_length
+    )
 
 
 def test_a_length_that_is_asked_for_is_kept(tmp_path: Path) -> None:
@@ -429,7 +433,7 @@ def test_every_kind_of_recording_replays(folder: str, run: str, most: float) -> 
         pytest.skip(f"{folder} is not there")
     done = replay(SHARED / folder / "nominal.xml", SHARED / folder / run)
     assert 0.5 < done.error < most
-    assert done.window == segments.LENGTH
+    assert done.window == ESTIMATION.window_length
     assert len(done.errors) >= 0.9 * done.recording.duration / done.window
     assert np.isfinite(done.predicted).all()
 
@@ -443,12 +447,12 @@ def test_a_balanced_pendulum_keeps_whole_windows_until_they_are_too_long() -> No
     run = recordings.read(folder / "train_1.csv", rig.model).slice(0, 4000)
     stepping = Stepping(rig.model.opt.timestep, None)
     usual = segments.prepare(source, rig, [run], stepping)
-    assert usual.length == segments.LENGTH
-    grown = segments.growth(usual.problem, usual.structure, segments.LENGTH).max(axis=1)
-    assert 2 < np.median(grown) < segments.GROWTH
+    assert usual.length == ESTIMATION.window_length
+    grown = segments.growth(usual.problem, usual.structure, ESTIMATION.window_length).max(axis=1)
+    assert 2 < np.median(grown) < ESTIMATION.growth
     long = segments.prepare(source, rig, [run], stepping, length=1.0)
     steady = segments.steady_length(long.problem, long.structure, 1.0)
-    assert segments.LENGTH < steady < 0.6
+    assert ESTIMATION.window_length < steady < 0.6
     # Nothing is missing in this rig: the longer windows too find its noise and nothing else.
     steadier = segments.prepare(source, rig, [run], stepping, length=steady)
     assert 0.9 < fit(steadier.problem, steadier.structure).error < 1.15

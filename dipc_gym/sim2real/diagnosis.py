@@ -21,10 +21,12 @@ from dipc_gym.sim2real.result import Diagnosis
 from dipc_gym.sim2real.selection.baseline import Baseline, baseline
 from dipc_gym.sim2real.selection.case import CannotTell, Case, Given, gather, part
 from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import conventions, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
 from dipc_gym.sim2real.verdict.judgement import files_of, judgement
 from dipc_gym.sim2real.verdict.late import Late
+from dipc_gym.sim2real.verdict.settings import CONVENTIONS
 
 
 def diagnose(
@@ -93,7 +95,7 @@ def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) 
     if base.fine is not None:
         tell(f"note: {sentences.own_step(given.physics.model.opt.timestep, base.fine)}")
     tell(f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}")
-    if recalibrated.error > conventions.GROSS * base.problem.motion:
+    if recalibrated.error > CONVENTIONS.gross * base.problem.motion:
         others, off = conventions.differing(
             given.source,
             given.physics,
@@ -129,7 +131,7 @@ def _search(
     )
     worst = judge.comparison_error(search, recalibrated)
     located = judge.locate(search.look(recalibrated), search.joints)
-    search.small = worst > judge.AT_FLOOR and judge.negligible(worst, base.problem.motion, located[0])
+    search.small = worst > SCORE.at_floor and judge.negligible(worst, base.problem.motion, located[0])
     if search.small:
         tell("the mismatch is small beside the motion, and without a pattern: only what explains all of it will count")
     return search, located

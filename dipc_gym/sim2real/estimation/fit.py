@@ -12,14 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real.estimation.problem import Problem, predict
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import Shooting, mean_loss, project, typical
 from dipc_gym.sim2real.model.structure import Structure
 
 Array = NDArray[np.float64]
-
-TRIES = 5  # of a step, each more damped than the one before
-NEAR = 2.0  # usual square error up to which a fit is near the noise
-TRUSTED = 0.5  # share of the fall that derivatives foretold, from which they are good for another step
 
 
 @dataclass(frozen=True)
@@ -153,7 +150,7 @@ def fit(
         H = np.einsum("n,nij->ij", w, quadratics.A) / len(w) + np.diag(prior)
         g = w @ quadratics.b / len(w) - prior * (z - centre)
         now, accepted = penalised(mse, z, scale), False
-        for _ in range(TRIES):
+        for _ in range(ESTIMATION.tries):
             # No parameter may do more than double, or change by a factor of e.
             reach = np.maximum(1.0, np.abs(z) * ~logs)
             trial = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, reach)
@@ -171,13 +168,13 @@ def fit(
                 accepted = True
                 break
             # Near the noise derivatives tell what a shorter step would gain: less still.
-            if scale < NEAR and foretold < tolerance * now:
+            if scale < ESTIMATION.near and foretold < tolerance * now:
                 break
             damping = max(damping * 8, 1e-3)
         small = astray = True
         if accepted:
             small = now - then < tolerance * max(now, 1e-9) or bool(np.abs(trial - z).max() < 1e-4)
-            astray = lagged or now - then < TRUSTED * foretold
+            astray = lagged or now - then < ESTIMATION.trusted * foretold
             columns, S = shooting.secant(columns, S, trial - z, moved - s, residual - after)
             z, s, residual = trial, moved, after
             damping, steps = max(damping / 8, 1e-7), steps + 1

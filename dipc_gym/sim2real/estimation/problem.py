@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.engine import Uncovered
 from dipc_gym.physics import Physics
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
 from dipc_gym.sim2real.simulation.compiled import compiled, derivatives
@@ -22,8 +23,6 @@ from dipc_gym.sim2real.simulation.windows import Windows
 Array = NDArray[np.float64]
 
 _RK4 = mujoco.mjtIntegrator.mjINT_RK4
-FAR = 1e6  # times the noise; a simulation that blew up is no worse than this
-_BLOCK = 1.0  # s; neighbouring windows closer than this count as one when errors are compared
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class Problem:
     @property
     def blocks(self) -> NDArray[np.intp]:
         """A number for each window; windows within a second of one recording share it."""
-        second = np.floor(self.windows.start / _BLOCK).astype(np.intp)
+        second = np.floor(self.windows.start / ESTIMATION.block).astype(np.intp)
         _, block = np.unique(np.stack([self.windows.source, second], axis=1), axis=0, return_inverse=True)
         return block.ravel()
 
@@ -130,7 +129,7 @@ def sensitivities(
 def normalised_residual(problem: Problem, readings: Array) -> Array:
     """(observed - readings) / noise, zero where nothing was observed."""
     scaled = (problem.windows.observed - readings) / problem.windows.noise
-    scaled = np.nan_to_num(np.clip(scaled, -FAR, FAR), nan=FAR)
+    scaled = np.nan_to_num(np.clip(scaled, -ESTIMATION.blown_up, ESTIMATION.blown_up), nan=ESTIMATION.blown_up)
     return np.where(problem.windows.valid[..., None], scaled, 0.0)
 
 

@@ -20,23 +20,13 @@ from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem, predict
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.simulation.motion import Motion, initial_states
 from dipc_gym.sim2real.simulation.windows import Windows, cut
 
 Array = NDArray[np.float64]
-
-LENGTH = 0.25  # s, of a window unless the rig asks for shorter ones
-GROWTH = 10.0  # times its size that an initial error may grow to within a window
-FEWEST = 12  # samples in a window
-STEADY = 0.9  # share of the windows that must stay below that growth; the rest may tumble over a dead centre
-FINEST = 2.0**-24  # of a sensor's range: nothing real is read to more than 24 bits, and no simulation is as exact
-
-# An initial state is held to its estimate only loosely, since the window's own samples know it better.
-_LOOSE = 5.0  # times the noise, for a position
-_DIFFERENCED = 0.002  # s over which a position's noise becomes a velocity's
-_ROUGH = 0.05  # of the usual speed, for a velocity
 
 
 @dataclass(frozen=True)
@@ -107,9 +97,9 @@ def prepare(
 
     if length is not None:
         return Prepared(windows(length), structure, motions, length)
-    longest = windows(LENGTH)
-    length = steady_length(longest, structure, LENGTH)
-    return Prepared(longest if length == LENGTH else windows(length), structure, motions, length)
+    longest = windows(ESTIMATION.window_length)
+    length = steady_length(longest, structure, ESTIMATION.window_length)
+    return Prepared(longest if length == ESTIMATION.window_length else windows(length), structure, motions, length)
 
 
 def common_noise(recordings: Sequence[Recording]) -> Array:
@@ -130,14 +120,16 @@ def common_noise(recordings: Sequence[Recording]) -> Array:
             f"{recordings[0].path or recordings[0].name}: no sensor changes in it, so there is no motion to predict"
         )
     middle = np.array([np.median(column) if len(column) else math.inf for column in moving])
-    return np.maximum(middle, FINEST * (high - low))
+    return np.maximum(middle, ESTIMATION.finest_reading * (high - low))
 
 
 def uncertainty(physics: Physics, motions: Sequence[Motion], noise: Array) -> Array:
     """Standard deviation of estimated positions and velocities, (2 nb,), on the generous side."""
     position = position_noise(physics, noise)
     speed = np.concatenate([motion.velocity for motion in motions]).std(axis=0)
-    return np.concatenate([_LOOSE * position, _ROUGH * speed + position / _DIFFERENCED])
+    return np.concatenate(
+        [ESTIMATION.loose * position, ESTIMATION.rough_speed * speed + position / ESTIMATION.differenced]
+    )
 
 
 def position_noise(physics: Physics, noise: Array) -> Array:
@@ -157,11 +149,11 @@ def steady_length(problem: Problem, structure: Structure, longest: float) -> flo
         longest: s.
     """
     windows = problem.windows
-    beyond = growth(problem, structure, longest) > GROWTH
+    beyond = growth(problem, structure, longest) > ESTIMATION.growth
     first = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1), beyond.shape[1])
     reached = np.array([t[k] if k < len(t) else math.inf for t, k in zip(windows.times, first, strict=True)])
-    limit = float(np.sort(reached)[int((1 - STEADY) * len(reached))])
-    return min(longest, max(limit, FEWEST * windows.period))
+    limit = float(np.sort(reached)[int((1 - ESTIMATION.steady) * len(reached))])
+    return min(longest, max(limit, ESTIMATION.fewest_samples * windows.period))
 
 
 def growth(problem: Problem, structure: Structure, longest: float) -> Array:

@@ -12,15 +12,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.estimation.problem import FAR, Problem, normalised_residual, predict, sensitivities
+from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict, sensitivities
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure
 
 Array = NDArray[np.float64]
-
-LAG = 0.02  # of the log square error that initial states could still explain, from which they are corrected
-FAR_OUT = 4.0  # times the usual square error, from which something else happened in a window
-_TOUCH = 1e-6  # the same where only a model's parameters are differenced, and the engine knows the rest
-_PROBE = 0.02  # finite difference of a mapped parameter; smaller ones drown in the kinks of dry friction
 
 
 class Shooting:
@@ -114,13 +110,13 @@ class Shooting:
     def _behind(self, initial: Array, residual: Array, S: Array) -> NDArray[np.bool_]:
         """Which windows a further correction of their initial states would bring much nearer, (n,)."""
         left, mse = self.mse(self.left(initial, residual, S)), self.mse(self.rows(initial, residual))
-        return np.asarray(np.log1p(mse) - np.log1p(left) > LAG)
+        return np.asarray(np.log1p(mse) - np.log1p(left) > ESTIMATION.lag)
 
     def lags(self, initial: Array, residual: Array, S: Array) -> bool:
         """Whether a further correction of the initial states would explain much."""
         left, mse = self.mse(self.left(initial, residual, S)), self.mse(self.rows(initial, residual))
         scale = typical(left)
-        return mean_loss(mse, scale) - mean_loss(left, scale) > LAG
+        return mean_loss(mse, scale) - mean_loss(left, scale) > ESTIMATION.lag
 
     def derivatives(
         self, z: Array, initial: Array, residual: Array | None = None, *, parameters: bool = True
@@ -163,7 +159,7 @@ class Shooting:
         """
         if any(term.effect.once for term in self.structure.terms):
             return None  # when a push begins and ends has no derivative in code that asks whether it acts
-        n, (probes, steps) = len(initial), self._probes(z, _TOUCH) if parameters else ([], np.zeros(0))
+        n, (probes, steps) = len(initial), self._probes(z, ESTIMATION.touch) if parameters else ([], np.zeros(0))
         free = np.flatnonzero(np.isfinite(steps))
         if len(free) < len(steps):
             return None
@@ -178,7 +174,7 @@ class Shooting:
             residual = normalised_residual(self.problem, readings)
             if elsewhere:
                 residual = self.residuals([z], initial[None])[0]
-        told = self.problem.windows.valid[..., None] & np.isfinite(readings) & (np.abs(residual) < FAR)
+        told = self.problem.windows.valid[..., None] & np.isfinite(readings) & (np.abs(residual) < ESTIMATION.blown_up)
         slopes = np.where(told, np.concatenate([by_parameters, by_initial]), 0.0) / self.problem.windows.noise
         change = np.moveaxis(np.nan_to_num(slopes).reshape(len(slopes), n, -1), 0, -1)
         count = len(steps)
@@ -186,7 +182,7 @@ class Shooting:
         columns = np.concatenate([change[..., :count], np.zeros((n, self.nb2, count))], axis=1)
         return residual, columns, np.concatenate([change[..., count:] * self.nudge, prior], axis=1)
 
-    def _probes(self, z: Array, size: float = _PROBE) -> tuple[list[Array], Array]:
+    def _probes(self, z: Array, size: float = ESTIMATION.probe) -> tuple[list[Array], Array]:
         """Parameters with one of them moved at a time, away from a bound, and by how much; infinite where it cannot."""
         logs = np.array([slot.log for slot in self.structure.slots], dtype=bool)
         steps = size * np.maximum(1.0, np.abs(z) * ~logs)
@@ -227,7 +223,7 @@ def typical(mse: Array) -> float:
 
 def common_error(mse: Array) -> float:
     """Root mean square error of windows (n,) in which nothing else happened: a push not yet found counts little."""
-    return float(np.sqrt(np.mean(np.minimum(mse, FAR_OUT * typical(mse)))))
+    return float(np.sqrt(np.mean(np.minimum(mse, ESTIMATION.far_out * typical(mse)))))
 
 
 def loss(mse: Array, scale: float) -> Array:

@@ -16,12 +16,11 @@ from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Place, joint_of
 from dipc_gym.sim2real.effects.coupling import inertia_at
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.states import unexplained_force
 from dipc_gym.sim2real.simulation.motion import Motion
 
 Array = NDArray[np.float64]
-
-AVERAGED = 0.025  # s
 
 
 @dataclass(frozen=True)
@@ -158,7 +157,7 @@ def force_errors(
     for recording, motion in zip(recordings, motions, strict=True):
         force, load = unexplained_force(physics, recording, motion)
         low, high = (_index(recording, x) for x in span)
-        mean = max(1, round(AVERAGED / recording.period))
+        mean = max(1, round(ESTIMATION.averaged / recording.period))
         count = (high - low) // mean
         for kept, values in ((lacking, force), (transmitted, load)):
             kept.append(values[low : low + count * mean].reshape(count, mean, values.shape[1]).mean(axis=1))

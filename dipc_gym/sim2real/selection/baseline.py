@@ -10,7 +10,7 @@ from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.selection import data
 from dipc_gym.sim2real.selection.case import Case
-from dipc_gym.sim2real.selection.ranking import AT_FLOOR
+from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.simulation.batch import Stepping
 
 
@@ -69,6 +69,6 @@ def _predicts_better(problem: Problem, fitted: Fit) -> bool:
     By every third window; where these do not show what the step costs, others show something else.
     """
     some = np.arange(0, len(problem.windows), 3)
-    if fitted.pick(some).error <= AT_FLOOR:
+    if fitted.pick(some).error <= SCORE.at_floor:
         return False
-    return fit(problem.pick(some), fitted.structure, fitted.z).error <= AT_FLOOR
+    return fit(problem.pick(some), fitted.structure, fitted.z).error <= SCORE.at_floor

@@ -21,16 +21,13 @@ from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
 from dipc_gym.sim2real.model.parameters import ModelParameter, Wishes, fixed_masses, model_parameters
 from dipc_gym.sim2real.selection import data
+from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.simulation.compiled import left_to_mujoco
 from dipc_gym.sim2real.simulation.motion import Motion
 
 Array = NDArray[np.float64]
 
-TEST = 0.75  # of each recording comes before what is tested on, where no recording is held out for that
-FIT = 0.8  # of what comes before the test data is fitted, the rest validates
-COARSEST = 2e-3  # s; longest step of the analysis
-STILL = 10.0  # times its noise: a joint that moves less tells nothing
 IN_MOTION = "Record the rig in motion, over the range and speeds that it is used at, every joint sensed."
 
 
@@ -75,12 +72,12 @@ class Given:
     @property
     def test_span(self) -> tuple[float, float]:
         """The part of these that is tested with, as fractions of their duration."""
-        return (0.0, 1.0) if self.held_out else (TEST, 1.0)
+        return (0.0, 1.0) if self.held_out else (WINDOWS.test, 1.0)
 
     @property
     def span(self) -> tuple[float, float]:
         """The part of each recording that is fitted and validated by."""
-        return 0.0, 1.0 if self.held_out else TEST
+        return 0.0, 1.0 if self.held_out else WINDOWS.test
 
 
 @dataclass(frozen=True)
@@ -132,7 +129,7 @@ def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
     """
     if not any(np.ptp(r.sensors, axis=0).any() for r in given.recordings):
         raise CannotTell("no sensor changes in any of them", IN_MOTION)
-    stepping = Stepping(min(COARSEST, *(r.period for r in given.recordings)), mujoco.mjtIntegrator.mjINT_RK4)
+    stepping = Stepping(min(WINDOWS.coarsest, *(r.period for r in given.recordings)), mujoco.mjtIntegrator.mjINT_RK4)
     model = given.source, given.physics
     try:
         whole = prepare(*model, given.recordings, stepping, span=given.span, threads=threads)
@@ -147,7 +144,7 @@ def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
     if not len(test.windows):
         raise RecordingError(
             f"{', '.join(str(r.path or r.name) for r in given.tested)}: too short to judge by; no window of "
-            f"{whole.length:.3g} s begins later than {data.LATE:g} s after the start: record longer"
+            f"{whole.length:.3g} s begins later than {WINDOWS.late:g} s after the start: record longer"
         )
     standstill = _standstill(prepared)
     if standstill:
@@ -160,9 +157,9 @@ def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
 
 def _borders(given: Given, prepared: Prepared) -> Array:
     """Times from which windows validate; see `Case`."""
-    borders = np.array([r.time[0] + FIT * given.span[1] * r.duration for r in given.recordings])
+    borders = np.array([r.time[0] + WINDOWS.fit * given.span[1] * r.duration for r in given.recordings])
     windows = prepared.problem.windows
-    scarce = np.sum(windows.start < borders[windows.source]) < data.PLENTY
+    scarce = np.sum(windows.start < borders[windows.source]) < WINDOWS.plenty
     return np.full(len(borders), np.inf) if scarce else borders
 
 
@@ -171,10 +168,10 @@ def _standstill(prepared: Prepared) -> str:
     positions = np.concatenate([m.position for m in prepared.motions])
     nb = positions.shape[1]
     noise = prepared.problem.spread[:nb] / 5
-    still = positions.std(axis=0) < STILL * noise
+    still = positions.std(axis=0) < WINDOWS.still * noise
     if still.all():
         return (
-            f"no joint moves by more than {STILL:g} times the noise of its sensors, so nothing shows in these "
+            f"no joint moves by more than {WINDOWS.still:g} times the noise of its sensors, so nothing shows in these "
             "recordings that could be missing"
         )
     return ""

@@ -13,16 +13,12 @@ from dipc_gym.sim2real.effects.coupling import SWING
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared
-from dipc_gym.sim2real.estimation.shooting import FAR_OUT, typical
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
+from dipc_gym.sim2real.estimation.shooting import typical
+from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
-
-WINDOWS = 72  # fitted and compared on, two thirds and one third; more say little more
-MOST_OUTLIERS = 6  # windows in which something else happened, at most
-PLENTY = 36  # windows from which the first ones can be spared
-LATE = 0.05  # s before a window whose commands must be known: they may act late
-APART = 0.05  # s from one window to another that is not beside it
 
 
 def check_apart(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> None:
@@ -62,7 +58,9 @@ def known_past(prepared: Prepared) -> Prepared:
     w = prepared.problem.windows
     since = w.start - np.array([recording.time[0] for recording in w.recordings])[w.source]
     settled = since > SWING
-    return replace(prepared, problem=prepared.problem.pick(settled if settled.sum() >= PLENTY else since > LATE))
+    return replace(
+        prepared, problem=prepared.problem.pick(settled if settled.sum() >= WINDOWS.plenty else since > WINDOWS.late)
+    )
 
 
 def split(problem: Problem) -> tuple[Problem, Problem, Problem]:
@@ -72,15 +70,15 @@ def split(problem: Problem) -> tuple[Problem, Problem, Problem]:
         raise RecordingError(
             f"the recordings hold {count} windows of {length:.3g} s for fitting; at least 9 are needed: record longer"
         )
-    chosen = np.unique(np.linspace(0, count - 1, min(WINDOWS, count)).round().astype(np.intp))
+    chosen = np.unique(np.linspace(0, count - 1, min(WINDOWS.most, count)).round().astype(np.intp))
     others = np.setdiff1d(np.arange(count), chosen)
     return problem.pick(np.delete(chosen, np.s_[1::3])), problem.pick(chosen[1::3]), problem.pick(others)
 
 
 def outliers(mse: Array, others: Array | None = None) -> NDArray[np.intp]:
     """Windows that are predicted far worse than most (of others, if given), by mean square errors, the worst first."""
-    worst = np.argsort(-mse)[:MOST_OUTLIERS]
-    return worst[mse[worst] > FAR_OUT * typical(mse if others is None else others)]
+    worst = np.argsort(-mse)[: WINDOWS.outliers]
+    return worst[mse[worst] > ESTIMATION.far_out * typical(mse if others is None else others)]
 
 
 def outliers_aside(aside: Problem, recalibrated: Fit) -> NDArray[np.intp]:
@@ -100,8 +98,8 @@ def eventful(windows: Windows, mse: Array, aside: Windows, aside_mse: Array) -> 
         aside: windows left aside.
         aside_mse: how well these are predicted, (n,).
     """
-    far = FAR_OUT * typical(mse)
-    if not 0 < np.sum(mse > far) + np.sum(aside_mse > far) <= MOST_OUTLIERS:
+    far = ESTIMATION.far_out * typical(mse)
+    if not 0 < np.sum(mse > far) + np.sum(aside_mse > far) <= WINDOWS.outliers:
         return np.zeros(len(aside), dtype=bool)
     fitted, left = outliers(mse), outliers(aside_mse, mse)
     start = np.append(windows.start[fitted], aside.start[left])
@@ -119,8 +117,8 @@ def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
         windows: of all recordings.
         mse: how well they are predicted, (n,); the outliers are told by it.
     """
-    far = mse > FAR_OUT * typical(mse)
-    if far.sum() > MOST_OUTLIERS:  # no event
+    far = mse > ESTIMATION.far_out * typical(mse)
+    if far.sum() > WINDOWS.outliers:  # no event
         return np.ones(len(mse), dtype=bool)
     elsewhere = windows.source[:, None] != windows.source[far]
     return far | ~(_beside(windows, windows.start[far]) & elsewhere).any(axis=1)
@@ -128,4 +126,4 @@ def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
 
 def _beside(windows: Windows, start: Array) -> NDArray[np.bool_]:
     """Which windows are at, or next to, those that begin at `start` (k,) on whichever clock, (n, k)."""
-    return np.asarray(np.abs(windows.start[:, None] - start) < windows.times.max() + APART)
+    return np.asarray(np.abs(windows.start[:, None] - start) < windows.times.max() + WINDOWS.apart)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit
 from dipc_gym.sim2real.selection import data
-from dipc_gym.sim2real.selection.score import QUIET
+from dipc_gym.sim2real.selection.settings import SCORE
 
 if TYPE_CHECKING:
     from dipc_gym.sim2real.estimation.problem import Problem
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def quiet(fitted: Fit) -> bool:
     """Whether most windows are at the noise, so that one in which something happened stands out."""
-    return float(np.median(fitted.mse)) < QUIET
+    return float(np.median(fitted.mse)) < SCORE.quiet
 
 
 def attend(search: Search) -> Fit:

@@ -14,13 +14,11 @@ import numpy as np
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Structure, carry
 from dipc_gym.sim2real.selection import ranking
-from dipc_gym.sim2real.selection.score import LARGE, WORTH
 from dipc_gym.sim2real.selection.screen import Tried, excludes
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 if TYPE_CHECKING:
     from dipc_gym.sim2real.selection.search import Search
-
-KINDS = 3  # that are tried at all joints in a round, and all pairs of them
 
 
 def best(search: Search, ranked: Sequence[tuple[Tried, Fit]], sketched: Sequence[Fit], current: Fit) -> Fit | None:
@@ -46,7 +44,7 @@ def best(search: Search, ranked: Sequence[tuple[Tried, Fit]], sketched: Sequence
         return None
     losses = ranking.losses([one.mse for one in found] + [current.mse[search.subset]] + [one.mse for one in sketched])
     together, alone = losses[: len(found)], min(losses[len(found) :])
-    if alone - min(together) < LARGE:
+    if alone - min(together) < SCORE.large:
         return None
     sketch = _needed(search, found[int(np.argmin(together))], current)
     fitted = search.full(current, sketch, current)
@@ -70,7 +68,7 @@ def _kinds(search: Search, ranked: Sequence[tuple[Tried, Fit]]) -> list[list[Tri
         if usual and not search.slow(tried.term):
             by_id.setdefault(effect.id, []).append(tried)
     several = [group for group in by_id.values() if len(group) > 1]
-    return sorted(several, key=lambda group: -sum(max(tried.predicted_gain, 0.0) for tried in group))[:KINDS]
+    return sorted(several, key=lambda group: -sum(max(tried.predicted_gain, 0.0) for tried in group))[: SEARCH.kinds]
 
 
 def _with(structure: Structure, hypotheses: Sequence[Tried]) -> Structure:
@@ -86,7 +84,11 @@ def _needed(search: Search, sketch: Fit, current: Fit) -> Fit:
     """A sketch without members that its quadratics say the others make idle, refitted."""
     structure, kept = sketch.structure, {term.key for term in current.structure.terms}
     added = [term for term in structure.terms if term.key not in kept]
-    idle = [term for term in added if ranking.foretold_loss(sketch, term, search.problem.counts[search.subset]) < WORTH]
+    idle = [
+        term
+        for term in added
+        if ranking.foretold_loss(sketch, term, search.problem.counts[search.subset]) < SCORE.worth
+    ]
     if not idle:
         return sketch
     for term in idle:

@@ -10,15 +10,13 @@ import numpy as np
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Structure, names
 from dipc_gym.sim2real.selection import ranking, screen
-from dipc_gym.sim2real.selection.ranking import FINALISTS
-from dipc_gym.sim2real.selection.score import WORTH, compare
+from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.screen import Tried
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 if TYPE_CHECKING:
     from dipc_gym.sim2real.selection.search import Search
 
-ENOUGH = 2  # pairs that predict alike and are fitted to all windows
-SHORT = 0.5  # share of the predicted gain of a pair that its sketch must bring
 
 Pair = tuple[float, Fit, Structure]  # its predicted gain, what it was laid over, and the structure with both effects
 
@@ -29,11 +27,11 @@ def promising(search: Search) -> list[Pair]:
     for base, handicap, tried in search.screened:
         for predicted_gain, structure in screen.pairs(search.problem, base, tried, search.subset):
             key = frozenset(names(structure.terms))
-            if predicted_gain - handicap > max(WORTH, found[key][0] if key in found else 0.0):
+            if predicted_gain - handicap > max(SCORE.worth, found[key][0] if key in found else 0.0):
                 found[key] = predicted_gain - handicap, base, structure
     most = max((predicted_gain for predicted_gain, _, _ in found.values()), default=0.0)
     worth = [pair for pair in found.values() if pair[0] > max(map(search.least, pair[2].terms[-2:])) * most]
-    return sorted(worth, key=lambda pair: -pair[0])[:FINALISTS]
+    return sorted(worth, key=lambda pair: -pair[0])[: SEARCH.finalists]
 
 
 def sketched(search: Search, pairs: Sequence[Pair], current: Fit) -> list[tuple[Fit, Fit]]:
@@ -52,7 +50,7 @@ def sketched(search: Search, pairs: Sequence[Pair], current: Fit) -> list[tuple[
         if sketch is None:
             continue
         found.append((base, sketch))
-        if ranking.brought(sketch, current.mse[search.subset]) < SHORT * predicted_gain:
+        if ranking.brought(sketch, current.mse[search.subset]) < SEARCH.short * predicted_gain:
             short |= slow
     return found
 
@@ -71,7 +69,7 @@ def best(search: Search, sketched: Sequence[tuple[Fit, Fit]], current: Fit) -> F
     first, blocks = sketched[int(np.argmin(losses))][1], search.problem.blocks[search.subset]
     gained = compare(first.mse, current.mse[search.subset], blocks).gain
     alike = [pair for pair in sketched if ranking.alike(compare(first.mse, pair[1].mse, blocks), gained)]
-    for base, sketch in sorted(alike, key=lambda pair: ranking.cost(pair[1]))[:ENOUGH]:
+    for base, sketch in sorted(alike, key=lambda pair: ranking.cost(pair[1]))[: SEARCH.pairs]:
         fitted = search.full(base, sketch, current)
         if fitted is None or not (search.earns(fitted, current) and search.compare(fitted, current).clear):
             continue

@@ -10,7 +10,7 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.unexplained import places
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import ranking
-from dipc_gym.sim2real.selection.score import LARGE
+from dipc_gym.sim2real.selection.settings import SCORE
 
 if TYPE_CHECKING:
     from dipc_gym.sim2real.selection.search import Search
@@ -20,7 +20,7 @@ def prune(search: Search, current: Fit) -> Fit:
     """Take out effects that do not earn their place any more; put plainer ones in the place of idle parameters."""
     for term in current.structure.terms:
         plain = term.effect.linear and not (term.effect.contains or term.effect.once or term.effect.free)
-        if plain and ranking.foretold_loss(current, term, search.problem.counts) > LARGE:
+        if plain and ranking.foretold_loss(current, term, search.problem.counts) > SCORE.large:
             continue  # needed beyond doubt, without a refit
         remaining = current.structure.without(term.key)
         less = search.near(current, remaining) if remaining.terms else None

@@ -12,20 +12,16 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import mean_loss, typical
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.selection.data import outliers
-from dipc_gym.sim2real.selection.score import WORTH, Improvement
+from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.screen import Tried
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 Array = NDArray[np.float64]
-
-FINALISTS = 6  # hypotheses, or pairs, sketched in a round
-SUBSET = 18  # windows that a sketch has at least
-AT_FLOOR = 1.2  # times the noise: a structure that predicts as well as this lacks nothing
-AT_NOISE = 1.05  # times the noise: nothing is left that would tell an elaboration from what it elaborates
 
 
 def alike(difference: Improvement, gained: float) -> bool:
     """Whether a fit predicts as well as the best: by the standard error, or within a fiftieth of its gain."""
-    return difference.alike and difference.gain < 0.02 * gained + WORTH
+    return difference.alike and difference.gain < 0.02 * gained + SCORE.worth
 
 
 def updated(tried: Sequence[Tried], news: Sequence[Tried]) -> list[Tried]:
@@ -49,7 +45,7 @@ def brought(sketch: Fit, before: Array) -> float:
 
 def complete(sketch: Fit) -> bool:
     """Whether a sketch leaves nothing, in no window."""
-    return sketch.error < AT_NOISE and not len(outliers(sketch.mse))
+    return sketch.error < SCORE.at_noise and not len(outliers(sketch.mse))
 
 
 def losses(errors: Sequence[Array]) -> list[float]:
@@ -88,16 +84,18 @@ def finalists(ranked: Sequence[tuple[Tried, Fit]], count: int) -> list[tuple[Tri
 
 def idle(structure: Structure, sketches: Sequence[Fit]) -> bool:
     """Whether a structure elaborates one of several that leave nothing to it."""
-    return any(sketch.error < AT_NOISE and structure.elaborates(sketch.structure) for sketch in sketches)
+    return any(sketch.error < SCORE.at_noise and structure.elaborates(sketch.structure) for sketch in sketches)
 
 
 def subset(mse: Array) -> NDArray[np.intp]:
     """A third of the windows, those with the largest errors (n,) among them."""
     count = len(mse)
-    if count <= SUBSET:
+    if count <= SEARCH.subset:
         return np.arange(count)
     return np.unique(
-        np.append(np.linspace(0, count - 1, max(count // 3, SUBSET)).round(), np.argsort(-mse)[: SUBSET // 4])
+        np.append(
+            np.linspace(0, count - 1, max(count // 3, SEARCH.subset)).round(), np.argsort(-mse)[: SEARCH.subset // 4]
+        )
     ).astype(np.intp)
 
 

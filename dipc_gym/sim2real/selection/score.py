@@ -10,16 +10,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
 from dipc_gym.sim2real.estimation.shooting import loss, typical
+from dipc_gym.sim2real.selection.settings import SCORE
 
 Array = NDArray[np.float64]
-
-CLEAR = 2.5  # standard errors by which an improvement must stand out
-MANY = 40  # blocks of a second: a recording of the usual length
-LARGE = 0.5  # improvement of the mean log square error (an error one fifth smaller) that no chance brings about
-ALIKE = 2.0  # standard errors within which two fits are not told apart
-WORTH = 0.02  # smallest improvement of the mean log square error that is worth an effect
-QUIET = 1.5  # usual square error up to which windows are at the noise
-TELLING = 3  # blocks that tell two fits apart at the noise, if no other says the opposite
 
 
 @dataclass(frozen=True)
@@ -40,17 +33,19 @@ class Improvement:
     @property
     def clear(self) -> bool:
         """Better beyond chance, and by enough to matter; a large gain need not be as even over the windows."""
-        return self.gain > WORTH and (self.shows or self.gain > (CLEAR if self.gain < LARGE else 1.0) * self.error)
+        return self.gain > SCORE.worth and (
+            self.shows or self.gain > (SCORE.clear if self.gain < SCORE.large else 1.0) * self.error
+        )
 
     @property
     def told(self) -> bool:
         """Better beyond chance, by more than simulations of one and the same model may differ."""
-        return self.gain > max(WORTH / 4, CLEAR * self.error)
+        return self.gain > max(SCORE.worth / 4, SCORE.clear * self.error)
 
     @property
     def alike(self) -> bool:
         """Not told from the other, or hardly better than it."""
-        return not self.shows and self.gain < max(WORTH / 2, ALIKE * self.error)
+        return not self.shows and self.gain < max(SCORE.worth / 2, SCORE.alike * self.error)
 
 
 def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Improvement:
@@ -64,12 +59,12 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Improvement:
     if len(sums) < 3:
         return Improvement(mean, math.inf)
     each = sums / sizes
-    shows = usual < QUIET and int(np.sum(each > LARGE)) >= TELLING and not np.any(each < -LARGE)
+    shows = usual < SCORE.quiet and int(np.sum(each > SCORE.large)) >= SCORE.telling and not np.any(each < -SCORE.large)
     spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
     return Improvement(mean, float(spread) * _few_blocks(len(sums)), shows)
 
 
 def _few_blocks(count: int) -> float:
     """By how much a standard error from so few blocks is to be widened to mean what it does with many (Student's t)."""
-    many, tail = stdtrit([MANY - 1, count - 1], ndtr(CLEAR))
+    many, tail = stdtrit([SCORE.many - 1, count - 1], ndtr(SCORE.clear))
     return max(1.0, float(tail / many))

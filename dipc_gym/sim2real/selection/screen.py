@@ -20,10 +20,9 @@ from dipc_gym.sim2real.effects.base import Effect
 from dipc_gym.sim2real.estimation.fit import Fit, Quadratics
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict_with
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
+from dipc_gym.sim2real.selection.settings import SEARCH
 
 Array = NDArray[np.float64]
-
-TWIN = 0.999  # cosine between the responses to two hypotheses from which they are one and the same
 
 
 @dataclass(frozen=True)
@@ -167,7 +166,7 @@ def _distinct(tried: Sequence[Tried]) -> list[Tried]:
     kept: list[tuple[Tried, Array]] = []
     for one in sorted(tried, key=lambda one: (len(one.term.effect.parameters), one.term.effect.needs_loader)):
         direction = one.response.ravel() / max(float(np.linalg.norm(one.response)), 1e-12)
-        if all(abs(direction @ other) < TWIN for _, other in kept):
+        if all(abs(direction @ other) < SEARCH.twin for _, other in kept):
             kept.append((one, direction))
     return sorted((one for one, _ in kept), key=lambda one: -one.predicted_gain)
 

@@ -26,24 +26,11 @@ from dipc_gym.sim2real.model.structure import Structure, Term, carry, names
 from dipc_gym.sim2real.selection import data, groups, pairs, ranking, screen
 from dipc_gym.sim2real.selection.events import attend, quiet
 from dipc_gym.sim2real.selection.prune import prune
-from dipc_gym.sim2real.selection.ranking import AT_FLOOR, FINALISTS
-from dipc_gym.sim2real.selection.score import LARGE, WORTH, Improvement, compare
+from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.screen import Tried, excludes
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 Array = NDArray[np.float64]
-
-ROUGH = 5e-3  # share of its objective by which a step must lower it where fits only compete
-MOST_EFFECTS = 6  # that are added
-FULLY = 3  # sketches that are fitted to all windows, beside the plainer ones that they elaborate
-KEEPS_UP = 0.5  # share of the best sketch's improvement from which a hypothesis is fitted fully
-IN_TURN = 0.25  # share of the largest predicted gain from which what takes fine steps is sketched, if nothing else does
-SHAPES = 6  # laws of any shape that are sketched in a round whatever their predicted gain
-ONCE = 1.5  # improvement of the log square errors, summed over windows, by which an event that happened once stands out
-MOST = 0.5  # share of the improvement that a plain effect must bring to go before one that elaborates it
-IN_REACH = 3.0  # times the noise, from which a fit may yet come down to it
-EARNS = 0.1  # share of the excess error that an effect must remove where it does not come down to the noise
-MOST_ANEW = 30  # steps of a fit that is begun anew, from guesses that may be far off
-LAWS = 0.02  # of what effects brought, that their laws may leave
 
 
 @dataclass
@@ -134,7 +121,9 @@ class Search:
 
     def confirmed(self, new: Fit, old: Fit) -> bool:
         """Whether the comparison windows alone are better predicted too."""
-        return compare(self.comparison_mse(new), self.comparison_mse(old), self.comparison.blocks).gain > WORTH / 2
+        return (
+            compare(self.comparison_mse(new), self.comparison_mse(old), self.comparison.blocks).gain > SCORE.worth / 2
+        )
 
     # -------------------------------------------------------------------------------------------- one round
 
@@ -172,7 +161,9 @@ class Search:
         """
         z = carry(base.structure, base.z, structure)
         try:
-            return fit(self.problem.pick(self.subset), structure, z, base.initial[self.subset], most=5, tolerance=ROUGH)
+            return fit(
+                self.problem.pick(self.subset), structure, z, base.initial[self.subset], most=5, tolerance=SEARCH.rough
+            )
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
@@ -187,12 +178,12 @@ class Search:
         """
         try:
             subset = self.known_to(sketch)
-            if not sketch.converged and sketch.error > AT_FLOOR:
+            if not sketch.converged and sketch.error > SCORE.at_floor:
                 sketch = fit(self.problem.pick(subset), sketch.structure, sketch.z, sketch.initial, most=15)
             if current is not None and not self._earned(sketch.mse, current.mse[subset]):
                 return None
-            fitted = fit(self.problem, sketch.structure, sketch.z, base.initial, most=8, tolerance=ROUGH)
-            if AT_FLOOR < fitted.error < IN_REACH:
+            fitted = fit(self.problem, sketch.structure, sketch.z, base.initial, most=8, tolerance=SEARCH.rough)
+            if SCORE.at_floor < fitted.error < SEARCH.in_reach:
                 fitted = self._anew(fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=15))
             return fitted
         except (mjcf.MjcfError, np.linalg.LinAlgError):
@@ -205,10 +196,10 @@ class Search:
         What an effect took on while another was missing may hold it fast where it is.
         """
         structure = fitted.structure
-        if fitted.error <= AT_FLOOR or len(structure.terms) < 2:
+        if fitted.error <= SCORE.at_floor or len(structure.terms) < 2:
             return fitted
-        sketch = fit(self.problem.pick(self.subset), structure, most=MOST_ANEW)
-        if compare(sketch.mse, fitted.mse[self.subset], self.problem.blocks[self.subset]).gain < WORTH:
+        sketch = fit(self.problem.pick(self.subset), structure, most=SEARCH.most_anew)
+        if compare(sketch.mse, fitted.mse[self.subset], self.problem.blocks[self.subset]).gain < SCORE.worth:
             return fitted
         again = fit(self.problem, structure, sketch.z, most=8)
         return min(fitted, again, key=lambda one: mean_loss(one.mse, 1.0))
@@ -216,7 +207,7 @@ class Search:
     def behind(self, sketch: Fit, fitted: Fit) -> bool:
         """Whether a sketch is so much worse than a full fit that fitting on would not bring it close."""
         subset = self.known_to(sketch)
-        return compare(fitted.mse[subset], sketch.mse, self.problem.blocks[subset]).gain > LARGE
+        return compare(fitted.mse[subset], sketch.mse, self.problem.blocks[subset]).gain > SCORE.large
 
     def known_to(self, sketch: Fit) -> NDArray[np.intp]:
         """The windows that a sketch was fitted to."""
@@ -254,11 +245,11 @@ class Search:
             together = groups.best(self, ranked, [one.sketch for one, _ in sketched if one.sketch], current)
             if together is not None:
                 return together
-        both_gain = [] if _at_noise(sketched) or current.error < AT_FLOOR else pairs.promising(self)
+        both_gain = [] if _at_noise(sketched) or current.error < SCORE.at_floor else pairs.promising(self)
         # Where two gain far more than any one does, and come down to the noise, one by one would lead astray.
-        early = [pair for pair in both_gain if pair[0] > most + LARGE]
+        early = [pair for pair in both_gain if pair[0] > most + SCORE.large]
         both = pairs.sketched(self, early, current)
-        found = pairs.best(self, [pair for pair in both if pair[1].error < AT_FLOOR], current)
+        found = pairs.best(self, [pair for pair in both if pair[1].error < SCORE.at_floor], current)
         if found is not None:
             return found
         done: list[Tried] = []
@@ -277,7 +268,7 @@ class Search:
 
     def least(self, term: Term) -> float:
         """Share of the largest predicted gain from which a hypothesis is sketched; more for what takes fine steps."""
-        return KEEPS_UP if self.slow(term) else 0.1
+        return SEARCH.keeps_up if self.slow(term) else 0.1
 
     def slow(self, term: Term) -> bool:
         """Whether an effect has to be simulated in finer steps than the others."""
@@ -300,21 +291,27 @@ class Search:
         """Sketches of the most promising hypotheses; of what takes fine steps and gains less only if none of these
         comes to the noise, for a straight line through its first guess foretells little far from there.
         """
-        shares = [ranking.predicted_gain(start) / max(ranking.predicted_gain(ranked[0]), WORTH) for start in ranked]
+        shares = [
+            ranking.predicted_gain(start) / max(ranking.predicted_gain(ranked[0]), SCORE.worth) for start in ranked
+        ]
         worth = [
-            (start, share) for start, share in zip(ranked, shares, strict=True) if start[0].predicted_gain > WORTH / 2
+            (start, share)
+            for start, share in zip(ranked, shares, strict=True)
+            if start[0].predicted_gain > SCORE.worth / 2
         ]
         first = ranking.finalists(
             [start for start, share in worth if share > self.least(start[0].term)],
-            FINALISTS if current.error > ranking.AT_NOISE else FINALISTS // 2,
+            SEARCH.finalists if current.error > SCORE.at_noise else SEARCH.finalists // 2,
         )
         # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already,
         # such a guess gains nothing as it stands. Only its fit tells.
         laws = [start for start in ranked if start[0].term.effect.free and start not in first]
-        sketched = self._sketches([*first, *laws[:SHAPES]], by_key, current)
+        sketched = self._sketches([*first, *laws[: SEARCH.shapes]], by_key, current)
         if _at_noise(sketched):
             return sketched
-        slow = [start for start, share in worth if self.slow(start[0].term) and IN_TURN < share <= KEEPS_UP]
+        slow = [
+            start for start, share in worth if self.slow(start[0].term) and SEARCH.in_turn < share <= SEARCH.keeps_up
+        ]
         return sketched + self._sketches(slow, by_key, current)
 
     def _sketches(
@@ -343,7 +340,7 @@ class Search:
                 continue
             sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch), base))
             if ranking.complete(sketch) or ranking.brought(sketch, current.mse[self.subset]) > max(
-                tried.predicted_gain, WORTH / 2
+                tried.predicted_gain, SCORE.worth / 2
             ):
                 break
         losses = ranking.losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
@@ -360,12 +357,12 @@ class Search:
         )
         gains = {t.key: losses[0] - after for (t, _), after in zip(sketched, losses[1:], strict=True)}
         most = max(gains.values(), default=0.0)
-        least = max(KEEPS_UP * most, WORTH / 2)
-        closely = max(least, most - LARGE)
+        least = max(SEARCH.keeps_up * most, SCORE.worth / 2)
+        closely = max(least, most - SCORE.large)
         if _at_noise(sketched):
             return [pair for pair in sketched if gains[pair[0].key] > closely]
         close = [t for t, _ in sketched if gains[t.key] > (closely if self.slow(t.term) else least)]
-        near = sorted(close, key=lambda t: -gains[t.key])[:FULLY]
+        near = sorted(close, key=lambda t: -gains[t.key])[: SEARCH.fully]
         wanted = {t.key for t in near} | {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
         return self._plain_first([pair for pair in sketched if pair[0].key in wanted], current)
 
@@ -376,8 +373,8 @@ class Search:
 
         def waits(tried: Tried) -> bool:
             plain = [brought.get(f"{inner}@{tried.term.at}", 0.0) for inner in tried.term.effect.contains]
-            far = tried.sketch is not None and tried.sketch.error > IN_REACH
-            return far and max(plain, default=0.0) > MOST * brought[tried.key]
+            far = tried.sketch is not None and tried.sketch.error > SEARCH.in_reach
+            return far and max(plain, default=0.0) > SEARCH.most * brought[tried.key]
 
         return [pair for pair in sketched if not waits(pair[0])]
 
@@ -433,9 +430,9 @@ class Search:
         friction is asked again when the rest is in place.
         """
         assert chosen.fitted is not None
-        if common_error(chosen.fitted.mse) < AT_FLOOR:
+        if common_error(chosen.fitted.mse) < SCORE.at_floor:
             return chosen
-        most = current.error - MOST * (current.error - chosen.fitted.error)
+        most = current.error - SEARCH.most * (current.error - chosen.fitted.error)
         plain = [
             t
             for t in clear
@@ -453,7 +450,7 @@ class Search:
         """
         if term.effect.once:
             fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
-            return quiet(current) and float(np.sum(fall)) > ONCE
+            return quiet(current) and float(np.sum(fall)) > SEARCH.once
         return self.settles(fitted, current) or (
             self.earns(fitted, current) and self.compare(fitted, current).clear and self.confirmed(fitted, current)
         )
@@ -466,7 +463,7 @@ class Search:
         before, after = self.mse(current), self.mse(fitted)
         outliers = data.outliers(before)
         fall = np.log1p(before[outliers]) - np.log1p(after[outliers])
-        return quiet(current) and float(np.sum(fall)) > ONCE and not len(data.outliers(after, before))
+        return quiet(current) and float(np.sum(fall)) > SEARCH.once and not len(data.outliers(after, before))
 
     def earns(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit comes down to the noise, or takes a good part of what is left.
@@ -479,7 +476,7 @@ class Search:
     def _earned(self, after: Array, before: Array) -> bool:
         """The same of mean square errors of the same windows, (n,)."""
         now, then = (float(np.sqrt(np.mean(mse))) for mse in (before, after))
-        return common_error(after) < AT_FLOOR or (not self.small and now - then > EARNS * (now - 1))
+        return common_error(after) < SCORE.at_floor or (not self.small and now - then > SEARCH.earns * (now - 1))
 
     def enough(self, current: Fit) -> bool:
         """Whether what is left at the noise is so little beside what effects took away that their laws may leave it.
@@ -488,23 +485,23 @@ class Search:
         """
         brought = math.sqrt(max(self.path[0].error ** 2 - current.error**2, 0.0))
         left = math.sqrt(max(current.error**2 - 1.0, 0.0))
-        return bool(current.structure.terms) and current.error < AT_FLOOR and left < LAWS * brought
+        return bool(current.structure.terms) and current.error < SCORE.at_floor and left < SEARCH.laws * brought
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""
         return ranking.alike(self.compare(best, other), self.compare(best, current).gain)
 
-    def run(self, start: Fit, most: int = MOST_EFFECTS) -> Fit:
+    def run(self, start: Fit, most: int = SEARCH.most_effects) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
         self.subset, self.path = ranking.subset(start.mse), [start]
         named = self._add(most)
-        if named.error <= AT_FLOOR or self.small or self.interrupted:
+        if named.error <= SCORE.at_floor or self.small or self.interrupted:
             return named
         self.tell("no formula comes down to the noise; asking for laws of any shape")
         self.shapes = True
         self._without_clocks()
         named = self._add(most)
-        if named.error <= AT_FLOOR or self.interrupted:
+        if named.error <= SCORE.at_floor or self.interrupted:
             return named
         self.tell("no law of a kind comes down to the noise; modelling what is left")
         self.last = True
@@ -522,7 +519,7 @@ class Search:
     def replace_last(self, better: Fit) -> Fit:
         """Put a fit in the place of the one that `run` came to, and add what earns its place beside it."""
         self.path[-1] = self.polish(better)
-        return self._add(MOST_EFFECTS - len(better.structure.terms))
+        return self._add(SEARCH.most_effects - len(better.structure.terms))
 
     def _add(self, most: int) -> Fit:
         try:
@@ -558,4 +555,4 @@ class Search:
 
 def _at_noise(sketched: Sequence[tuple[Tried, Fit]]) -> bool:
     """Whether any of several sketches leaves no more than the noise."""
-    return any(tried.sketch is not None and tried.sketch.error < AT_FLOOR for tried, _ in sketched)
+    return any(tried.sketch is not None and tried.sketch.error < SCORE.at_floor for tried, _ in sketched)

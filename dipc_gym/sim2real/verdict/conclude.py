@@ -10,9 +10,9 @@ from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import judge, sentences, sparse
-
-SWAPS = 3  # effects that may give way to rivals after the search
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def conclude(search: Search) -> Conclusion:
     Args:
         search: that has run.
     """
-    for swaps in range(SWAPS + 1):
+    for swaps in range(VERDICT.swaps + 1):
         try:
             upheld, fewest, notes, unnamed = _upheld(search)
         except KeyboardInterrupt:
@@ -51,7 +51,7 @@ def conclude(search: Search) -> Conclusion:
             return Conclusion(search.path[-1], _rivals(search, search.path[-1]))
         rivals = _rivals(search, upheld)
         rival = _successor(search, upheld, [rival for group in rivals.values() for rival in group])
-        if notes or rival is None or search.interrupted or swaps == SWAPS:
+        if notes or rival is None or search.interrupted or swaps == VERDICT.swaps:
             break
         search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer parameters'}")
         search.replace_last(rival.fitted)
@@ -101,7 +101,7 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str], frozenset[str]]:
     upheld = path[-1]
     fewest, error = _with_fewest_parameters(search, upheld)
     for before in reversed(path[:-1]):
-        if error <= judge.AT_FLOOR:
+        if error <= SCORE.at_floor:
             break
         simpler, without = _with_fewest_parameters(search, before)
         if not judge.refuted(without, error):
@@ -110,7 +110,7 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str], frozenset[str]]:
         added = [term for term in fewest.structure.terms if term.key not in kept]
         notes.append(sentences.refutation(added or fewest.structure.terms, without, error))
         upheld, fewest, error = before, simpler, without
-    if error <= judge.AT_FLOOR:
+    if error <= SCORE.at_floor:
         return upheld, fewest, notes, frozenset()
     named, why, unnamed = _believable(search, upheld, error)
     return named, fewest if named is upheld else _with_fewest_parameters(search, named)[0], notes + why, unnamed
@@ -140,7 +140,7 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
         if term.effect.of_no_kind:  # no name, whatever it is worth
             continue
         gained = judge.apart(search, upheld, search.without(upheld, term.key))
-        if gained.gain < max(judge.NAMED, gained.error):
+        if gained.gain < max(VERDICT.named, gained.error):
             unnamed.add(term.key)
             notes.append(sentences.no_name(term, gained.gain))
     return upheld, notes, frozenset(unnamed)
@@ -154,7 +154,7 @@ def _with_fewest_parameters(search: Search, fitted: Fit) -> tuple[Fit, float]:
     """
     fewest = sparse.fewest_parameters(search, fitted)
     error = judge.error_on(search.validation, fewest)
-    if error <= judge.AT_FLOOR:
+    if error <= SCORE.at_floor:
         return fewest, error
     with_all = judge.error_on(search.validation, fitted)
     return (fitted, with_all) if judge.refuted(with_all, error) else (fewest, error)

@@ -23,15 +23,9 @@ from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
 from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.selection import data
+from dipc_gym.sim2real.verdict.settings import CONVENTIONS
 
 Array = NDArray[np.float64]
-
-# Of the error of the model as given, and with its parameters refitted: with a convention changed, and no parameter, the
-# error must fall below. In 50 blind trials none of those that were right brought it below the former.
-DECIDES = 0.5
-GROSS = 0.005  # of the motion: a smaller mismatch is none of conventions
-PARALLEL = 0.99  # cosine between two axes
-ALIKE = 1.1  # times the least error, up to which conventions cannot be told apart
 
 
 @dataclass(frozen=True)
@@ -140,10 +134,10 @@ def differing(
         windows, _, _ = data.split(again.problem.pick(w.start < late[w.source]))
         half = np.arange(0, len(windows.windows), 2)
         error = common_error(fit(windows.pick(half), again.structure).mse)
-        if error < DECIDES * min(common_error(one.mse[half]) for one in fits):
+        if error < CONVENTIONS.decides * min(common_error(one.mse[half]) for one in fits):
             tried.append((error, convention))
     least = min((error for error, _ in tried), default=math.inf)
-    return [convention for error, convention in tried if error < ALIKE * least], least
+    return [convention for error, convention in tried if error < CONVENTIONS.alike * least], least
 
 
 def _read(physics: Physics) -> dict[str, tuple[list[int], list[int]]]:
@@ -171,4 +165,4 @@ def _carries(model: mujoco.MjModel, one: str, other: str) -> bool:
     body, carrier = (int(model.jnt_bodyid[joint]) for joint in (second, first))
     while body not in (0, carrier):
         body = int(model.body_parentid[body])
-    return body == carrier and abs(float(data.xaxis[first] @ data.xaxis[second])) > PARALLEL
+    return body == carrier and abs(float(data.xaxis[first] @ data.xaxis[second])) > CONVENTIONS.parallel

@@ -18,16 +18,12 @@ from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import improve, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
-
-AT_LIMIT = 1e-3  # share of itself, from which a parameter stands at its limit
-WIDEST = (
-    50.0  # half width of an interval, as a logarithm, from which on it says nothing; a parameter is mapped no further
-)
-FREE = 1.0  # standard deviation, as a logarithm, of a parameter of which nothing is known
 
 
 def changed_parameters(final: Fit, wide: Array) -> list[dict[str, Any]]:
@@ -36,11 +32,11 @@ def changed_parameters(final: Fit, wide: Array) -> list[dict[str, Any]]:
     """
     out = []
     for i, parameter in enumerate(final.structure.model_parameters):
-        if abs(final.z[i]) < improve.NEGLIGIBLE:
+        if abs(final.z[i]) < VERDICT.negligible:
             continue
         value = final.structure.slots[i].value(final.z[i])
         entry = {"parameter": parameter.attribute, "at": parameter.at, "was": parameter.value, "value": value}
-        if wide[i] <= WIDEST:
+        if wide[i] <= VERDICT.widest:
             entry |= {"low": value * math.exp(-wide[i]), "high": value * math.exp(wide[i])}
         out.append(entry | {"unit": parameter.unit})
     return out
@@ -57,15 +53,17 @@ def beyond_limits(problem: Problem, validation: Problem, recalibrated: Fit) -> l
     """
     parameters, slots = recalibrated.structure.model_parameters, recalibrated.structure.slots
     values = [slot.value(z) for slot, z in zip(slots, recalibrated.z, strict=True)]
-    stand = [min(v / slot.low, slot.high / v) < 1 + AT_LIMIT for v, slot in zip(values, slots, strict=True)]
+    stand = [min(v / slot.low, slot.high / v) < 1 + VERDICT.at_limit for v, slot in zip(values, slots, strict=True)]
     if not any(stand):
         return []
-    wider = tuple(replace(n, sigma=max(n.sigma, FREE)) if at else n for n, at in zip(parameters, stand, strict=True))
+    wider = tuple(
+        replace(n, sigma=max(n.sigma, VERDICT.free)) if at else n for n, at in zip(parameters, stand, strict=True)
+    )
     freed = fit(
         problem, replace(recalibrated.structure, model_parameters=wider), recalibrated.z, recalibrated.initial, most=20
     )
     error = judge.error_on(validation, freed)
-    if error > judge.AT_FLOOR:
+    if error > SCORE.at_floor:
         return []
     reached = [slot.value(z) for slot, z in zip(freed.structure.slots, freed.z, strict=True)]
     far = [(n, value) for n, value, at in zip(parameters, reached, stand, strict=True) if at]
@@ -217,4 +215,4 @@ def with_unknown(
         f"Something acts at {place.at} that no effect in the catalogue accounts for; it {sentences.verb(place.where)}.",
         float(np.clip(left, 0, 1)),
     )
-    return [unknown, *missing] if not missing or left > judge.STANDS_IN else [*missing, unknown]
+    return [unknown, *missing] if not missing or left > VERDICT.stands_in else [*missing, unknown]

@@ -19,11 +19,10 @@ from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.result import Errors
+from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.simulation.batch import Stepping, is_stiff
 from dipc_gym.sim2real.verdict import judge
-
-NEGLIGIBLE = 2e-3  # share of itself; a parameter that moves by less was right
-SHORTER = (2, 4, 8, 16)  # times than the model's own step, tried in turn where that is too coarse
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
 
 def improved_model(
@@ -41,7 +40,7 @@ def improved_model(
     coarse = replace(prepared.problem, stepping=own)
     count = len(coarse.windows)
     some = coarse.pick(np.unique(np.linspace(0, count - 1, min(36, count)).round().astype(np.intp)))
-    written, enough = final, judge.AT_FLOOR * max(errors.improved, 1.0)
+    written, enough = final, SCORE.at_floor * max(errors.improved, 1.0)
     error = judge.error_on(some, final)
     note = ""
     if error > enough:
@@ -61,7 +60,9 @@ def improved_model(
     lines = [t.effect.sentence(t.at, structure.term_values(z, t), place_units(structure, t)) for t in structure.terms]
     loaders = [t.key for t in structure.terms if t.effect.needs_loader]
     if structure.model_parameters:
-        moved = {n.key: abs(change) >= NEGLIGIBLE for n, change in zip(structure.model_parameters, z, strict=False)}
+        moved = {
+            n.key: abs(change) >= VERDICT.negligible for n, change in zip(structure.model_parameters, z, strict=False)
+        }
         lines.append("Refitted: " + ", ".join(key if far else f"{key} (hardly)" for key, far in moved.items()) + ".")
     if written is not final:
         lines.append(
@@ -77,7 +78,7 @@ def improved_model(
 def _advice(some: Problem, own: Stepping, final: Fit, enough: float) -> str:
     """The longest of a few shorter steps at which a model predicts well enough, in words; nothing if none does."""
     stiff = is_stiff(final.structure.physics(final.z).model).any()
-    for shorter in SHORTER:
+    for shorter in VERDICT.shorter:
         step = own.timestep / shorter
         error = judge.error_on(replace(some, stepping=Stepping(step, None)), final)
         if error <= enough:

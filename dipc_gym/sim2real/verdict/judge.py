@@ -15,22 +15,13 @@ from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.model.structure import Structure, Term, names
-from dipc_gym.sim2real.selection.ranking import AT_FLOOR
-from dipc_gym.sim2real.selection.score import WORTH, Improvement, compare
+from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
-
-SURE = 0.95  # quantile to which an interval reaches on either side: 90 % lie within
-FEWEST_BLOCKS = 3  # that tell how much a parameter depends on which of them there are
-SMALL = 1e-3  # of the motion within a window: a smaller mismatch is called missing physics only if it has a pattern
-PATTERN = 0.1  # share of the variance of the unexplained force that goes with something, from which it has one
-REFUTED = 1.05  # times the error on validation data without an effect, from which it is not named after all
-NAMED = 0.1  # fall of the mean log square error by which an effect must improve predictions to be named
-MODELLED = 0.5  # share of the error beyond the noise that a law without a name may leave to have modelled it
-ELSEWHERE = 2.0  # times the noise on windows compared on, from which test data at the noise give no all-clear
-STANDS_IN = 0.2  # share of the error left over from which a named effect merely stands in for something unknown
 
 
 @dataclass(frozen=True)
@@ -72,14 +63,14 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     prior = np.diag([1 / slot.sigma**2 for slot in fitted.structure.slots]) / counts.mean() * w.sum()
     _, block = np.unique(problem.blocks, return_inverse=True)
     count, p = int(block.max()) + 1, len(fitted.z)
-    if count < FEWEST_BLOCKS:
+    if count < VERDICT.fewest_blocks:
         return np.full(p, np.inf)
     curvature, slope = np.zeros((count, p, p)), np.zeros((count, p))
     np.add.at(curvature, block, w[:, None, None] * q.A)
     np.add.at(slope, block, w[:, None] * q.b)
     inverse = np.linalg.pinv(curvature.sum(axis=0) + prior - curvature, hermitian=True)
     moved = np.einsum("bij,bj->bi", inverse, slope)
-    half = stdtrit(count - 1, SURE) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0))
+    half = stdtrit(count - 1, VERDICT.sure) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0))
     told = np.einsum("nii->i", q.A) > 1.0  # else doubling a parameter would change less than the noise of one reading
     return np.where(told, half, np.inf)
 
@@ -102,7 +93,7 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
     error = comparison_error(search, full)
     found: list[Rival] = []
     search.remember(full)
-    for others, structure, before in _stand_ins(search, full, term, provisional=error > AT_FLOOR):
+    for others, structure, before in _stand_ins(search, full, term, provisional=error > SCORE.at_floor):
         swapped = before.fitted if before else search.remembered(structure)
         if swapped is None:
             sketch = before.sketch if before else search.sketch(full, structure)
@@ -118,8 +109,8 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
         search.remember(swapped)
         difference = search.compare(full, swapped)
         reached = comparison_error(search, swapped)
-        close = difference.alike and difference.gain < 5 * WORTH
-        same = close and difference.gain < WORTH and reached < max(AT_FLOOR, 1.02 * error)
+        close = difference.alike and difference.gain < 5 * SCORE.worth
+        same = close and difference.gain < SCORE.worth and reached < max(SCORE.at_floor, 1.02 * error)
         better = len(others) == 1 and _better(search, swapped, full)
         if same or len(others) == 1:
             found += [Rival(other, swapped, same, not close, better) for other in others]
@@ -131,7 +122,7 @@ def _better(search: Search, swapped: Fit, full: Fit) -> bool:
     gained = search.compare(swapped, full)
     if gained.clear:
         return search.confirmed(swapped, full)
-    closely = comparison_error(search, swapped) < AT_FLOOR and len(swapped.z) <= len(full.z)
+    closely = comparison_error(search, swapped) < SCORE.at_floor and len(swapped.z) <= len(full.z)
     there = compare(search.comparison_mse(swapped), search.comparison_mse(full), search.comparison.blocks)
     return closely and gained.told and there.gain > 0
 
@@ -194,7 +185,7 @@ class Located:
     @property
     def has_pattern(self) -> bool:
         """Whether the unexplained force goes with anything."""
-        return self.explained >= PATTERN
+        return self.explained >= VERDICT.pattern
 
 
 def locate(scene: Scene, joints: Sequence[str]) -> list[Located]:
@@ -219,7 +210,7 @@ def _region(scene: Scene, j: int) -> tuple[str, float]:
     }
     best = max(explained, key=lambda name: explained[name])
     most, percent = explained[best], f"{100 * explained[best]:.0f} % of its variance"
-    if most < PATTERN:
+    if most < VERDICT.pattern:
         return "spread over position, velocity, load and time alike", most
     if best != "velocity":
         return f"goes with {best} ({percent})", most
@@ -252,12 +243,12 @@ def negligible(recalibrated: float, motion: float, located: Located) -> bool:
         motion: within a window, in units of noise.
         located: where the mismatch sits, the joint that carries most of it.
     """
-    return recalibrated < SMALL * motion and not located.has_pattern
+    return recalibrated < VERDICT.small * motion and not located.has_pattern
 
 
 def refuted(without: float, error: float) -> bool:
     """Whether validation data speak against an effect: they are predicted clearly worse than without it."""
-    return error > AT_FLOOR and error > REFUTED * without
+    return error > SCORE.at_floor and error > VERDICT.refuted * without
 
 
 def error_on(problem: Problem, fitted: Fit) -> float:
@@ -298,15 +289,15 @@ def verdict(
     """
     nominal, recalibrated, improved = errors
     if modelled:
-        much = improved <= AT_FLOOR or improved - 1 < MODELLED * (recalibrated - 1)
+        much = improved <= SCORE.at_floor or improved - 1 < VERDICT.modelled * (recalibrated - 1)
         return "partly explained" if terms else "modelled" if much else "unexplained"
     if terms:
-        return "explained" if improved <= AT_FLOOR else "partly explained"
+        return "explained" if improved <= SCORE.at_floor else "partly explained"
     if unnamed:
-        return "modelled" if improved <= AT_FLOOR else "unexplained"
-    if nominal <= AT_FLOOR and elsewhere <= ELSEWHERE:
+        return "modelled" if improved <= SCORE.at_floor else "unexplained"
+    if nominal <= SCORE.at_floor and elsewhere <= VERDICT.elsewhere:
         return "consistent"
-    if (recalibrated <= AT_FLOOR and elsewhere <= ELSEWHERE) or small:
+    if (recalibrated <= SCORE.at_floor and elsewhere <= VERDICT.elsewhere) or small:
         better = nominal - recalibrated > 0.2 * (nominal - 1)
         return "recalibrated" if changed and better else "consistent"
     return "unexplained"

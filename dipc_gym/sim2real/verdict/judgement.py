@@ -19,6 +19,7 @@ from dipc_gym.sim2real.result import Diagnosis, Errors, Work
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion
@@ -70,7 +71,7 @@ def judgement(
         lambda: Errors(*(judge.comparison_error(search, f) for f in three)),
         lambda: fitted,
     )
-    if train.recalibrated > judge.AT_FLOOR and not search.interrupted:
+    if train.recalibrated > SCORE.at_floor and not search.interrupted:
         notes += late(
             "Whether parameters further off would do",
             lambda: findings.beyond_limits(base.problem, search.validation, recalibrated),
@@ -101,7 +102,7 @@ def judgement(
         len(modelled),
         train.recalibrated,
     )
-    if errors.nominal <= judge.AT_FLOOR and verdict == "unexplained":
+    if errors.nominal <= SCORE.at_floor and verdict == "unexplained":
         notes.append(sentences.not_in_test(train.recalibrated, errors.nominal))
     missing = late(
         "How much each effect is worth",
@@ -113,7 +114,7 @@ def judgement(
     if verdict == "consistent":
         changed = []
     notes += sentences.other_parameters(changed, [other.structure.model_parameters for other in found.others])
-    if verdict in ("partly explained", "unexplained") and errors.improved > judge.AT_FLOOR:
+    if verdict in ("partly explained", "unexplained") and errors.improved > SCORE.at_floor:
         named = missing
         missing = late(
             "Where what is left acts",

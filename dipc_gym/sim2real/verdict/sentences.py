@@ -9,7 +9,7 @@ from typing import Any
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import Errors, Missing
-from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict.conventions import Convention
 
 
@@ -34,7 +34,7 @@ def in_one_sentence(
     fall = f"On held-out data the error {goes} from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
     known = " ".join(m.sentence for m in missing if m.effect != "unknown")
     left = ""
-    if errors.improved > ranking.AT_FLOOR:
+    if errors.improved > SCORE.at_floor:
         left = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
     if verdict == "consistent":
         return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.3g} times the noise.{left}"

@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
-from dipc_gym.sim2real.selection.ranking import AT_FLOOR
 from dipc_gym.sim2real.selection.score import compare
-from dipc_gym.sim2real.selection.search import ROUGH, Search
+from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
-
-OTHERS = 4  # choices of parameters that are tried in place of those that changed
 
 
 def fewest_parameters(search: Search, fitted: Fit) -> Fit:
@@ -62,14 +61,14 @@ def other_parameters(search: Search, fitted: Fit, fewest: Fit) -> list[Fit]:
     """
     keys = [parameter.key for parameter in fitted.structure.model_parameters]
     chosen = {parameter.key for parameter in fewest.structure.model_parameters}
-    if not 0 < len(chosen) < len(keys) or fewest.error > AT_FLOOR:
+    if not 0 < len(chosen) < len(keys) or fewest.error > SCORE.at_floor:
         return []
     # They are told and counted, not written to the model: a third of the windows says that as well.
     reduced = _Reduced(search, fitted, search.subset)
     choices = (
         free for free in itertools.combinations(range(len(keys)), len(chosen)) if {keys[i] for i in free} != chosen
     )
-    likely = heapq.nsmallest(OTHERS, choices, key=lambda free: reduced.foretold(free)[0])
+    likely = heapq.nsmallest(VERDICT.others, choices, key=lambda free: reduced.foretold(free)[0])
     others = [reduced.refitted(free) for free in likely]
     return [other for other in others if other is not None and reduced.suffices(other)]
 
@@ -111,7 +110,7 @@ class _Reduced:
         z = self.foretold(free)[1][[*free, *range(self.count, len(self.fitted.z))]]
         try:
             structure = replace(self.fitted.structure, model_parameters=parameters)
-            return fit(self.problem, structure, z, self.fitted.initial[self.some], most=20, tolerance=ROUGH)
+            return fit(self.problem, structure, z, self.fitted.initial[self.some], most=20, tolerance=SEARCH.rough)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 

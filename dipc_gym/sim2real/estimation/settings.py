@@ -1,0 +1,56 @@
+"""What estimation decides by: numbers with their reasons, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class EstimationSettings:
+    """Decision constants of estimation: windows, initial states, fits.
+
+    Attributes:
+        window_length: of a window, s, unless the rig asks for shorter ones
+        growth: times its size that an initial error may grow to within a window
+        fewest_samples: that a window holds
+        steady: share of the windows that must stay below that growth; the rest may tumble over a dead centre
+        finest_reading: share of a sensor's range: nothing real is read to more than 24 bits, and no simulation is as
+            exact
+        loose: times the noise by which an initial position may be off its estimate; the window's own samples know
+            better
+        differenced: time, s, over which a position's noise becomes a velocity's
+        rough_speed: share of the usual speed by which an initial velocity may be off as well
+        blown_up: times the noise; a simulation that blew up is no worse than this
+        block: s, within which neighbouring windows count as one when errors are compared
+        tries: of a step, each more damped than the one before
+        near: usual square error up to which a fit is near the noise
+        trusted: share of the fall that derivatives foretold, from which they are good for another step
+        lag: part of the log square error that initial states could still explain, from which they are corrected
+        far_out: times the usual square error, from which something else happened in a window
+        touch: finite difference of a mapped parameter where only the model's parameters are differenced, and the engine
+            knows the rest
+        probe: finite difference of a mapped parameter; smaller ones drown in the kinks of dry friction
+        averaged: time, s, over which forces are averaged: no acceleration is known faster than that
+    """
+
+    window_length: float = 0.25
+    growth: float = 10.0
+    fewest_samples: int = 12
+    steady: float = 0.9
+    finest_reading: float = 2.0**-24
+    loose: float = 5.0
+    differenced: float = 0.002
+    rough_speed: float = 0.05
+    blown_up: float = 1e6
+    block: float = 1.0
+    tries: int = 5
+    near: float = 2.0
+    trusted: float = 0.5
+    lag: float = 0.02
+    far_out: float = 4.0
+    touch: float = 1e-6
+    probe: float = 0.02
+    averaged: float = 0.025
+
+
+ESTIMATION = EstimationSettings()

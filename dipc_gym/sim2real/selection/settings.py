@@ -1,0 +1,115 @@
+"""What the choice of windows, the comparison of fits and the search decide by: numbers with their reasons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class WindowSettings:
+    """Decision constants of which windows are fitted, compared on, validated by and tested with.
+
+    Attributes:
+        test: share of each recording that comes before what is tested on, where no recording is held out for that
+        fit: share of what comes before the test data that is fitted; the rest validates
+        coarsest: longest step of the analysis, s
+        still: times its noise that a joint has to move to tell anything
+        most: windows fitted and compared on, two thirds and one third; more say little more
+        outliers: windows in which something else happened, at most
+        plenty: windows, from which on the first ones can be spared
+        late: time before a window, s, in which commands must be known: they may act late
+        apart: time, s, from one window to another that is not beside it
+    """
+
+    test: float = 0.75
+    fit: float = 0.8
+    coarsest: float = 2e-3
+    still: float = 10.0
+    most: int = 72
+    outliers: int = 6
+    plenty: int = 36
+    late: float = 0.05
+    apart: float = 0.05
+
+
+WINDOWS = WindowSettings()
+
+
+@dataclass(frozen=True)
+class ScoreSettings:
+    """Decision constants of whether one fit predicts better than another, and of what is at the noise.
+
+    Attributes:
+        clear: standard errors by which an improvement must stand out
+        many: blocks of a second in a recording of the usual length
+        large: improvement of the mean log square error (an error one fifth smaller) that no chance brings about
+        alike: standard errors within which two fits are not told apart
+        worth: smallest improvement of the mean log square error that is worth an effect
+        quiet: usual square error up to which windows are at the noise
+        telling: blocks that tell two fits apart at the noise, if no other says the opposite
+        at_floor: times the noise: a structure that predicts as well as this lacks nothing
+        at_noise: times the noise: nothing is left that would tell an elaboration from what it elaborates
+    """
+
+    clear: float = 2.5
+    many: int = 40
+    large: float = 0.5
+    alike: float = 2.0
+    worth: float = 0.02
+    quiet: float = 1.5
+    telling: int = 3
+    at_floor: float = 1.2
+    at_noise: float = 1.05
+
+
+SCORE = ScoreSettings()
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Decision constants of the search for effects.
+
+    Attributes:
+        subset: windows that a sketch has at least
+        finalists: hypotheses, or pairs, sketched in a round
+        twin: cosine between the responses to two hypotheses from which they are one and the same
+        rough: share of its objective by which a step must lower it where fits only compete
+        most_effects: effects that are added
+        fully: sketches that are fitted to all windows, beside the plainer ones that they elaborate
+        keeps_up: share of the best sketch's improvement from which a hypothesis is fitted fully
+        in_turn: share of the largest predicted gain from which what takes fine steps is sketched, if nothing else
+            does
+        shapes: laws of any shape that are sketched in a round whatever their predicted gain
+        once: improvement of the log square errors, summed over windows, by which an event that happened once stands
+            out
+        most: share of the improvement that a plain effect must bring to go before one that elaborates it
+        in_reach: times the noise, from which a fit may yet come down to it
+        earns: share of the excess error that an effect must remove where it does not come down to the noise
+        most_anew: steps of a fit that is begun anew, from guesses that may be far off
+        laws: share of what effects brought, that their laws may leave
+        kinds: of effects that are tried at all joints in a round, and all pairs of them
+        pairs: pairs that predict alike and are fitted to all windows
+        short: share of the predicted gain of a pair that its sketch must bring
+    """
+
+    subset: int = 18
+    finalists: int = 6
+    twin: float = 0.999
+    rough: float = 5e-3
+    most_effects: int = 6
+    fully: int = 3
+    keeps_up: float = 0.5
+    in_turn: float = 0.25
+    shapes: int = 6
+    once: float = 1.5
+    most: float = 0.5
+    in_reach: float = 3.0
+    earns: float = 0.1
+    most_anew: int = 30
+    laws: float = 0.02
+    kinds: int = 3
+    pairs: int = 2
+    short: float = 0.5
+
+
+SEARCH = SearchSettings()

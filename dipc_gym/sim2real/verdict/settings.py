@@ -1,0 +1,73 @@
+"""What the verdict decides by: numbers with their reasons, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ConventionSettings:
+    """Decision constants of whether recordings count otherwise than the model.
+
+    Attributes:
+        decides: share of the error of the model as given, and with its parameters refitted, below which the error must
+            fall with a convention changed, and no parameter. In 50 blind trials none of those that were right brought
+            it below the former.
+        gross: share of the motion: a smaller mismatch is none of conventions
+        parallel: cosine between two axes
+        alike: times the least error, up to which conventions cannot be told apart
+    """
+
+    decides: float = 0.5
+    gross: float = 0.005
+    parallel: float = 0.99
+    alike: float = 1.1
+
+
+CONVENTIONS = ConventionSettings()
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Decision constants of what is named, how sure it is, and the verdict.
+
+    Attributes:
+        swaps: effects that may give way to rivals after the search
+        sure: quantile to which an interval reaches on either side: 90 % lie within
+        fewest_blocks: blocks that tell how much a parameter depends on which of them there are
+        small: share of the motion within a window: a smaller mismatch is called missing physics only if it has a
+            pattern
+        pattern: share of the variance of the unexplained force that goes with something, from which it has one
+        refuted: times the error on validation data without an effect, from which it is not named after all
+        named: fall of the mean log square error by which an effect must improve predictions to be named
+        modelled: share of the error beyond the noise that a law without a name may leave to have modelled it
+        elsewhere: times the noise on windows compared on, from which test data at the noise give no all-clear
+        stands_in: share of the error left over from which a named effect merely stands in for something unknown
+        at_limit: share of itself, from which a parameter stands at its limit
+        widest: half width of an interval, as a logarithm, from which on it says nothing; a parameter is mapped no
+            further
+        free: standard deviation, as a logarithm, of a parameter of which nothing is known
+        negligible: share of itself; a parameter that moves by less was right
+        shorter: parts of the model's own step that are tried in turn where that is too coarse
+        others: choices of parameters that are tried in place of those that changed
+    """
+
+    swaps: int = 3
+    sure: float = 0.95
+    fewest_blocks: int = 3
+    small: float = 1e-3
+    pattern: float = 0.1
+    refuted: float = 1.05
+    named: float = 0.1
+    modelled: float = 0.5
+    elsewhere: float = 2.0
+    stands_in: float = 0.2
+    at_limit: float = 1e-3
+    widest: float = 50.0
+    free: float = 1.0
+    negligible: float = 2e-3
+    shorter: tuple[int, ...] = (2, 4, 8, 16)
+    others: int = 4
+
+
+VERDICT = VerdictSettings()
