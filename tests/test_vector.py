@@ -23,6 +23,7 @@ from dipc_gym.compensators import Ideal, StaticGain
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.plant import Friction, Masses, Motor, Plant, PlantError
 from dipc_gym.randomise import Normal, PlantFamily, Uniform
+from dipc_gym.rigs.batch import MujocoRigs
 from dipc_gym.vector import DIPCFrictionVectorEnv
 from dipc_gym.wrappers import ForceCommand, RecordRun, VectorForceCommand, VectorRecordRun
 
@@ -187,12 +188,14 @@ SPREADS = st.sampled_from(["uniform", "normal"])
 def test_numbers_written_are_those_that_compiling_gives(seed: int) -> None:
     envs = DIPCFrictionVectorEnv(2, plant=RANDOM)
     envs.reset(seed=seed)
-    text = envs._rig.source.text
+    rigs = envs._rigs
+    assert isinstance(rigs, MujocoRigs)
+    source = rigs.rig.source
     longest = envs._family.longest_delay
     for row, plant in enumerate(envs.plants):
-        written = envs._sims.get_model(row)
+        written = rigs.sims.get_model(row)
         layout = dataclasses.replace(plant, delay=longest)
-        compiled = mjcf.compile(envs._rig.source.edited(layout.to_mjcf(text)), trusted=True)
+        compiled = mjcf.compile(source.edited(layout.to_mjcf(source.text)), trusted=True)
         assert written.actuator_delay[0] == plant.delay
         for name in mjbatch.MODEL_FIELDS - {"actuator_delay"}:
             if not name.startswith("opt."):
