@@ -150,6 +150,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             raise PlantError(f"{self._source.name}: {error}") from None
         self._family = PlantFamily.of(plant, base=base)
         self._home = self._family.base
+        self._compiled: Any = None
         self._set_plant(self._home)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._home.control_period)}
         self.observation_space = spaces.Box(-np.inf, np.inf, (6,), np.float64)
@@ -328,7 +329,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         if getattr(self, "_viewer", None) is not None:
             self.close()  # it draws the model that is now replaced
         self._rig = rig = Rig.of(self._source, plant)
-        self._compiled = _compiled(rig) if self.engine == "compiled" else None
+        if self.engine == "compiled" and not (self._compiled and self._compiled.become(rig)):
+            self._compiled = _compiled(rig)
         self._command = np.zeros(rig.model.nu)
         self._data = mujoco.MjData(rig.model)
         self._keep, self._gain = kernels.velocity_gains(plant.encoders.velocity_filter, plant.control_period)

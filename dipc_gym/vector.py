@@ -301,7 +301,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
                 f"options['plant'] has a delay of up to {family.longest_delay:g} s; this environment was made for "
                 f"{self._family.longest_delay:g} s"
             )
-        if _actuators(theirs) != _actuators(mine):
+        if theirs.layout != mine.layout:
             raise PlantError("options['plant'] adds or removes an actuator; make another environment for it")
         return family
 
@@ -337,10 +337,6 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         if not mask.any():
             raise ValueError("options['reset_mask'] selects no environment")
         return mask.copy()
-
-
-def _actuators(plant: Plant) -> tuple[bool, bool | None]:
-    return plant.motor is None, None if plant.friction is None else plant.friction.coulomb > 0
 
 
 def _masked(infos: dict[str, Any], mask: Mask) -> dict[str, Any]:

@@ -42,6 +42,9 @@ RANDOM = {
 WILD = [0.0, 0.0, 0.0, 0.0, 1e4, -1e4]  # two turns a step: no integrator follows that
 
 
+ENGINES = ("mujoco", "compiled")
+
+
 def batched(num_envs: int = N, **kwargs: Any) -> DIPCFrictionVectorEnv:
     env = gymnasium.make_vec(
         dipc_gym.ENV_ID, num_envs=num_envs, vectorization_mode="vector_entry_point", **kwargs
@@ -91,23 +94,26 @@ def drive(ours: Any, theirs: Any, mode: str, steps: int, size: float = 24.0, **r
     return seen
 
 
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 @pytest.mark.parametrize("plant", [None, {"encoders": {"noise": 0.5}}, RANDOM], ids=["home", "noise", "random"])
-def test_equals_single_environments_to_the_last_bit(mode: str, plant: Any) -> None:
-    kwargs = {"plant": plant, "max_episode_steps": 40}
+def test_equals_single_environments_to_the_last_bit(mode: str, plant: Any, engine: str) -> None:
+    kwargs = {"plant": plant, "max_episode_steps": 40, "engine": engine}
     seen = drive(batched(autoreset_mode=mode, **kwargs), one_by_one(mode, **kwargs), mode, 200)
     assert seen["truncated"] > 5
     if plant is None:
-        assert drive(batched(autoreset_mode=mode), one_by_one(mode), mode, 150, 200.0)["terminated"] > 2
+        ours, theirs = batched(autoreset_mode=mode, engine=engine), one_by_one(mode, engine=engine)
+        assert drive(ours, theirs, mode, 150, 200.0)["terminated"] > 2
 
 
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 @pytest.mark.parametrize("exact_state", [False, True])
 def test_equals_where_simulations_diverge(
-    mode: str, exact_state: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    mode: str, exact_state: bool, engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    kwargs = {"exact_state": exact_state, "plant": {"encoders": {"noise": 0.2}}}
+    kwargs = {"exact_state": exact_state, "plant": {"encoders": {"noise": 0.2}}, "engine": engine}
     ours, theirs = batched(autoreset_mode=mode, **kwargs), one_by_one(mode, **kwargs)
     seen = drive(ours, theirs, mode, 20, options={"state": WILD})
     assert seen["diverged"] == N
@@ -117,13 +123,16 @@ def test_equals_where_simulations_diverge(
 @pytest.mark.parametrize(
     "options", [{"start": "hanging"}, {"state": [0.1, 0.5, 0, 0, 1, 0]}, {"plant": {"delay": 0.0}}]
 )
-def test_equals_with_options_and_exact_state(options: dict[str, Any]) -> None:
-    kwargs = {"plant": RANDOM, "exact_state": True}
+@pytest.mark.parametrize("engine", ENGINES)
+def test_equals_with_options_and_exact_state(options: dict[str, Any], engine: str) -> None:
+    kwargs = {"plant": RANDOM, "exact_state": True, "engine": engine}
     drive(batched(**kwargs), one_by_one(**kwargs), "NextStep", 40, options=options)
 
 
-def test_threads_do_not_matter() -> None:
-    drive(batched(threads=1, plant=RANDOM), batched(threads=3, plant=RANDOM), "NextStep", 60)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_threads_do_not_matter(engine: str) -> None:
+    one, more = (batched(300, threads=threads, plant=RANDOM, engine=engine) for threads in (1, 3))
+    drive(one, more, "NextStep", 20)
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
@@ -183,7 +192,7 @@ def test_spec_and_metadata() -> None:
 SPREADS = st.sampled_from(["uniform", "normal"])
 
 
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_numbers_written_are_those_that_compiling_gives(seed: int) -> None:
     envs = DIPCFrictionVectorEnv(2, plant=RANDOM)

@@ -34,8 +34,7 @@ class At(IntEnum):
     OBSERVED = 5  # (rows, 6)
     TERMS = 6  # (TERMS, rows)
     FLAGS = 7  # (FLAGS, rows)
-    NEXT = 8  # group that is next to be taken
-    SIZE = 9
+    SIZE = 8
 
 
 class Run(IntEnum):
@@ -47,7 +46,8 @@ class Run(IntEnum):
     OBSERVE = 3  # whether what follows is worked out
     EXACT = 4  # whether the state is observed
     HEAD = 5  # place of this period's command among those kept
-    SIZE = 6
+    TURN = 6  # group that is next to be taken
+    SIZE = 7
 
 
 class Own(IntEnum):
@@ -131,7 +131,8 @@ def write(tree: Tree, codes: tuple[int, ...], places: Places) -> str:
     whole: dict[Run, Any] = {k: code.whole(at[At.RUN], int(k)) for k in Run if k != Run.SIZE}
     size = int(Kept.SIZE) + ensemble.nx + places.past
     with code.repeat() as stop:
-        first = code.at.atomic_rmw("add", at[At.NEXT], integer(CHUNK), "monotonic")
+        turn = code.offset(at[At.RUN], int(Run.TURN), INT)
+        first = code.at.atomic_rmw("add", turn, integer(CHUNK), "monotonic")
         stop(code.at.icmp_signed(">=", first, whole[Run.GROUPS]))
         end = code.sum(first, CHUNK)
         end = code.at.select(code.below(end, whole[Run.GROUPS]), end, whole[Run.GROUPS])

@@ -71,6 +71,7 @@ class CompiledRigs:
         self._asked, self._still = np.zeros(groups * WIDTH), np.zeros((3, groups * WIDTH))
         self._observed = np.zeros((groups * WIDTH, 6))
         self._head = 0
+        self._bound: tuple[Any, Any, Any] | None = None
 
     # ---------------------------------------------------------------------------------------------- what is known
 
@@ -94,15 +95,9 @@ class CompiledRigs:
         """Readings of the encoders, angles absolute, and velocities worked out from them, (6, n)."""
         return self._by_row(np.arange(6) + int(Kept.MEASURED))
 
-    @property
-    def motion(self) -> Array:
-        """Positions and speeds of all joints of the model, (n, 2 nq), m, rad and their rates."""
-        return self._by_row(_STATES + np.arange(2 * self._rig.model.nq)).T
-
-    @motion.setter
-    def motion(self, motion: Array) -> None:
-        group, lane = np.divmod(np.arange(self.count), WIDTH)
-        self._memory[group, _STATES : _STATES + motion.shape[1], lane] = motion
+    def motion(self, row: int) -> Array:
+        """A view of positions and speeds of all joints of one rig, (2 nq,), m, rad and their rates."""
+        return self._memory[row // WIDTH, _STATES : _STATES + 2 * self._rig.model.nq, row % WIDTH]
 
     def observations(self) -> Array:
         """What is observed now, (n, 6), as an array of its own."""
@@ -119,7 +114,7 @@ class CompiledRigs:
     def become(self, rows: Rows, plants: Sequence[Plant]) -> None:
         """Give plants to rows, whose encoders have them already."""
         if len(self._numbers) < len(self._memory):
-            self._numbers = np.repeat(self._numbers, len(self._memory), axis=0)
+            self._numbers, self._bound = np.repeat(self._numbers, len(self._memory), axis=0), None
         group, lane = np.divmod(rows, WIDTH)
         self._numbers[group, _PARAMETERS:, lane] = self._plants.of(plants)
         self._write_encoders(group, lane, rows)
@@ -156,7 +151,7 @@ class CompiledRigs:
     def hold(self, volts: Array) -> None:
         """Only the physics of `advance`, for an environment that does the rest itself."""
         self._step(volts)
-        self._run(True, False, self._still, self._asked, self._asked)
+        self._run(True, False, self._still, self._still, self._still)
 
     def advance(self, asked: Array, going: Mask, noise: Callable[[Mask], Array] | None) -> Period:
         """Hold voltages for one control period; what is said of rows that are not `going` means nothing."""
@@ -186,29 +181,35 @@ class CompiledRigs:
     # ------------------------------------------------------------------------------------------------ machine code
 
     def _run(self, advance: bool, observe: bool, noise: Array, terms: Array, flags: Any) -> None:
-        whole = np.zeros(int(Run.SIZE), dtype=np.int64)
-        whole[Run.GROUPS], whole[Run.STRIDE] = len(self._memory), self._numbers.shape[1] * (len(self._numbers) > 1)
-        whole[Run.STEPS], whole[Run.OBSERVE] = self._rig.steps * advance, observe
-        whole[Run.EXACT], whole[Run.HEAD] = self._exact, self._head
-        turn = np.zeros(1, dtype=np.int64)
-        arrays = {
-            At.RUN: whole,
-            At.NUMBERS: self._numbers,
-            At.MEMORY: self._memory,
-            At.ASKED: self._asked,
-            At.NOISE: noise,
-            At.OBSERVED: self._observed,
-            At.TERMS: terms,
-            At.FLAGS: flags,
-            At.NEXT: turn,
-        }
-        table = (ctypes.c_void_p * int(At.SIZE))(*(arrays[at].ctypes.data for at in At if at != At.SIZE))
-        run = _functions(self._text)[0]
+        whole, table, run = self._bound = self._bound or self._bind()
+        whole[Run.STEPS], whole[Run.OBSERVE], whole[Run.HEAD] = self._rig.steps * advance, observe, self._head
+        whole[Run.TURN] = 0
+        if observe:
+            table[At.NOISE], table[At.TERMS], table[At.FLAGS] = (x.ctypes.data for x in (noise, terms, flags))
         others = self._threads - 1
         waiting = [pool(others, os.getpid()).submit(run, table) for _ in range(others)] if others else []
         run(table)
         for one in waiting:
             one.result()
+
+    def _bind(self) -> tuple[Any, Any, Any]:
+        """What the machine code is given, with the addresses of arrays that stay."""
+        whole, table = (ctypes.c_int64 * int(Run.SIZE))(), (ctypes.c_void_p * int(At.SIZE))()
+        whole[Run.GROUPS], whole[Run.EXACT] = len(self._memory), self._exact
+        whole[Run.STRIDE] = self._numbers.shape[1] * (len(self._numbers) > 1)
+        table[At.RUN] = ctypes.addressof(whole)
+        for at, array in (
+            (At.NUMBERS, self._numbers),
+            (At.MEMORY, self._memory),
+            (At.ASKED, self._asked),
+            (At.OBSERVED, self._observed),
+        ):
+            table[at] = array.ctypes.data
+        return whole, table, _functions(self._text)[0]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but addresses."""
+        return {**self.__dict__, "_bound": None}
 
     def _probe(self, parameters: Array, states: Array, commands: Array, shortest: float) -> tuple[Array, Array]:
         """Rates of the states (nx,) of one rig, and the forces of its passive actuators on joints."""

@@ -23,9 +23,19 @@ class CompiledRig:
     """
 
     def __init__(self, rig: Rig) -> None:
-        encoders = Encoders(1)
-        encoders.become(_ROW, [rig.plant])
-        self._rigs = CompiledRigs(rig, encoders)
+        self._rig, self._encoders = rig, Encoders(1)
+        self._encoders.become(_ROW, [rig.plant])
+        self._rigs = CompiledRigs(rig, self._encoders)
+        self._volts = np.zeros(1)
+
+    def become(self, rig: Rig) -> bool:
+        """Take the numbers of a rig; False if it has another layout."""
+        mine, theirs = self._rig.plant, rig.plant
+        fits = rig.source is self._rig.source and theirs.layout == mine.layout and theirs.delay <= mine.delay
+        if fits:
+            self._encoders.become(_ROW, [theirs])
+            self._rigs.become(_ROW, [theirs])
+        return fits
 
     @property
     def friction(self) -> float:
@@ -38,8 +48,8 @@ class CompiledRig:
 
     def advance(self, data: mujoco.MjData, volts: float) -> None:
         """Hold a voltage for one control period, from where and how fast the data say that joints move."""
-        rigs = self._rigs
-        rigs.motion = np.concatenate([data.qpos, data.qvel])[None]
-        rigs.hold(np.array([volts]))
-        motion, n = rigs.motion[0], len(data.qpos)
-        data.qpos[:], data.qvel[:], data.time = motion[:n], motion[n:], float(rigs.time[0])
+        motion, n = self._rigs.motion(0), self._rig.model.nq
+        motion[:n], motion[n:] = data.qpos, data.qvel
+        self._volts[0] = volts
+        self._rigs.hold(self._volts)
+        data.qpos, data.qvel, data.time = motion[:n], motion[n:], self._rigs.time[0]
