@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from dipc_gym import actions, drawing, kernels, mjcf
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.physics import from_model
-from dipc_gym.plant import Plant, PlantError, physics_steps
+from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
+from dipc_gym.rig import DIVERGED, Rig
+from dipc_gym.rigs import ENGINES, unknown_engine
 
 __all__ = ["DoublePendulumEnv"]
 
@@ -27,9 +28,7 @@ Array = NDArray[np.float64]
 State = tuple[float, float, float, float, float, float]
 
 START_SPREAD = 0.02  # m and rad, either way, at reset
-DIVERGED = 1e6  # no state of a rig is this large, in m, rad or their rates
 FRAMES_PER_SECOND = 60  # of the window, in simulated time
-NAMES = ("cart", "pole1", "pole2")
 
 
 class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
@@ -91,6 +90,10 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         model: path of an MJCF file of one's own, with an actuator `motor` and jointpos sensors `cart`, `pole1` and
             `pole2` (pole2 relative to pole1). By default the package's `rig.xml`.
         exact_state: observe the simulation's state instead of encoder readings.
+        engine: what simulates: `"mujoco"`, or `"compiled"`, machine code that integrates more finely and agrees with
+            the vector environment on the same engine to the last bit. It leaves out dry friction by `frictionloss`,
+            ranges of the poles' joints, stops, delayed sensors and `<custom>`; the rail's stops do not push, for an
+            episode ends there.
         render_mode: `"human"`, `"rgb_array"` or None.
         width: of the picture, pixels.
         height: of the picture, pixels.
@@ -98,7 +101,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     Raises:
         PlantError: the plant is impossible or its file is.
-        MjcfError: the model is refused, does not compile, or lacks the actuator or a sensor.
+        MjcfError: the model is refused, does not compile, lacks the actuator or a sensor, or has what the engine
+            does not simulate.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -114,6 +118,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
 
+    _rig: Rig
     _readings: tuple[float, float, float]  # encoders: cart, absolute angles
     _rates: tuple[float, float, float]  # the velocity filter's memory
     _observed: State
@@ -124,6 +129,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         plant: PlantFamily | Plant | Mapping[str, Any] | str | Path | None = None,
         model: str | Path | None = None,
         exact_state: bool = False,
+        engine: str = "mujoco",
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
@@ -131,7 +137,9 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode is {render_mode!r}; it can be None, 'human' or 'rgb_array'")
-        self.render_mode = render_mode
+        if engine not in list(ENGINES):
+            raise ValueError(unknown_engine(engine))
+        self.render_mode, self.engine = render_mode, engine
         self.exact_state = exact_state
         self._picture = (width, height, camera)
         self._viewer: Any = None
@@ -142,6 +150,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             raise PlantError(f"{self._source.name}: {error}") from None
         self._family = PlantFamily.of(plant, base=base)
         self._home = self._family.base
+        self._compiled: Any = None
         self._set_plant(self._home)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._home.control_period)}
         self.observation_space = spaces.Box(-np.inf, np.inf, (6,), np.float64)
@@ -182,7 +191,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             ValueError: the action is not one finite number.
         """
         asked = actions.one(action, "voltage")
-        supply = self._plant.supply
+        supply = self._rig.plant.supply
         volts = -supply if asked < -supply else supply if asked > supply else asked
 
         self._advance(volts)
@@ -191,8 +200,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         if not abs(x) + abs(theta1) + abs(theta2) + abs(v) + abs(w1) + abs(w2) < DIVERGED:
             info = self._info(volts, volts != asked, True, (0.0, 0.0, 0.0, 0.0))
             return np.array(self._observed), 0.0, True, False, info
-        terms = kernels.costs(x, theta1, theta2, volts, self._rail, supply)
-        terminated = not -self._rail < x < self._rail or (
+        terms = kernels.costs(x, theta1, theta2, volts, self._rig.rail, supply)
+        terminated = not -self._rig.rail < x < self._rig.rail or (
             self._can_fall and not (-kernels.FALL <= theta1 <= kernels.FALL and -kernels.FALL <= theta2 <= kernels.FALL)
         )
         self._measure(state)
@@ -235,7 +244,17 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     @property
     def plant(self) -> Plant:
         """The plant of this episode."""
-        return self._plant
+        return self._rig.plant
+
+    @property
+    def rig(self) -> Rig:
+        """The model of this episode, and where its parts are."""
+        return self._rig
+
+    @property
+    def family(self) -> PlantFamily:
+        """What plants are drawn from."""
+        return self._family
 
     @property
     def source(self) -> mjcf.Source:
@@ -245,7 +264,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     @property
     def model(self) -> mujoco.MjModel:
         """The compiled model of this episode."""
-        return self._physics.model
+        return self._rig.model
 
     @property
     def state(self) -> Array:
@@ -271,13 +290,15 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     @property
     def friction(self) -> float:
         """Dry friction on the cart at the last physics step, N: what passive elements and frictionloss exert."""
+        if self._compiled is not None:
+            return self._compiled.friction
         forces = self._actuator_force.tolist()
         force = 0.0
-        for i, gear in self._passive:
+        for i, gear in self._rig.passive:
             force += gear * forces[i]
-        if self._frictionloss:
+        if self._rig.frictionloss:
             data = self._data
-            rows = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF) & (data.efc_id == self._dof[0])
+            rows = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF) & (data.efc_id == self._rig.dofs[0])
             force += float(data.efc_force[rows].sum())
         return force
 
@@ -292,10 +313,10 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         """
         if not math.isfinite(impulse):
             raise ValueError(f"the impulse is {impulse}; it must be a finite number of N s")
-        model, data = self._physics.model, self._data
+        model, data = self._rig.model, self._data
         mujoco.mj_forward(model, data)  # the mass matrix of this very position
         blow, change = np.zeros((1, model.nv)), np.zeros((1, model.nv))
-        blow[0, self._dof[0]] = impulse
+        blow[0, self._rig.dofs[0]] = impulse
         mujoco.mj_solveM(model, data, change, blow)
         self._qvel[:] += change[0]
 
@@ -303,56 +324,18 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     def _set_plant(self, plant: Plant) -> None:
         """Compile the model for a plant, unless it is the one at work."""
-        if getattr(self, "_plant", None) == plant:
+        if hasattr(self, "_rig") and self._rig.plant == plant:
             return
         if getattr(self, "_viewer", None) is not None:
             self.close()  # it draws the model that is now replaced
-        model = mjcf.compile(self._source.edited(plant.to_mjcf(self._source.text)), trusted=True)
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        nstep = physics_steps(plant.control_period, model.opt.timestep)
-        self._physics, self._plant, self._nstep = from_model(model), plant, nstep
-        self._data = mujoco.MjData(model)
+        self._rig = rig = Rig.of(self._source, plant)
+        if self.engine == "compiled" and not (self._compiled and self._compiled.become(rig)):
+            self._compiled = _compiled(rig)
+        self._command = np.zeros(rig.model.nu)
+        self._data = mujoco.MjData(rig.model)
         self._keep, self._gain = kernels.velocity_gains(plant.encoders.velocity_filter, plant.control_period)
         self._frame_every = max(1, round(1 / (FRAMES_PER_SECOND * plant.control_period)))
-        self._index_model(model)
         self._bind()
-
-    def _index_model(self, model: mujoco.MjModel) -> None:
-        """Find what the environment reads and writes, by name."""
-        self._motor, self._command = mjcf.controls(model).index("motor"), np.zeros(model.nu)
-        joints = []
-        for name in NAMES:
-            i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
-            if i < 0 or model.sensor_type[i] != mujoco.mjtSensor.mjSENS_JOINTPOS:
-                raise mjcf.MjcfError(
-                    f"{self._source.name}: needs a sensor <jointpos name='{name}' joint=.../>; the environment is a "
-                    f"cart with two poles, and reads {', '.join(NAMES)}"
-                )
-            joints.append(int(model.sensor_objid[i]))
-        self._qpos_address = [int(model.jnt_qposadr[j]) for j in joints]
-        self._dof = [int(model.jnt_dofadr[j]) for j in joints]
-        self._sensor_address = [int(model.sensor(name).adr[0]) for name in NAMES]
-        # Readings that the model or its <custom> part changes cannot be taken from the joints.
-        self._joint_readings = not (
-            self._physics.stage("sensor") or self._physics.stage("lag") or np.any(model.sensor_delay > 0)
-        )
-        # What hides behind a gap or a spring starts where its joint does.
-        ties = [(model.joint(one), model.joint(leader)) for one, leader in mjcf.followers(model).items()]
-        self._ties = [(int(a.qposadr[0]), int(b.qposadr[0]), int(a.dofadr[0]), int(b.dofadr[0])) for a, b in ties]
-        cart = joints[0]
-        low, high = map(float, model.jnt_range[cart] if model.jnt_limited[cart] else (-kernels.RAIL, kernels.RAIL))
-        if not low < 0 < high:
-            raise mjcf.MjcfError(
-                f"{self._source.name}: joint {model.joint(cart).name!r} has range {low:g} to {high:g}; the rail must "
-                "reach to both sides of 0, where episodes begin"
-            )
-        self._rail = min(-low, high)
-        self._frictionloss = bool(model.dof_frictionloss[self._dof[0]] > 0 or self._physics.stage("friction"))
-        self._passive = [
-            (i, float(model.actuator_gear[i, 0]))
-            for i in mjcf.passive_actuators(model)
-            if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i, 0] == cart
-        ]
 
     def _bind(self) -> None:
         """Hold views into the simulation's arrays; asking `data` for them costs more than using them."""
@@ -361,17 +344,20 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._actuator_force = data.actuator_force
 
     def _advance(self, volts: float) -> None:
-        if self._physics.extras:
-            self._command[self._motor] = volts
-            self._physics.step(self._data, self._command, self._nstep)
+        rig = self._rig
+        if self._compiled is not None:
+            self._compiled.advance(self._data, volts)
+        elif rig.physics.extras:
+            self._command[rig.motor] = volts
+            rig.physics.step(self._data, self._command, rig.steps)
         else:
-            self._ctrl[self._motor] = volts
-            mujoco.mj_step(self._physics.model, self._data, self._nstep)
+            self._ctrl[rig.motor] = volts
+            mujoco.mj_step(rig.model, self._data, rig.steps)
 
     def _read_state(self) -> State:
         q, v = self._qpos.tolist(), self._qvel.tolist()
-        a, b, c = self._qpos_address
-        i, j, k = self._dof
+        a, b, c = self._rig.positions
+        i, j, k = self._rig.dofs
         theta1, w1 = q[b], v[j]
         return q[a], theta1, theta1 + q[c], v[i], w1, w1 + v[k]
 
@@ -390,15 +376,15 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     def _read_encoders(self) -> tuple[float, float, float]:
         """Readings of the cart and the two absolute angles."""
-        encoders = self._plant.encoders
-        if self._joint_readings:
+        encoders = self._rig.plant.encoders
+        if self._rig.joint_readings:
             q = self._qpos.tolist()
-            a, b, c = self._qpos_address
+            a, b, c = self._rig.positions
             x, joint1, joint2 = q[a], q[b], q[c]
         else:
-            mujoco.mj_forward(self._physics.model, self._data)
-            sensed = self._physics.sense(self._data.sensordata, self._lag, self._plant.control_period)
-            x, joint1, joint2 = (float(sensed[i]) for i in self._sensor_address)
+            mujoco.mj_forward(self._rig.model, self._data)
+            sensed = self._rig.physics.sense(self._data.sensordata, self._lag, self._rig.plant.control_period)
+            x, joint1, joint2 = (float(sensed[i]) for i in self._rig.sensors)
         if encoders.noise:
             noise = self.np_random.standard_normal(3).tolist()
             x += encoders.noise * encoders.cart * noise[0]
@@ -410,15 +396,17 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     def _begin(self, state: State) -> None:
         """Put the rig, its motor and the velocity filter into a state."""
         x, theta1, theta2, v, w1, w2 = state
-        mujoco.mj_resetData(self._physics.model, self._data)
-        for address, value in zip(self._qpos_address, (x, theta1, theta2 - theta1), strict=True):
+        mujoco.mj_resetData(self._rig.model, self._data)
+        for address, value in zip(self._rig.positions, (x, theta1, theta2 - theta1), strict=True):
             self._qpos[address] = value
-        for address, value in zip(self._dof, (v, w1, w2 - w1), strict=True):
+        for address, value in zip(self._rig.dofs, (v, w1, w2 - w1), strict=True):
             self._qvel[address] = value
-        for qpos, led_by, dof, driven_by in self._ties:
+        for qpos, led_by, dof, driven_by in self._rig.ties:
             self._qpos[qpos], self._qvel[dof] = self._qpos[led_by], self._qvel[driven_by]
-        mujoco.mj_forward(self._physics.model, self._data)
-        self._lag = self._physics.sensor_memory(self._data.sensordata)
+        mujoco.mj_forward(self._rig.model, self._data)
+        if self._compiled is not None:
+            self._compiled.begin(state)
+        self._lag = self._rig.physics.sensor_memory(self._data.sensordata)
         self._can_fall = abs(theta1) <= kernels.FALL and abs(theta2) <= kernels.FALL
         self._steps = 0
         self._readings = self._read_encoders()
@@ -454,6 +442,12 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._bind()
+
+
+def _compiled(rig: Rig) -> Any:
+    from dipc_gym.rigs.one import CompiledRig  # LLVM takes a while to import
+
+    return CompiledRig(rig)
 
 
 @functools.cache

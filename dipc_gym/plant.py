@@ -199,6 +199,12 @@ class Plant:
     def __post_init__(self) -> None:
         _physical(self, "supply", "control_period", "delay")
 
+    @property
+    def layout(self) -> tuple[object, ...]:
+        """What plants that are simulated together share: actuators, supply and rhythm."""
+        rough = None if self.friction is None else self.friction.coulomb > 0
+        return self.motor is None, rough, self.supply, self.control_period
+
     # -------------------------------------------------------------------------------------------- files
 
     @classmethod

@@ -8,25 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import mujoco
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from mujoco import batch as mjbatch
 from numpy.typing import NDArray
 
-from dipc_gym import kernels, mjcf
+from dipc_gym import kernels
 from dipc_gym.actions import many
-from dipc_gym.env import DIVERGED, NAMES, DoublePendulumEnv, start_state
-from dipc_gym.plant import Masses, Plant, PlantError
+from dipc_gym.env import DoublePendulumEnv, start_state
+from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
+from dipc_gym.rig import Rig
+from dipc_gym.rigs import ENGINES, unknown_engine
+from dipc_gym.rigs.together import COSTS, Encoders, Rigs
 
 __all__ = ["DIPCFrictionVectorEnv"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-COSTS = ("cost_cart", "cost_pole1", "cost_pole2", "cost_voltage")
 INFO = ("reward_survive", *COSTS, "voltage", "friction", "time")  # and two flags
 
 
@@ -48,7 +48,8 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         exact_state: observe the simulation's state instead of encoder readings.
         max_episode_steps: steps after which an episode is truncated; None never truncates.
         autoreset_mode: `"NextStep"` (default), `"SameStep"` or `"Disabled"`, as Gymnasium defines them.
-        threads: that step the batch; 0 is one a core.
+        engine: `"mujoco"`, its batch, or `"compiled"`, as for the single environment.
+        threads: that step the rigs; 0 is one a core.
         render_mode: None; the batch draws nothing.
 
     Raises:
@@ -76,6 +77,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         exact_state: bool = False,
         max_episode_steps: int | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        engine: str = "mujoco",
         threads: int = 0,
         render_mode: str | None = None,
     ) -> None:
@@ -84,6 +86,8 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
                 f"render_mode is {render_mode!r}; the batch draws nothing: leave it None, or make it with "
                 "vectorization_mode='sync'"
             )
+        if engine not in list(ENGINES):
+            raise ValueError(unknown_engine(engine))
         for name, value, least in (
             ("num_envs", num_envs, 1),
             ("max_episode_steps", 1 if max_episode_steps is None else max_episode_steps, 1),
@@ -91,50 +95,29 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         ):
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
                 raise ValueError(f"{name} is {value!r}; it must be a whole number, {least} or more")
-        # One rig knows names, addresses and spaces; it is never stepped.
-        self._rig = rig = DoublePendulumEnv(plant=plant, model=model, exact_state=exact_state)
-        self._family = rig._family
+        # One environment knows names, numbers and spaces; it is never stepped.
+        one = DoublePendulumEnv(plant=plant, model=model, exact_state=exact_state)
+        self._family = one.family
         # All rows share one layout, so all keep as much of the past as the longest delay asks for.
-        rig._set_plant(dataclasses.replace(self._family.base, delay=self._family.longest_delay))
-        if rig._physics.extras or rig._frictionloss or not rig._joint_readings:
-            raise mjcf.MjcfError(
-                f"{rig.source.name}: frictionloss of the cart, delayed sensors and <custom> effects do not run in the "
-                "batch; make it with vectorization_mode='sync'"
-            )
+        base, delay = self._family.base, self._family.longest_delay
+        longest = base if delay == base.delay else dataclasses.replace(base, delay=delay)
+        rig = one.rig if longest is base else Rig.of(one.source, longest)
         self.num_envs, self.exact_state, self.max_episode_steps = int(num_envs), exact_state, max_episode_steps
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {**rig.metadata, "render_modes": [], "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space, self.single_action_space = rig.observation_space, rig.action_space
+        self.metadata = {**one.metadata, "render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.single_observation_space, self.single_action_space = one.observation_space, one.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
-        self._sims = mjbatch.Batch(rig.model, self.num_envs, threads)
-        self._ctrl, self._clock, self._force = (self._sims.bind(name) for name in ("ctrl", "time", "actuator_force"))
-        self._sims.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._new = self._sims.state[0].copy()  # written into rows that are reset, at a fifth of what a reset costs
-        # MuJoCo's state begins with the time, qpos and qvel.
-        first = 1 + rig.model.nq
-        self._joints = np.array([*(1 + q for q in rig._qpos_address), *(first + dof for dof in rig._dof)])
-        ties = [pair for q, led, dof, driven in rig._ties for pair in ((1 + q, 1 + led), (first + dof, first + driven))]
-        self._followers, self._leaders = np.array(ties, dtype=np.intp).reshape(-1, 2).T
         self._generators: list[np.random.Generator | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
-        # The friction of motors without cogging is nothing where nothing has moved, so it need not be computed there.
-        kind, numbers = rig.model.actuator_biastype, rig.model.actuator_biasprm
-        self._free_at_rest = all(
-            kind[i] == mujoco.mjtBias.mjBIAS_DCMOTOR and numbers[i, 0] == 0 for i, _ in rig._passive
-        )
         n = self.num_envs
-        self._plants = [rig.plant] * n
-        self._numbers: _PlantNumbers | None = None
-        # What is worked out at every step has rows for its last axis, which NumPy walks through faster.
-        self._counts, self._noise, self._keep, self._gain = np.zeros((3, n)), *np.zeros((3, n))
-        self._sense_as(np.arange(n), self._plants)
-        # Readings of the encoders and velocities worked out from them; what is observed, unless the state is.
-        self._measured = np.zeros((6, n))
-        self._observed = np.zeros((6, n)) if exact_state else self._measured
-        self._friction = np.zeros(n)
-        self._can_fall, self._ended, self.began = (np.zeros(n, dtype=bool) for _ in range(3))
+        self._plants = [longest] * n
+        self._encoders = Encoders(n)
+        self._encoders.become(np.arange(n), self._plants)
+        self._noisy = bool(self._encoders.noise.any())
+        self._rigs: Rigs = ENGINES[engine](rig, self._encoders, exact_state=exact_state, threads=threads)
+        self._ended, self.began = np.zeros((2, n), dtype=bool)
         self._steps = np.zeros(n, dtype=np.int64)
 
     # ------------------------------------------------------------------------------------------------ Gymnasium
@@ -168,7 +151,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         infos |= {key: np.zeros(self.num_envs, dtype=bool) for key in ("clipped", "diverged")}
         self._begin(rows, options, infos)
         self.began = mask
-        return self._observations(), _masked(infos, mask)
+        return self._rigs.observations(), _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         """Hold a voltage in every row for one control period.
@@ -199,13 +182,13 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             self.began, self._ended = ended, np.zeros_like(ended)
             if ended.any():
                 rows = np.flatnonzero(ended)
-                final_obs, final_info = _final(self._observed.T, infos, ended)
+                final_obs, final_info = _final(self._rigs.observations(), infos, ended)
                 self._begin(rows, {}, infos)
                 infos = _masked(infos, everywhere)
                 infos |= {"final_obs": final_obs, "_final_obs": ended.copy()}
                 infos |= {"final_info": final_info, "_final_info": ended.copy()}
-                return self._observations(), rewards, terminated, truncated, infos
-        return self._observations(), rewards, terminated, truncated, _masked(infos, everywhere)
+                return self._rigs.observations(), rewards, terminated, truncated, infos
+        return self._rigs.observations(), rewards, terminated, truncated, _masked(infos, everywhere)
 
     # ------------------------------------------------------------------------------- what wrappers may ask for
 
@@ -233,62 +216,45 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     @property
     def state(self) -> Array:
         """The simulations' exact states, (num_envs, 6), as the observation orders them."""
-        return _absolute(self._sims.state.T[self._joints]).T
+        return self._rigs.state
 
     @property
     def measured_velocity(self) -> Array:
         """Velocities of the carts as last observed, (num_envs,) m/s."""
-        return self._observed[3].copy()
+        return self._rigs.observations()[:, 3]
 
     @property
     def encoders(self) -> Array:
         """Last readings of the encoders, (num_envs, 3), m and rad; the third is relative to the first pole."""
-        readings = self._measured[:3].copy()
+        readings = self._rigs.measured[:3]
         readings[2] -= readings[1]
         return readings.T
 
     @property
     def time(self) -> Array:
         """Simulated time since each reset, (num_envs,) s."""
-        return self._clock.reshape(self.num_envs).copy()
+        return self._rigs.time
 
     @property
     def friction(self) -> Array:
         """Dry friction on each cart at the last physics step, (num_envs,) N."""
-        return self._friction.copy()
+        return self._rigs.friction
 
     # -------------------------------------------------------------------------------------------- simulation
 
     def _advance(self, asked: Array, going: Mask) -> tuple[Array, Mask, Mask, dict[str, Any]]:
         """Step the rows that are `going`; what comes back for the others means nothing."""
-        rig = self._rig
-        supply, rail = self._family.base.supply, rig._rail
-        volts = np.minimum(np.maximum(asked, -supply), supply)
-        self._ctrl[:, rig._motor] = volts
-        self._sims.step(None if going.all() else going, nstep=rig._nstep)
-        joints = self._sims.state.T[self._joints]
-        state = _absolute(joints.copy())
-        size = np.abs(state)
-        diverged = ~(size.sum(axis=0) < DIVERGED)
-        fine = going & ~diverged
-        if not fine.all():
-            state[:, ~fine] = size[:, ~fine] = 0.0
-        terms = kernels.costs(state[0], state[1], state[2], volts, rail, supply)
-        fell = (size[1] > kernels.FALL) | (size[2] > kernels.FALL)
-        terminated = going & ((size[0] >= rail) | (self._can_fall & fell) | diverged)
-        self._measure(joints[:3], state, fine)
+        period = self._rigs.advance(asked, going, self._noise_of if self._noisy else None)
         self._steps += going
         limit = self.max_episode_steps
         truncated = np.zeros_like(going) if limit is None else going & (self._steps >= limit)
-        rewards = np.where(fine, 1.0 - terms[0] - terms[1] - terms[2] - terms[3], 0.0)
-        infos: dict[str, Any] = {"reward_survive": np.ones(self.num_envs), **dict(zip(COSTS, terms, strict=True))}
-        self._friction = self._read_friction()
-        infos |= {"friction": self.friction}
-        if diverged.any():
-            for value in infos.values():
-                value[diverged] = 0.0
-        infos |= {"voltage": volts, "clipped": volts != asked, "time": self.time, "diverged": diverged}
-        return rewards, terminated, truncated, infos
+        return period.rewards, period.terminated, truncated, period.infos
+
+    def _noise_of(self, which: Mask) -> Array:
+        """What noise adds to the joints' readings of some rows, (3, n)."""
+        noise, rows = np.zeros((3, self.num_envs)), np.flatnonzero(which)
+        noise[:, rows] = self._encoder_noise(rows).T
+        return noise
 
     def _begin(self, rows: NDArray[np.intp], options: dict[str, Any], infos: dict[str, Any]) -> None:
         """Draw plants and states for `rows`, put them there, and note the `info` of their first moment."""
@@ -306,59 +272,21 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             plants.append(family.draw(generator))
             states[k] = start_state(generator, start, state)
         self._become(rows, plants)
-        joints = states.copy()
-        joints[:, 2] -= states[:, 1]
-        joints[:, 5] -= states[:, 4]
-        fresh = np.repeat(self._new[None], len(rows), axis=0)
-        fresh[:, self._joints] = joints
-        fresh[:, self._followers] = fresh[:, self._leaders]
-        self._sims.state[rows] = fresh
-        self._can_fall[rows] = (np.abs(states[:, 1:3]) <= kernels.FALL).all(axis=1)
+        can_fall: Mask = np.all(np.abs(states[:, 1:3]) <= kernels.FALL, axis=1)
+        noise = self._encoder_noise(rows) if self._noisy else np.zeros((len(rows), 3))
         self._steps[rows], self._ended[rows] = 0, False
-        joints = joints[:, :3]
-        if self._noisy:
-            joints += self._encoder_noise(rows)
-        self._measured[:3, rows] = _readings(joints.T, self._counts[:, rows])
-        self._measured[3:, rows] = states[:, 3:].T
-        if self.exact_state:
-            self._observed[:, rows] = states.T
         for value in infos.values():
             value[rows] = 0
         infos["reward_survive"][rows] = 1.0
-        self._friction[rows] = 0.0
-        if not self._free_at_rest or states[:, 3:].any():
-            self._sims.forward(rows)
-            self._friction[rows] = self._read_friction()[rows]
-            infos["friction"][rows] = self._friction[rows]
-
-    def _measure(self, joints: Array, state: Array, which: Mask) -> None:
-        """Read the encoders of joints (3, n), update their velocity filters, and note what is observed of some rows."""
-        if self._noisy:
-            rows = np.flatnonzero(which)
-            joints[:, rows] += self._encoder_noise(rows).T
-        before, measured = self._measured, np.empty_like(self._measured)
-        measured[:3] = _readings(joints, self._counts)
-        measured[3:] = kernels.velocity(measured[:3], before[:3], before[3:], self._keep, self._gain)
-        np.copyto(self._measured, measured, where=which)
-        if self.exact_state:
-            np.copyto(self._observed, state, where=which)
-
-    def _observations(self) -> Array:
-        """What is observed now, (num_envs, 6), as an array of its own."""
-        return self._observed.T.copy()
-
-    def _read_friction(self) -> Array:
-        force = np.zeros(self.num_envs)
-        for i, gear in self._rig._passive:
-            force += gear * self._force[:, i]
-        return force
+        infos["friction"][rows] = self._rigs.begin(rows, states, can_fall, noise)
 
     def _encoder_noise(self, rows: NDArray[np.intp]) -> Array:
         """What noise adds to the joints of rows before they are rounded, (rows, 3); drawn only where there is any."""
         noise = np.zeros((len(rows), 3))
-        for k in np.flatnonzero(self._noise[rows] > 0):
+        own = self._encoders
+        for k in np.flatnonzero(own.noise[rows] > 0):
             i = int(rows[k])
-            noise[k] = self._noise[i] * self._counts[:, i] * self._generator(i).standard_normal(3)
+            noise[k] = own.noise[i] * own.counts[:, i] * self._generator(i).standard_normal(3)
         return noise
 
     # ------------------------------------------------------------------------------------------------ plants
@@ -373,7 +301,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
                 f"options['plant'] has a delay of up to {family.longest_delay:g} s; this environment was made for "
                 f"{self._family.longest_delay:g} s"
             )
-        if _actuators(theirs) != _actuators(mine):
+        if theirs.layout != mine.layout:
             raise PlantError("options['plant'] adds or removes an actuator; make another environment for it")
         return family
 
@@ -386,19 +314,11 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         if not changed:
             return
         rows, plants = rows[changed], [plants[k] for k in changed]
-        if self._numbers is None:
-            self._numbers = _PlantNumbers(self._sims, self._rig)
-        self._numbers.write(rows, plants)
-        self._sense_as(rows, plants)
+        self._encoders.become(rows, plants)
+        self._noisy = bool(self._encoders.noise.any())
+        self._rigs.become(rows, plants)
         for i, plant in zip(rows, plants, strict=True):
             self._plants[i] = plant
-
-    def _sense_as(self, rows: NDArray[np.intp], plants: list[Plant]) -> None:
-        for i, plant in zip(rows, plants, strict=True):
-            encoders = plant.encoders
-            self._counts[:, i], self._noise[i] = (encoders.cart, encoders.pole, encoders.pole), encoders.noise
-            self._keep[i], self._gain[i] = kernels.velocity_gains(encoders.velocity_filter, plant.control_period)
-        self._noisy = bool(self._noise.any())
 
     # ------------------------------------------------------------------------------------------------ details
 
@@ -417,76 +337,6 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         if not mask.any():
             raise ValueError("options['reset_mask'] selects no environment")
         return mask.copy()
-
-
-class _PlantNumbers:
-    """Writes plants into the rows of a batch, as compiling the text would, only a hundred times faster."""
-
-    FIELDS = (
-        "dof_damping",
-        "actuator_gear",
-        "actuator_gainprm",
-        "actuator_biasprm",
-        "actuator_dynprm",
-        "actuator_delay",
-        "body_mass",
-        "body_inertia",
-    )
-
-    def __init__(self, sims: mjbatch.Batch, rig: DoublePendulumEnv) -> None:
-        model = rig.model
-        bare = dataclasses.replace(rig.plant, masses=Masses(), delay=0.0)
-        self._nominal = mjcf.compile(rig.source.edited(bare.to_mjcf(rig.source.text)), trusted=True)
-        self._delayed = bool((model.actuator_delay > 0).any())
-        self._sims, self._fields = sims, {name: sims.expand(name) for name in self.FIELDS}
-        self._motor, self._friction = (
-            mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name) for name in ("motor", "friction")
-        )
-        bodies = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in NAMES}
-        self._bodies = {name: body for name, body in bodies.items() if body >= 0}
-        self._cart_dof = rig._dof[0]
-
-    def write(self, rows: NDArray[np.intp], plants: list[Plant]) -> None:
-        field, nominal = self._fields, self._nominal
-        for i, plant in zip(rows, plants, strict=True):
-            motor, friction = plant.motor, plant.friction
-            if motor is not None:
-                field["actuator_gear"][i, self._motor, 0] = 1 / motor.pulley_radius
-                field["actuator_gainprm"][i, self._motor, :2] = motor.resistance, motor.constant
-            if friction is not None:
-                field["dof_damping"][i, self._cart_dof] = friction.viscous
-                if friction.coulomb > 0:
-                    levels = friction.coulomb, friction.static, friction.stribeck_velocity
-                    field["actuator_biasprm"][i, self._friction, 3:6] = levels
-                    bristle = friction.bristle_stiffness, friction.bristle_damping
-                    field["actuator_dynprm"][i, self._friction, 5:7] = bristle
-            if self._delayed:
-                field["actuator_delay"][i, self._motor] = plant.delay or nominal.actuator_delay[self._motor]
-            masses = plant.masses.given()
-            for name, body in self._bodies.items():
-                mass = masses.get(name)
-                scale = 1.0 if mass is None else mass / nominal.body_mass[body]
-                field["body_mass"][i, body] = nominal.body_mass[body] if mass is None else mass
-                field["body_inertia"][i, body] = nominal.body_inertia[body] * scale
-        self._sims.set_const(rows)
-
-
-def _actuators(plant: Plant) -> tuple[bool, bool | None]:
-    return plant.motor is None, None if plant.friction is None else plant.friction.coulomb > 0
-
-
-def _absolute(joints: Array) -> Array:
-    """Positions and velocities of joints, (6, rows), with those of the second pole made absolute in place."""
-    joints[2] += joints[1]
-    joints[5] += joints[4]
-    return joints
-
-
-def _readings(joints: Array, counts: Array) -> Array:
-    """What encoders with these counts say of joints, (3, rows); the second angle is absolute, as the first is."""
-    readings = kernels.quantise(joints, counts)
-    readings[2] += readings[1]
-    return readings
 
 
 def _masked(infos: dict[str, Any], mask: Mask) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from dipc_gym.compensators import Ideal, StaticGain
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.plant import Friction, Masses, Motor, Plant, PlantError
 from dipc_gym.randomise import Normal, PlantFamily, Uniform
+from dipc_gym.rigs.batch import MujocoRigs
 from dipc_gym.vector import DIPCFrictionVectorEnv
 from dipc_gym.wrappers import ForceCommand, RecordRun, VectorForceCommand, VectorRecordRun
 
@@ -39,6 +40,9 @@ RANDOM = {
     "encoders": {"noise": {"uniform": [0.0, 0.5]}, "velocity_filter": {"uniform": [0.0, 0.02]}},
 }
 WILD = [0.0, 0.0, 0.0, 0.0, 1e4, -1e4]  # two turns a step: no integrator follows that
+
+
+ENGINES = ("mujoco", "compiled")
 
 
 def batched(num_envs: int = N, **kwargs: Any) -> DIPCFrictionVectorEnv:
@@ -90,23 +94,26 @@ def drive(ours: Any, theirs: Any, mode: str, steps: int, size: float = 24.0, **r
     return seen
 
 
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 @pytest.mark.parametrize("plant", [None, {"encoders": {"noise": 0.5}}, RANDOM], ids=["home", "noise", "random"])
-def test_equals_single_environments_to_the_last_bit(mode: str, plant: Any) -> None:
-    kwargs = {"plant": plant, "max_episode_steps": 40}
+def test_equals_single_environments_to_the_last_bit(mode: str, plant: Any, engine: str) -> None:
+    kwargs = {"plant": plant, "max_episode_steps": 40, "engine": engine}
     seen = drive(batched(autoreset_mode=mode, **kwargs), one_by_one(mode, **kwargs), mode, 200)
     assert seen["truncated"] > 5
     if plant is None:
-        assert drive(batched(autoreset_mode=mode), one_by_one(mode), mode, 150, 200.0)["terminated"] > 2
+        ours, theirs = batched(autoreset_mode=mode, engine=engine), one_by_one(mode, engine=engine)
+        assert drive(ours, theirs, mode, 150, 200.0)["terminated"] > 2
 
 
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 @pytest.mark.parametrize("exact_state", [False, True])
 def test_equals_where_simulations_diverge(
-    mode: str, exact_state: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    mode: str, exact_state: bool, engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    kwargs = {"exact_state": exact_state, "plant": {"encoders": {"noise": 0.2}}}
+    kwargs = {"exact_state": exact_state, "plant": {"encoders": {"noise": 0.2}}, "engine": engine}
     ours, theirs = batched(autoreset_mode=mode, **kwargs), one_by_one(mode, **kwargs)
     seen = drive(ours, theirs, mode, 20, options={"state": WILD})
     assert seen["diverged"] == N
@@ -116,13 +123,16 @@ def test_equals_where_simulations_diverge(
 @pytest.mark.parametrize(
     "options", [{"start": "hanging"}, {"state": [0.1, 0.5, 0, 0, 1, 0]}, {"plant": {"delay": 0.0}}]
 )
-def test_equals_with_options_and_exact_state(options: dict[str, Any]) -> None:
-    kwargs = {"plant": RANDOM, "exact_state": True}
+@pytest.mark.parametrize("engine", ENGINES)
+def test_equals_with_options_and_exact_state(options: dict[str, Any], engine: str) -> None:
+    kwargs = {"plant": RANDOM, "exact_state": True, "engine": engine}
     drive(batched(**kwargs), one_by_one(**kwargs), "NextStep", 40, options=options)
 
 
-def test_threads_do_not_matter() -> None:
-    drive(batched(threads=1, plant=RANDOM), batched(threads=3, plant=RANDOM), "NextStep", 60)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_threads_do_not_matter(engine: str) -> None:
+    one, more = (batched(300, threads=threads, plant=RANDOM, engine=engine) for threads in (1, 3))
+    drive(one, more, "NextStep", 20)
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
@@ -182,17 +192,19 @@ def test_spec_and_metadata() -> None:
 SPREADS = st.sampled_from(["uniform", "normal"])
 
 
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_numbers_written_are_those_that_compiling_gives(seed: int) -> None:
     envs = DIPCFrictionVectorEnv(2, plant=RANDOM)
     envs.reset(seed=seed)
-    text = envs._rig.source.text
+    rigs = envs._rigs
+    assert isinstance(rigs, MujocoRigs)
+    source = rigs.rig.source
     longest = envs._family.longest_delay
     for row, plant in enumerate(envs.plants):
-        written = envs._sims.get_model(row)
+        written = rigs.sims.get_model(row)
         layout = dataclasses.replace(plant, delay=longest)
-        compiled = mjcf.compile(envs._rig.source.edited(layout.to_mjcf(text)), trusted=True)
+        compiled = mjcf.compile(source.edited(layout.to_mjcf(source.text)), trusted=True)
         assert written.actuator_delay[0] == plant.delay
         for name in mjbatch.MODEL_FIELDS - {"actuator_delay"}:
             if not name.startswith("opt."):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -19,13 +20,14 @@ STATES = 6  # random states compared
 TOLERANCE = 1e-9  # of the largest acceleration, and of the largest rate
 
 
-def check(program: Program, parameters: Array, source: Physics) -> None:
+def check(program: Program, parameters: Array, source: Physics, rates: Callable[..., Array] = rates) -> None:
     """Compare accelerations and rates of hidden states with MuJoCo's at random states.
 
     Args:
         program: of the model.
         parameters: those of `source`, (k,).
         source: the model.
+        rates: what is compared; see `run.rates`.
 
     Raises:
         Uncovered: they differ; the message says where.

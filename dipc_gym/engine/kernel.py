@@ -20,13 +20,14 @@ def write_kernel(tree: Tree) -> str:
     `tangent(q, v, a, numbers, dq, dv, dnumbers, dforces)`, how the forces of a motion change; tangents are (.., LANES).
     """
     module = ir.Module("kernel")
-    _primal(module, tree)
+    write_primal(module, tree)
     _tangent(module, tree)
     return str(module)
 
 
-def _primal(module: ir.Module, tree: Tree) -> None:
-    code, count = Code(module, "primal", [POINTER] * 5), len(tree.parents)
+def write_primal(module: ir.Module, tree: Tree, *, width: int = 0) -> None:
+    """Write `primal`, of one configuration or of `width` at once, for the same module."""
+    code, count = Code(module, "primal", [POINTER] * 5, internal=bool(width), width=width), len(tree.parents)
     q, v, numbers, matrix, bias = (code.numbers(argument) for argument in code.function.args)
     mechanics = Mechanics(tree, _Fixed(tree, numbers), [q[i] for i in range(count)], sin_cos)
     for i, force in enumerate(mechanics.forces([v[i] for i in range(count)], [0.0] * count)):

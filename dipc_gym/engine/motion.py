@@ -14,11 +14,11 @@ from llvmlite import ir
 from dipc_gym.engine.forces import Attached, Rule, depth_of, laws
 from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Element, Head, Joint, Kind, Spring
 from dipc_gym.engine.values import (
+    BIT,
     INT,
     LANES,
     POINTER,
     VECTOR,
-    VOID,
     Code,
     Index,
     Number,
@@ -34,15 +34,19 @@ from dipc_gym.physics import Moment
 ARGUMENTS = [POINTER] * 16
 
 
-def write_rates(module: ir.Module, rules: Sequence[tuple[Rule, bool]], *, tangents: bool) -> ir.Function:
+def write_rates(
+    module: ir.Module, rules: Sequence[tuple[Rule, bool]], *, tangents: bool, width: int = 0
+) -> ir.Function:
     """Write the function that sets rates, holding forces and levels of friction.
 
     Args:
         module: to write into.
         rules: what `<custom>` may add to joints, and whether each is a level of dry friction.
         tangents: whether derivatives are worked out.
+        width: 0, or how many simulations go side by side, without joints that stick and without stops; the forces of
+            passive actuators then take the place of the holding forces.
     """
-    code = Code(module, "rates", ARGUMENTS, tangents=tangents, internal=True)
+    code = Code(module, "rates", ARGUMENTS, tangents=tangents, internal=True, width=width)
     _Rates(code, rules).write()
     return code.finish()
 
@@ -52,8 +56,9 @@ class _Rates:
         arguments = code.function.args
         self.code, self.rules = code, rules
         self.program = arguments[0]
-        self.primal = ir.Function(code.module, ir.FunctionType(VOID, [POINTER] * 5), "primal")
-        self.tangent = ir.Function(code.module, ir.FunctionType(VOID, [POINTER] * 8), "tangent")
+        self.primal = code.external("primal", [POINTER] * 5)
+        if code.tangents:
+            self.tangent = code.external("tangent", [POINTER] * 8)
         self.numbers = code.numbers(arguments[1], arguments[2])
         self.commands = code.numbers(arguments[3], arguments[4])
         self.directions = code.numbers(arguments[5])
@@ -79,6 +84,8 @@ class _Rates:
 
     def stuck(self, k: Index) -> ir.Value:
         code = self.code
+        if code.width:
+            return ir.Constant(BIT, 0)
         return code.all_of(self.directions[k].equals(0.0), self.levels.plain(k) > 0)
 
     def write(self) -> None:
@@ -88,7 +95,7 @@ class _Rates:
         with code.count(n) as k:
             self.rates[k] = self.speeds[k]
         self.attached.on_joints(self.forces)
-        self.attached.by_elements(self.forces, self.drives, self.rates)
+        self.attached.by_elements(self.forces, self.drives, self.rates, self.holding if code.width else None)
         arguments = [self.states.place, self.speeds.place, self.numbers.place, self.matrix.place, self.bias.place]
         code.at.call(self.primal, arguments)
         with code.count(n) as k:
@@ -98,10 +105,13 @@ class _Rates:
         self._laws()
         self._factorise()
         with code.count(n) as k:
-            slides = self.directions[k] * self.levels[k]
-            self.forces[k] = self.forces[k] - where(self.stuck(k), code.value(0.0), code.value(slides))
+            if not code.width:
+                slides = self.directions[k] * self.levels[k]
+                self.forces[k] = self.forces[k] - where(self.stuck(k), code.value(0.0), code.value(slides))
             self.total[k] = self.forces[k]
         self._solve()
+        if code.width:
+            return
         with code.when(code.below(integer(0), code.whole(self.program, Head.STOPS))):
             self._contacts()
         self._hold()

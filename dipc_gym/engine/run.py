@@ -202,14 +202,14 @@ def _call(
     # Rows differ in what they cost; small shares even that out.
     borders = np.linspace(0, count, (4 * workers if workers > 1 else 1) + 1).astype(int)
     shares = list(zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True))
-    each = _pool(workers, os.getpid()).map if workers > 1 else map
+    each = pool(workers, os.getpid()).map if workers > 1 else map
     list(each(lambda share: function(table, *share), shares))
     if left.any():
         raise Uncovered("a joint that meets its limit")
 
 
 @functools.lru_cache(maxsize=4)
-def _pool(workers: int, process: int) -> ThreadPoolExecutor:
+def pool(workers: int, process: int) -> ThreadPoolExecutor:
     """Threads of this process; a fork has none of its parent's."""
     return ThreadPoolExecutor(workers, thread_name_prefix="engine")
 

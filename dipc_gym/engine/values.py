@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
+from dipc_gym.engine import elementary
+
 LANES = 8
 REAL, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 POINTER = ir.PointerType()
@@ -38,6 +40,9 @@ class Code:
         returns: type.
         tangents: whether numbers carry derivatives.
         internal: whether only functions of the same module call it.
+        width: 0, or how many simulations go side by side: every number is then a vector of theirs. Nothing may branch
+            on such a number, and there are no tangents.
+        exact: whether each operation is rounded by itself, as Python's are.
     """
 
     def __init__(
@@ -49,12 +54,16 @@ class Code:
         returns: ir.Type | None = None,
         tangents: bool = False,
         internal: bool = False,
+        width: int = 0,
+        exact: bool = False,
     ) -> None:
-        self.module, self.tangents = module, tangents
+        self.module, self.tangents, self.width, self.exact = module, tangents, width, exact
+        self.flags = () if exact else _FUSED
+        self.real = ir.VectorType(REAL, width) if width else REAL
         self.function = ir.Function(module, ir.FunctionType(returns or ir.VoidType(), arguments), name)
         if internal:
             self.function.linkage = "internal"
-            self.function.attributes.add("noinline")
+            self.function.attributes.add("alwaysinline" if width else "noinline")
         self._entry = self.function.append_basic_block("entry")
         self.at = ir.IRBuilder(self.function.append_basic_block("body"))
         self._scratch = ir.IRBuilder(self._entry)
@@ -73,7 +82,7 @@ class Code:
 
     def scratch(self, count: int, *, plain: bool = False) -> Numbers:
         """Memory for numbers of this call, without tangents if `plain`."""
-        place = self._scratch.alloca(REAL, count)
+        place = self._scratch.alloca(self.real, count)
         place.align = 64
         beside = None
         if self.tangents and not plain:
@@ -99,9 +108,9 @@ class Code:
         """An address in memory."""
         return self.at.load(self._element(place, index, POINTER), typ=POINTER)
 
-    def offset(self, place: ir.Value, index: Index, kind: ir.Type = REAL) -> ir.Value:
-        """The address `index` elements further on."""
-        return self._element(place, index, kind)
+    def offset(self, place: ir.Value, index: Index, kind: ir.Type | None = None) -> ir.Value:
+        """The address `index` elements further on, by default numbers."""
+        return self._element(place, index, kind or self.real)
 
     def _element(self, place: ir.Value, index: Index, kind: ir.Type) -> ir.Value:
         return self.at.gep(place, [integer(index)], inbounds=True, source_etype=kind)
@@ -110,7 +119,11 @@ class Code:
 
     def value(self, number: Number) -> Value:
         """A number as a value."""
-        return number if isinstance(number, Value) else Value(self, ir.Constant(REAL, float(number)))
+        return number if isinstance(number, Value) else Value(self, self.constant(float(number)))
+
+    def constant(self, number: float) -> ir.Value:
+        """A number that is known when the code is written."""
+        return ir.Constant(self.real, [number] * self.width if self.width else number)
 
     def splat(self, number: ir.Value) -> ir.Value:
         """The same number in all lanes."""
@@ -128,7 +141,18 @@ class Code:
 
     def intrinsic(self, name: str, *numbers: ir.Value) -> ir.Value:
         """One of LLVM's own functions of real numbers."""
+        if self.width:
+            name = f"{name}.v{self.width}f64"
+            function = self.module.globals.get(name)
+            if function is None:
+                function = ir.Function(self.module, ir.FunctionType(self.real, [self.real] * len(numbers)), name)
+            return self.at.call(function, numbers)
         return self.at.call(self.module.declare_intrinsic(name, [REAL]), numbers)
+
+    def external(self, name: str, arguments: Sequence[ir.Type]) -> ir.Function:
+        """A function of this module or another."""
+        function = self.module.globals.get(name)
+        return function or ir.Function(self.module, ir.FunctionType(VOID, arguments), name)
 
     # Flow
 
@@ -240,22 +264,22 @@ class Numbers:
         at, tangent = self.code.at, None
         if self.beside is not None:
             tangent = at.load(self.code.offset(self.beside, index, VECTOR), align=8, typ=VECTOR)
-        return Value(self.code, at.load(self.code.offset(self.place, index), typ=REAL), tangent)
+        return Value(self.code, at.load(self.code.offset(self.place, index), align=8, typ=self.code.real), tangent)
 
     def __setitem__(self, index: Index, number: Number) -> None:
         at, value = self.code.at, self.code.value(number)
-        at.store(value.primal, self.code.offset(self.place, index))
+        at.store(value.primal, self.code.offset(self.place, index), align=8)
         if self.beside is not None:
             tangent = value.tangent if value.tangent is not None else ir.Constant(VECTOR, [0.0] * LANES)
             at.store(tangent, self.code.offset(self.beside, index, VECTOR), align=8)
 
     def plain(self, index: Index) -> Value:
         """A number without its tangent: a decision, or where a tangent is of no use."""
-        return Value(self.code, self.code.at.load(self.code.offset(self.place, index), typ=REAL))
+        return Value(self.code, self.code.at.load(self.code.offset(self.place, index), align=8, typ=self.code.real))
 
     def set_plain(self, index: Index, number: Number) -> None:
         """Change a number and leave its tangent."""
-        self.code.at.store(self.code.value(number).primal, self.code.offset(self.place, index))
+        self.code.at.store(self.code.value(number).primal, self.code.offset(self.place, index), align=8)
 
     def since(self, index: Index) -> Numbers:
         """The numbers from one on."""
@@ -284,7 +308,7 @@ class Value:
         """The tangent times a number."""
         if self.tangent is None:
             return None
-        return self.code.at.fmul(self.tangent, self.code.splat(by), flags=_FUSED)
+        return self.code.at.fmul(self.tangent, self.code.splat(by), flags=self.code.flags)
 
     def _chain(self, primal: ir.Value, slope: Callable[[], ir.Value]) -> Value:
         """A function's value with the tangent that its slope gives."""
@@ -296,7 +320,9 @@ class Value:
                 return self
             other = self.code.value(other)
         at = self.code.at
-        return Value(self.code, at.fadd(self.primal, other.primal, flags=_FUSED), _sum(at, self.tangent, other.tangent))
+        return Value(
+            self.code, at.fadd(self.primal, other.primal, flags=self.code.flags), _sum(at, self.tangent, other.tangent)
+        )
 
     __radd__ = __add__
 
@@ -310,8 +336,10 @@ class Value:
         at = self.code.at
         tangent = self.tangent
         if other.tangent is not None:
-            tangent = at.fneg(other.tangent) if tangent is None else at.fsub(tangent, other.tangent, flags=_FUSED)
-        return Value(self.code, at.fsub(self.primal, other.primal, flags=_FUSED), tangent)
+            tangent = (
+                at.fneg(other.tangent) if tangent is None else at.fsub(tangent, other.tangent, flags=self.code.flags)
+            )
+        return Value(self.code, at.fsub(self.primal, other.primal, flags=self.code.flags), tangent)
 
     def __rsub__(self, other: Number) -> Value:
         return -self if other == 0 else self.code.value(other) - self
@@ -326,14 +354,16 @@ class Value:
                 return -self
             other = self.code.value(other)
         at = self.code.at
-        product = at.fmul(self.primal, other.primal, flags=_FUSED)
+        product = at.fmul(self.primal, other.primal, flags=self.code.flags)
         return Value(self.code, product, _sum(at, self._scaled(other.primal), other._scaled(self.primal)))
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Number) -> Value:
         if not isinstance(other, Value):
-            return self.code.value(self * (1.0 / other))
+            if not self.code.exact:
+                return self.code.value(self * (1.0 / other))
+            other = self.code.value(other)
         at = self.code.at
         quotient = at.fdiv(self.primal, other.primal)
         if self.tangent is None and other.tangent is None:
@@ -344,6 +374,9 @@ class Value:
 
     def __rtruediv__(self, other: Number) -> Number:
         return 0.0 if other == 0 else self.code.value(other) / self
+
+    def __floordiv__(self, other: Number) -> Number:
+        return Value(self.code, self.code.intrinsic("llvm.floor", self.primal)) if other == 1 else NotImplemented
 
     def __pow__(self, power: int) -> Number:
         if power == 2:
@@ -412,22 +445,30 @@ def where(condition: ir.Value, one: Number, other: Number) -> Value:
 
 def sin(x: Value) -> Value:
     """Sine."""
+    if x.code.width:
+        return elementary.sin_cos(x)[0]
     return x._chain(x.code.call("sin", x.primal), lambda: x.code.call("cos", x.primal))
 
 
 def cos(x: Value) -> Value:
     """Cosine."""
+    if x.code.width:
+        return elementary.sin_cos(x)[1]
     return x._chain(x.code.call("cos", x.primal), lambda: x.code.at.fneg(x.code.call("sin", x.primal)))
 
 
 def sin_cos(x: Value) -> tuple[Value, Value]:
     """Sine and cosine, each of which is the other's slope."""
+    if x.code.width:
+        return elementary.sin_cos(x)
     s, c = x.code.call("sin", x.primal), x.code.call("cos", x.primal)
     return x._chain(s, lambda: c), x._chain(c, lambda: x.code.at.fneg(s))
 
 
 def exp(x: Value) -> Value:
     """Exponential."""
+    if x.code.width:
+        return elementary.exp(x)
     primal = x.code.call("exp", x.primal)
     return x._chain(primal, lambda: primal)
 

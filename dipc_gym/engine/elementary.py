@@ -1,0 +1,92 @@
+"""Sine, cosine and exponential of many numbers at once, which the C library has for one number only.
+
+The argument is brought near zero, where a Taylor series reaches the last bit but one. Every operation is one that
+IEEE 754 defines, so a number's result does not depend on its neighbours.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from llvmlite import ir
+
+if TYPE_CHECKING:
+    from dipc_gym.engine.values import Value
+
+# Adding it leaves no bits behind the point; the whole number is then in the last bits.
+_ROUNDING = 1.5 * 2.0**52
+_EXPONENT = 52  # place of a number's exponent among its bits
+
+# ln 2 and pi/2 in parts, the first ones short enough for exact products with whole numbers of 20 bits.
+_LN2 = (float.fromhex("0x1.62e42fee00000p-1"), float.fromhex("0x1.a39ef35793c76p-33"))
+_QUARTER = (
+    float.fromhex("0x1.921fb54400000p+0"),
+    float.fromhex("0x1.0b4611a600000p-34"),
+    float.fromhex("0x1.3198a2e037073p-69"),
+)
+_LEAST, _MOST = -708.0, 709.0  # exponents whose power of e a number holds
+
+
+def exp(x: Value) -> Value:
+    """Exponential; what would be below 1e-307 is that."""
+    from dipc_gym.engine.values import Value, maximum, minimum
+
+    code = x.code
+    x = minimum(maximum(x, _LEAST), _MOST)
+    shifted, whole = _rounded(x * (1 / math.log(2)))
+    rest = x - whole * _LN2[0] - whole * _LN2[1]
+    series = _horner(rest, [1 / math.factorial(k) for k in range(14)])
+    power = code.at.shl(_bits(shifted), _constant(code, _EXPONENT))
+    one = code.at.bitcast(code.constant(1.0), _whole(code))
+    return Value(code, code.at.bitcast(code.at.add(power, one), code.real)) * series
+
+
+def sin_cos(x: Value) -> tuple[Value, Value]:
+    """Sine and cosine, of angles up to a million."""
+    from dipc_gym.engine.values import Value
+
+    code, at = x.code, x.code.at
+    shifted, whole = _rounded(x * (2 / math.pi))
+    rest = x
+    for part in _QUARTER:
+        rest = rest - whole * part
+    square = rest * rest
+    s = rest * _horner(square, [(-1) ** k / math.factorial(2 * k + 1) for k in range(9)])
+    c = _horner(square, [(-1) ** k / math.factorial(2 * k) for k in range(9)])
+    quarters = _bits(shifted)
+    one, two = _constant(code, 1), _constant(code, 2)
+    odd = at.icmp_unsigned("==", at.and_(quarters, one), one)
+
+    def signed(number: Value, by: Any) -> Value:
+        flip = at.shl(at.and_(by, two), _constant(code, 62))
+        return Value(code, at.bitcast(at.xor(at.bitcast(number.primal, _whole(code)), flip), code.real))
+
+    sine = Value(code, at.select(odd, c.primal, s.primal))
+    cosine = Value(code, at.select(odd, s.primal, c.primal))
+    return signed(sine, quarters), signed(cosine, at.add(quarters, one))
+
+
+def _rounded(x: Value) -> tuple[Value, Value]:
+    """A number whose last bits are the nearest whole number, and that whole number."""
+    shifted = x + _ROUNDING
+    return shifted, shifted - _ROUNDING
+
+
+def _horner(x: Value, coefficients: list[float]) -> Value:
+    total = x.code.value(coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
+        total = total * x + coefficient
+    return total
+
+
+def _whole(code: Any) -> ir.Type:
+    return ir.VectorType(ir.IntType(64), code.width)
+
+
+def _constant(code: Any, number: int) -> ir.Value:
+    return ir.Constant(_whole(code), [number] * code.width)
+
+
+def _bits(number: Value) -> ir.Value:
+    return number.code.at.bitcast(number.primal, _whole(number.code))
