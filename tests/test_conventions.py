@@ -38,11 +38,10 @@ def hanging() -> Recording:
 
 def found(text: str, run: Recording) -> tuple[list[Convention], float]:
     """What is found to differ, beside the model as given."""
-    source, span = mjcf.from_text(text), (0.0, 1.0)
+    source = mjcf.from_text(text)
     cut = prepared(text, [run], stepping=STEPPING)
     given = fit(cut.problem, cut.structure)
-    never = np.array([np.inf])
-    return conventions.differing(source, physics.load(source), [run], cut, [given], span, never)
+    return conventions.differing(source, physics.load(source), [run], cut, [given])
 
 
 def test_every_convention_is_thought_of() -> None:

@@ -102,8 +102,6 @@ def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) 
             given.recordings,
             case.prepared,
             [nominal, recalibrated],
-            given.span,
-            case.borders,
         )
         if others:
             raise CannotTell(*sentences.conventions(others, nominal.error, off))

@@ -19,10 +19,11 @@ from dipc_gym import mjcf
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.estimation import states
-from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
 from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.selection import data
+from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.verdict.settings import CONVENTIONS
 
 Array = NDArray[np.float64]
@@ -99,45 +100,45 @@ def differing(
     recordings: Sequence[Recording],
     prepared: Prepared,
     fits: Sequence[Fit],
-    span: tuple[float, float],
-    late: Array,
 ) -> tuple[list[Convention], float]:
     """Conventions with which the model as given predicts far better than it does without, whatever its parameters.
+
+    The first seconds of recordings tell: a wrong convention is wrong throughout.
 
     Args:
         source: text of the model.
         physics: the same, loaded.
         recordings: of one rig.
-        prepared: windows of them.
-        fits: as given, and with its parameters refitted; the windows of `selection.split` first.
-        span: the part of each recording that the windows were cut from.
-        late: times in each recording from which they were not fitted, s.
+        prepared: windows of them, whose length and steps are taken.
+        fits: as given, and with its parameters refitted.
 
     Returns:
         Those that predict best, alike, and the error then, in units of noise; none where none decides.
     """
     first = recordings[0]
+    some = [_begin(recording, CONVENTIONS.seconds / min(len(recordings), 2)) for recording in recordings[:2]]
+
+    def windows(convention: Convention | None) -> Prepared:
+        counted = some if convention is None else [convention.applied(recording) for recording in some]
+        stepping, threads = prepared.problem.stepping, prepared.problem.threads
+        again = prepare(source, physics, counted, stepping, length=prepared.length, threads=threads)
+        return data.known_past(again)
+
+    as_counted = windows(None).problem
+    without = min(common_error(evaluate(as_counted, one.structure, one.z)[0]) for one in fits)
     tried: list[tuple[float, Convention]] = []
     for convention in possible(physics, first.actuator_names, first.sensor_names):
-        again = data.known_past(
-            prepare(
-                source,
-                physics,
-                [convention.applied(recording) for recording in recordings],
-                prepared.problem.stepping,
-                length=prepared.length,
-                span=span,
-                threads=prepared.problem.threads,
-            )
-        )
-        w = again.problem.windows
-        windows, _, _ = data.split(again.problem.pick(w.start < late[w.source]))
-        half = np.arange(0, len(windows.windows), 2)
-        error = common_error(fit(windows.pick(half), again.structure).mse)
-        if error < CONVENTIONS.decides * min(common_error(one.mse[half]) for one in fits):
+        again = windows(convention)
+        error = common_error(fit(again.problem, again.structure).mse)
+        if error < CONVENTIONS.decides * without:
             tried.append((error, convention))
     least = min((error for error, _ in tried), default=math.inf)
     return [convention for error, convention in tried if error < CONVENTIONS.alike * least], least
+
+
+def _begin(recording: Recording, seconds: float) -> Recording:
+    """The first seconds of a recording, and those that a window has to be late in it."""
+    return recording.slice(0, int(np.searchsorted(recording.time, recording.time[0] + WINDOWS.late + seconds)))
 
 
 def _read(physics: Physics) -> dict[str, tuple[list[int], list[int]]]:

@@ -13,12 +13,14 @@ class ConventionSettings:
         decides: share of the error of the model as given, and with its parameters refitted, below which the error must
             fall with a convention changed, and no parameter. In 50 blind trials none of those that were right brought
             it below the former.
+        seconds: of recordings that conventions are tried on
         gross: share of the motion: a smaller mismatch is none of conventions
         parallel: cosine between two axes
         alike: times the least error, up to which conventions cannot be told apart
     """
 
     decides: float = 0.5
+    seconds: float = 12.0
     gross: float = 0.005
     parallel: float = 0.99
     alike: float = 1.1
