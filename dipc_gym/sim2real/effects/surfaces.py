@@ -24,6 +24,7 @@ ALONE, BOTH = 32, 16  # bins along one input, and along each of two; no knots li
 PAIRED = 8  # of the better inputs, that are tried in pairs
 TELLS = 0.1  # share of what one input takes, by which two have to take more
 STIFF = (1e-3, 0.1, 10.0)  # of an even table: weight of its bends, against that of its samples
+TIMID = 0.01  # weight of a level's size: where nearly no samples are, a table is nearly nothing
 LEAST = 0.002  # share of the variance that a table must take of blocks that it did not see
 MOST_LEVELS = 72  # of a table
 
@@ -104,7 +105,8 @@ class _Even:
         for (normal, right, _), told in (self.sums, self.sums[::-1]):
             size = float(normal.trace()) / len(right)
             for k, stiff in enumerate(STIFF):
-                levels = np.asarray(np.linalg.solve(normal.toarray() + stiff * size * bends, right))
+                penalty = size * (stiff * bends + TIMID * np.eye(len(bends)))
+                levels = np.asarray(np.linalg.solve(normal.toarray() + penalty, right))
                 taken[k] += _taken(levels, told) / 2
         return float(taken.max())
 
@@ -144,7 +146,9 @@ class _Even:
         right = coarse.T @ sum(one[1] for one in sums)
         shape = [len(k) for k in knots]
         size = float(np.trace(normal)) / len(right)
-        levels = np.asarray(np.linalg.solve(normal + 1e-4 * size * _bending(shape), right))
+        levels = np.asarray(
+            np.linalg.solve(normal + size * (0.1 * STIFF[0] * _bending(shape) + TIMID * np.eye(len(right))), right)
+        )
         return levels, np.asarray(coarse @ levels)
 
 
@@ -168,8 +172,8 @@ def _hats(shares: Sequence[Array], count: int) -> sparse.csr_array:
 
 
 def _bending(counts: Sequence[int]) -> Array:
-    """Penalty on the second differences of a table along each input, and a trace on its size."""
-    out = 1e-3 * np.eye(int(np.prod(counts)))
+    """Penalty on the second differences of a table along each input."""
+    out = np.zeros((int(np.prod(counts)),) * 2)
     for axis, count in enumerate(counts):
         second = np.diff(np.eye(count), 2, axis=0)
         whole: Array = np.ones((1, 1))

@@ -32,7 +32,7 @@ def in_one_sentence(
     """
     goes = "falls" if errors.improved < errors.nominal else "goes"
     fall = f"On held-out data the error {goes} from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
-    known = " ".join(m.sentence for m in missing if m.effect != "unknown")
+    known = " ".join(m.sentence for m in missing if m.effect != "unknown" or m.law is not None)
     left = ""
     if errors.improved > SCORE.at_floor:
         left = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
