@@ -16,17 +16,24 @@ class _Searched:
     """A search that has run, its fits told apart by names alone."""
 
     interrupted = False
-    validation = None
+    question = None
 
     def __init__(self, *path: str) -> None:
-        self.path = [_fitted(name) for name in path]
+        self.progress = SimpleNamespace(path=[_fitted(name) for name in path], current=_fitted(path[-1]))
+        self.partition = SimpleNamespace(validation=None)
+        self.scorer = self.fitter = self
+        self.errors: dict[str, float] = {}
 
     def tell(self, line: str) -> None:
         """Nobody listens."""
 
     def replace_last(self, better: SimpleNamespace) -> None:
         """Another search found nothing to add."""
-        self.path[-1] = better
+        self.progress = SimpleNamespace(path=[*self.progress.path[:-1], better], current=better)
+
+    def comparison_error(self, fitted: SimpleNamespace) -> float:
+        """The same as on validation data."""
+        return self.errors[fitted.name]
 
     def alike(self, best: SimpleNamespace, other: SimpleNamespace, _: SimpleNamespace) -> bool:
         """What has the best in its name predicts alike."""
@@ -79,7 +86,7 @@ def _conclude(
     monkeypatch.setattr(judge, "rivals", rivals)
     monkeypatch.setattr(sparse, "fewest_parameters", lambda _, fit: fit)
     monkeypatch.setattr(sparse, "other_parameters", lambda *_: [])
-    monkeypatch.setattr(judge, "comparison_error", lambda _, fit: errors[fit.name])
+    search.errors = errors
     monkeypatch.setattr(judge, "error_on", lambda _, fit: errors[fit.name])
 
     def apart(_: object, new: SimpleNamespace, old: SimpleNamespace) -> SimpleNamespace:
@@ -158,7 +165,7 @@ def test_a_name_that_needs_nothing_beside_it_goes_before_two(
     """A constant force and another sensor's bias may together be what one biased sensor is alone."""
     names = ("force spring bias", "zero spring bias", "zero spring")
     errors = dict.fromkeys(names, 1.0) | {"": 9.0, "worse": 2.0}
-    monkeypatch.setattr(conclude, "prune", lambda _, fit: _fitted(idle.get(fit.name, fit.name)))
+    monkeypatch.setattr(conclude, "prune", lambda _question, _fitter, fit, _tell: _fitted(idle.get(fit.name, fit.name)))
     same = {"force": ["zero spring bias"]}
     found, _ = _conclude(monkeypatch, _Searched("", "force spring bias"), errors, {}, same)
     assert found.fitted.name == stays  # type: ignore[attr-defined]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,16 +9,18 @@ import numpy as np
 import pytest
 
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.selection import data, pairs, screen, search
+from dipc_gym.sim2real.selection import data, fitter, hypotheses, pairs, screen, sketches
+from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.hypotheses import Phase, Question
+from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.score import compare
+from dipc_gym.sim2real.selection.scorer import Scorer, earned, enough
 from dipc_gym.sim2real.selection.screen import Tried
-from dipc_gym.sim2real.selection.search import Search
 
 
 @pytest.mark.parametrize(
-    ("before", "now", "terms", "enough"),
+    ("before", "now", "terms", "ends"),
     [
         (300.0, 1.1, 1, True),  # a third of a percent may be owed to the law of friction
         (10.0, 1.1, 1, False),  # a twentieth may not
@@ -29,16 +29,15 @@ from dipc_gym.sim2real.selection.search import Search
         (5.0, 0.99, 2, True),
     ],
 )
-def test_a_search_ends_where_laws_may_leave_what_is_left(before: float, now: float, terms: int, enough: bool) -> None:
+def test_a_search_ends_where_laws_may_leave_what_is_left(before: float, now: float, terms: int, ends: bool) -> None:
     def fitted(error: float, count: int) -> SimpleNamespace:
         return SimpleNamespace(error=error, structure=SimpleNamespace(terms=("friction",) * count))
 
-    search = SimpleNamespace(path=[fitted(before, 0)])
-    assert Search.enough(search, fitted(now, terms)) is enough  # type: ignore[arg-type]
+    assert enough(fitted(before, 0), fitted(now, terms)) is ends  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("small", "before", "after", "earned"),
+    ("small", "before", "after", "stays"),
     [
         (False, 10.0, 7.0, True),  # a third of what is left
         (False, 10.0, 8.5, True),  # a sixth
@@ -48,11 +47,10 @@ def test_a_search_ends_where_laws_may_leave_what_is_left(before: float, now: flo
         (False, 1.3, 1.1, True),
     ],
 )
-def test_what_earns_its_place(small: bool, before: float, after: float, earned: bool) -> None:
+def test_what_earns_its_place(small: bool, before: float, after: float, stays: bool) -> None:
     """Errors in units of noise."""
-    search = SimpleNamespace(small=small)
     windows = np.ones(9)
-    assert Search._earned(search, after**2 * windows, before**2 * windows) is earned  # type: ignore[arg-type]
+    assert earned(after**2 * windows, before**2 * windows, small=small) is stays
 
 
 @pytest.mark.parametrize(
@@ -75,22 +73,21 @@ def test_a_gap_that_fell_short_beside_one_effect_is_not_tried_beside_others(
         said.append(name := " ".join(term.key for term in structure.terms))
         return SimpleNamespace(mse=np.full(9, after.get(name, 1.0)), error=2.0)
 
-    search = SimpleNamespace(subset=np.arange(9), sketch=sketch, slow=lambda term: term.key == "gap")
+    fits = SimpleNamespace(subset=np.arange(9), sketch=sketch, slow=lambda term: term.key == "gap")
     asked: list[Any] = []
     for name in ("gap drag", "gap load", "rub drag"):
         terms = [SimpleNamespace(key=key) for key in name.split()]
         both = SimpleNamespace(terms=terms, slots=terms, elaborates=lambda _: False)
         asked.append((1.0, SimpleNamespace(), both))
-    pairs.sketched(search, asked, SimpleNamespace(mse=np.full(9, 8.0)))  # type: ignore[arg-type]
+    pairs.sketched(fits, asked, SimpleNamespace(mse=np.full(9, 8.0)))  # type: ignore[arg-type]
     assert said == tried
 
 
-@pytest.mark.parametrize(("after", "earned"), [(1.0, True), (1.3, False)])
-def test_a_push_not_yet_found_does_not_speak_against_what_explains_the_rest(after: float, earned: bool) -> None:
+@pytest.mark.parametrize(("after", "stays"), [(1.0, True), (1.3, False)])
+def test_a_push_not_yet_found_does_not_speak_against_what_explains_the_rest(after: float, stays: bool) -> None:
     before, now = np.full(40, 1.5**2), np.full(40, after**2)
     before[7] = now[7] = 60.0**2
-    search = SimpleNamespace(small=False)
-    assert Search._earned(search, now, before) is earned  # type: ignore[arg-type]
+    assert earned(now, before, small=False) is stays
 
 
 @pytest.mark.parametrize(
@@ -108,9 +105,7 @@ def test_what_elaborates_waits_for_the_plain_one(plain: float, elaborate: float,
         (Tried(Term(catalogue()[name], "cart", {}), 1.0, SimpleNamespace(error=error)), None)  # type: ignore[arg-type]
         for name, error in errors.items()
     ]
-    search = SimpleNamespace(subset=np.arange(4))
-    current = SimpleNamespace(mse=np.full(9, 100.0**2))
-    left = Search._plain_first(search, sketched, current)  # type: ignore[arg-type]
+    left = sketches.plain_first(sketched, 100.0)  # type: ignore[arg-type]
     assert [tried.term.effect.id for tried, _ in left] == kept
 
 
@@ -130,20 +125,27 @@ def test_what_takes_fine_steps_and_gains_less_waits_for_the_others(
     noise.
     """
 
-    class Searching(Search):
-        def _sketched(self, by_key: Sequence[tuple[Tried, Fit]], current: Fit) -> list[tuple[Tried, Fit]]:
-            (tried, base) = by_key[0]
-            error = lag_leaves if tried.term.effect.id == "timing.sensor_lag" else 5.0
-            sketch = SimpleNamespace(error=error, structure=None)
-            return [(replace(tried, sketch=sketch), base)]  # type: ignore[arg-type]
-
-    stepping = SimpleNamespace(timestep=0.001)
-    search = Searching(SimpleNamespace(stepping=stepping), *[None] * 3, (), (), lambda: None)  # type: ignore[arg-type]
-    base = SimpleNamespace(structure=SimpleNamespace(with_term=lambda _: SimpleNamespace(elaborates=lambda _: False)))
     gains = {"timing.sensor_lag": 2.0, "transmission.compliance": 2.0 * share}
-    ranked = [(Tried(Term(catalogue()[name], "at", {}), worth), base) for name, worth in gains.items()]
-    by_key = {tried.key: [(tried, base)] for tried, base in ranked}
-    sketched = search._in_turn(ranked, by_key, SimpleNamespace(error=50.0))  # type: ignore[arg-type]
+    left = {"timing.sensor_lag": lag_leaves, "transmission.compliance": 5.0}
+
+    class Structure(SimpleNamespace):
+        def with_term(self, term: Term) -> Structure:
+            return Structure(terms=[term], term_values=lambda *_: {}, elaborates=lambda _: False)
+
+    class Fits:
+        subset = np.arange(9)
+
+        def slow(self, term: Term) -> bool:
+            return term.effect.id == "transmission.compliance"
+
+        def sketch(self, base: Any, structure: Structure) -> SimpleNamespace:
+            error = left[structure.terms[0].effect.id]
+            return SimpleNamespace(error=error, mse=np.full(9, error**2), structure=structure, z=np.zeros(0))
+
+    base = SimpleNamespace(structure=Structure())
+    ranked: list[Any] = [(Tried(Term(catalogue()[name], "at", {}), worth), base) for name, worth in gains.items()]
+    current: Any = SimpleNamespace(error=50.0, mse=np.full(9, 2500.0))
+    sketched = sketches.in_turn(Fits(), ranked, {one.key: [(one, on)] for one, on in ranked}, current)  # type: ignore[arg-type]
     assert {tried.term.effect.id for tried, _ in sketched} == asked
 
 
@@ -153,13 +155,14 @@ def test_what_happened_once_is_looked_for_at_the_noise(
 ) -> None:
     """Elsewhere a push in the right moment takes up a little of everything."""
     push = catalogue()["disturbance.pulse"]
-    monkeypatch.setattr("dipc_gym.sim2real.selection.search.places", lambda *_: ["cart"])
+    monkeypatch.setattr("dipc_gym.sim2real.selection.hypotheses.places", lambda *_: ["cart"])
     model = SimpleNamespace(dof_frictionloss=np.zeros(1))
     scene = SimpleNamespace(model=model, recordings=[None], at=lambda *_: None)
-    search = SimpleNamespace(effects=[push], joints=(), last=False, _plain=lambda *_: {})
+    question = Question([push], (), lambda *_: scene)  # type: ignore[arg-type, return-value]
     current = SimpleNamespace(mse=np.full(9, error**2), structure=SimpleNamespace(terms=(), model=model))
     monkeypatch.setattr(type(push), "guesses", lambda *_: [{}])
-    assert bool(Search.hypotheses(search, current, scene)) is tried  # type: ignore[arg-type]
+    found = hypotheses.hypotheses(question, Phase.FORMULAS, current, scene)  # type: ignore[arg-type]
+    assert bool(found) is tried
 
 
 @pytest.mark.parametrize(
@@ -195,15 +198,16 @@ def test_what_acts_seldom_stands_out_where_it_leaves_nothing(
 ) -> None:
     """Two of 72 windows are predicted badly, the others at the noise or not."""
     before = np.append(np.full(70, others), [400.0, 90.0])
-    search = SimpleNamespace(
-        mse=lambda fitted: fitted.mse,
-        earns=lambda new, old: True,
-        compare=lambda new, old: SimpleNamespace(clear=False),  # by a standard error, two windows never are
-    )
-    search.settles = lambda new, old: Search.settles(search, new, old)  # type: ignore[arg-type]
+
+    class OnFitted(Scorer):
+        def comparison_mse(self, fitted: Any) -> np.ndarray:
+            return np.zeros(0)
+
+    scorer = OnFitted(SimpleNamespace(blocks=np.arange(72)))  # type: ignore[arg-type]
     term = SimpleNamespace(effect=SimpleNamespace(once=False))
     fits = [SimpleNamespace(mse=mse) for mse in (np.append(np.full(70, others), after), before)]
-    assert Search.stands_out(search, term, *fits) is stands_out  # type: ignore[arg-type]
+    assert not scorer.compare(*fits).clear  # type: ignore[arg-type]  # by a standard error, two windows never are
+    assert scorer.stands_out(term, *fits) is stands_out  # type: ignore[arg-type]
 
 
 def test_windows_of_other_recordings_at_the_time_of_an_outlier_are_left_aside() -> None:
@@ -218,9 +222,9 @@ def test_windows_of_other_recordings_at_the_time_of_an_outlier_are_left_aside() 
 
 def test_sketches_know_windows_that_stood_out_before_them() -> None:
     """What stands out later is added at the end, and older sketches are compared on what they know."""
-    search = SimpleNamespace(subset=np.array([4, 7, 9, 2]))
+    partition = Partition(*[None] * 4, np.array([4, 7, 9, 2]))  # type: ignore[arg-type]
     old = SimpleNamespace(mse=np.ones(3))
-    assert Search.known_to(search, old).tolist() == [4, 7, 9]  # type: ignore[arg-type]
+    assert partition.known_to(old).tolist() == [4, 7, 9]  # type: ignore[arg-type]
 
 
 def test_windows_beside_an_outlier_are_taken_in() -> None:
@@ -288,9 +292,9 @@ def test_several_effects_that_stay_above_the_noise_are_begun_anew(
     problem = SimpleNamespace(blocks=np.arange(60), windows=range(60))
     problem.pick = lambda which: SimpleNamespace(windows=which)
     monkeypatch.setattr(
-        search,
+        fitter,
         "fit",
         lambda some, *_, **__: fitted(whole if some is problem else subset, len(some.windows)),
     )
-    made = SimpleNamespace(problem=problem, subset=np.arange(0, 60, 3))
-    assert Search._anew(made, fitted(stays, 60)).error == kept  # type: ignore[arg-type]
+    partition = Partition(problem, *[None] * 3, np.arange(0, 60, 3))  # type: ignore[arg-type]
+    assert Fitter(Scorer(partition)).anew(fitted(stays, 60)).error == kept  # type: ignore[arg-type]

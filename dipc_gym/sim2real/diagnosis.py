@@ -15,11 +15,14 @@ from dipc_gym.provenance import versions
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.estimation import unexplained
-from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.result import Diagnosis
 from dipc_gym.sim2real.selection.baseline import Baseline, baseline
 from dipc_gym.sim2real.selection.case import CannotTell, Case, Given, gather, part
+from dipc_gym.sim2real.selection.hypotheses import Question
+from dipc_gym.sim2real.selection.progress import Journal, Progress
+from dipc_gym.sim2real.selection.scorer import Scorer
 from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import conventions, judge, sentences
@@ -77,8 +80,10 @@ def diagnose(
         return _cannot_tell(why, given, provenance)
     search, located = _search(case, base, list(effects if effects is not None else catalogue().values()), tell)
     late = Late(search)
-    late("Whether more is missing", lambda: search.run(base.recalibrated), lambda: base.recalibrated)
-    found = late("What could stand in for the effects", lambda: conclude(search), lambda: Conclusion(search.path[-1]))
+    late("Whether more is missing", search.run, lambda: base.recalibrated)
+    found = late(
+        "What could stand in for the effects", lambda: conclude(search), lambda: Conclusion(search.progress.current)
+    )
     judged = judgement(case, base, search, found, located, provenance, late)
     provenance["seconds"] = round(time.monotonic() - began, 1)
     first = [sentences.own_step(given.physics.model.opt.timestep, base.fine)] if base.fine is not None else []
@@ -95,7 +100,7 @@ def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) 
     if base.fine is not None:
         tell(f"note: {sentences.own_step(given.physics.model.opt.timestep, base.fine)}")
     tell(f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}")
-    if recalibrated.error > CONVENTIONS.gross * base.problem.motion:
+    if recalibrated.error > CONVENTIONS.gross * base.partition.problem.motion:
         others, off = conventions.differing(
             given.source,
             given.physics,
@@ -111,27 +116,22 @@ def _search(
     case: Case, base: Baseline, effects: Sequence[Effect], tell: Callable[[str], None]
 ) -> tuple[Search, list[judge.Located]]:
     """A search that has not begun, and where the mismatch sits."""
-    given, recalibrated = case.given, base.recalibrated
-    search = Search(
-        base.problem,
-        base.comparison,
-        base.aside,
-        case.borders,
-        effects,
-        case.prepared.structure.base,
-        lambda f, outliers=(): unexplained.scene(
-            f.structure.physics(f.z), given.recordings, case.prepared.motions, given.span[1], outliers
-        ),
-        anchor=fit(
-            base.problem, recalibrated.structure, np.zeros(len(given.model_parameters)), base.nominal.initial, most=0
-        ),
-        tell=tell,
-    )
-    worst = judge.comparison_error(search, recalibrated)
-    located = judge.locate(search.look(recalibrated), search.joints)
-    search.small = worst > SCORE.at_floor and judge.negligible(worst, base.problem.motion, located[0])
-    if search.small:
+    given, partition, recalibrated = case.given, base.partition, base.recalibrated
+
+    def look(fitted: Fit, outliers: Sequence[float] = ()) -> unexplained.Scene:
+        physics = fitted.structure.physics(fitted.z)
+        return unexplained.scene(physics, given.recordings, case.prepared.motions, given.span[1], outliers)
+
+    question = Question(effects, case.prepared.structure.base, look)
+    nominal = np.zeros(len(given.model_parameters))
+    anchor = fit(partition.problem, recalibrated.structure, nominal, base.nominal.initial, most=0)
+    scorer = Scorer(partition)
+    worst = scorer.comparison_error(recalibrated)
+    located = judge.locate(look(recalibrated), question.joints)
+    small = worst > SCORE.at_floor and judge.negligible(worst, partition.problem.motion, located[0])
+    if small:
         tell("the mismatch is small beside the motion, and without a pattern: only what explains all of it will count")
+    search = Search(question, replace(scorer, small=small), Journal(Progress(partition, (recalibrated,), anchor), tell))
     return search, located
 
 

@@ -188,8 +188,9 @@ def _rising(time: Array) -> Array:
 
 def _maps(work: Work, structural: bool, order: Sequence[str]) -> list[page.Mismatch]:
     structure = work.prepared.structure
-    first = work.search.look(work.recalibrated if work.recalibrated.structure.model_parameters else work.nominal)
-    after = work.search.look(work.final) if structural else None
+    look = work.search.question.look
+    first = look(work.recalibrated if work.recalibrated.structure.model_parameters else work.nominal)
+    after = look(work.final) if structural else None
     maps = []
     for j, joint in enumerate(structure.base):
         hinge = mjcf.is_hinge(structure.model, joint)
@@ -219,8 +220,8 @@ def _candidates(work: Work) -> list[page.Candidate]:
     }
     otherwise = "not told apart" if search.interrupted else "ruled out"
     rows: dict[str, page.Candidate] = {}
-    baseline = search.path[0]
-    for tried in [t for r in reversed(search.rounds) for t in r]:
+    baseline = search.progress.path[0]
+    for tried in [t for r in reversed(search.progress.rounds) for t in r]:
         if tried.key in rows and (rows[tried.key].error is not None or tried.sketch is None):
             continue
         words = (tried.term.effect.__doc__ or "").split("\n")[0].rstrip(".")
@@ -229,13 +230,11 @@ def _candidates(work: Work) -> list[page.Candidate]:
             continue
         if tried.fitted is not None:
             error = tried.fitted.error
-            gain = compare(
-                search.comparison_mse(tried.fitted), search.comparison_mse(baseline), search.comparison.blocks
-            )
+            gain = search.scorer.compare_apart(tried.fitted, baseline)
         else:  # the windows of a sketch are among the worse ones
-            subset = search.known_to(tried.sketch)
+            subset = search.partition.known_to(tried.sketch)
             error = tried.sketch.error * baseline.error / float(np.sqrt(np.mean(baseline.mse[subset])))
-            gain = compare(tried.sketch.mse, baseline.mse[subset], search.problem.blocks[subset])
+            gain = compare(tried.sketch.mse, baseline.mse[subset], search.partition.problem.blocks[subset])
         rows[tried.key] = page.Candidate(
             tried.term.effect.name,
             tried.term.at,

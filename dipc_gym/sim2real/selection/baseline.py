@@ -8,8 +8,9 @@ import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
-from dipc_gym.sim2real.selection import data
+from dipc_gym.sim2real.selection import data, ranking
 from dipc_gym.sim2real.selection.case import Case
+from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.simulation.batch import Stepping
 
@@ -19,9 +20,7 @@ class Baseline:
     """What is known before any effect is tried.
 
     Attributes:
-        problem: windows to fit, outlier windows among them.
-        comparison: windows to compare on.
-        aside: windows left aside, and those to validate by.
+        partition: which windows serve for what; outlier windows are among those that are fitted.
         test: windows for the judgement alone.
         nominal: the model as given, initial states fitted.
         recalibrated: its parameters fitted as well.
@@ -29,9 +28,7 @@ class Baseline:
             and all windows are therefore simulated in these; None elsewhere.
     """
 
-    problem: Problem
-    comparison: Problem
-    aside: Problem
+    partition: Partition
     test: Problem
     nominal: Fit
     recalibrated: Fit
@@ -54,13 +51,12 @@ def baseline(case: Case) -> Baseline:
     recalibrated = fit(problem, free, initial=nominal.initial, most=20)
     outliers = data.outliers_aside(aside, recalibrated)
     if len(outliers):
-        problem, aside = (
-            problem.join(aside.pick(outliers)),
-            aside.pick(np.delete(np.arange(len(aside.windows)), outliers)),
-        )
+        problem, others = problem.join(aside.pick(outliers)), np.delete(np.arange(len(aside.windows)), outliers)
+        aside = aside.pick(others)
         nominal = fit(problem, structure)
         recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.initial)
-    return Baseline(problem, comparison, aside, test, nominal, recalibrated, fine)
+    partition = Partition(problem, comparison, aside, case.borders, ranking.subset(recalibrated.mse))
+    return Baseline(partition, test, nominal, recalibrated, fine)
 
 
 def _predicts_better(problem: Problem, fitted: Fit) -> bool:

@@ -7,74 +7,47 @@ be among those left aside.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit
-from dipc_gym.sim2real.selection import data
-from dipc_gym.sim2real.selection.settings import SCORE
-
-if TYPE_CHECKING:
-    from dipc_gym.sim2real.estimation.problem import Problem
-    from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.estimation.fit import evaluate
+from dipc_gym.sim2real.selection import data, ranking
+from dipc_gym.sim2real.selection.progress import Progress
+from dipc_gym.sim2real.selection.scorer import Scorer
 
 
-def quiet(fitted: Fit) -> bool:
-    """Whether most windows are at the noise, so that one in which something happened stands out."""
-    return float(np.median(fitted.mse)) < SCORE.quiet
+def attend(progress: Progress, scorer: Scorer) -> Progress:
+    """A search on the windows that it is to go on with, chosen by what stands out beside its present fit.
+
+    Args:
+        progress: of the search.
+        scorer: compares on its windows.
+    """
+    if ranking.quiet(progress.current):
+        progress = _around_outliers(progress, scorer)
+    partition = progress.partition
+    windows = partition.problem.windows.join(partition.comparison.windows)
+    mse = scorer.over(partition).mse(progress.current)
+    progress = progress.keeping(data.without_echoes(windows, mse))
+    if not ranking.quiet(progress.current):
+        return progress
+    partition = progress.partition
+    new = np.setdiff1d(data.outliers(progress.current.mse), partition.subset)
+    return replace(progress, partition=replace(partition, subset=np.append(partition.subset, new)))
 
 
-def attend(search: Search) -> Fit:
-    """The present fit of a search, once its windows are chosen by what stands out beside that."""
-    current = search.path[-1]
-    if quiet(current):
-        # When something began and ended is told by the windows around it, those to compare on among them.
-        mse = search.comparison_mse(current)
-        if len(search.aside.windows):
-            mse = np.append(mse, evaluate(search.aside, current.structure, current.z)[0])
-        others, compared = search.comparison.join(search.aside), len(search.comparison.windows)
-        which = data.eventful(search.problem.windows, current.mse, others.windows, mse)
-        search.aside = search.aside.pick(~which[compared:])
-        if which[:compared].any():
-            search.compare_on(search.comparison.pick(~which[:compared]))
-        _take_in(search, others.pick(which))
-    windows = search.problem.windows.join(search.comparison.windows)
-    _leave_aside(search, data.without_echoes(windows, search.mse(search.path[-1])))
-    current = search.path[-1]
-    if quiet(current):
-        search.subset = np.append(search.subset, np.setdiff1d(data.outliers(current.mse), search.subset))
-    return current
+def _around_outliers(progress: Progress, scorer: Scorer) -> Progress:
+    """With the windows around outliers to fit: they tell when something began and ended.
 
-
-def _take_in(search: Search, new: Problem) -> None:
-    """Fit some more windows; what is known already learns what it says of them."""
-    if not len(new.windows):
-        return
-
-    def informed(fitted: Fit) -> Fit:
-        return fitted.join(fit(new, fitted.structure, fitted.z, most=0))
-
-    path = [informed(fitted) for fitted in search.path]
-    anchor = search.anchor and informed(search.anchor)
-    rounds = [
-        [replace(tried, fitted=tried.fitted and informed(tried.fitted)) for tried in hypotheses]
-        for hypotheses in search.rounds
-    ]
-    # Together, for Ctrl-C may come while fits are informed.
-    search.problem, search.path, search.anchor, search.rounds = search.problem.join(new), path, anchor, rounds
-
-
-def _leave_aside(search: Search, keep: NDArray[np.bool_]) -> None:
-    """Go on with some of the windows, of the fitted and then of the comparison windows."""
-    if keep.all():
-        return
-    count = len(search.problem.windows)
-    which, subset = np.flatnonzero(keep[:count]), np.flatnonzero(keep[search.subset])
-    search.problem = search.problem.pick(which)
-    search.compare_on(search.comparison.pick(keep[count:]))
-    search.path = [fitted.pick(which) for fitted in search.path]
-    search.anchor = search.anchor and search.anchor.pick(which)
-    search.rounds = [[tried.pick(which, subset) for tried in hypotheses] for hypotheses in search.rounds]
-    search.subset = np.searchsorted(which, search.subset[subset])
+    Some of them are taken from those to compare on, others from those left aside.
+    """
+    current, partition = progress.current, progress.partition
+    mse = scorer.comparison_mse(current)
+    if len(partition.aside.windows):
+        mse = np.append(mse, evaluate(partition.aside, current.structure, current.z)[0])
+    others, compared = partition.comparison.join(partition.aside), len(partition.comparison.windows)
+    which = data.eventful(partition.problem.windows, current.mse, others.windows, mse)
+    taken = replace(partition, aside=partition.aside.pick(~which[compared:]))
+    if which[:compared].any():
+        taken = replace(taken, comparison=partition.comparison.pick(~which[:compared]))
+    return replace(progress, partition=taken).taking_in(others.pick(which))

@@ -7,65 +7,61 @@ are laid over all joints at once; members that the others make idle go before an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Structure, carry
 from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.ranking import Start
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
-if TYPE_CHECKING:
-    from dipc_gym.sim2real.selection.search import Search
 
-
-def best(search: Search, ranked: Sequence[tuple[Tried, Fit]], sketched: Sequence[Fit], current: Fit) -> Fit | None:
-    """A fit with one or two kinds of effect at several joints, if it is clearly better than any single effect.
+def best(
+    fitter: Fitter, ranked: Sequence[Start], sketched: Sequence[Fit], current: Fit
+) -> tuple[Fit, list[Tried]] | None:
+    """A fit with one or two kinds of effect at several joints, if it is clearly better than any single effect; and the
+    hypotheses that it accepts.
 
     Args:
-        search: in progress.
+        fitter: fits them.
         ranked: hypotheses and what they were laid over, the largest predicted gain first.
         sketched: sketches of single effects.
         current: the present fit.
     """
-    kinds = _kinds(search, ranked)
+    kinds = _kinds(fitter, ranked)
     sets = [[one] for one in kinds] + [[a, b] for i, a in enumerate(kinds) for b in kinds[i + 1 :]]
     found: list[Fit] = []
     for chosen in sets:
         structure = _with(current.structure, [tried for kind in chosen for tried in kind])
         if len(structure.terms) < len(current.structure.terms) + 2:
             continue
-        sketch = search.sketch(current, structure)
+        sketch = fitter.sketch(current, structure)
         if sketch is not None:
             found.append(sketch)
     if not found:
         return None
-    losses = ranking.losses([one.mse for one in found] + [current.mse[search.subset]] + [one.mse for one in sketched])
+    losses = ranking.losses([one.mse for one in found] + [current.mse[fitter.subset]] + [one.mse for one in sketched])
     together, alone = losses[: len(found)], min(losses[len(found) :])
     if alone - min(together) < SCORE.large:
         return None
-    sketch = _needed(search, found[int(np.argmin(together))], current)
-    fitted = search.full(current, sketch, current)
-    if fitted is None or not (search.earns(fitted, current) and search.compare(fitted, current).clear):
+    sketch = _needed(fitter, found[int(np.argmin(together))], current)
+    fitted = fitter.full(current, sketch, current)
+    if fitted is None or not fitter.scorer.better(fitted, current):
         return None
-    if not search.confirmed(fitted, current):
-        return None
-    added = [term.key for term in fitted.structure.terms if term.key not in {t.key for t in current.structure.terms}]
-    search.tell(f"{', '.join(added)}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
-    tried = [Tried(t, 0.0, sketch, fitted) for t in fitted.structure.terms if t.key in added]
-    search.rounds.append(ranking.updated(search.rounds[-1], tried))
-    return search.polish(fitted)
+    there = {term.key for term in current.structure.terms}
+    return fitted, [Tried(t, 0.0, sketch, fitted) for t in fitted.structure.terms if t.key not in there]
 
 
-def _kinds(search: Search, ranked: Sequence[tuple[Tried, Fit]]) -> list[list[Tried]]:
+def _kinds(fitter: Fitter, ranked: Sequence[Start]) -> list[list[Tried]]:
     """Effects that may act at several joints, each with its hypotheses, the most promising kinds first."""
     by_id: dict[str, list[Tried]] = {}
     for tried, _ in ranked:
         effect = tried.term.effect
         usual = effect.place == "joint" and effect.linear and not (effect.of_the_clock or effect.free)
-        if usual and not search.slow(tried.term):
+        if usual and not fitter.slow(tried.term):
             by_id.setdefault(effect.id, []).append(tried)
     several = [group for group in by_id.values() if len(group) > 1]
     return sorted(several, key=lambda group: -sum(max(tried.predicted_gain, 0.0) for tried in group))[: SEARCH.kinds]
@@ -80,18 +76,18 @@ def _with(structure: Structure, hypotheses: Sequence[Tried]) -> Structure:
     return structure
 
 
-def _needed(search: Search, sketch: Fit, current: Fit) -> Fit:
+def _needed(fitter: Fitter, sketch: Fit, current: Fit) -> Fit:
     """A sketch without members that its quadratics say the others make idle, refitted."""
     structure, kept = sketch.structure, {term.key for term in current.structure.terms}
     added = [term for term in structure.terms if term.key not in kept]
     idle = [
         term
         for term in added
-        if ranking.foretold_loss(sketch, term, search.problem.counts[search.subset]) < SCORE.worth
+        if ranking.foretold_loss(sketch, term, fitter.problem.counts[fitter.subset]) < SCORE.worth
     ]
     if not idle:
         return sketch
     for term in idle:
         structure = structure.without(term.key)
     begin = carry(sketch.structure, sketch.z, structure)
-    return fit(search.problem.pick(search.subset), structure, begin, sketch.initial, most=5)
+    return fit(fitter.problem.pick(fitter.subset), structure, begin, sketch.initial, most=5)

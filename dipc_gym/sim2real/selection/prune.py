@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -10,42 +10,60 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.unexplained import places
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.hypotheses import Question
+from dipc_gym.sim2real.selection.scorer import Scorer
 from dipc_gym.sim2real.selection.settings import SCORE
 
-if TYPE_CHECKING:
-    from dipc_gym.sim2real.selection.search import Search
 
+def prune(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str], None]) -> Fit:
+    """Take out effects that do not earn their place any more; put plainer ones in the place of idle parameters.
 
-def prune(search: Search, current: Fit) -> Fit:
-    """Take out effects that do not earn their place any more; put plainer ones in the place of idle parameters."""
+    Args:
+        question: has the effects that may be plainer.
+        fitter: refits.
+        current: the fit to prune.
+        tell: called with a line about each effect that goes.
+    """
     for term in current.structure.terms:
         plain = term.effect.linear and not (term.effect.contains or term.effect.once or term.effect.free)
-        if plain and ranking.foretold_loss(current, term, search.problem.counts) > SCORE.large:
+        if plain and ranking.foretold_loss(current, term, fitter.problem.counts) > SCORE.large:
             continue  # needed beyond doubt, without a refit
-        remaining = current.structure.without(term.key)
-        less = search.near(current, remaining) if remaining.terms else None
-        plainer = [_swap(search, current, term, inner) for inner in term.effect.contains]
-        for other in [fitted for fitted in (less, *plainer) if fitted is not None]:
-            if other is less and term.effect.once:
-                needed = search.stands_out(term, current, other)
-            else:
-                lost = search.compare(current, other)
-                needed = not lost.alike and (other is not less or search.earns(current, other))
-                needed = needed or (other is less and search.settles(current, other))
-            if not needed:
-                search.tell(f"{term.key} is more than is needed")
-                return prune(search, other)
+        idle = next(_as_good(question, fitter, current, term), None)
+        if idle is not None:
+            tell(f"{term.key} is more than is needed")
+            return prune(question, fitter, idle, tell)
     return current
 
 
-def _swap(search: Search, current: Fit, term: Term, effect: str) -> Fit | None:
+def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> Iterator[Fit]:
+    """Fits without an effect, or with a plainer one in its place, that do not miss it."""
+    remaining = current.structure.without(term.key)
+    less = fitter.near(current, remaining) if remaining.terms else None
+    if less is not None and not _missed(fitter.scorer, term, current, less):
+        yield less
+    for inner in term.effect.contains:
+        plainer = _swap(question, fitter, current, term, inner)
+        if plainer is not None and fitter.scorer.compare(current, plainer).alike:
+            yield plainer
+
+
+def _missed(scorer: Scorer, term: Term, current: Fit, less: Fit) -> bool:
+    """Whether a fit predicts clearly worse without an effect."""
+    if term.effect.once:
+        return scorer.stands_out(term, current, less)
+    lost = scorer.compare(current, less)
+    return (not lost.alike and scorer.earns(current, less)) or scorer.settles(current, less)
+
+
+def _swap(question: Question, fitter: Fitter, current: Fit, term: Term, effect: str) -> Fit | None:
     """Refit with another effect in the place of one; None where it cannot act."""
-    other = next((e for e in search.effects if e.id == effect), None)
+    other = next((e for e in question.effects if e.id == effect), None)
     remaining = current.structure.without(term.key)
     if other is None or any(t.key == f"{effect}@{term.at}" for t in remaining.terms):
         return None
-    scene = search.look(current)
-    if term.at not in places(other, current.structure.model, search.joints, scene.recordings[0]):
+    scene = question.look(current)
+    if term.at not in places(other, current.structure.model, question.joints, scene.recordings[0]):
         return None
     values = current.structure.term_values(current.z, term)
     levels = [values[name] for name in term.effect.levels]
@@ -54,4 +72,4 @@ def _swap(search: Search, current: Fit, term: Term, effect: str) -> Fit | None:
     if not proposals:
         return None
     shaped, guess = proposals[0]
-    return search.near(current, remaining.with_term(Term(shaped, term.at, dict(guess))))
+    return fitter.near(current, remaining.with_term(Term(shaped, term.at, dict(guess))))

@@ -17,6 +17,12 @@ from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 Array = NDArray[np.float64]
+Start = tuple[Tried, Fit]  # a hypothesis, and the fit that it was laid over
+
+
+def quiet(fitted: Fit) -> bool:
+    """Whether most windows are at the noise, so that one in which something happened stands out."""
+    return float(np.median(fitted.mse)) < SCORE.quiet
 
 
 def alike(difference: Improvement, gained: float) -> bool:
@@ -30,9 +36,9 @@ def updated(tried: Sequence[Tried], news: Sequence[Tried]) -> list[Tried]:
     return [*news, *(one for one in tried if one.key not in known)]
 
 
-def predicted_gain(pair: tuple[Tried, Fit]) -> float:
+def predicted_gain(start: Start) -> float:
     """What screening foretold of a hypothesis."""
-    return pair[0].predicted_gain
+    return start[0].predicted_gain
 
 
 def brought(sketch: Fit, before: Array) -> float:
@@ -75,7 +81,7 @@ def foretold_loss(fitted: Fit, term: Term, counts: Array) -> float:
     return float(np.mean(np.log1p(after) - np.log1p(fitted.mse)))
 
 
-def finalists(ranked: Sequence[tuple[Tried, Fit]], count: int) -> list[tuple[Tried, Fit]]:
+def finalists(ranked: Sequence[Start], count: int) -> list[Start]:
     """The most promising hypotheses, and the plainer ones that these elaborate."""
     first = ranked[:count]
     plain = {f"{inner}@{tried.term.at}" for tried, _ in first for inner in tried.term.effect.contains}

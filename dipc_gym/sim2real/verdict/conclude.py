@@ -48,7 +48,7 @@ def conclude(search: Search) -> Conclusion:
             upheld, fewest, notes, unnamed = _upheld(search)
         except KeyboardInterrupt:
             _interrupted(search)
-            return Conclusion(search.path[-1], _rivals(search, search.path[-1]))
+            return Conclusion(search.progress.current, _rivals(search, search.progress.current))
         rivals = _rivals(search, upheld)
         rival = _successor(search, upheld, [rival for group in rivals.values() for rival in group])
         if notes or rival is None or search.interrupted or swaps == VERDICT.swaps:
@@ -65,13 +65,13 @@ def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.
     before a pair of effects that was accepted together, and so never compared with plainer ones.
     """
     if better := sorted(
-        (r for r in rivals if r.better), key=lambda rival: judge.comparison_error(search, rival.fitted)
+        (r for r in rivals if r.better), key=lambda rival: search.scorer.comparison_error(rival.fitted)
     ):
-        alike = [rival for rival in better if search.alike(better[0].fitted, rival.fitted, upheld)]
+        alike = [rival for rival in better if search.scorer.alike(better[0].fitted, rival.fitted, upheld)]
         return min(alike, key=lambda rival: ranking.cost(rival.fitted))
     same = [_alone(search, rival, upheld) for rival in rivals if rival.same]
     plainer = [rival for rival in same if len(rival.fitted.z) < len(upheld.z)]
-    return min(plainer, key=lambda one: (len(one.fitted.z), judge.comparison_error(search, one.fitted)), default=None)
+    return min(plainer, key=lambda one: (len(one.fitted.z), search.scorer.comparison_error(one.fitted)), default=None)
 
 
 def _alone(search: Search, rival: judge.Rival, upheld: Fit) -> judge.Rival:
@@ -83,11 +83,11 @@ def _alone(search: Search, rival: judge.Rival, upheld: Fit) -> judge.Rival:
     if len(terms) < 2 or search.interrupted:
         return rival
     try:
-        fitted = prune(search, rival.fitted)
+        fitted = prune(search.question, search.fitter, rival.fitted, search.tell)
     except KeyboardInterrupt:
         _interrupted(search)
         return rival
-    return replace(rival, fitted=fitted) if search.compare(upheld, fitted).alike else rival
+    return replace(rival, fitted=fitted) if search.scorer.compare(upheld, fitted).alike else rival
 
 
 def _upheld(search: Search) -> tuple[Fit, Fit, list[str], frozenset[str]]:
@@ -97,7 +97,7 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str], frozenset[str]]:
     What the best of dozens of effects takes up of structure that no catalogue has need not be there the next time.
     Validation data may strike an effect off; they never add one.
     """
-    path, notes = search.path, list[str]()
+    path, notes = search.progress.path, list[str]()
     upheld = path[-1]
     fewest, error = _with_fewest_parameters(search, upheld)
     for before in reversed(path[:-1]):
@@ -125,21 +125,22 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
     windows that no fit has touched are better predicted with it than without it, all else refitted, by more than their
     standard error; that it is no chance, the search has told by all windows. How much is left beside it is no matter.
     """
-    recalibrated = judge.error_on(search.validation, search.path[0])
+    recalibrated = judge.error_on(search.partition.validation, search.progress.path[0])
     notes = list[str]()
     for term in upheld.structure.terms:
         if term.effect.leaves < LEAVES and error - 1 > term.effect.leaves * (recalibrated - 1):
             notes.append(sentences.not_alone(term, error))
-            upheld = search.without(upheld, term.key)
-    left = judge.error_on(search.validation, upheld)
+            upheld = search.fitter.without(upheld, term.key)
+    left = judge.error_on(search.partition.validation, upheld)
     if upheld.structure.terms and left > recalibrated:
         # Without an event that it was fitted beside, an effect may do harm.
-        return search.path[0], [*notes, sentences.refutation(upheld.structure.terms, recalibrated, left)], frozenset()
+        notes.append(sentences.refutation(upheld.structure.terms, recalibrated, left))
+        return search.progress.path[0], notes, frozenset()
     unnamed = set[str]()
     for term in upheld.structure.terms:
         if term.effect.of_no_kind:  # no name, whatever it is worth
             continue
-        gained = judge.apart(search, upheld, search.without(upheld, term.key))
+        gained = judge.apart(search, upheld, search.fitter.without(upheld, term.key))
         if gained.gain < max(VERDICT.named, gained.error):
             unnamed.add(term.key)
             notes.append(sentences.no_name(term, gained.gain))
@@ -153,10 +154,10 @@ def _with_fewest_parameters(search: Search, fitted: Fit) -> tuple[Fit, float]:
     Where few windows tell a parameter, the others may not miss it.
     """
     fewest = sparse.fewest_parameters(search, fitted)
-    error = judge.error_on(search.validation, fewest)
+    error = judge.error_on(search.partition.validation, fewest)
     if error <= SCORE.at_floor:
         return fewest, error
-    with_all = judge.error_on(search.validation, fitted)
+    with_all = judge.error_on(search.partition.validation, fitted)
     return (fitted, with_all) if judge.refuted(with_all, error) else (fewest, error)
 
 

@@ -208,7 +208,7 @@ def with_unknown(
 ) -> list[Missing]:
     """Add what no effect of the catalogue explains; first, if what was found merely stands in for it."""
     left = max(errors.improved - 1, 0.0) / max(errors.recalibrated - 1, 1e-9)
-    place = judge.locate(search.look(final), joints)[0]
+    place = judge.locate(search.question.look(final), joints)[0]
     unknown = Missing(
         "unknown",
         place.at,

@@ -43,11 +43,6 @@ class Rival:
     better: bool = False
 
 
-def comparison_error(search: Search, fitted: Fit) -> float:
-    """Root mean square error on windows between the fitted ones, in units of noise."""
-    return float(np.sqrt(np.mean(search.comparison_mse(fitted))))
-
-
 def intervals(fitted: Fit, problem: Problem) -> Array:
     """Half widths of 90 % intervals of the mapped parameters, (p,), from blocks of a second, whatever is left over.
 
@@ -79,8 +74,8 @@ def share(search: Search, full: Fit, key: str) -> float:
     """How much of the improvement over the recalibrated model is lost without one effect, all else refitted."""
     if len(full.structure.terms) == 1:
         return 1.0
-    best, worst = comparison_error(search, full), comparison_error(search, search.path[0])
-    without = comparison_error(search, search.without(full, key))
+    best, worst = search.scorer.comparison_error(full), search.scorer.comparison_error(search.progress.path[0])
+    without = search.scorer.comparison_error(search.fitter.without(full, key))
     return float(np.clip((without - best) / max(worst - best, 1e-9), 0.0, 1.0))
 
 
@@ -90,25 +85,25 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
     Those that came close in its round, those it is mistaken for, a single effect that stands for it and another one,
     and two that stand for it alone.
     """
-    error = comparison_error(search, full)
+    error = search.scorer.comparison_error(full)
     found: list[Rival] = []
-    search.remember(full)
+    search.fitter.remember(full)
     for others, structure, before in _stand_ins(search, full, term, provisional=error > SCORE.at_floor):
-        swapped = before.fitted if before else search.remembered(structure)
+        swapped = before.fitted if before else search.fitter.remembered(structure)
         if swapped is None:
-            sketch = before.sketch if before else search.sketch(full, structure)
+            sketch = before.sketch if before else search.fitter.sketch(full, structure)
             if sketch is None:
                 continue
-            if search.behind(sketch, full):
+            if search.fitter.behind(sketch, full):
                 if len(others) == 1:
                     found.append(Rival(others[0], sketch, same=False, ruled_out=True))
                 continue
-            swapped = search.full(full, sketch)
+            swapped = search.fitter.full(full, sketch)
         if swapped is None:
             continue
-        search.remember(swapped)
-        difference = search.compare(full, swapped)
-        reached = comparison_error(search, swapped)
+        search.fitter.remember(swapped)
+        difference = search.scorer.compare(full, swapped)
+        reached = search.scorer.comparison_error(swapped)
         close = difference.alike and difference.gain < 5 * SCORE.worth
         same = close and difference.gain < SCORE.worth and reached < max(SCORE.at_floor, 1.02 * error)
         better = len(others) == 1 and _better(search, swapped, full)
@@ -119,12 +114,11 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
 
 def _better(search: Search, swapped: Fit, full: Fit) -> bool:
     """Whether a rival predicts clearly better; at the noise, with no more parameters, beyond chance is enough."""
-    gained = search.compare(swapped, full)
+    gained = search.scorer.compare(swapped, full)
     if gained.clear:
-        return search.confirmed(swapped, full)
-    closely = comparison_error(search, swapped) < SCORE.at_floor and len(swapped.z) <= len(full.z)
-    there = compare(search.comparison_mse(swapped), search.comparison_mse(full), search.comparison.blocks)
-    return closely and gained.told and there.gain > 0
+        return search.scorer.confirmed(swapped, full)
+    closely = search.scorer.comparison_error(swapped) < SCORE.at_floor and len(swapped.z) <= len(full.z)
+    return closely and gained.told and search.scorer.compare_apart(swapped, full).gain > 0
 
 
 def _stand_ins(
@@ -134,8 +128,8 @@ def _stand_ins(
 
     Where structure is left, names are provisional, and telling them from what had little to gain is worth less.
     """
-    everything = {t.key: t for round_ in search.rounds for t in round_}
-    own = next((r for r in search.rounds if any(t.key == term.key and t.fitted for t in r)), [])
+    everything = {t.key: t for round_ in search.progress.rounds for t in round_}
+    own = next((r for r in search.progress.rounds if any(t.key == term.key and t.fitted for t in r)), [])
     present = {x.key for x in full.structure.terms}
     listed = set(term.effect.rivals)
     others = [
@@ -260,11 +254,11 @@ def error_on(problem: Problem, fitted: Fit) -> float:
 def apart(search: Search, new: Fit, old: Fit) -> Improvement:
     """How much better one fit predicts than another on windows that no fit has touched, validation among them."""
     after, before = (
-        np.append(search.comparison_mse(one), evaluate(search.validation, one.structure, one.z)[0])
+        np.append(search.scorer.comparison_mse(one), evaluate(search.partition.validation, one.structure, one.z)[0])
         for one in (new, old)
     )
-    blocks = search.comparison.blocks
-    return compare(after, before, np.append(blocks, search.validation.blocks + blocks.max(initial=0) + 1))
+    blocks = search.partition.comparison.blocks
+    return compare(after, before, np.append(blocks, search.partition.validation.blocks + blocks.max(initial=0) + 1))
 
 
 def verdict(

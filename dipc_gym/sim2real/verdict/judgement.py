@@ -68,13 +68,13 @@ def judgement(
     fitted = Errors(*(f.error for f in three))
     train = late(
         "The error on windows to compare on",
-        lambda: Errors(*(judge.comparison_error(search, f) for f in three)),
+        lambda: Errors(*(search.scorer.comparison_error(f) for f in three)),
         lambda: fitted,
     )
     if train.recalibrated > SCORE.at_floor and not search.interrupted:
         notes += late(
             "Whether parameters further off would do",
-            lambda: findings.beyond_limits(base.problem, search.validation, recalibrated),
+            lambda: findings.beyond_limits(base.partition.problem, search.partition.validation, recalibrated),
             list[str],
         )
     errors = late("The error on test data", lambda: Errors(*(judge.error_on(test, f) for f in three)), lambda: fitted)
@@ -86,7 +86,11 @@ def judgement(
     notes += sentences.disagreement(errors, force)
     wide = late(
         "The intervals of the parameters",
-        lambda: judge.intervals(final, search.problem) + findings.step_shift(final, search.problem) + open_choice,
+        lambda: (
+            judge.intervals(final, search.partition.problem)
+            + findings.step_shift(final, search.partition.problem)
+            + open_choice
+        ),
         lambda: np.full(len(final.z), np.inf),
     )
     changed = late("Which parameters changed", lambda: findings.changed_parameters(final, wide), list[dict[str, Any]])
@@ -152,9 +156,9 @@ def _best(search: Search, found: Conclusion, others: Sequence[Fit]) -> Conclusio
 
     Nobody is given a model that predicts worse than what they had.
     """
-    error = judge.error_on(search.validation, found.fitted)
+    error = judge.error_on(search.partition.validation, found.fitted)
     for other in others:
-        without = judge.error_on(search.validation, other)
+        without = judge.error_on(search.partition.validation, other)
         if judge.refuted(without, error):
             note = sentences.refutation(found.fitted.structure.terms, without, error, "Refitted parameters")
             return Conclusion(other, notes=[*found.notes, note])

@@ -64,7 +64,7 @@ def other_parameters(search: Search, fitted: Fit, fewest: Fit) -> list[Fit]:
     if not 0 < len(chosen) < len(keys) or fewest.error > SCORE.at_floor:
         return []
     # They are told and counted, not written to the model: a third of the windows says that as well.
-    reduced = _Reduced(search, fitted, search.subset)
+    reduced = _Reduced(search, fitted, search.partition.subset)
     choices = (
         free for free in itertools.combinations(range(len(keys)), len(chosen)) if {keys[i] for i in free} != chosen
     )
@@ -84,9 +84,9 @@ class _Reduced:
 
     def __init__(self, search: Search, fitted: Fit, which: NDArray[np.intp] | None = None) -> None:
         self.search, self.fitted, self.count = search, fitted, len(fitted.structure.model_parameters)
-        self.windows = search.problem.counts
+        self.windows = search.partition.problem.counts
         self.some = np.arange(len(fitted.mse)) if which is None else which
-        self.problem = search.problem.pick(self.some)
+        self.problem = search.partition.problem.pick(self.some)
         w = weights(fitted.mse) / self.windows
         self.A, self.b = np.einsum("n,nij->ij", w, fitted.quadratics.A), w @ fitted.quadratics.b
 
@@ -120,5 +120,6 @@ class _Reduced:
         """
         if sparse is None:
             return False
-        free = np.append(self.fitted.mse[self.some], self.search.comparison_mse(self.fitted))
-        return compare(free, self.search.mse(sparse), self.problem.join(self.search.comparison).blocks).alike
+        scorer, comparison = self.search.scorer, self.search.partition.comparison
+        free = np.append(self.fitted.mse[self.some], scorer.comparison_mse(self.fitted))
+        return compare(free, scorer.mse(sparse), self.problem.join(comparison).blocks).alike

@@ -1,0 +1,57 @@
+"""Which of several fitted hypotheses is accepted: the simplest of those that predict best, if it is clearly better."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.shooting import common_error
+from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.scorer import Scorer
+from dipc_gym.sim2real.selection.screen import Tried
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+
+
+def scored(scorer: Scorer, done: Sequence[Tried]) -> list[Tried]:
+    """Fitted hypotheses with their scores, the best first."""
+    losses = ranking.losses([scorer.mse(tried.fitted) for tried in done if tried.fitted is not None])
+    found = [replace(tried, score=after) for tried, after in zip(done, losses, strict=True)]
+    return sorted(found, key=lambda tried: tried.score)
+
+
+def choose(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Fit | None:
+    """The simplest of the hypotheses that predict best, if it is clearly better than `current`."""
+    clear = [t for t in done if t.fitted is not None and scorer.stands_out(t.term, t.fitted, current)]
+    if not clear:
+        return None
+    return _core(_simplest(scorer, clear, current), clear, current).fitted
+
+
+def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:
+    """The simplest of the fitted hypotheses, sorted by score, that predict as well as the first."""
+    best = done[0].fitted
+    assert best is not None
+    alike = [t for t in done if t.fitted is not None and scorer.alike(best, t.fitted, current)]
+    return min(alike, key=lambda t: (*ranking.cost(t.fitted), t.score))
+
+
+def _core(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
+    """The plainer effect that a chosen one elaborates, where it alone brings most of the improvement.
+
+    Friction that varies with position takes up some of what a lacking second effect leaves. What it adds to plain
+    friction is asked again when the rest is in place.
+    """
+    assert chosen.fitted is not None
+    if common_error(chosen.fitted.mse) < SCORE.at_floor:
+        return chosen
+    most = current.error - SEARCH.most * (current.error - chosen.fitted.error)
+    plain = [
+        t
+        for t in clear
+        if t.term.effect.id in chosen.term.effect.contains
+        and t.term.at == chosen.term.at
+        and t.fitted is not None
+        and t.fitted.error < most
+    ]
+    return _core(min(plain, key=lambda t: t.score), clear, current) if plain else chosen

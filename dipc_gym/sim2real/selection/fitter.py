@@ -1,0 +1,134 @@
+"""Fits of structures to the windows of a partition: to a subset first, and to all if that is worth it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.shooting import mean_loss
+from dipc_gym.sim2real.model.structure import Structure, Term, carry, names
+from dipc_gym.sim2real.selection.progress import Partition
+from dipc_gym.sim2real.selection.score import compare
+from dipc_gym.sim2real.selection.scorer import Scorer, earned
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+
+
+@dataclass(frozen=True)
+class Fitter:
+    """Fits structures.
+
+    Attributes:
+        scorer: compares them; its partition has the windows.
+    """
+
+    scorer: Scorer
+    _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
+
+    def over(self, partition: Partition) -> Fitter:
+        """The same to other windows; full fits that were kept stay for when these windows come back."""
+        return self if partition is self.partition else Fitter(self.scorer.over(partition), self._kept)
+
+    @property
+    def partition(self) -> Partition:
+        """Which windows serve for what."""
+        return self.scorer.partition
+
+    @property
+    def problem(self) -> Problem:
+        """The windows that are fitted."""
+        return self.partition.problem
+
+    @property
+    def subset(self) -> NDArray[np.intp]:
+        """Those of them that are sketched on."""
+        return self.partition.subset
+
+    def slow(self, term: Term) -> bool:
+        """Whether an effect has to be simulated in finer steps than the others."""
+        return term.effect.finest < self.problem.stepping.timestep
+
+    def sketch(self, base: Fit, structure: Structure) -> Fit | None:
+        """Fit a structure to a subset of the windows, from the parameters of `base`; None where it cannot be
+        simulated.
+        """
+        z, initial = carry(base.structure, base.z, structure), base.initial[self.subset]
+        try:
+            return fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
+        except (mjcf.MjcfError, np.linalg.LinAlgError):
+            return None
+
+    def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
+        """Fit all windows from where a sketch came to; None where it cannot be simulated.
+
+        A sketch that was still on its way, and not at the noise, goes on first: a step on a subset costs a third, and
+        on all of them a gap or a contact far from its place holds a fit fast. None as well where it then does not earn
+        its place beside `current` even on the subset. What comes near the noise goes on until nothing changes, and is
+        begun anew where it stays there: the last stretch may be a long valley, at whose end a name is decided, or a
+        wrong one.
+        """
+        try:
+            subset = self.partition.known_to(sketch)
+            if not sketch.converged and sketch.error > SCORE.at_floor:
+                sketch = fit(self.problem.pick(subset), sketch.structure, sketch.z, sketch.initial, most=15)
+            if current is not None and not earned(sketch.mse, current.mse[subset], small=self.scorer.small):
+                return None
+            fitted = fit(self.problem, sketch.structure, sketch.z, base.initial, most=8, tolerance=SEARCH.rough)
+            if SCORE.at_floor < fitted.error < SEARCH.in_reach:
+                fitted = self.anew(fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=15))
+            return fitted
+        except (mjcf.MjcfError, np.linalg.LinAlgError):
+            return None
+
+    def anew(self, fitted: Fit) -> Fit:
+        """A fit of several effects, or what comes of their first guesses and nominal parameters if that predicts
+        better.
+
+        What an effect took on while another was missing may hold it fast where it is.
+        """
+        structure = fitted.structure
+        if fitted.error <= SCORE.at_floor or len(structure.terms) < 2:
+            return fitted
+        sketch = fit(self.problem.pick(self.subset), structure, most=SEARCH.most_anew)
+        gained = compare(sketch.mse, fitted.mse[self.subset], self.problem.blocks[self.subset])
+        if gained.gain < SCORE.worth:
+            return fitted
+        again = fit(self.problem, structure, sketch.z, most=8)
+        return min(fitted, again, key=lambda one: mean_loss(one.mse, 1.0))
+
+    def near(self, current: Fit, structure: Structure) -> Fit | None:
+        """A full fit of a structure, unless its sketch tells that it is far from predicting as `current` does."""
+        sketch = self.sketch(current, structure)
+        return None if sketch is None or self.behind(sketch, current) else self.full(current, sketch)
+
+    def behind(self, sketch: Fit, fitted: Fit) -> bool:
+        """Whether a sketch is so much worse than a full fit that fitting on would not bring it close."""
+        subset = self.partition.known_to(sketch)
+        return compare(fitted.mse[subset], sketch.mse, self.problem.blocks[subset]).gain > SCORE.large
+
+    def polish(self, fitted: Fit) -> Fit:
+        """Fit on until nothing changes."""
+        if fitted.converged:
+            return fitted
+        return fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=25)
+
+    def without(self, current: Fit, key: str) -> Fit:
+        """Refit with one effect less, from the parameters that it has now: the fit before may have been stuck."""
+        structure = current.structure.without(key)
+        return fit(self.problem, structure, carry(current.structure, current.z, structure), current.initial)
+
+    def remember(self, fitted: Fit) -> None:
+        """Keep a full fit, so that it need not be made again while the windows are the same."""
+        self._kept[self._called(fitted.structure)] = fitted
+
+    def remembered(self, structure: Structure) -> Fit | None:
+        """The fit of a structure to these windows, if one was kept."""
+        return self._kept.get(self._called(structure))
+
+    def _called(self, structure: Structure) -> tuple[frozenset[str], bytes]:
+        windows = self.problem.windows
+        return frozenset(names(structure.terms)), windows.source.tobytes() + windows.start.tobytes()

@@ -1,0 +1,122 @@
+"""What a round asks: every effect at every place that it can act at, laid over the residual of one fit or several."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+from dipc_gym.sim2real.effects.base import Effect, dof
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.shooting import mean_loss
+from dipc_gym.sim2real.estimation.unexplained import Scene, places
+from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.selection import data, ranking, screen
+from dipc_gym.sim2real.selection.progress import Partition, Progress
+from dipc_gym.sim2real.selection.ranking import Start
+from dipc_gym.sim2real.selection.screen import Tried, excludes
+
+
+class Phase(IntEnum):
+    """What kinds of law are asked for; each phase begins where no law of the one before comes down to the noise."""
+
+    FORMULAS = 1
+    SHAPES = 2  # laws of any shape as well
+    NO_KIND = 3  # laws of no kind, and nothing else
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a search is about.
+
+    Attributes:
+        effects: the catalogue.
+        joints: base joints.
+        look: gives the evidence for a fit, and with it the times, s, at which outlier windows begin.
+    """
+
+    effects: Sequence[Effect]
+    joints: tuple[str, ...]
+    look: Callable[..., Scene]
+
+
+@dataclass(frozen=True)
+class Screened:
+    """Hypotheses on top of a fit.
+
+    Attributes:
+        base: what they were laid over.
+        handicap: how much worse that is than the present fit: difference of the mean log errors.
+        tried: with their predicted gains.
+    """
+
+    base: Fit
+    handicap: float
+    tried: list[Tried]
+
+
+def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> list[Term]:
+    """Every effect at every place it can act, with first guesses; what happens once only where all is quiet."""
+    friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in question.joints}
+    levels = {joint: level for joint, level in friction.items() if level > 0}
+    terms, found = current.structure.terms, []
+    for effect in question.effects:
+        if (effect.once and not ranking.quiet(current)) or (effect.free and phase < Phase.SHAPES):
+            continue
+        if effect.of_no_kind != (phase == Phase.NO_KIND):
+            continue
+        for at in places(effect, current.structure.model, question.joints, scene.recordings[0]):
+            if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):
+                continue
+            evidence = scene.at(effect.place, at, levels)
+            plain = _plain(current, effect, at)
+            found += [Term(shaped, at, {**guess, **plain}) for shaped, guess in effect.proposals(evidence)]
+    return found
+
+
+def _plain(current: Fit, effect: Effect, at: str) -> dict[str, float]:
+    """Parameters that an effect shares with plainer ones that are there and that it would replace."""
+    shared: dict[str, float] = {}
+    for term in current.structure.terms:
+        if term.at == at and term.effect.id in effect.contains:
+            values = current.structure.term_values(current.z, term)
+            shared |= {p.name: values[p.name] for p in effect.parameters if p.name in values}
+    return shared
+
+
+def screened(question: Question, phase: Phase, progress: Progress) -> list[Screened]:
+    """The predicted gains of all hypotheses, on top of each of the fits that effects are tried on."""
+    current = progress.current
+    return [_on_top(question, phase, progress.partition, base, current) for base in _bases(phase, progress)]
+
+
+def _bases(phase: Phase, progress: Progress) -> list[Fit]:
+    """What effects are tried on top of: the present fit, and at first the nominal parameters where it left them.
+
+    Parameters that made up for a formula are in the way of a law, so laws are tried on what was before it as well.
+    """
+    current, begin, anchor = progress.current, progress.path[0], progress.anchor
+    before = [begin] if phase >= Phase.SHAPES and current.structure.terms else []
+    if phase == Phase.NO_KIND or anchor is None or (current.structure.terms and not before):
+        return [current]
+    far = np.abs(begin.z - anchor.z).max(initial=0.0) >= 0.1
+    return [current, *before, *([anchor] if far else [])]
+
+
+def _on_top(question: Question, phase: Phase, partition: Partition, base: Fit, current: Fit) -> Screened:
+    handicap = max(0.0, mean_loss(base.mse, 1.0) - mean_loss(current.mse, 1.0))
+    outliers = partition.problem.windows.start[data.outliers(base.mse)]
+    asked = hypotheses(question, phase, base, question.look(base, outliers))
+    return Screened(base, handicap, screen.screen(partition.problem, base, asked, partition.subset))
+
+
+def starts(found: Sequence[Screened]) -> dict[str, list[Start]]:
+    """Each hypothesis, by key: its predicted gain over the present fit on top of each base, and that base."""
+    by_key: dict[str, list[Start]] = {}
+    for one in found:
+        for tried in one.tried:
+            net = replace(tried, predicted_gain=tried.predicted_gain - one.handicap)
+            by_key.setdefault(tried.key, []).append((net, one.base))
+    return by_key

@@ -1,0 +1,153 @@
+"""Where a search stands: which windows serve for what, the fits that it accepted, and what it tried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.screen import Tried
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Partition:
+    """Which windows serve for what.
+
+    Attributes:
+        problem: windows to fit.
+        comparison: windows to compare on, between those.
+        aside: windows left aside; `events.attend` takes in those that matter later.
+        borders: times in each recording from which windows that are left aside validate what a search comes to, s.
+        subset: the windows of `problem` that are sketched on; what stands out later comes at the end, and older
+            sketches know only those before.
+    """
+
+    problem: Problem
+    comparison: Problem
+    aside: Problem
+    borders: Array
+    subset: NDArray[np.intp]
+
+    @property
+    def validation(self) -> Problem:
+        """Windows later than all that are fitted or compared on, but for those in which something odd happened once.
+
+        Of recordings too short to hold any, the windows compared on.
+        """
+        windows = self.aside.windows
+        late = windows.start >= self.borders[windows.source]
+        return self.aside.pick(late) if late.any() else self.comparison
+
+    @property
+    def blocks(self) -> NDArray[np.intp]:
+        """Of the fitted windows, then of the comparison windows; windows of both within one second share a block."""
+        return self.problem.join(self.comparison).blocks
+
+    def known_to(self, sketch: Fit) -> NDArray[np.intp]:
+        """The windows that a sketch was fitted to."""
+        return self.subset[: len(sketch.mse)]
+
+    def finer(self) -> Partition:
+        """The same windows in half the steps, fitted and compared on."""
+        return replace(self, problem=replace(self.problem, finer=2), comparison=replace(self.comparison, finer=2))
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a search has come.
+
+    Attributes:
+        partition: which windows serve for what.
+        path: the fits that were accepted one after another, the first without effects.
+        anchor: the model with its parameters free but at their nominal values. Refitted without an effect that
+            matters they can be far off, and an effect tried on top of such parameters looks worse than it is.
+        rounds: hypotheses of each round, the best first.
+    """
+
+    partition: Partition
+    path: tuple[Fit, ...]
+    anchor: Fit | None = None
+    rounds: tuple[Sequence[Tried], ...] = ()
+
+    @property
+    def current(self) -> Fit:
+        """The fit that was accepted last."""
+        return self.path[-1]
+
+    def taking_in(self, new: Problem) -> Progress:
+        """With some more windows to fit; what is known already learns what it says of them."""
+        if not len(new.windows):
+            return self
+
+        def informed(fitted: Fit) -> Fit:
+            return fitted.join(fit(new, fitted.structure, fitted.z, most=0))
+
+        return replace(
+            self,
+            partition=replace(self.partition, problem=self.partition.problem.join(new)),
+            path=tuple(informed(fitted) for fitted in self.path),
+            anchor=self.anchor and informed(self.anchor),
+            rounds=tuple(
+                [replace(tried, fitted=tried.fitted and informed(tried.fitted)) for tried in hypotheses]
+                for hypotheses in self.rounds
+            ),
+        )
+
+    def keeping(self, keep: NDArray[np.bool_]) -> Progress:
+        """With some of the windows only, of the fitted and then of the comparison windows."""
+        if keep.all():
+            return self
+        old, count = self.partition, len(self.partition.problem.windows)
+        which, subset = np.flatnonzero(keep[:count]), np.flatnonzero(keep[old.subset])
+        return Progress(
+            replace(
+                old,
+                problem=old.problem.pick(which),
+                comparison=old.comparison.pick(keep[count:]),
+                subset=np.searchsorted(which, old.subset[subset]),
+            ),
+            tuple(fitted.pick(which) for fitted in self.path),
+            self.anchor and self.anchor.pick(which),
+            tuple([tried.pick(which, subset) for tried in hypotheses] for hypotheses in self.rounds),
+        )
+
+
+@dataclass
+class Journal:
+    """Where a search stands, written down as it goes on: Ctrl-C or a failure may end it at any moment.
+
+    Attributes:
+        progress: how far it has come.
+        tell: called with a line about progress.
+    """
+
+    progress: Progress
+    tell: Callable[[str], None] = lambda line: None
+
+    def begin(self, tried: Sequence[Tried]) -> None:
+        """Note the hypotheses of a new round."""
+        self.progress = replace(self.progress, rounds=(*self.progress.rounds, tried))
+
+    def update(self, news: Sequence[Tried]) -> None:
+        """Note what became of some of them."""
+        *before, last = self.progress.rounds
+        self.progress = replace(self.progress, rounds=(*before, ranking.updated(last, news)))
+
+    def together(self, news: Sequence[Tried]) -> None:
+        """Note what became of several that were accepted together, as another round."""
+        self.begin(ranking.updated(self.progress.rounds[-1], news))
+
+    def accept(self, fitted: Fit) -> None:
+        """Note a fit that was accepted."""
+        self.progress = replace(self.progress, path=(*self.progress.path, fitted))
+
+    def correct(self, fitted: Fit) -> None:
+        """Note a fit in the place of the one that was accepted last."""
+        self.progress = replace(self.progress, path=(*self.progress.path[:-1], fitted))

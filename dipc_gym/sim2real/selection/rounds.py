@@ -1,0 +1,74 @@
+"""One round of a search: all hypotheses are screened, the best sketched, the best of those fitted, one accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.selection import choice, groups, pairs, ranking, sketches
+from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.hypotheses import Phase, Question, screened, starts
+from dipc_gym.sim2real.selection.progress import Journal
+from dipc_gym.sim2real.selection.ranking import Start
+from dipc_gym.sim2real.selection.screen import Tried
+from dipc_gym.sim2real.selection.settings import SCORE
+
+
+def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal) -> Fit | None:
+    """The best fit with more effects than the present one, if it is clearly better.
+
+    Args:
+        question: effects and places.
+        phase: what kinds of law are asked for.
+        fitter: fits to the windows of the search.
+        journal: has the present fit, and gets a round with what was tried.
+    """
+    current = journal.progress.current
+    laid = screened(question, phase, journal.progress)
+    by_key = starts(laid)
+    ranked = sorted(
+        (max(tries, key=ranking.predicted_gain) for tries in by_key.values()), key=ranking.predicted_gain, reverse=True
+    )
+    sketched = sketches.in_turn(fitter, ranked, by_key, current)
+    journal.begin(ranking.updated([tried for tried, _ in ranked], [tried for tried, _ in sketched]))
+    explained = sketches.at_noise(sketched)
+    if len(question.joints) > 1 and not explained:
+        together = groups.best(fitter, ranked, [one.sketch for one, _ in sketched if one.sketch], current)
+        if together is not None:
+            return _accepted(*together, fitter, current, journal)
+    both = [] if explained or current.error < SCORE.at_floor else pairs.promising(fitter, laid)
+    # Where two gain far more than any one does, and come down to the noise, one by one would lead astray.
+    most = ranking.predicted_gain(ranked[0]) if ranked else 0.0
+    early = [pair for pair in both if pair[0] > most + SCORE.large]
+    tried_early = pairs.sketched(fitter, early, current)
+    found = pairs.best(fitter, [pair for pair in tried_early if pair[1].error < SCORE.at_floor], current)
+    if found is not None:
+        return _accepted(*found, fitter, current, journal)
+    done = choice.scored(fitter.scorer, _fitted(fitter, sketched, current, journal))
+    journal.update(done)
+    chosen = choice.choose(fitter.scorer, done, current)
+    if chosen is not None:
+        return fitter.polish(chosen)
+    found = pairs.best(fitter, [*tried_early, *pairs.sketched(fitter, both[len(early) :], current)], current)
+    return None if found is None else _accepted(*found, fitter, current, journal)
+
+
+def _fitted(fitter: Fitter, sketched: Sequence[Start], current: Fit, journal: Journal) -> list[Tried]:
+    """Full fits of the hypotheses whose sketches keep up."""
+    done: list[Tried] = []
+    for tried, base in sketches.keeping_up(fitter, sketched, current):
+        assert tried.sketch is not None
+        fitted = fitter.full(base, tried.sketch, None if tried.term.effect.once else current)
+        if fitted is not None:
+            done.append(replace(tried, fitted=fitted))
+            journal.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
+    return done
+
+
+def _accepted(fitted: Fit, tried: list[Tried], fitter: Fitter, current: Fit, journal: Journal) -> Fit:
+    """Several hypotheses that were accepted together, fitted until nothing changes."""
+    keys = " and ".join(one.key for one in tried)
+    journal.tell(f"{keys}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
+    journal.together(tried)
+    return fitter.polish(fitted)

@@ -1,0 +1,136 @@
+"""Whether a fit is better than another on the windows of a partition, and whether an effect earns its place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate
+from dipc_gym.sim2real.estimation.shooting import common_error
+from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.selection import data, ranking
+from dipc_gym.sim2real.selection.progress import Partition
+from dipc_gym.sim2real.selection.score import Improvement, compare
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scorer:
+    """Compares fits.
+
+    Attributes:
+        partition: whose windows are fitted and compared on.
+        small: whether the mismatch is so small and shapeless that only what explains all of it counts.
+    """
+
+    partition: Partition
+    small: bool = False
+    _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict, repr=False)
+
+    def over(self, partition: Partition) -> Scorer:
+        """The same on other windows; what is known of those compared on stays, if they are the same."""
+        if partition is self.partition:
+            return self
+        same = partition.comparison is self.partition.comparison
+        return Scorer(partition, self.small, self._known if same else {})
+
+    def comparison_mse(self, fitted: Fit) -> Array:
+        """Mean square error of each comparison window, in units of noise, (n,)."""
+        if id(fitted) not in self._known:
+            mse, _ = evaluate(self.partition.comparison, fitted.structure, fitted.z)
+            self._known[id(fitted)] = (fitted, mse)
+        return self._known[id(fitted)][1]
+
+    def comparison_error(self, fitted: Fit) -> float:
+        """Root mean square error on the comparison windows, in units of noise."""
+        return float(np.sqrt(np.mean(self.comparison_mse(fitted))))
+
+    def mse(self, fitted: Fit) -> Array:
+        """Mean square errors of the fitted windows, then of the comparison windows."""
+        return np.append(fitted.mse, self.comparison_mse(fitted))
+
+    def compare(self, new: Fit, old: Fit) -> Improvement:
+        """How much better `new` predicts than `old`, over fitted and comparison windows together.
+
+        There are far fewer parameters than windows, so what fitting flatters is little; three times as many windows
+        tell more. `compare_apart` asks the comparison windows alone.
+        """
+        return compare(self.mse(new), self.mse(old), self.partition.blocks)
+
+    def compare_apart(self, new: Fit, old: Fit) -> Improvement:
+        """How much better `new` predicts the comparison windows, which neither was fitted to."""
+        return compare(self.comparison_mse(new), self.comparison_mse(old), self.partition.comparison.blocks)
+
+    def confirmed(self, new: Fit, old: Fit) -> bool:
+        """Whether the comparison windows alone are better predicted too."""
+        return self.compare_apart(new, old).gain > SCORE.worth / 2
+
+    def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
+        """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""
+        return ranking.alike(self.compare(best, other), self.compare(best, current).gain)
+
+    def better(self, fitted: Fit, current: Fit) -> bool:
+        """Whether a fit with more effects is clearly better, by enough to earn their place."""
+        return self.earns(fitted, current) and self.compare(fitted, current).clear and self.confirmed(fitted, current)
+
+    def stands_out(self, term: Term, fitted: Fit, current: Fit) -> bool:
+        """Whether a fit with one more effect is clearly better.
+
+        What happened once shows in a window or two, fitted or not; it is believed where all others are at the noise.
+        """
+        if term.effect.once:
+            fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
+            return ranking.quiet(current) and float(np.sum(fall)) > SEARCH.once
+        return self.settles(fitted, current) or self.better(fitted, current)
+
+    def settles(self, fitted: Fit, current: Fit) -> bool:
+        """Whether a fit leaves none of the few windows standing out that do where all others are at the noise."""
+        return settled(self.mse(fitted), self.mse(current)) and ranking.quiet(current)
+
+    def earns(self, fitted: Fit, current: Fit) -> bool:
+        """Whether a fit comes down to the noise, or takes a good part of what is left."""
+        return earned(self.mse(fitted), self.mse(current), small=self.small)
+
+
+def earned(after: Array, before: Array, *, small: bool) -> bool:
+    """Whether mean square errors (n,) come down to the noise, or lose a good part of what they were above it.
+
+    Real recordings hold structure that no catalogue has, and the best of dozens of effects always takes up a little of
+    it.
+
+    Args:
+        after: with an effect.
+        before: without it.
+        small: whether the mismatch is so small and shapeless that only what explains all of it counts.
+
+    Example:
+        >>> earned(np.full(9, 7.0**2), np.full(9, 10.0**2), small=False)
+        True
+    """
+    now, then = (float(np.sqrt(np.mean(mse))) for mse in (before, after))
+    return common_error(after) < SCORE.at_floor or (not small and now - then > SEARCH.earns * (now - 1))
+
+
+def settled(after: Array, before: Array) -> bool:
+    """Whether none of the outliers among mean square errors (n,) is left.
+
+    What acts in few windows can be told from nothing by no mean over windows, and from a push by leaving none.
+    """
+    outliers = data.outliers(before)
+    fall = np.log1p(before[outliers]) - np.log1p(after[outliers])
+    return float(np.sum(fall)) > SEARCH.once and not len(data.outliers(after, before))
+
+
+def enough(begin: Fit, current: Fit) -> bool:
+    """Whether what is left at the noise is so little beside what effects took away that their laws may leave it.
+
+    No law is exact to the last percent: a contact is not a spring and a damper, a bristle not a bristle.
+    """
+    brought = math.sqrt(max(begin.error**2 - current.error**2, 0.0))
+    left = math.sqrt(max(current.error**2 - 1.0, 0.0))
+    return bool(current.structure.terms) and current.error < SCORE.at_floor and left < SEARCH.laws * brought

@@ -1,0 +1,124 @@
+"""Which hypotheses are fitted to a subset of the windows, and which of those are worth a full fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.ranking import Start
+from dipc_gym.sim2real.selection.screen import Tried
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+
+
+def least(fitter: Fitter, term: Term) -> float:
+    """Share of the largest predicted gain from which a hypothesis is sketched; more for what takes fine steps."""
+    return SEARCH.keeps_up if fitter.slow(term) else 0.1
+
+
+def in_turn(
+    fitter: Fitter, ranked: Sequence[Start], starts: Mapping[str, Sequence[Start]], current: Fit
+) -> list[Start]:
+    """Sketches of the most promising hypotheses; of what takes fine steps and gains less only if none of these comes
+    to the noise, for a straight line through its first guess foretells little far from there.
+
+    Args:
+        fitter: fits them.
+        ranked: hypotheses and what they were laid over, the largest predicted gain first.
+        starts: the same on top of each base, by key.
+        current: the present fit.
+    """
+    most = max(ranked[0][0].predicted_gain, SCORE.worth) if ranked else SCORE.worth
+    worth = [(start, start[0].predicted_gain / most) for start in ranked if start[0].predicted_gain > SCORE.worth / 2]
+    first = ranking.finalists(
+        [start for start, share in worth if share > least(fitter, start[0].term)],
+        SEARCH.finalists if current.error > SCORE.at_noise else SEARCH.finalists // 2,
+    )
+    # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already, such
+    # a guess gains nothing as it stands. Only its fit tells.
+    laws = [start for start in ranked if start[0].term.effect.free and start not in first]
+    sketched = _sketches(fitter, [*first, *laws[: SEARCH.shapes]], starts, current)
+    if at_noise(sketched):
+        return sketched
+    slow = [start for start, share in worth if fitter.slow(start[0].term) and SEARCH.in_turn < share <= SEARCH.keeps_up]
+    return sketched + _sketches(fitter, slow, starts, current)
+
+
+def at_noise(sketched: Sequence[Start]) -> bool:
+    """Whether any of several sketches leaves no more than the noise."""
+    return any(tried.sketch is not None and tried.sketch.error < SCORE.at_noise for tried, _ in sketched)
+
+
+def _sketches(
+    fitter: Fitter, first: Sequence[Start], starts: Mapping[str, Sequence[Start]], current: Fit
+) -> list[Start]:
+    """Sketches of several hypotheses, plain ones first, for what elaborates one that leaves nothing needs none."""
+    sketched: list[Start] = []
+    for finalist, base in sorted(first, key=lambda start: len(start[0].term.effect.parameters)):
+        structure = base.structure.with_term(finalist.term)
+        if not ranking.idle(structure, [tried.sketch for tried, _ in sketched if tried.sketch]):
+            tries = sorted(starts[finalist.key], key=ranking.predicted_gain, reverse=True)
+            sketched += _sketched(fitter, tries, current)
+    return sketched
+
+
+def _sketched(fitter: Fitter, tries: Sequence[Start], current: Fit) -> list[Start]:
+    """The best sketch of one hypothesis, if any, from the largest predicted gain on.
+
+    A fit that brings less than screening foretold is stuck, unless it leaves nothing; then the next start is tried as
+    well.
+    """
+    sketches: list[Start] = []
+    before = current.mse[fitter.subset]
+    for tried, base in tries:
+        sketch = fitter.sketch(base, base.structure.with_term(tried.term))
+        if sketch is None:
+            continue
+        sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch), base))
+        foretold = max(tried.predicted_gain, SCORE.worth / 2)
+        if ranking.complete(sketch) or ranking.brought(sketch, before) > foretold:
+            break
+    losses = ranking.losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
+    return [sketches[int(np.argmin(losses))]] if sketches else []
+
+
+def keeping_up(fitter: Fitter, sketched: Sequence[Start], current: Fit) -> list[Start]:
+    """Those whose sketches come near the best one, and the plainer ones that these elaborate.
+
+    What takes fine steps has to come nearer. Where the best is at the noise, what is far from it needs no more fitting,
+    and nothing plainer goes first.
+    """
+    before = current.mse[fitter.subset]
+    losses = ranking.losses([before, *(t.sketch.mse for t, _ in sketched if t.sketch is not None)])
+    gains = {t.key: losses[0] - after for (t, _), after in zip(sketched, losses[1:], strict=True)}
+    most = max(gains.values(), default=0.0)
+    enough = max(SEARCH.keeps_up * most, SCORE.worth / 2)
+    closely = max(enough, most - SCORE.large)
+    if at_noise(sketched):
+        return [start for start in sketched if gains[start[0].key] > closely]
+    close = [t for t, _ in sketched if gains[t.key] > (closely if fitter.slow(t.term) else enough)]
+    near = sorted(close, key=lambda t: -gains[t.key])[: SEARCH.fully]
+    wanted = {t.key for t in near} | {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
+    return plain_first([start for start in sketched if start[0].key in wanted], float(np.sqrt(np.mean(before))))
+
+
+def plain_first(sketched: Sequence[Start], error: float) -> list[Start]:
+    """Without those far from the noise that elaborate one which would go before them (`choice.core`).
+
+    Args:
+        sketched: hypotheses with sketches, and what they were laid over.
+        error: of the present fit on the same windows, in units of noise.
+    """
+    brought = {tried.key: error - tried.sketch.error for tried, _ in sketched if tried.sketch is not None}
+
+    def waits(tried: Tried) -> bool:
+        plain = [brought.get(f"{inner}@{tried.term.at}", 0.0) for inner in tried.term.effect.contains]
+        far = tried.sketch is not None and tried.sketch.error > SEARCH.in_reach
+        return far and max(plain, default=0.0) > SEARCH.most * brought[tried.key]
+
+    return [start for start in sketched if not waits(start[0])]
