@@ -6,7 +6,9 @@ Both learn with the settings of `dipc-gym train-policy`, from the same seed, on 
 commands the voltage, until the mean return of the last 100 episodes reaches the goal (of at most 2,000). The batch
 gives what single environments give, to the last bit, so both learn the same and need the same number of control
 periods: the ratio is that of the environments, with the same learning added to both. `make_vec_env` steps one
-environment after another in one process; the batch has one thread. On busy cores, read the processor's time.
+environment after another in one process; the batch has one thread. With `engine="compiled"` the physics are integrated
+more finely, so that learning takes another course, and the number of control periods another. On busy cores, read the
+processor's time.
 """
 
 import argparse
@@ -32,13 +34,14 @@ VOLTS = 15.0  # largest command
 STEPS = 2_000  # of an episode
 
 
-def batch(count):
+def batch(count, engine="mujoco"):
     envs = gymnasium.make_vec(
         dipc_gym.ENV_ID,
         num_envs=count,
         vectorization_mode="vector_entry_point",
         autoreset_mode="SameStep",
         max_episode_steps=STEPS,
+        engine=engine,
         threads=1,
     )
     return VecMonitor(ScaledRigs(DIPCFrictionVecEnv(envs), VOLTS, RECIPE.reward))
@@ -98,11 +101,17 @@ def main():
     torch.set_num_threads(1)
     print(f"{'':32s}{'wall time / s':>15s}{'processor / s':>15s}{'control periods':>17s}{'return':>8s}")
     found = {}
-    for name, make in {"batch (DIPCFrictionVecEnv)": batch, "single ones (make_vec_env)": singles}.items():
+    ways = {
+        "batch (DIPCFrictionVecEnv)": batch,
+        "single ones (make_vec_env)": singles,
+        "engine 'compiled'": lambda count: batch(count, "compiled"),
+    }
+    for name, make in ways.items():
         found[name] = wall, processor, steps, reached = seconds_to_goal(make, options)
         print(f"{name:32s}{wall:15.1f}{processor:15.1f}{steps:17,d}{reached:8.0f}", flush=True)
-    (a, b, *_), (c, d, *_) = found.values()
-    print(f"{'ratio':32s}{c / a:15.2f}{d / b:15.2f}")
+    (a, b, *_), *others = found.values()
+    for name, (c, d, *_) in zip(list(ways)[1:], others, strict=True):
+        print(f"{name + ' of batch':40s}{c / a:7.2f}{d / b:15.2f}")
 
 
 if __name__ == "__main__":

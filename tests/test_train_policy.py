@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import json
 import pickle
 import sys
 from pathlib import Path
@@ -103,8 +104,8 @@ def test_who_learns_from_the_state_is_judged_on_readings(tmp_path: Path, monkeyp
     made: list[bool] = []
     many = Rig.many
 
-    def spy(rig: Rig, count: int, steps: int | None, *, exact_state: bool = False) -> Any:
-        envs = many(rig, count, steps, exact_state=exact_state)
+    def spy(rig: Rig, count: int, steps: int | None, *, exact_state: bool = False, **more: Any) -> Any:
+        envs = many(rig, count, steps, exact_state=exact_state, **more)
         observations, _ = envs.reset(seed=1)
         assert np.allclose(observations, envs.unwrapped.state, rtol=0, atol=1e-9) == exact_state
         made.append(exact_state)
@@ -261,3 +262,30 @@ def test_command_line_trains_and_says_how_it_did(tmp_path: Path, capsys: pytest.
     assert (out / "compensator.json").is_file()
     assert cli.main(command) == 2
     assert cli.main([*command, "--resume"]) == 0
+
+
+def test_it_learns_on_compiled_rigs_and_is_tried_on_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made, real = [], train.Rig.many
+
+    def many(*args: Any, engine: str = "mujoco", **kwargs: Any) -> Any:
+        made.append(engine)
+        return real(*args, engine=engine, **kwargs)
+
+    monkeypatch.setattr(train.Rig, "many", many)
+    recipe = dataclasses.replace(SHORT["ppo"], engine="compiled")
+    train.run(short(recipe=recipe), tmp_path / "out", quiet=True)
+    assert made.count("compiled") == 1
+    assert made.count("mujoco") > 1
+    with pytest.raises(TrainingError, match=r"recipe\.engine.*begun with 'compiled', not 'mujoco'"):
+        train.run(short(), tmp_path / "out", resume=True, quiet=True)
+    with pytest.raises(TrainingError, match="engine is 'gpu'; it can be 'mujoco' or 'compiled'"):
+        dataclasses.replace(recipe, engine="gpu")
+
+
+def test_a_training_from_before_there_was_a_choice_of_engine_goes_on(tmp_path: Path) -> None:
+    first = train.run(short(), tmp_path / "out", quiet=True)
+    note = tmp_path / "out" / "training.json"
+    old = json.loads(note.read_text())
+    del old["recipe"]["engine"]
+    note.write_text(json.dumps(old))
+    assert train.run(short(), tmp_path / "out", resume=True, quiet=True).to_dict() == first.to_dict()

@@ -113,6 +113,8 @@ class TrainPolicy:
     """control periods to train for; without it the algorithm's own number"""
     rigs: int | None = None
     """rigs that are simulated side by side; without it the algorithm's own number"""
+    engine: Literal["mujoco", "compiled"] = "mujoco"
+    """what simulates them; compiled is machine code, and the policy is tried on MuJoCo in any case"""
     limit: float = 60.0
     """largest force, N; for voltage, what exerts it on the blocked cart"""
     plant: str | None = None
@@ -132,7 +134,7 @@ class TrainPolicy:
         """Train, try, and say how it did."""
         from dipc_gym.training import train
 
-        given = {"steps": self.steps, "rigs": self.rigs}
+        given = {"steps": self.steps, "rigs": self.rigs, "engine": self.engine}
         changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         training = train.Training(
             algorithm=self.algo,

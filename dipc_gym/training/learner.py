@@ -92,7 +92,9 @@ class Learner:
     def __init__(self, training: Training, rig: Rig, folder: Path | None = None) -> None:
         torch.set_num_threads(1)  # networks this small are slower on two
         self.training, self.rig, recipe = training, rig, training.recipe
-        rigs = DIPCFrictionVecEnv(rig.many(recipe.rigs, recipe.stage, exact_state=recipe.exact_state))
+        rigs = DIPCFrictionVecEnv(
+            rig.many(recipe.rigs, recipe.stage, exact_state=recipe.exact_state, engine=recipe.engine)
+        )
         envs = VecMonitor(ScaledRigs(rigs, rig.limit, recipe.reward, recipe.hold))
         shape: dict[str, Any] = {"net_arch": [recipe.width] * 2, "activation_fn": torch.nn.Tanh}
         common: dict[str, Any] = {

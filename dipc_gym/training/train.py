@@ -30,6 +30,7 @@ from dipc_gym.files import remove_partial, write_whole
 from dipc_gym.naming import suggestion
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Evaluation, Policy
+from dipc_gym.rigs import ENGINES, unknown_engine
 from dipc_gym.runs import identify
 from dipc_gym.untrusted import Format, shown
 
@@ -60,6 +61,7 @@ class Recipe:
         stage: control periods of one rig between two checkpoints; 12,000 are 60 s.
         hold: control periods that a command lasts while it learns; the policy then commands anew in each. SAC learns
             from what a single command does to the value; in 5 ms that probably drowns in the error of the value.
+        engine: what simulates the rigs that it learns on, `"mujoco"` or `"compiled"`; trials are always MuJoCo's.
         exact_state: learn from the simulation's state instead of encoder readings, on which the policy then acts. A
             command that lasts has nothing to average the steps of an encoder, and the rates worked out from these are
             mostly steps.
@@ -83,6 +85,7 @@ class Recipe:
     rigs: int = 32
     stage: int = 12_000
     hold: int = 1
+    engine: str = "mujoco"
     exact_state: bool = False
     rate: float = 5e-4
     gamma: float = 0.995
@@ -104,6 +107,8 @@ class Recipe:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise TrainingError(f"{name} is {value!r}; it must be a whole number above zero")
+        if self.engine not in list(ENGINES):
+            raise TrainingError(unknown_engine(self.engine))
 
 
 RECIPES: dict[str, Recipe] = {
@@ -208,7 +213,7 @@ class Rig:
             training.model,
         )
 
-    def many(self, count: int, steps: int | None, *, exact_state: bool = False) -> Any:
+    def many(self, count: int, steps: int | None, *, exact_state: bool = False, engine: str = "mujoco") -> Any:
         """So many of them, reset as soon as they end."""
         from dipc_gym.wrappers import VectorForceCommand
 
@@ -221,6 +226,7 @@ class Rig:
             exact_state=exact_state,
             max_episode_steps=steps,
             autoreset_mode="SameStep",
+            engine=engine,
             threads=1,  # the other core is for another training
         )
         return envs if self.compensator is None else VectorForceCommand(envs, self.compensator)
@@ -430,8 +436,9 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
 
 
 def _flat(training: dict[str, Any]) -> dict[str, Any]:
+    recipe = {"engine": "mujoco", **training["recipe"]}  # notes may be older than the choice
     return {key: value for key, value in training.items() if key not in ("recipe", "files")} | {
-        f"recipe.{key}": value for key, value in training["recipe"].items()
+        f"recipe.{key}": value for key, value in recipe.items()
     }
 
 
