@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit, fit
-from dipc_gym.sim2real.model.structure import Structure, carry
+from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.ranking import Start
@@ -19,48 +19,56 @@ from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 
-def best(
-    fitter: Fitter, ranked: Sequence[Start], sketched: Sequence[Fit], current: Fit
-) -> tuple[Fit, list[Tried]] | None:
-    """A fit with one or two kinds of effect at several joints, if it is clearly better than any single effect; and the
-    hypotheses that it accepts.
+def sketched(fitter: Fitter, ranked: Sequence[Start], current: Fit) -> Fit | None:
+    """The best sketch with one or two kinds of effect at several joints; None where there are no two such.
 
     Args:
-        fitter: fits them.
+        fitter: fits it.
         ranked: hypotheses and what they were laid over, the largest predicted gain first.
-        sketched: sketches of single effects.
         current: the present fit.
     """
     kinds = _kinds(fitter, ranked)
-    sets = [[one] for one in kinds] + [[a, b] for i, a in enumerate(kinds) for b in kinds[i + 1 :]]
     found: list[Fit] = []
-    for chosen in sets:
+    for chosen in [[one] for one in kinds] + [[a, b] for i, a in enumerate(kinds) for b in kinds[i + 1 :]]:
         structure = _with(current.structure, [tried for kind in chosen for tried in kind])
-        if len(structure.terms) < len(current.structure.terms) + 2:
-            continue
-        sketch = fitter.sketch(current, structure)
+        sketch = None if len(_added(structure, current)) < 2 else fitter.sketch(current, structure)
         if sketch is not None:
             found.append(sketch)
-    if not found:
+    losses = ranking.losses([one.mse for one in found])
+    return found[int(np.argmin(losses))] if found else None
+
+
+def fitted(fitter: Fitter, sketch: Fit, current: Fit) -> tuple[Fit, list[Tried]] | None:
+    """The fit that a sketch comes to without idle members, and the hypotheses in it, if it is clearly better.
+
+    None as well where one member is all that is needed, which the search of single effects knows more about.
+
+    Args:
+        fitter: fits it.
+        sketch: see `sketched`.
+        current: the present fit.
+    """
+    sketch = _needed(fitter, sketch, current)
+    if len(_added(sketch.structure, current)) < 2:
         return None
-    losses = ranking.losses([one.mse for one in found] + [current.mse[fitter.subset]] + [one.mse for one in sketched])
-    together, alone = losses[: len(found)], min(losses[len(found) :])
-    if alone - min(together) < SCORE.large:
+    whole = fitter.full(current, sketch, current)
+    if whole is None or not fitter.scorer.better(whole, current):
         return None
-    sketch = _needed(fitter, found[int(np.argmin(together))], current)
-    fitted = fitter.full(current, sketch, current)
-    if fitted is None or not fitter.scorer.better(fitted, current):
-        return None
+    return whole, [Tried(term, 0.0, sketch, whole) for term in _added(whole.structure, current)]
+
+
+def _added(structure: Structure, current: Fit) -> list[Term]:
     there = {term.key for term in current.structure.terms}
-    return fitted, [Tried(t, 0.0, sketch, fitted) for t in fitted.structure.terms if t.key not in there]
+    return [term for term in structure.terms if term.key not in there]
 
 
 def _kinds(fitter: Fitter, ranked: Sequence[Start]) -> list[list[Tried]]:
-    """Effects that may act at several joints, each with its hypotheses, the most promising kinds first."""
+    """Plain effects that may act at several joints, each with its hypotheses, the most promising kinds first."""
     by_id: dict[str, list[Tried]] = {}
     for tried, _ in ranked:
         effect = tried.term.effect
         usual = effect.place == "joint" and effect.linear and not (effect.of_the_clock or effect.free)
+        usual = usual and not effect.contains
         if usual and not fitter.slow(tried.term):
             by_id.setdefault(effect.id, []).append(tried)
     several = [group for group in by_id.values() if len(group) > 1]
@@ -78,11 +86,10 @@ def _with(structure: Structure, hypotheses: Sequence[Tried]) -> Structure:
 
 def _needed(fitter: Fitter, sketch: Fit, current: Fit) -> Fit:
     """A sketch without members that its quadratics say the others make idle, refitted."""
-    structure, kept = sketch.structure, {term.key for term in current.structure.terms}
-    added = [term for term in structure.terms if term.key not in kept]
+    structure = sketch.structure
     idle = [
         term
-        for term in added
+        for term in _added(structure, current)
         if ranking.foretold_loss(sketch, term, fitter.problem.counts[fitter.subset]) < SCORE.worth
     ]
     if not idle:

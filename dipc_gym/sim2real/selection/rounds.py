@@ -12,7 +12,7 @@ from dipc_gym.sim2real.selection.hypotheses import Phase, Question, screened, st
 from dipc_gym.sim2real.selection.progress import Journal
 from dipc_gym.sim2real.selection.ranking import Start
 from dipc_gym.sim2real.selection.screen import Tried
-from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 
 def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal) -> Fit | None:
@@ -30,11 +30,18 @@ def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal)
     ranked = sorted(
         (max(tries, key=ranking.predicted_gain) for tries in by_key.values()), key=ranking.predicted_gain, reverse=True
     )
+    group = groups.sketched(fitter, ranked, current) if len(question.joints) > 1 else None
+    # What a machine lacks at all its joints shows at once; one joint after the other it takes as many rounds.
+    if group is not None and group.error < SEARCH.in_reach < current.error:
+        together = groups.fitted(fitter, group, current)
+        if together is not None:
+            journal.begin([tried for tried, _ in ranked])
+            return _accepted(*together, fitter, current, journal)
     sketched = sketches.in_turn(fitter, ranked, by_key, current)
     journal.begin(ranking.updated([tried for tried, _ in ranked], [tried for tried, _ in sketched]))
     explained = sketches.at_noise(sketched)
-    if len(question.joints) > 1 and not explained:
-        together = groups.best(fitter, ranked, [one.sketch for one, _ in sketched if one.sketch], current)
+    if group is not None and not explained and _ahead(fitter, group, sketched, current):
+        together = groups.fitted(fitter, group, current)
         if together is not None:
             return _accepted(*together, fitter, current, journal)
     both = [] if explained or current.error < SCORE.at_floor else pairs.promising(fitter, laid)
@@ -52,6 +59,13 @@ def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal)
         return fitter.polish(chosen)
     found = pairs.best(fitter, [*tried_early, *pairs.sketched(fitter, both[len(early) :], current)], current)
     return None if found is None else _accepted(*found, fitter, current, journal)
+
+
+def _ahead(fitter: Fitter, group: Fit, sketched: Sequence[Start], current: Fit) -> bool:
+    """Whether a sketch of several effects is clearly better than any of a single one."""
+    singles = [one.sketch.mse for one, _ in sketched if one.sketch]
+    losses = ranking.losses([group.mse, current.mse[fitter.subset], *singles])
+    return min(losses[1:]) - losses[0] >= SCORE.large
 
 
 def _fitted(fitter: Fitter, sketched: Sequence[Start], current: Fit, journal: Journal) -> list[Tried]:
