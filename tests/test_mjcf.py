@@ -122,6 +122,7 @@ def test_an_edited_source_is_scanned_again_unless_it_is_trusted(folder: Path) ->
         mesh_model("{folder}/../secret.obj"),
         mesh_model("secret.obj", '<compiler meshdir="{folder}/.."/>'),
         mesh_model("linked.obj"),
+        mesh_model("x" * 300 + ".obj"),
         mesh_model("t.obj", '<compiler meshdir="linked"/>'),
         "<mujoco><include file='../secret.obj'/></mujoco>",
         "<mujoco><include file='/etc/passwd'/></mujoco>",
@@ -207,6 +208,7 @@ def test_repeated_submodels_run_into_the_limit_and_not_into_the_night(folder: Pa
         ),
         ('<mujoco><worldbody><replicate count="many"/></worldbody></mujoco>', "count 'many' is not a number"),
         ('<mujoco><worldbody><composite count="1000 1000 1"/></worldbody></mujoco>', "multiplies"),
+        (f'<mujoco><worldbody><body name="{201 * "y"}"/></worldbody></mujoco>', "<body>: its name has more than 200"),
         ('<mujoco><worldbody><flexcomp name="f" count="999 999 999"/></worldbody></mujoco>', "multiplies"),
     ],
 )

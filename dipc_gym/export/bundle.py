@@ -77,9 +77,9 @@ def bundle(
         brain = Policy.load(file)
         part, source = _behind(brain, compensator)
     else:
+        part, source = compensators.load(file), str(file)
         if compensator is not None:
             raise ValueError(f"{file} is a compensator; leave out --compensator {compensator}")
-        part, source = compensators.load(file), str(file)
         brain = controllers.load(controller or "lqr")
         if isinstance(brain, Policy):
             brain.require(part.name)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from dipc_gym import files
+from dipc_gym.untrusted import first_line
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,6 +29,7 @@ MAX_BYTES = 1_000_000_000  # of a file
 MAX_VALUES = 100_000_000  # rows times columns that are loaded
 MAX_LINES = 20_000_000  # of a CSV file, empty ones included
 MAX_LINE = 1_000_000  # characters of one of them
+MAX_NAME = 200  # characters of a column's name
 BLOCK = 50_000  # lines that are parsed at a time; all at once would take ten times the file's size in memory
 FORMATS = (".csv", ".parquet", ".npz")
 
@@ -122,6 +124,8 @@ def write_table(path: Path, columns: dict[str, NDArray[np.float64]], *, overwrit
 
 
 def _check_header(path: Path, names: Sequence[str]) -> None:
+    if max(map(len, names), default=0) > MAX_NAME:
+        raise RecordingError(f"{path}: a column's name has more than {MAX_NAME} characters; give it a shorter one")
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise RecordingError(f"{path}: columns {twice} appear more than once; rename or remove one")
@@ -273,7 +277,7 @@ def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], d
         names = list(file.schema_arrow.names)
         rows = file.metadata.num_rows
     except Exception as error:  # a corrupt file can provoke any of a dozen classes
-        raise RecordingError(f"{path}: not a readable Parquet file: {_first_line(error)}") from None
+        raise RecordingError(f"{path}: not a readable Parquet file: {first_line(error)}") from None
     _check_header(path, names)
     wanted = list(choose(names))
     _check_size(path, rows, max(1, len(wanted)))
@@ -286,7 +290,7 @@ def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], d
             column = file.read(columns=[name]).column(name)  # a dot in the name may have brought others along
             values = column.cast(arrow.float64(), safe=False).to_numpy()
         except Exception as error:
-            raise RecordingError(f"{path}, column {name!r}: cannot be read: {_first_line(error)}") from None
+            raise RecordingError(f"{path}, column {name!r}: cannot be read: {first_line(error)}") from None
         if column.null_count:
             index = int(np.flatnonzero(np.asarray(column.is_null()))[0])
             raise RecordingError(f"{path}, {row_label((), index)}, column {name!r}: the cell is empty")
@@ -314,7 +318,7 @@ def _read_npz(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[
     except RecordingError:
         raise
     except Exception as error:  # a corrupt archive can provoke any of a dozen classes
-        raise RecordingError(f"{path}: not a readable npz file: {_first_line(error)}") from None
+        raise RecordingError(f"{path}: not a readable npz file: {first_line(error)}") from None
     return names, columns, ()
 
 
@@ -346,7 +350,3 @@ def _write_npz(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64
         for name, values in columns.items():
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as entry:
                 np.lib.format.write_array(entry, np.asarray(values, dtype=np.float64), allow_pickle=False)
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]
