@@ -314,6 +314,47 @@ def test_a_knock_hidden_under_friction_is_found() -> None:
     assert found.missing[1].parameters["start"]["value"] == pytest.approx(14.05, abs=0.03)
 
 
+def test_friction_in_every_joint_of_an_arm_is_named_at_once() -> None:
+    """No single one takes much of the mismatch, and without all of them every other is wrong as well."""
+    coulomb, viscous = (0.8, 0.5, 0.2), (0.4, 0.25, 0.1)
+
+    def arm(step: float, friction: bool) -> str:
+        links = "".join(
+            f"""<body pos="0 0 {0.3 * bool(k)}"><inertial pos="0.02 0 0.15" mass="{2 - 0.6 * k}"
+            diaginertia="0.02 0.02 0.01"/><joint name="j{k}" axis="{"0 1 0" if k else "1 0 0"}" """
+            + (
+                f'frictionloss="{coulomb[k]}" damping="{viscous[k]}" solreffriction="{2 * step} 1"/>'
+                if friction
+                else "/>"
+            )
+            for k in range(3)
+        )
+        each = [(f'<motor name="m{k}" joint="j{k}"/>', f'<jointpos name="q{k}" joint="j{k}"/>') for k in range(3)]
+        motors, sensors = ("".join(part) for part in zip(*each, strict=True))
+        return f"""<mujoco><option timestep="{step}" integrator="implicitfast" iterations="100" tolerance="1e-12"
+            noslip_iterations="{30 * friction}"/><worldbody>{links}{"</body>" * 3}</worldbody>
+            <actuator>{motors}</actuator><sensor>{sensors}</sensor></mujoco>"""
+
+    model = mujoco.MjModel.from_xml_string(arm(2e-4, friction=True))
+    rng, data, rows = np.random.default_rng(3), mujoco.MjData(model), []
+    rates, phases = rng.uniform(0.1, 0.9, (3, 4)), rng.uniform(0, 6, (3, 4))
+    gains = np.array([60.0, 30.0, 8.0])
+    for k in range(6_000):
+        wanted = 0.5 * np.sin(2 * np.pi * rates * 0.002 * k + phases).sum(axis=1)
+        data.ctrl[:] = gains * ((wanted - data.qpos) * 4 - 0.4 * data.qvel)
+        rows.append((0.002 * k, *data.ctrl, *(data.qpos + 2e-5 * rng.normal(size=3))))
+        mujoco.mj_step(model, data, 10)
+    table = np.array(rows)
+    names = [f"{kind}{k}" for kind in "mq" for k in range(3)]
+    run = Recording("arm", table[:, 0], table[:, 1:4], table[:, 4:], tuple(names[:3]), tuple(names[3:]))
+    some = [catalogue()[name] for name in ("friction.coulomb", "friction.viscous", "drag.quadratic", "load.constant")]
+    found = diagnose(mjcf.from_text(arm(1e-3, friction=False)), [run], effects=some)
+    said = {(m.effect, m.at): m.parameters for m in found.missing}
+    for k in range(3):
+        assert said["friction.coulomb", f"j{k}"]["level"]["value"] == pytest.approx(coulomb[k], rel=0.05)
+        assert said["friction.viscous", f"j{k}"]["coefficient"]["value"] == pytest.approx(viscous[k], rel=0.05)
+
+
 def test_what_has_no_name_is_modelled_and_predicts(tmp_path: Path) -> None:
     """Drag along a stretch of the way, which is in no catalogue: force of position and velocity together."""
     pole = """<mujoco><option timestep="0.002" integrator="RK4"/><worldbody><body>
