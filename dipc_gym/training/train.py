@@ -424,10 +424,10 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
                     f"{shown(flat.get(key))}; "
                     "resume with the same, or train into another folder"
                 )
-        for path, digest in files.items():
-            if kept.get(path) != digest:
+        for name, digest in files.items():
+            if kept.get(name) != digest:
                 raise TrainingError(
-                    f"{path}: not the file that the training of {note} was begun with; put that back, or train into "
+                    f"{name}: not the file that the training of {note} was begun with; put that back, or train into "
                     "another folder"
                 )
         return out
