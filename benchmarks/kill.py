@@ -4,15 +4,16 @@
     python -m benchmarks.kill --moments 5 --command compare
     python -m benchmarks.kill --interrupt             Ctrl-C in the place of kill -9
 
-Every second time the process alone is killed, so that its workers are orphans for a while, else all of its group. What
-was whole on disk at that moment must still be there, untouched, when the same command has gone on to its end; what the
-two runs leave must be equal to the byte, but for the seconds that they took. After Ctrl-C there must be a sentence and
-no traceback, and what a diagnosis had found by then is its result.
+Every second time the process alone is killed, so that its workers are orphans while the same command goes on, else all
+of its group. What was whole on disk at that moment must still be there, untouched, when the same command has gone on to
+its end; what the two runs leave must be equal to the byte, but for the seconds that they took. After Ctrl-C there must
+be a sentence and no traceback, and what a diagnosis had found by then is its result.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import random
@@ -42,11 +43,13 @@ class Command:
         arguments: of `dipc-gym`, without `--out`.
         cells: pattern of the files that must survive a kill.
         content: what of the folder must be equal, by name.
+        resumed: file with which a folder goes on by `--resume` alone; without one, by the same command.
     """
 
     arguments: tuple[str, ...]
     cells: str
     content: Callable[[Path], dict[str, Any]]
+    resumed: str = ""
 
 
 def _files(folder: Path, patterns: Iterable[str]) -> dict[str, Any]:
@@ -88,9 +91,10 @@ COMMANDS = {
         _compared,
     ),
     "train-policy": Command(
-        ("train-policy", "--compensator", "none", "--steps", "144000", "--rigs", "4", "--resume"),
+        ("train-policy", "--compensator", "none", "--steps", "144000", "--rigs", "4"),
         "training.json",
         _policy,
+        "training.json",
     ),
     "train-policy --seeds": Command(
         ("train-policy", "--compensator", "none", "--steps", "48000", "--rigs", "4", "--seeds", "3", "--jobs", "2"),
@@ -107,10 +111,10 @@ def run(name: str, moments: int, seed: int, place: Path, *, interrupt: bool = Fa
     command, rng = COMMANDS[name], random.Random(seed)
     begun = time.monotonic()
     calm = _start(command, place / "calm", place)
-    said = calm.communicate()[1]
+    calm.wait()
     took = time.monotonic() - begun
     if calm.returncode:
-        return [f"undisturbed, it ends with {calm.returncode}: {said[-2000:]}"]
+        return [f"undisturbed, it ends with {calm.returncode}: {_said(place)}"]
     expected, wrong = command.content(place / "calm"), []
     for k in range(moments):
         out, at = place / f"killed-{k:02d}", rng.uniform(0.02, 0.98) * took
@@ -124,51 +128,52 @@ def run(name: str, moments: int, seed: int, place: Path, *, interrupt: bool = Fa
                 os.kill(killed.pid, signal.SIGKILL)
             else:
                 os.killpg(killed.pid, signal.SIGKILL)
-        last = _drain(killed)
+        killed.wait()
         faults = []
-        if interrupt and ("Traceback" in last or killed.returncode not in (0, 130)):
-            faults.append(f"interrupted, it ends with {killed.returncode}: {last[-1500:]}")
-        if interrupt and killed.returncode == 0 and (out / "diagnosis.json").exists():
-            shutil.rmtree(out)  # it wrote what it had found, which is less than all
+        if interrupt and ("Traceback" in _said(place) or killed.returncode not in (0, 130)):
+            faults.append(f"interrupted, it ends with {killed.returncode}: {_said(place)}")
+        if killed.returncode == 0 and (out / "diagnosis.json").exists():
+            shutil.rmtree(out)  # interrupted, it wrote what it had found; or it ended before, and does not begin anew
         kept = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in out.glob(command.cells)}
         again = _start(command, out, place)
-        said = again.communicate()[1]
+        again.wait()
         if again.returncode:
-            faults.append(f"goes on with {again.returncode}: {said[-1000:]}")
+            faults.append(f"goes on with {again.returncode}: {_said(place)}")
         elif (found := command.content(out)) != expected:
             names = [key for key in expected.keys() | found.keys() if expected.get(key) != found.get(key)]
             faults.append(f"leaves other {', '.join(sorted(names))}")
-        if "Traceback" in said:
-            faults.append(f"says {said[-1000:]}")
+        if "Traceback" in _said(place):
+            faults.append(f"says {_said(place)}")
         lost = [path.name for path, what in kept.items() if (path.stat().st_mtime_ns, path.read_bytes()) != what]
         if lost:
             faults.append(f"did {', '.join(lost)} once more, though whole")
         print(f"{name:20} killed after {at:5.1f} s of {took:.0f}, {len(kept)} kept: {faults or 'equal'}", flush=True)
         wrong += [f"{name}, killed after {at:.1f} s: {fault}" for fault in faults]
         shutil.rmtree(out, ignore_errors=True)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(killed.pid, signal.SIGKILL)  # workers that have nobody left to work for
     return wrong
 
 
-def _start(command: Command, out: Path, place: Path) -> subprocess.Popen[str]:
+def _start(command: Command, out: Path, place: Path) -> subprocess.Popen[bytes]:
     arguments = [sys.executable, "-m", "dipc_gym", *command.arguments, "--out", str(out)]
-    return subprocess.Popen(
-        arguments,
-        cwd=place,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-        text=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
+    if command.resumed and (out / command.resumed).exists():
+        arguments.append("--resume")
+    (place / "said").unlink(missing_ok=True)  # a worker of the one before may still write to it
+    with (place / "said").open("w") as said:
+        return subprocess.Popen(
+            arguments,
+            cwd=place,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+            stdout=subprocess.DEVNULL,
+            stderr=said,
+            start_new_session=True,
+        )
 
 
-def _drain(process: subprocess.Popen[str]) -> str:
-    """Wait for the end of a process, and of workers that outlive it, as far as they hold its output; its last words."""
-    try:
-        return process.communicate(timeout=180)[1]
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        return process.communicate()[1]
+def _said(place: Path) -> str:
+    """The last words of the command that was started last."""
+    return (place / "said").read_text(errors="replace")[-2000:]
 
 
 def _record(place: Path) -> None:

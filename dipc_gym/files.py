@@ -35,7 +35,7 @@ def whole(path: str | Path) -> Iterator[BinaryIO]:
         ...     _ = file.write(b"whole")
     """
     path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}{PARTIAL}")
+    partial = partial_of(path)
     try:
         # Made anew: a link of this name, planted by whoever sent the folder, would lead the writing elsewhere.
         partial.unlink(missing_ok=True)
@@ -51,6 +51,11 @@ def whole(path: str | Path) -> Iterator[BinaryIO]:
             said = f"{error.strerror}; make room and try again; what had this name before, if anything, is untouched"
             raise OSError(error.errno, said, str(path)) from error
         raise
+
+
+def partial_of(path: Path) -> Path:
+    """Where a file is written before it takes its name."""
+    return path.with_name(f".{path.name}.{os.getpid()}{PARTIAL}")
 
 
 def remove_partial(folder: Path) -> None:

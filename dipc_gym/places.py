@@ -6,6 +6,7 @@ harmless name that a symbolic link takes elsewhere. Whatever turns such a name i
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 
@@ -28,8 +29,8 @@ def inside(folder: str | Path, name: str) -> Path:
         `folder / name`.
 
     Raises:
-        PlaceError: the name is empty, absolute, has a part `..`, a backslash or a NUL, cannot be a path, or is taken
-            out of the folder by a symbolic link.
+        PlaceError: the name is empty, too long, absolute, has a part `..`, a backslash or a NUL, cannot be a path, or
+            is taken out of the folder by a symbolic link.
 
     Example:
         >>> inside("sweep", "ppo-llnf-00/policy.json").as_posix()
@@ -45,9 +46,18 @@ def inside(folder: str | Path, name: str) -> Path:
             raise ValueError
         root = folder.resolve()
         place = (root / name).resolve()
-        if place == root or not place.is_relative_to(root):
+        if place == root or not place.is_relative_to(root) or _too_long(place):
             raise ValueError
-    except (OSError, ValueError, RuntimeError):  # a ring of links, a name too long, half a surrogate pair
+    except (OSError, ValueError, RuntimeError):  # a ring of links, half a surrogate pair
         shown = repr(name) if len(repr(name)) <= 80 else f"{repr(name)[:77]}..."
         raise PlaceError(f"{folder}: {shown} leads out of this folder; use it only with names within it") from None
     return folder / name
+
+
+def _too_long(place: Path) -> bool:
+    """Whether no file can have this name; `resolve` does not mind."""
+    try:
+        place.lstat()
+    except OSError as error:
+        return error.errno == errno.ENAMETOOLONG
+    return False

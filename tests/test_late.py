@@ -130,6 +130,33 @@ def test_a_diagnosis_that_finds_no_room_says_so_and_prints_what_it_found(tmp_pat
     assert not (tmp_path / "found").exists()
 
 
+FIGURE = """
+from pathlib import Path
+from matplotlib.figure import Figure
+from dipc_gym.experiments import style
+style.write(Figure(), Path("fig.png"))"""
+FILM = """
+from pathlib import Path
+import numpy as np
+from PIL import Image
+from dipc_gym.experiments.film import _mp4
+with _mp4(Path("rig.mp4")) as take:
+    for k in range(40):
+        take(Image.fromarray(np.random.default_rng(k).integers(0, 255, (340, 300, 3), dtype=np.uint8)))"""
+
+
+@pytest.mark.parametrize(("body", "name"), [(FIGURE, "fig.png"), (FILM, "rig.mp4")])
+def test_a_picture_that_finds_no_room_leaves_the_old_one(body: str, name: str, tmp_path: Path) -> None:
+    if name.endswith(".mp4"):
+        pytest.importorskip("imageio_ffmpeg")
+    (tmp_path / name).write_bytes(b"old")
+    done = small_disk([sys.executable, "-c", body], 2000, tmp_path)
+    assert "make room and try again" in done.stderr.splitlines()[-1]
+    assert name in done.stderr.splitlines()[-1]
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_bytes() == b"old"
+
+
 def test_no_room_while_results_are_put_in_place_names_those_that_are_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

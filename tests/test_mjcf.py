@@ -122,6 +122,7 @@ def test_an_edited_source_is_scanned_again_unless_it_is_trusted(folder: Path) ->
         mesh_model("{folder}/../secret.obj"),
         mesh_model("secret.obj", '<compiler meshdir="{folder}/.."/>'),
         mesh_model("linked.obj"),
+        mesh_model("x" * 300 + ".obj"),
         mesh_model("t.obj", '<compiler meshdir="linked"/>'),
         "<mujoco><include file='../secret.obj'/></mujoco>",
         "<mujoco><include file='/etc/passwd'/></mujoco>",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dipc_gym import files, sweep
 from dipc_gym.experiments import compare
 from dipc_gym.places import PlaceError, inside
-from dipc_gym.training import seeds
+from dipc_gym.training import seeds, train
 from dipc_gym.training.train import Recipe, Training
 
 PARTS = st.sampled_from(["..", ".", "", "a", "out", "up", "ring", "/", "\\", "\0", "~", "C:", "\ud800", "ü", "a" * 300])
@@ -51,7 +51,9 @@ def test_plain_names_are_borne(folder: Path, parts: list[str]) -> None:
     assert inside(folder, name) == folder / PurePosixPath(name)
 
 
-@pytest.mark.parametrize("name", ["", ".", "..", "a/../..", "/etc/passwd", "out/x", "up/x", "a\\..\\x", "C:x", 7, None])
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "a/../..", "/etc/passwd", "out/x", "up/x", "a\\..\\x", "C:x", "x" * 300, 7, None]
+)
 def test_what_leads_out_is_refused_in_words(folder: Path, name: str) -> None:
     with pytest.raises(PlaceError, match="leads out of this folder"):
         inside(folder, name)
@@ -116,6 +118,17 @@ def test_a_link_in_a_sweep_from_a_stranger_is_not_followed(part: str, tmp_path: 
     with pytest.raises(PlaceError):
         seeds.run([TINY], out)
     assert not list(mine.glob("*.json"))
+
+
+def test_a_link_in_a_training_from_a_stranger_is_not_followed(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    (tmp_path / "mine").mkdir()
+    out = tmp_path / "training"
+    train._folder(TINY, out, resume=False, overwrite=False)
+    (out / "tensorboard").symlink_to(tmp_path / "mine")
+    with pytest.raises(PlaceError, match="tensorboard"):
+        train.run(TINY, out, resume=True, quiet=True)
+    assert not list((tmp_path / "mine").iterdir())
 
 
 @pytest.mark.parametrize("part", compare.FOLDERS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import json
+import os
 import pickle
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from dipc_gym import cli
+from dipc_gym.controllers import ControllerError
 from dipc_gym.policy import Policy
 from dipc_gym.training import train
 from dipc_gym.training.train import RECIPES, Recipe, Rig, Training, TrainingError, evaluate
@@ -289,3 +291,59 @@ def test_a_training_from_before_there_was_a_choice_of_engine_goes_on(tmp_path: P
     del old["recipe"]["engine"]
     note.write_text(json.dumps(old))
     assert train.run(short(), tmp_path / "out", resume=True, quiet=True).to_dict() == first.to_dict()
+
+
+LINE = {"steps": 2_000, "seconds": 1.0, "standing": 0, "held": 0.5, "reward": 0.1}
+FAULTS = (
+    lambda held: held["looks"].append({**LINE, "seconds": "long"}),
+    lambda held: held["learner"].update(steps="many"),
+    lambda held: held["learner"]["average"].popitem(),
+    lambda held: held["learner"].update(average={k: v[:1] for k, v in held["learner"]["average"].items()}),
+)
+
+
+def test_a_checkpoint_that_unpickles_and_is_none_of_this_training_is_refused(tmp_path: Path) -> None:
+    import torch
+
+    out = tmp_path / "run"
+    train.run(short(), out)
+    whole = (out / "checkpoint.pt").read_bytes()
+    for fault in FAULTS:
+        (out / "checkpoint.pt").write_bytes(whole)
+        held = torch.load(out / "checkpoint.pt", weights_only=True)
+        fault(held)
+        torch.save(held, out / "checkpoint.pt")
+        with pytest.raises(TrainingError, match=r"checkpoint\.pt: no checkpoint of this training.*--overwrite"):
+            train.run(short(), out, resume=True)
+
+
+def test_going_on_needs_the_best_policy_so_far_and_says_so_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        killed_after_first_stage(patch, KeyboardInterrupt())
+        with pytest.raises(KeyboardInterrupt):
+            train.run(short(), out)
+    (out / "policy.json").write_text("{")
+    before = (out / "checkpoint.pt").read_bytes()
+    with pytest.raises(ControllerError, match=r"policy\.json: not JSON"):
+        train.run(short(), out, resume=True)
+    assert (out / "checkpoint.pt").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", train.FILES)
+def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(name: str, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    train._folder(short(), out, resume=False, overwrite=False)
+    (out / name).unlink(missing_ok=True)
+    os.mkfifo(out / name)
+    with pytest.raises(TrainingError, match=f"{name}: is no file; start anew with --overwrite"):
+        train._folder(short(), out, resume=True, overwrite=False)
+    train._folder(short(), out, resume=False, overwrite=True)
+
+
+def test_what_a_kill_before_the_first_file_leaves_is_no_hindrance(tmp_path: Path) -> None:
+    (tmp_path / ".training.json.77.partial").touch()
+    train._folder(short(), tmp_path, resume=False, overwrite=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["training.json"]

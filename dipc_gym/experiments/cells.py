@@ -111,6 +111,7 @@ class FrictionLearning(Learning):
 
     def check(self, result: Any) -> None:
         """Refuse what is no estimator."""
+        intact.fit(result, {})  # a text would be taken for a path
         estimators.load(result)
 
 

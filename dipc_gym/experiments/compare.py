@@ -332,7 +332,7 @@ def _run(comparison: Comparison, out: Path, jobs: int | None, backend: Backend) 
             do(score.plan(balancings, comparison.masses()), "score")
             scored = score.summarise((o for o in found.values() if o.failure is None), comparison.pairs())
             write_json(out / "score.json", scored)
-            (out / "score.txt").write_text(score.table(scored) + "\n", encoding="utf-8")
+            write_whole(out / "score.txt", (score.table(scored) + "\n").encode())
         axes = [name for name in comparison.robustness if name != SCORE]
         if axes:
             plan = robustness.plan(balancings, axes)

@@ -6,6 +6,7 @@ deviations from upright and middle enlarged by one factor, which stands in the c
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import itertools
 import math
@@ -24,7 +25,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dipc_gym import ENV_ID
 from dipc_gym.experiments import style
-from dipc_gym.files import whole
+from dipc_gym.files import partial_of, whole
 from dipc_gym.runs import Course
 
 Array = NDArray[np.float64]
@@ -214,23 +215,37 @@ def _gif(path: Path) -> Iterator[Callable[[Image.Image], None]]:
 
 @contextmanager
 def _mp4(path: Path) -> Iterator[Callable[[Image.Image], None]]:
-    """Takes frames, and hands them to ffmpeg; the file appears when all are written."""
+    """Takes frames, and hands them to ffmpeg; the file appears when all are in it."""
     import imageio_ffmpeg
 
     writers: list[Any] = []
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial.mp4")  # ffmpeg goes by the suffix
+    taken = itertools.count()
+    no_film = OSError(errno.EIO, "ffmpeg could not write the film; make room and try again", str(path))
+    partial = partial_of(path)
+    partial.unlink(missing_ok=True)
 
     def take(frame: Image.Image) -> None:
         size = (frame.width // 2 * 2, frame.height // 2 * 2)  # H.264 wants even numbers
         if not writers:
-            writers.append(imageio_ffmpeg.write_frames(str(partial), size, fps=RATE, macro_block_size=2, quality=8))
+            looks = {"fps": RATE, "macro_block_size": 2, "quality": 8, "output_params": ["-f", "mp4"]}
+            writers.append(imageio_ffmpeg.write_frames(str(partial), size, **looks))
             writers[0].send(None)
-        writers[0].send(frame.crop((0, 0, *size)).tobytes())
+        try:
+            writers[0].send(frame.crop((0, 0, *size)).tobytes())
+        except OSError:  # ffmpeg is gone, and what is said is its log
+            raise no_film from None
+        next(taken)
 
     try:
         yield take
         for writer in writers:
             writer.close()
+        try:
+            held, _ = imageio_ffmpeg.count_frames_and_secs(str(partial))
+        except RuntimeError:
+            held = -1
+        if held != next(taken):  # ffmpeg's own exit code cannot be seen
+            raise no_film
         partial.replace(path)
     finally:
         for writer in writers:

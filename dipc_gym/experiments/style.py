@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dipc_gym.files import whole
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -83,4 +85,6 @@ def text(points: float) -> Iterator[None]:
 
 def write(made: Figure, path: Path) -> None:
     """Write a figure, without its date: the same figure is the same file."""
-    made.savefig(path, dpi=160, metadata={"CreationDate": None} if path.suffix == ".pdf" else None)
+    kind = path.suffix[1:]
+    with whole(path) as file:
+        made.savefig(file, dpi=160, format=kind, metadata={"CreationDate": None} if kind == "pdf" else None)

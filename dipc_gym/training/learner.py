@@ -18,6 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor
 
 from dipc_gym.compensators import OutOfRangeWarning
+from dipc_gym.intact import fit
 from dipc_gym.policy import Policy
 from dipc_gym.sb3 import DIPCFrictionVecEnv
 from dipc_gym.training.train import Rig, Training
@@ -204,17 +205,27 @@ class Learner:
         return state
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take up what `state` gave."""
+        """Take up what `state` gave.
+
+        Raises:
+            Exception: of many kinds, for the state of another training or of none; the learner is then of no use.
+        """
+        fit(state, {"steps": int, "updates": int})
         self.model.set_parameters(state["model"])
         self.model.num_timesteps = state["steps"] // self.training.recipe.hold
         self.model._n_updates = state["updates"]
-        self.average, self._averaged_at = dict(state["average"]), state["steps"]
+        for key, value in self.average.items():
+            value[:] = state["average"][key].reshape(value.shape)
+        self._averaged_at = state["steps"]
         if self.training.algorithm == "sac":
             self.model.log_ent_coef.data.copy_(state["entropy"])
             buffer = self.model.replay_buffer
             for name in REPLAY:
                 stored = state["replay"][name].numpy()
                 getattr(buffer, name)[: len(stored)] = stored
+            fit(state, {"replay_at": int, "replay_full": bool})
+            if state["replay_at"] >= buffer.buffer_size:
+                raise ValueError(f"the replay buffer has no place {state['replay_at']}")
             buffer.pos, buffer.full = state["replay_at"], state["replay_full"]
 
     def _actor(self) -> dict[str, Any]:

@@ -22,12 +22,13 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, compensators
+from dipc_gym import ENV_ID, compensators, intact
 from dipc_gym.alone import alone
 from dipc_gym.compensators import Compensator, OutOfRangeWarning
 from dipc_gym.experiments import cells
 from dipc_gym.files import remove_partial, write_whole
 from dipc_gym.naming import suggestion
+from dipc_gym.places import inside
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Evaluation, Policy
 from dipc_gym.rigs import ENGINES, unknown_engine
@@ -295,6 +296,9 @@ class Look:
         return self.standing, self.reward
 
 
+LOOK = {"steps": int, "seconds": float, "standing": int, "held": float, "reward": float}  # as a checkpoint holds it
+
+
 def run(
     training: Training, out: str | Path, *, resume: bool = False, overwrite: bool = False, quiet: bool = False
 ) -> Policy:
@@ -340,10 +344,12 @@ def _run(training: Training, rig: Rig, out: Path, resume: bool, overwrite: bool,
     from dipc_gym.training.learner import Learner
 
     out = _folder(training, out, resume=resume, overwrite=overwrite)
-    learner = Learner(training, rig, out / "tensorboard")
+    learner = Learner(training, rig, inside(out, "tensorboard"))
     looks: list[Look] = []
     if resume and (out / "checkpoint.pt").exists():
         looks = restore(learner, out / "checkpoint.pt")
+        if looks:
+            Policy.load(out / "policy.json")  # the best so far; better refused now than after hours
     elif rig.compensator is not None:
         compensators.save(rig.compensator, out / "compensator.json")
     recipe = training.recipe
@@ -395,13 +401,16 @@ def _run(training: Training, rig: Rig, out: Path, resume: bool, overwrite: bool,
 def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> Path:
     """Make the folder, clear it, or see that it holds this training."""
     note = out / "training.json"
-    if out.is_dir() and (resume or overwrite):
+    if out.is_dir():
         remove_partial(out)
     files = cells.fingerprints(training.compensator, training.plant, training.model)
     wanted = json.loads(json.dumps({**training.to_dict(), "files": files}))
     if resume and not note.exists():
         raise TrainingError(f"{out}: there is no training to go on with; leave --resume out to begin one")
     if resume:
+        for path in (out / name for name in FILES):
+            if path.exists() and not path.is_file():  # opening a named pipe would wait for ever
+                raise TrainingError(f"{path}: is no file; start anew with --overwrite")
         try:
             there = TRAINING.read(note)
             flat, other = _flat(wanted), _flat(there)
@@ -473,6 +482,7 @@ def restore(learner: Any, path: Path) -> list[Look]:
         stored = torch.load(path, map_location="cpu", weights_only=True)
         if stored["schema"] != SCHEMA:
             raise TrainingError(f"it is of the form {stored['schema']!r}; this version of dipc-gym writes {SCHEMA!r}")
+        intact.fit(stored["looks"], [LOOK])
         learner.restore(stored["learner"])
         return [Look(**row) for row in stored["looks"]]
     except Exception as error:  # whatever a broken or hostile file makes torch raise

@@ -9,11 +9,15 @@ A case is made again from its kind and number. The exit code is 1 if anything ha
 from __future__ import annotations
 
 import argparse
+import os
 import random
 import sys
+import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -21,16 +25,18 @@ sys.path.insert(0, str(Path(__file__).parent))
 CHUNK = 50
 
 
-def several(kind: str, first: int, count: int) -> list[tuple[str, int, str, str, float]]:
-    """Kind, number, outcome, fault and seconds of cases in a row."""
+def several(kind: str, first: int, count: int, at_work: Path) -> list[tuple[str, int, str, str, float]]:
+    """Kind, number, outcome, fault and seconds of cases in a row; a note in `at_work` says which is tried."""
     from case import run
     from targets import TARGETS
 
     target = _targets.get(kind) or _targets.setdefault(kind, TARGETS[kind]())
-    done = []
+    done, note = [], at_work / str(os.getpid())
     for number in range(first, first + count):
+        note.write_text(f"{kind} {number}")
         case = run(target, number, random.Random(number).choice((None, [], {"a": 1e999}, "$\\x", -0.0, 10**30)))
         done.append((kind, number, case.outcome, case.fault, case.seconds))
+    note.unlink()
     return done
 
 
@@ -48,35 +54,37 @@ def main() -> int:
     parser.add_argument("--kind", choices=list(TARGETS))
     parser.add_argument("--only", type=int, help="one case of a kind, by its number")
     given = parser.parse_args()
-    if given.only is not None:
-        print(*several(given.kind, given.only, 1)[0][2:], sep="\n")
-        return 0
-    kinds = [given.kind] if given.kind else list(TARGETS)
-    each = -(-given.count // len(kinds))
-    tasks = [(kind, given.seed + first, min(CHUNK, each - first)) for first in range(0, each, CHUNK) for kind in kinds]
+    with tempfile.TemporaryDirectory(prefix="fuzz-notes-") as notes:
+        if given.only is not None:
+            print(*several(given.kind, given.only, 1, Path(notes))[0][2:], sep="\n")
+            return 0
+        return _tried([given.kind] if given.kind else list(TARGETS), given.count, given.seed, given.jobs, Path(notes))
+
+
+def _tried(kinds: list[str], count: int, seed: int, jobs: int, notes: Path) -> int:
+    each = -(-count // len(kinds))
+    tasks = [(kind, seed + n, min(CHUNK, each - n), notes) for n in range(0, each, CHUNK) for kind in kinds]
     outcomes = {kind: Counter[str]() for kind in kinds}
     slowest = dict.fromkeys(kinds, 0.0)
     faults, began = [], time.perf_counter()
-    with ProcessPoolExecutor(given.jobs, max_tasks_per_child=200, mp_context=_spawn()) as pool:
-        for done in pool.map(several, *zip(*tasks, strict=True)):
-            for kind, number, outcome, fault, seconds in done:
-                outcomes[kind][outcome] += 1
-                slowest[kind] = max(slowest[kind], seconds)
-                if fault:
-                    faults.append((kind, number))
-                    print(f"FAULT {kind} {number}: {outcome}\n{fault}", flush=True)
+    try:
+        with ProcessPoolExecutor(jobs, max_tasks_per_child=200, mp_context=get_context("spawn")) as pool:
+            for done in pool.map(several, *zip(*tasks, strict=True)):
+                for kind, number, outcome, fault, seconds in done:
+                    outcomes[kind][outcome] += 1
+                    slowest[kind] = max(slowest[kind], seconds)
+                    if fault:
+                        faults.append((kind, number))
+                        print(f"FAULT {kind} {number}: {outcome}\n{fault}", flush=True)
+    except BrokenProcessPool:
+        faults += [tuple(note.read_text().rsplit(" ", 1)) for note in notes.iterdir()]
+        print("FAULT a process died while it tried one of the last of these")
     for kind, found in outcomes.items():
         words = ", ".join(f"{name} {count}" for name, count in found.most_common())
         print(f"{kind:18} {found.total():6}  {words}; slowest {slowest[kind]:.2f} s")
     total = sum(found.total() for found in outcomes.values())
-    print(f"{total} files in {time.perf_counter() - began:.0f} s, {len(faults)} faults: {faults[:20]}")
+    print(f"{total} files in {time.perf_counter() - began:.0f} s, {len(faults)} faults: {faults[-20:]}")
     return 1 if faults else 0
-
-
-def _spawn():
-    import multiprocessing
-
-    return multiprocessing.get_context("spawn")
 
 
 if __name__ == "__main__":

@@ -96,7 +96,7 @@ def tree(data: bytes, rng: random.Random, value: Any = None) -> bytes:
         elif kind == 4 and value is not None:
             holder[key] = copy.deepcopy(value)  # into itself, at the next turn, it would never end
         else:
-            holder[key] = rng.choice(VALUES)
+            holder[key] = copy.deepcopy(rng.choice(VALUES))  # which the next turn may change
     if isinstance(root, dict) and intact.DIGEST in root and rng.random() < 0.7:
         try:
             root = intact.signed(root)
