@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -13,7 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.plant import Friction, Plant
+from dipc_gym.plant import RANGES, Friction, Plant
+from dipc_gym.untrusted import shown
 
 Array = NDArray[np.float64]
 Rows = tuple[tuple[float, ...], ...]
@@ -23,6 +23,17 @@ FASTEST = 50.0
 """No entry of a model that a filter can follow changes its state by more than this times in a period."""
 LARGEST = 1e3
 """No position or rate of a rig is this large, in m, rad or their rates; an estimate beyond it has diverged."""
+STEEPEST = 1e10
+"""Of the entries of a linear model: accelerations of the lightest joint that `mjcf` lets pass, for a unit force."""
+PHYSICAL = {
+    "newtons_per_volt": (1e-9, 1e9, "N/V"),
+    "supply": RANGES["supply"],
+    "period": RANGES["control_period"],
+    "cart_step": RANGES["encoders.cart"],
+    "pole_step": RANGES["encoders.pole"],
+    "velocity_filter": RANGES["encoders.velocity_filter"],
+}
+"""Least and largest of what a rig model says of motor and encoders, and its unit, as of a plant."""
 
 
 class EstimateWarning(UserWarning):
@@ -44,7 +55,7 @@ class RigModel:
         velocity_filter: time constant of the filtered differences, s.
 
     Raises:
-        ValueError: a number is not finite or has the wrong sign, or a matrix the wrong shape.
+        ValueError: a number is outside of its range, see `PHYSICAL`, or a matrix has the wrong shape.
     """
 
     A: Rows
@@ -59,16 +70,15 @@ class RigModel:
     def __post_init__(self) -> None:
         for name, shape in (("A", (6, 6)), ("B", (6,))):
             values = np.array(getattr(self, name), dtype=float)
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ValueError(f"RigModel.{name} must be {shape} finite numbers")
-        for name in ("newtons_per_volt", "supply", "period", "cart_step", "pole_step"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"RigModel.{name} is {value}; it must be finite and above 0")
+            if values.shape != shape or not np.all(np.abs(values) <= STEEPEST):
+                raise ValueError(f"RigModel.{name} must be {shape} numbers of {STEEPEST:g} at most")
+        for name, (least, most, unit) in PHYSICAL.items():
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(
+                    f"RigModel.{name} is {shown(getattr(self, name))}; it must be from {least:g} to {most:g} {unit}"
+                )
         if not max(abs(entry) for row in self.A for entry in row) * self.period < FASTEST:
             raise ValueError(f"RigModel.A is too fast for a control period of {self.period:g} s; check both")
-        if not (math.isfinite(self.velocity_filter) and self.velocity_filter >= 0):
-            raise ValueError(f"RigModel.velocity_filter is {self.velocity_filter}; it must be finite, 0 or more")
 
     @classmethod
     def of(cls, A: Array, B: Array, plant: Plant, newtons_per_volt: float) -> RigModel:

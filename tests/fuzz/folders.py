@@ -15,6 +15,7 @@ from target import BOTH, Target, as_json
 
 from dipc_gym import compensators, estimators, intact, sweep
 from dipc_gym.controllers import ControllerError
+from dipc_gym.estimators import EstimatorError
 from dipc_gym.experiments import robustness, score, tables
 from dipc_gym.experiments.cells import Balancing, CompensatorTraining, FrictionLearning
 from dipc_gym.identification import Sweep
@@ -216,7 +217,7 @@ def _trial(folder: Path) -> None:
 
 
 TARGETS: dict[str, Callable[[], Target]] = {
-    "comparison": lambda: Target(_cells(), dict.fromkeys(_cells(), BOTH), _comparison, (SweepError,)),
+    "comparison": lambda: Target(_cells(), dict.fromkeys(_cells(), BOTH), _comparison, (SweepError, EstimatorError)),
     "policy sweep": lambda: Target(
         _policy_cells(), dict.fromkeys(_policy_cells(), BOTH), _policy_sweep, (SweepError, ControllerError, PlaceError)
     ),
