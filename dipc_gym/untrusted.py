@@ -178,3 +178,13 @@ def shown(value: Any) -> str:
     words = {dict: "an object", list: "a list", tuple: "a list", type(None): "null"}
     text = words.get(type(value)) or repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def first_line(error: BaseException) -> str:
+    r"""What a library says of a broken file, for a message of ours: its first line, of 200 characters at most.
+
+    Example:
+        >>> first_line(ValueError("bad magic\n  at byte 0")), first_line(KeyError())
+        ('bad magic', 'KeyError')
+    """
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]

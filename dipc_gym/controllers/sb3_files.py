@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.controllers import normalisation
 from dipc_gym.policy import ControllerError
+from dipc_gym.untrusted import first_line
 
 if TYPE_CHECKING:
     pass
@@ -160,8 +161,7 @@ def _tensors(path: Path, data: bytes) -> dict[str, Array]:
         loaded = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
         return {str(key): value.double().numpy() for key, value in loaded.items()}
     except Exception as error:  # whatever a broken or hostile file makes torch raise
-        first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ControllerError(f"{path}, policy.pth: cannot be read as weights ({first})") from None
+        raise ControllerError(f"{path}, policy.pth: cannot be read as weights ({first_line(error)})") from None
 
 
 _ACTIVATIONS: dict[str, Callable[[Array], Array]] = {

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from dipc_gym import files
+from dipc_gym.untrusted import first_line
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -273,7 +274,7 @@ def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], d
         names = list(file.schema_arrow.names)
         rows = file.metadata.num_rows
     except Exception as error:  # a corrupt file can provoke any of a dozen classes
-        raise RecordingError(f"{path}: not a readable Parquet file: {_first_line(error)}") from None
+        raise RecordingError(f"{path}: not a readable Parquet file: {first_line(error)}") from None
     _check_header(path, names)
     wanted = list(choose(names))
     _check_size(path, rows, max(1, len(wanted)))
@@ -286,7 +287,7 @@ def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], d
             column = file.read(columns=[name]).column(name)  # a dot in the name may have brought others along
             values = column.cast(arrow.float64(), safe=False).to_numpy()
         except Exception as error:
-            raise RecordingError(f"{path}, column {name!r}: cannot be read: {_first_line(error)}") from None
+            raise RecordingError(f"{path}, column {name!r}: cannot be read: {first_line(error)}") from None
         if column.null_count:
             index = int(np.flatnonzero(np.asarray(column.is_null()))[0])
             raise RecordingError(f"{path}, {row_label((), index)}, column {name!r}: the cell is empty")
@@ -314,7 +315,7 @@ def _read_npz(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[
     except RecordingError:
         raise
     except Exception as error:  # a corrupt archive can provoke any of a dozen classes
-        raise RecordingError(f"{path}: not a readable npz file: {_first_line(error)}") from None
+        raise RecordingError(f"{path}: not a readable npz file: {first_line(error)}") from None
     return names, columns, ()
 
 
@@ -346,7 +347,3 @@ def _write_npz(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64
         for name, values in columns.items():
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as entry:
                 np.lib.format.write_array(entry, np.asarray(values, dtype=np.float64), allow_pickle=False)
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]

@@ -33,7 +33,7 @@ from dipc_gym.plant import Plant
 from dipc_gym.policy import Evaluation, Policy
 from dipc_gym.rigs import ENGINES, unknown_engine
 from dipc_gym.runs import identify
-from dipc_gym.untrusted import Format, shown
+from dipc_gym.untrusted import Format, first_line, shown
 
 Array = NDArray[np.float64]
 Algorithm = Literal["ppo", "sac"]
@@ -486,5 +486,5 @@ def restore(learner: Any, path: Path) -> list[Look]:
         learner.restore(stored["learner"])
         return [Look(**row) for row in stored["looks"]]
     except Exception as error:  # whatever a broken or hostile file makes torch raise
-        first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise TrainingError(f"{path}: no checkpoint of this training ({first}); start anew with --overwrite") from None
+        said = f"no checkpoint of this training ({first_line(error)}); start anew with --overwrite"
+        raise TrainingError(f"{path}: {said}") from None
