@@ -208,6 +208,7 @@ def test_repeated_submodels_run_into_the_limit_and_not_into_the_night(folder: Pa
         ),
         ('<mujoco><worldbody><replicate count="many"/></worldbody></mujoco>', "count 'many' is not a number"),
         ('<mujoco><worldbody><composite count="1000 1000 1"/></worldbody></mujoco>', "multiplies"),
+        (f'<mujoco><worldbody><body name="{201 * "y"}"/></worldbody></mujoco>', "<body>: its name has more than 200"),
         ('<mujoco><worldbody><flexcomp name="f" count="999 999 999"/></worldbody></mujoco>', "multiplies"),
     ],
 )

@@ -18,6 +18,7 @@ from dipc_gym.places import PlaceError, inside
 MAX_TEXT = 20_000_000  # bytes of XML, everything that is included counted as often as it is
 MAX_FILES = 400_000_000  # bytes of all files that a model pulls in
 MAX_DEPTH = 50  # files that include one another
+MAX_NAME = 200  # characters; messages and reports say names in full
 MAX_ELEMENTS = 100_000  # XML elements after replicate, composite and flexcomp are multiplied out
 
 
@@ -110,6 +111,8 @@ class _Scan:
             where = f"{name}, line {parser.CurrentLineNumber}, <{element}>"
             if outermost and len(factors) == 1 and element != "mujoco":
                 raise MjcfError(f"{where}: not an MJCF file; its outermost element must be <mujoco>")
+            if len(attributes.get("name", "")) > MAX_NAME:
+                raise MjcfError(f"{where}: its name has more than {MAX_NAME} characters; give it a shorter one")
             own = factors[-1] * _multiple(element, attributes, where)
             factors.append(own if element == "replicate" else factors[-1])
             self.elements += own

@@ -29,6 +29,7 @@ MAX_BYTES = 1_000_000_000  # of a file
 MAX_VALUES = 100_000_000  # rows times columns that are loaded
 MAX_LINES = 20_000_000  # of a CSV file, empty ones included
 MAX_LINE = 1_000_000  # characters of one of them
+MAX_NAME = 200  # characters of a column's name
 BLOCK = 50_000  # lines that are parsed at a time; all at once would take ten times the file's size in memory
 FORMATS = (".csv", ".parquet", ".npz")
 
@@ -123,6 +124,8 @@ def write_table(path: Path, columns: dict[str, NDArray[np.float64]], *, overwrit
 
 
 def _check_header(path: Path, names: Sequence[str]) -> None:
+    if max(map(len, names), default=0) > MAX_NAME:
+        raise RecordingError(f"{path}: a column's name has more than {MAX_NAME} characters; give it a shorter one")
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise RecordingError(f"{path}: columns {twice} appear more than once; rename or remove one")
