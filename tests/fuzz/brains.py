@@ -21,7 +21,6 @@ from dipc_gym.controllers import ControllerError
 from dipc_gym.controllers.normalisation import Statistics
 from dipc_gym.estimators.files import EstimatorError
 from dipc_gym.export import bundle
-from dipc_gym.export.program import NoForm
 from dipc_gym.identification import Sweep
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Evaluation, Policy
@@ -140,6 +139,6 @@ TARGETS: dict[str, Callable[[], Target]] = {
         {"p.json": own_policy(), "made.json": as_json(llnf())},
         {"p.json": BOTH, "made.json": BOTH},
         _exported,
-        (ControllerError, CompensatorError, NoForm),
+        (ValueError,),
     ),
 }
