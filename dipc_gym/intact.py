@@ -174,11 +174,16 @@ def _is_count(value: Any) -> bool:
     return _is_number(value) and isinstance(value, int) and value >= 0
 
 
+def _is_text(value: Any) -> bool:
+    """Whether it is text that can be written: JSON can hold half of a pair that UTF-8 has no bytes for."""
+    return isinstance(value, str) and not any("\ud800" <= character <= "\udfff" for character in value)
+
+
 _IS = {
     float: _is_number,
     int: _is_count,
     bool: lambda value: isinstance(value, bool),
-    str: lambda value: isinstance(value, str),
+    str: _is_text,
     None: lambda value: value is None,
     object: lambda value: True,
 }

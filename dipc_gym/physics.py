@@ -411,15 +411,27 @@ def load(source: mjcf.Source | str | Path) -> Physics:
     Raises:
         mjcf.MjcfError: the model is refused or does not compile, or an entry of `<custom>` is not understood.
     """
-    return from_model(mjcf.compile(source))
+    source = mjcf.as_source(source)
+    return from_model(mjcf.compile(source), source.name)
 
 
-def from_model(model: mujoco.MjModel) -> Physics:
+def from_model(model: mujoco.MjModel, name: str = "the model") -> Physics:
     """The physics of a compiled model, its `<custom>` entries included.
+
+    Args:
+        model: compiled.
+        name: what messages call it, as its file.
 
     Raises:
         mjcf.MjcfError: an entry names an unknown effect or place, or has the wrong count of numbers.
     """
+    try:
+        return Physics(model, tuple(_extras(model)))
+    except mjcf.MjcfError as error:
+        raise mjcf.MjcfError(f"{name}: {error}") from None
+
+
+def _extras(model: mujoco.MjModel) -> list[Extra]:
     extras = []
     for i in range(model.nnumeric):
         name = model.numeric(i).name
@@ -432,14 +444,13 @@ def from_model(model: mujoco.MjModel) -> Physics:
         stage = _rules[parts[1]][0]
         index, inputs = _index(model, name, stage, parts[2]), _inputs(model, parts[1], parts[2])
         extras.append(Extra(parts[1], parts[2], stage, index, model.numeric(i).data.copy(), inputs))
-    physics = Physics(model, tuple(extras))
-    for extra in physics.extras:
+    for extra in extras:
         if not _usable(extra):
             raise mjcf.MjcfError(
                 f"<custom> entry '{mjcf.PREFIX}:{extra.effect}:{extra.at}' has the numbers {extra.data.tolist()}, "
                 f"too few or out of range; {(_rules[extra.effect][1].__doc__ or '').strip().partition(chr(10))[0]}"
             )
-    return physics
+    return extras
 
 
 def _usable(extra: Extra) -> bool:

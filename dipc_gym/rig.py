@@ -65,7 +65,7 @@ class Rig:
         model = mjcf.compile(source.edited(plant.to_mjcf(source.text)), trusted=True)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         steps = physics_steps(plant.control_period, model.opt.timestep)
-        physics = from_model(model)
+        physics = from_model(model, source.name)
         joints = []
         for name in NAMES:
             i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)

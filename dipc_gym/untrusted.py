@@ -154,8 +154,8 @@ class Reader:
         return value
 
     def text(self, value: Any, where: str) -> str:
-        """A name of one to a hundred characters."""
-        if not isinstance(value, str) or not 0 < len(value) <= 100:
+        """A name of one to a hundred characters that can be printed."""
+        if not isinstance(value, str) or not 0 < len(value) <= 100 or not value.isprintable():
             self.fail(where, f"is {shown(value)}; it must be a name")
         return value
 

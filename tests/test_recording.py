@@ -12,15 +12,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dipc_gym import mjcf
 from dipc_gym import recording as recordings
-from dipc_gym.recording import Recorder, Recording, RecordingError, files, noise, read, resample_commands, write
+from dipc_gym.recording import Recorder, Recording, RecordingError, files, noise, read, resample_commands, tables, write
 from dipc_gym.recording.checks import counted_on, quantum
 from dipc_gym.recording.degrees import refuse_degrees
+from dipc_gym.recording.held import ROUNDING
 from dipc_gym.recording.units import FACTORS, factor
 
 SHARED = Path(__file__).parents[1] / "../shared"
@@ -119,9 +120,9 @@ def test_written_and_read_again_it_has_the_same_bits(
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_a_large_recording_is_read_quickly_and_written_whole(tmp_path: Path, suffix: str) -> None:
-    import time
-
+def test_a_large_recording_is_not_read_row_by_row_and_is_written_whole(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     names = [f"s{k}" for k in range(18)]
     joints = "".join(f'<sensor><jointpos name="{name}" joint="cart"/></sensor>' for name in names)
     model = mjcf.compile(RIG.replace("<sensor>", joints + "<sensor>", 1))
@@ -135,9 +136,8 @@ def test_a_large_recording_is_read_quickly_and_written_whole(tmp_path: Path, suf
         ),
         path,
     )
-    start = time.perf_counter()
+    monkeypatch.setattr(tables, "_slow_values", None)  # which takes ten times as long
     recording = read(path, model)
-    assert time.perf_counter() - start < 2.0  # 0.2 s on the machine it was written on
     assert recording.sensors.tobytes() == sensors.tobytes()
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
@@ -720,6 +720,8 @@ def test_commands_are_averaged_as_they_are_held(gaps: list[float], steps: list[f
     commands = np.random.default_rng(seed).normal(size=(len(time), 2))
     recording = Recording("r", time, commands, np.zeros((len(time), 0)), ("a", "b"), ())
     grid = start + np.cumsum([0.0, *steps])
+    apart = np.abs(np.subtract.outer(time, grid))
+    assume(not np.any((apart > 0) & (apart <= 2 * ROUNDING * steps[0])))  # such a stamp stands on the edge
     averaged = resample_commands(recording, grid)
     for mean, low, high in zip(averaged, grid[:-1], grid[1:], strict=True):
         # Cut the step at every stamp in it, and add up the pieces.

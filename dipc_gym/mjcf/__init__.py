@@ -17,13 +17,14 @@ from dipc_gym.mjcf.model import (
     touching_pair,
 )
 from dipc_gym.mjcf.scan import MjcfError
-from dipc_gym.mjcf.source import Source, compile, from_text, quiet_mujoco, read
+from dipc_gym.mjcf.source import Source, as_source, compile, from_text, quiet_mujoco, read
 
 __all__ = [
     "INPUTS",
     "PREFIX",
     "MjcfError",
     "Source",
+    "as_source",
     "base_joints",
     "check_supported",
     "compile",

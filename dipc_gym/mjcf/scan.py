@@ -19,6 +19,7 @@ MAX_TEXT = 20_000_000  # bytes of XML, everything that is included counted as of
 MAX_FILES = 400_000_000  # bytes of all files that a model pulls in
 MAX_DEPTH = 50  # files that include one another
 MAX_NAME = 200  # characters; messages and reports say names in full
+MAX_PATH = 1_000  # characters of a file's name with its folders
 MAX_ELEMENTS = 100_000  # XML elements after replicate, composite and flexcomp are multiplied out
 
 
@@ -158,6 +159,8 @@ class _Scan:
 
     def fetch(self, path: str, where: str) -> str:
         """Load one file of the model's folder; returns the name that MuJoCo asks for."""
+        if len(path) > MAX_PATH:
+            raise MjcfError(f"{where}: its file's name has more than {MAX_PATH:,} characters; give a shorter one")
         key = posixpath.normpath(path)
         if key in self.files:
             return key

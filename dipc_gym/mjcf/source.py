@@ -87,6 +87,17 @@ def from_text(text: str, folder: str | Path | None = None) -> Source:
     return Source(None, folder, text, scan(text, "MJCF text", folder))
 
 
+def as_source(source: Source | str | Path) -> Source:
+    """A scanned source as it is, a path read, MJCF text (a string that contains `<`) scanned.
+
+    Raises:
+        MjcfError: as `read`.
+    """
+    if isinstance(source, Source):
+        return source
+    return from_text(str(source)) if isinstance(source, str) and "<" in source else read(source)
+
+
 def compile(source: Source | str | Path, *, trusted: bool = False) -> mujoco.MjModel:
     """Compile a model: scan, trial run in a child process with limits, then here.
 
@@ -110,8 +121,7 @@ def compile(source: Source | str | Path, *, trusted: bool = False) -> mujoco.MjM
         1
     """
     if not isinstance(source, Source):
-        is_text = isinstance(source, str) and "<" in source
-        source = from_text(str(source)) if is_text else read(source)
+        source = as_source(source)
     elif not trusted and source.sha256 not in _tried:
         # Somebody may have changed the text since it was scanned.
         source = replace(source, files=scan(source.text, source.name, source.folder))
@@ -224,4 +234,5 @@ def _library() -> str:
 
 
 def _one_line(message: str) -> str:
-    return "; ".join(line.strip() for line in message.splitlines() if line.strip())
+    """MuJoCo's message on one line, of a thousand characters at most: it says a value in full."""
+    return "; ".join(line.strip() for line in message.splitlines() if line.strip())[:1000]

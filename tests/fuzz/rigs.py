@@ -41,9 +41,10 @@ CUSTOM = """<custom><numeric name="dipc_gym:motor.deadzone:motor" data="0.4"/>
 <numeric name="dipc_gym:sensor.gain:pole2" data="1.01"/>
 <numeric name="dipc_gym:friction.load:pole1" data="0.001 0.01 0.01"/>
 <numeric name="dipc_gym:disturbance.periodic:pole2" data="0.01 2 0.1"/>
-<numeric name="dipc_gym:residual.force:cart" data="1 2 2 -0.1 0.1 -1 1 0.1 -0.1 0.2 0.3"/>
-<text name="dipc_gym:input:1:residual.force:cart" data="position cart"/>
-<text name="dipc_gym:input:2:residual.force:cart" data="velocity pole1"/></custom></mujoco>"""
+<numeric name="dipc_gym:motor.map:motor" data="-24 24 -23 23"/>
+<text name="dipc_gym:input:1:residual.force:cart" data="velocity cart"/>
+<text name="dipc_gym:input:2:residual.force:cart" data="position pole1"/>
+<numeric name="dipc_gym:residual.force:cart" data="1 2 2 -1 1 -1 1 0.1 0.2 0.3 0.4"/></custom></mujoco>"""
 ASSETS = """<mujoco><compiler meshdir="parts" texturedir="parts"/><asset><mesh name="obj" file="bob.obj"/>
 <mesh name="stl" file="bob.stl"/><hfield name="floor" file="floor.png" size="1 1 0.1 0.1"/>
 <texture name="skin" type="2d" file="skin.png"/><material name="skin" texture="skin"/>
@@ -135,8 +136,8 @@ def _model(folder: Path) -> None:
     source = mjcf.read(folder / "rig.xml")
     given = physics.load(source)
     mjcf.check_supported(given.model, source.name)
-    numbers = model_parameters(document := Document(source), given.model)
-    fixed_masses(document, given.model, numbers)
+    parameters = model_parameters(document := Document(source), given.model)
+    fixed_masses(document, given.model, parameters)
     env = gymnasium.make(ENV_ID, model=folder / "rig.xml")
     _drive(env)
     inner: Any = env.unwrapped
