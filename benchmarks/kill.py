@@ -177,14 +177,14 @@ def _said(place: Path) -> str:
 
 
 def _record(place: Path) -> None:
-    """A cart with dry friction that its model lacks, driven for 8 s."""
+    """A cart with dry friction that its model lacks, driven for 4 s."""
     import mujoco
     import numpy as np
 
     (place / "cart.xml").write_text(MODEL)
     model = mujoco.MjModel.from_xml_string(MODEL.replace('damping="21.4"', 'damping="21.4" frictionloss="4"'))
     data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), ["time,motor,cart"]
-    for k in range(2_000):
+    for k in range(1_000):
         t = 0.004 * k
         data.ctrl[0] = round(6 * np.sin(5 * t + 0.4 * t**2) + 3 * np.sin(17 * t), 4)
         rows.append(f"{t:.3f},{data.ctrl[0]},{data.qpos[0] + 1e-5 * rng.standard_normal():.8f}")

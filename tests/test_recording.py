@@ -22,6 +22,7 @@ from dipc_gym.recording import Recorder, Recording, RecordingError, files, noise
 from dipc_gym.recording.checks import counted_on, quantum
 from dipc_gym.recording.degrees import refuse_degrees
 from dipc_gym.recording.held import ROUNDING
+from dipc_gym.recording.record import LARGEST
 from dipc_gym.recording.units import FACTORS, factor
 
 SHARED = Path(__file__).parents[1] / "../shared"
@@ -74,7 +75,7 @@ def refused(path: Path, model: mujoco.MjModel, **how: object) -> str:
 
 # Round trips
 
-NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+NUMBERS = st.floats(-LARGEST, LARGEST)
 NAMES = st.lists(
     st.one_of(
         st.sampled_from(
@@ -220,6 +221,7 @@ def corrupt(line: int, column: int, cell: str) -> list[list[str]]:
         (33, 3, "nan", "line 33, column 'pole': nan is not a finite number (1 such cells)"),
         (33, 1, "-inf", "line 33, column 'motor': -inf is not a finite number"),
         (33, 1, "1e999", "line 33, column 'motor': inf is not a finite number"),
+        (33, 3, "-9e307", "line 33, column 'pole': -9e+307 is beyond all measure (1 such cells)"),
         (44, 0, "0.08", "line 44, column 'time': time must increase, but 0.08 follows 0.082"),
         (44, 0, "0.082", "time must increase, but 0.082 follows 0.082 (1 such places)"),
         (20, 3, "0.1,0.2", "line 20: 5 cells, but the header names 4"),

@@ -22,6 +22,9 @@ from dipc_gym.recording.tables import RecordingError, row_label
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+LARGEST = 1e20
+"""Of all numbers, whatever their unit; squares of much larger ones are no numbers."""
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -201,16 +204,17 @@ def _frozen(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def check_numbers(where: str, lines: Sequence[int], columns: Mapping[str, NDArray[np.float64]]) -> None:
-    """Refuse columns (the first is time) that hold what is no finite number, or a time that does not increase.
+    """Refuse columns (the first is time) that hold what no rig gives, or a time that does not increase.
 
     Raises:
         RecordingError: with file, row and column.
     """
     for name, values in columns.items():
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
         if len(bad):
+            what = "beyond all measure" if np.isfinite(values[bad[0]]) else "not a finite number"
             raise RecordingError(
-                f"{where}, {row_label(lines, int(bad[0]))}, column {name!r}: {values[bad[0]]} is not a finite number "
+                f"{where}, {row_label(lines, int(bad[0]))}, column {name!r}: {values[bad[0]]} is {what} "
                 f"({len(bad)} such cells); remove these rows or fill them"
             )
     time = next(iter(columns.values()))
