@@ -35,7 +35,7 @@ def numbers(values: Array) -> str:
     return " ".join(repr(float(x)) for x in np.ravel(values))
 
 
-def random_tree(rng: np.random.Generator, joints: int, *, dry: bool = False) -> str:
+def random_tree(rng: np.random.Generator, joints: int, *, dry: bool = False, yields: bool = False) -> str:
     """A tree of hinges and slides, along axes of the frame or not, with springs, dampers and motors of many kinds."""
     parents = [int(rng.integers(-1, i)) if i else -1 for i in range(joints)]
 
@@ -71,6 +71,7 @@ def random_tree(rng: np.random.Generator, joints: int, *, dry: bool = False) -> 
     if joints > 1:
         ends = f'<joint joint="j0" coef="1"/><joint joint="j1" coef="{rng.normal()}"/>'
         tendon = f"""<tendon><fixed stiffness="5 1 1" damping="0.2 0.1 0.1" springlength="-0.1 0.1">{ends}</fixed>
+            {f'<fixed stiffness="4" springlength="0.05" springyield="0.02">{ends}</fixed>' if yields else ""}
             <fixed limited="true" range="-0.2 0.2" solreflimit="-10000 -30" solimplimit="1e-4 1e-4 1">{ends}</fixed>
             </tendon>"""
     sensors = "".join(f'<jointpos name="s{i}" joint="j{i}"/>' for i in range(joints))
@@ -96,7 +97,7 @@ def added(text: str, effect: str, at: str, **values: float) -> physics.Physics:
 @given(st.integers(0, 10_000), st.integers(1, 7))
 def test_accelerations_of_random_trees_are_mujocos(seed: int, joints: int) -> None:
     """`check` compares at random states and raises where anything differs by more than 1e-9 of the largest."""
-    source = loaded(random_tree(np.random.default_rng(seed), joints))
+    source = loaded(random_tree(np.random.default_rng(seed), joints, yields=True))
     what, parameters = program.read([source])
     check.check(what, parameters[0], source)
 
@@ -197,6 +198,7 @@ CASES = [
     ("motor.inductance", "motor", {"time_constant": 0.002}),
     ("motor.deadzone", "motor", {"width": 0.3}),
     ("load.tilt", "world", {"about_x": 0.01, "about_y": 0.02}),
+    ("load.swinging", "cart", {"mass": 0.1, "frequency": 3.0, "damping_ratio": 0.1}),
     ("sensor.gain", "pole1", {"gain": 1.01}),
 ]
 

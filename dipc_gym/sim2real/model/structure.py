@@ -17,6 +17,7 @@ from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.base import Effect, Parameter
 from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
 from dipc_gym.sim2real.model.parameters import ModelParameter
+from dipc_gym.sim2real.simulation.memory import loads
 
 Array = NDArray[np.float64]
 
@@ -205,9 +206,14 @@ class Structure:
     @functools.cached_property
     def _own_warm(self) -> float:
         """S that the nominal model needs: windings, bristles, lagging sensors and joints behind a gap remember."""
-        if len(self.base) < self.model.njnt:
+        if self._hides:
             return SWING if np.any(self.model.tendon_stiffness > 0) else SETTLE
         return WARM if self.model.na > 0 or self._own_lag else 0.0
+
+    @functools.cached_property
+    def _hides(self) -> bool:
+        """Whether joints hide behind a gap or a coupling; of a load that swings one knows what it does."""
+        return len(self.base) + len(loads(self.model)) < self.model.njnt
 
     @functools.cached_property
     def _own_lag(self) -> bool:
@@ -229,7 +235,7 @@ class Structure:
     def own_finest(self) -> float:
         """Longest step that the model's own currents, bristles, rotors and lags bear under explicit integration, s."""
         model, kind = self.model, mujoco.mjtDyn
-        finest = FAST if len(self.base) < model.njnt or self._own_lag else math.inf
+        finest = FAST if self._hides or self._own_lag else math.inf
         for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
             if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:
                 finest = min(finest, FAST, numbers[0])

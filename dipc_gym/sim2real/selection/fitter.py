@@ -28,6 +28,9 @@ class Fitter:
 
     scorer: Scorer
     _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
+    _sketches: dict[tuple[int, tuple[str, ...], bytes, int], tuple[Fit, Fit | None]] = field(
+        default_factory=dict, repr=False
+    )
 
     def over(self, partition: Partition) -> Fitter:
         """The same to other windows; full fits that were kept stay for when these windows come back."""
@@ -57,10 +60,14 @@ class Fitter:
         simulated.
         """
         z, initial = carry(base.structure, base.z, structure), base.initial[self.subset]
-        try:
-            return fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
-        except (mjcf.MjcfError, np.linalg.LinAlgError):
-            return None
+        asked = (id(base), tuple(names(structure.terms)), z.tobytes(), len(self.problem.windows))
+        if asked not in self._sketches:
+            try:
+                sketch = fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
+            except (mjcf.MjcfError, np.linalg.LinAlgError):
+                sketch = None
+            self._sketches[asked] = (base, sketch)
+        return self._sketches[asked][1]
 
     def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.

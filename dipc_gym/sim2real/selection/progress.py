@@ -131,6 +131,17 @@ class Journal:
     progress: Progress
     tell: Callable[[str], None] = lambda line: None
 
+    def go_back(self, path: tuple[Fit, ...]) -> None:
+        """Go on from fits that were accepted before; what was tried since then stays known."""
+        self.progress = replace(self.progress, path=self.informed(path))
+
+    def informed(self, path: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        """Fits that were accepted before, as they are on the windows of now: some may have come, or gone."""
+        problem = self.progress.partition.problem
+        if all(len(fitted.mse) == len(problem.windows) for fitted in path):
+            return path
+        return tuple(fit(problem, fitted.structure, fitted.z, most=0) for fitted in path)
+
     def begin(self, tried: Sequence[Tried]) -> None:
         """Note the hypotheses of a new round."""
         self.progress = replace(self.progress, rounds=(*self.progress.rounds, tried))

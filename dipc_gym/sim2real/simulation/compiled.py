@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -18,8 +18,11 @@ from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.physics import Moment, Physics
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
+from dipc_gym.sim2real.simulation.memory import along, bends, loads, swings, yielding
 
 if TYPE_CHECKING:
+    from dipc_gym.recording import Recording
+    from dipc_gym.sim2real.simulation.motion import Motion
     from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -73,6 +76,12 @@ class Compiled:
             if one[Sensor.LAG] >= 0
         ]
 
+    @property
+    def _yielding(self) -> list[tuple[int, int]]:
+        """State of the rest of each spring that yields, and its tendon."""
+        first = 2 * self.model.nv + self.model.na
+        return [(first + k, tendon) for k, tendon in enumerate(yielding(self.model))]
+
     def commands(self) -> Commands:
         """Recorded commands as the model sees them; one set if no variant changes them."""
         recordings = self.windows.recordings
@@ -119,6 +128,8 @@ class Compiled:
             states[..., [part * n + k for k in base]] = initial[..., part * nb : (part + 1) * nb]
             states[..., [part * n + k for k in hidden]] = states[..., [part * n + k for k in leaders]]
         self._heat(states, at)
+        self._bend(states, at)
+        self._swing(states, at)
         for lag, state, factor in self._lags:
             states[..., lag] = factor * states[..., state]
         return states
@@ -126,8 +137,8 @@ class Compiled:
     def put_back(self, states: Array, initial: Array) -> Array:
         """States (..., nx) with base joints at positions and velocities (..., 2 nb).
 
-        What hides behind a gap keeps its place relative to them, and what a sensor remembers moves along. All of it is
-        linear, so tangents are put back in the same way.
+        What hides behind a gap keeps its place relative to them, springs that yield stay as bent as they are, and what
+        a sensor remembers moves along. All of it is linear, so tangents are put back in the same way.
         """
         base, hidden, leaders = self._dofs
         n, nb = self.model.nv, len(base)
@@ -136,24 +147,48 @@ class Compiled:
             at, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
             out[..., at] = initial[..., part * nb : (part + 1) * nb]
             out[..., behind] += out[..., lead] - states[..., lead]
+        for rest, tendon in self._yielding:
+            for joint, coefficient in along(self.model, tendon):
+                out[..., rest] += coefficient * (out[..., joint] - states[..., joint])
         for lag, state, factor in self._lags:
             out[..., lag] += factor * (out[..., state] - states[..., state])
         return out
 
     def _heat(self, states: Array, at: float) -> None:
         """Give every winding that heats the temperature that it has `at` seconds after each window's start."""
-        windows, codes = self.windows, self.program.codes
+        codes = self.program.codes
         for motor in heating_motors(self.model):
-            if len(windows.motions) != len(windows.recordings):
-                name = self.model.actuator(motor).name
-                raise ValueError(f"how hot {name} is depends on its motion; give the windows their recordings' motions")
             state = 2 * self.model.nv + int(self.model.actuator_actadr[motor])
             delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + self.model.nu]
-            for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
-                mine = windows.source == i
-                begin = windows.start[mine] + at - self.parameters[0, codes[Head.LATE]]
+            for mine, recording, motion, begin in self._passes(at):
                 args = (self.variants, delays, motor, recording, motion, begin)
                 states[:, mine, state] = winding_temperatures(*args)
+
+    def _bend(self, states: Array, at: float) -> None:
+        """Give every spring that yields the rest at which it is bent as the motion before has left it."""
+        for state, tendon in self._yielding:
+            length = sum(coefficient * states[..., joint] for joint, coefficient in along(self.model, tendon))
+            for mine, _, motion, begin in self._passes(at):
+                states[:, mine, state] = length[:, mine] - bends(self.variants, tendon, motion, begin)
+
+    def _swing(self, states: Array, at: float) -> None:
+        """Give every load that swings the motion against its joint that it has come to."""
+        leaders = mjcf.followers(self.model)
+        for name, load in loads(self.model).items():
+            lead = self.base.index(leaders[name])
+            for mine, _, motion, begin in self._passes(at):
+                apart, faster = swings(self.variants, load, lead, motion, begin)
+                states[:, mine, load.at] += apart
+                states[:, mine, self.model.nv + load.at] += faster
+
+    def _passes(self, at: float) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion, Array]]:
+        """Each recording with its motion, which windows are its own, and the times `at` seconds after their starts."""
+        windows = self.windows
+        if len(windows.motions) != len(windows.recordings):
+            raise ValueError("what a model remembers depends on its motion; give the windows their recordings' motions")
+        for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
+            mine = windows.source == i
+            yield mine, recording, motion, windows.start[mine] + at - self.parameters[0, self.program.codes[Head.LATE]]
 
     def sampled(self) -> tuple[Array, Array]:
         """Sample times of every sensor (windows, sensors, samples), and how long windows are simulated for them."""
