@@ -467,10 +467,11 @@ def _usable(extra: Extra) -> bool:
     if extra.effect == RESIDUAL and not _is_surface(extra):
         return False
     # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on.
-    places = np.unique([*numbers, *TRIED])
+    x = np.unique([*numbers, *TRIED])
+    everywhere = replace(extra, data=np.broadcast_to(numbers, (len(x), len(numbers))))
     try:
         with np.errstate(all="ignore"):
-            tried = [extra(replace(_moment(abs(x), x, x, x, x), speed=x, inputs=(x, x))) for x in places]
+            tried = everywhere(replace(_moment(np.abs(x), x, x, x, x), speed=x, inputs=(x, x)))
         return bool(np.all(np.abs(tried) <= LARGEST**2))
     except (IndexError, ValueError):
         return False

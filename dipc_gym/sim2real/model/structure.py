@@ -197,6 +197,11 @@ class Structure:
         """Models compiled lately, by their parameters; a fit asks for the same ones again."""
         return {}
 
+    @functools.cached_property
+    def worked_out(self) -> dict[type, object]:
+        """What others found out about this structure and want to know again, by its type."""
+        return {}
+
     @property
     def warm(self) -> float:
         """S to simulate before a window."""
