@@ -73,6 +73,21 @@ class Fit:
         """Root of the mean square prediction error, in units of noise."""
         return float(np.sqrt(np.mean(self.mse)))
 
+    @property
+    def whole(self) -> bool:
+        """Whether it still has its residuals; see `result`."""
+        return self.raw.shape[1] > 0
+
+    def result(self) -> Fit:
+        """What it came to, without residuals and Jacobians: of hundreds of hypotheses these fill the memory."""
+        return replace(
+            self,
+            raw=self.raw[:, :0].copy(),
+            left=self.left[:, :0].copy(),
+            sensitivity=self.sensitivity[:, :0].copy(),
+            jacobian=self.jacobian[:, :0].copy(),
+        )
+
     def pick(self, which: NDArray[np.intp]) -> Fit:
         """What it says of some of the windows."""
         q = self.quadratics
