@@ -193,25 +193,28 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     commands = physics.command(_delayed(model, recording), recording.time)
     model.actuator_delay[:] = 0
     gaps = np.diff(motion.time, prepend=motion.time[0])
-    residual, load = np.empty((n, model.nv)), np.empty((n, model.nv))
-    nu = recording.commands.shape[1]
+    needed, driven, pushed, biased = np.empty((4, n, model.nv))
+    time, sent = motion.time.tolist(), data.ctrl[: recording.commands.shape[1]]
+    qpos, qvel, qacc, act = data.qpos, data.qvel, data.qacc, data.act
+    inverse, actuator, applied, bias = data.qfrc_inverse, data.qfrc_actuator, data.qfrc_applied, data.qfrc_bias
     position, velocity, acceleration = (x @ out.T for x in (motion.position, motion.velocity, motion.acceleration))
+    # Positions and velocities are worked out already, but friction that was written since stands in what follows them.
+    done = mujoco.mjtStage.mjSTAGE_NONE if physics.stage("friction") else mujoco.mjtStage.mjSTAGE_VEL
     for k in range(n):
-        data.time, data.qpos[:], data.qvel[:] = motion.time[k], position[k], velocity[k]
-        data.ctrl[:nu] = commands[k]
+        data.time, qpos[:], qvel[:], sent[:] = time[k], position[k], velocity[k], commands[k]
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
         if model.na:
-            data.act[:] += data.act_dot * _relaxed(model, data, gaps[k])
+            act[:] += data.act_dot * _relaxed(model, data, gaps[k])
             mujoco.mj_fwdActuation(model, data)
-        physics.act(data, model.dof_frictionloss, data.qfrc_applied)
-        data.qacc[:] = acceleration[k]
-        mujoco.mj_inverse(model, data)
-        residual[k] = data.qfrc_inverse - data.qfrc_actuator - data.qfrc_applied
-        load[k] = data.qfrc_actuator + data.qfrc_bias
+        if physics.acts:
+            physics.act(data, model.dof_frictionloss, applied)
+        qacc[:] = acceleration[k]
+        mujoco.mj_inverseSkip(model, data, done, 1)
+        needed[k], driven[k], pushed[k], biased[k] = inverse, actuator, applied, bias
     model.dof_frictionloss[:], model.actuator_delay[:] = level, delay
-    return residual @ out, load @ out
+    return (needed - driven - pushed) @ out, (driven + biased) @ out
 
 
 def _delayed(model: mujoco.MjModel, recording: Recording) -> Array:
