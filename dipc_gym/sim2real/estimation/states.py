@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -193,13 +195,13 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     commands = physics.command(_delayed(model, recording), recording.time)
     model.actuator_delay[:] = 0
     gaps = np.diff(motion.time, prepend=motion.time[0])
-    needed, driven, pushed, biased = np.empty((4, n, model.nv))
+    needed, driven, biased = np.empty((3, n, model.nv))
     time, sent = motion.time.tolist(), data.ctrl[: recording.commands.shape[1]]
     qpos, qvel, qacc, act = data.qpos, data.qvel, data.qacc, data.act
-    inverse, actuator, applied, bias = data.qfrc_inverse, data.qfrc_actuator, data.qfrc_applied, data.qfrc_bias
+    inverse, actuator, bias = data.qfrc_inverse, data.qfrc_actuator, data.qfrc_bias
     position, velocity, acceleration = (x @ out.T for x in (motion.position, motion.velocity, motion.acceleration))
-    # Positions and velocities are worked out already, but friction that was written since stands in what follows them.
-    done = mujoco.mjtStage.mjSTAGE_NONE if physics.stage("friction") else mujoco.mjtStage.mjSTAGE_VEL
+    # What holds a joint may depend on the forces of the moment, so it is known only after these.
+    dry = bool(physics.stage("friction"))
     for k in range(n):
         data.time, qpos[:], qvel[:], sent[:] = time[k], position[k], velocity[k], commands[k]
         mujoco.mj_fwdPosition(model, data)
@@ -208,11 +210,22 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
         if model.na:
             act[:] += data.act_dot * _relaxed(model, data, gaps[k])
             mujoco.mj_fwdActuation(model, data)
-        if physics.acts:
-            physics.act(data, model.dof_frictionloss, applied)
-        qacc[:] = acceleration[k]
-        mujoco.mj_inverseSkip(model, data, done, 1)
-        needed[k], driven[k], pushed[k], biased[k] = inverse, actuator, applied, bias
+        driven[k], biased[k] = actuator, bias
+        if not dry:
+            qacc[:] = acceleration[k]
+            mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
+            needed[k] = inverse
+    moments = SimpleNamespace(
+        time=motion.time, qpos=position, qvel=velocity, ctrl=commands, qfrc_actuator=driven, qfrc_bias=biased
+    )
+    levels, pushed = np.tile(level, (n, 1)), np.zeros((n, model.nv))
+    side_by_side = [replace(x, data=np.broadcast_to(x.data, (n, len(x.data)))) for x in physics.extras]
+    replace(physics, extras=tuple(side_by_side)).act(moments, levels, pushed)
+    for k in range(n if dry else 0):
+        data.time, qpos[:], qvel[:], qacc[:] = time[k], position[k], velocity[k], acceleration[k]
+        model.dof_frictionloss[:] = levels[k]
+        mujoco.mj_inverse(model, data)
+        needed[k] = inverse
     model.dof_frictionloss[:], model.actuator_delay[:] = level, delay
     return (needed - driven - pushed) @ out, (driven + biased) @ out
 
