@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from llvmlite import ir
 
-from dipc_gym.engine.kernel import write_primal
+from dipc_gym.engine.kernel import write_primal, write_solver
 from dipc_gym.engine.layout import JOINTS, STATES, Head, Joint
 from dipc_gym.engine.motion import write_rates
 from dipc_gym.engine.program import Array, Program, Uncovered
@@ -55,6 +55,7 @@ class Ensemble:
 
     def __init__(self, module: ir.Module, tree: Tree, codes: Sequence[int]) -> None:
         write_primal(module, tree, width=WIDTH)
+        write_solver(module, tree, width=WIDTH)
         self.rates = write_rates(module, [], tangents=False, width=WIDTH)
         kind = ir.ArrayType(INT, len(codes))
         self.program = ir.GlobalVariable(module, kind, "program")

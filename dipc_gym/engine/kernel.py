@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir
 
 from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK, Mechanics, Tree
-from dipc_gym.engine.values import POINTER, Code, Value, sin_cos
+from dipc_gym.engine.values import LANES, POINTER, REAL, Code, Numbers, Value, sin_cos, where
 
 
 @functools.lru_cache(maxsize=256)
 def write_kernel(tree: Tree) -> str:
     """The module of a tree.
 
-    It has `primal(q, v, numbers, matrix, bias)`, which fills the mass matrix (n, n) up to its diagonal, and
-    `tangent(q, v, a, numbers, dq, dv, dnumbers, dforces)`, how the forces of a motion change; tangents are (.., LANES).
+    It has `primal(q, v, numbers, matrix, bias)`, which fills the mass matrix (n, n) up to its diagonal; `factorise` and
+    `solve`, see `write_solver`, with `solve_tangents(factor, x)` for x (n, LANES); and `tangent(q, v, a, numbers, dq,
+    dv, dnumbers, dforces)`, how the forces of a motion change; tangents are (.., LANES).
     """
     module = ir.Module("kernel")
     write_primal(module, tree)
+    write_solver(module, tree)
+    _solve_tangents(module, len(tree.parents))
     _tangent(module, tree)
     return str(module)
 
@@ -36,6 +39,62 @@ def write_primal(module: ir.Module, tree: Tree, *, width: int = 0) -> None:
         for j in range(i + 1):
             matrix[i * count + j] = row[j]
     code.finish()
+
+
+def write_solver(module: ir.Module, tree: Tree, *, width: int = 0) -> None:
+    """Write `factorise(matrix, held, factor)` and `solve(factor, x)`, of one system or of `width` at once.
+
+    The factors are L D L' of a matrix that is filled up to its diagonal, with 1 / D on the diagonal of L. Where `held`
+    (n,) is not zero, rows and columns are those of a unit matrix; of several at once none is held.
+    """
+    count = len(tree.parents)
+    code = Code(module, "factorise", [POINTER] * 3, internal=bool(width), width=width)
+    matrix, held, factor = (code.numbers(argument) for argument in code.function.args)
+    holds = [] if width else [held[i] > 0 for i in range(count)]
+    unit = [code.value(0.0), code.value(1.0)]
+    lower: list[list[Value]] = []
+    for i in range(count):
+        scaled: list[Value] = []
+        row: list[Value] = []
+        for j in range(i + 1):
+            entry = matrix[i * count + j]
+            if holds:
+                entry = where(code.any_of(holds[i], holds[j]) if i != j else holds[i], unit[i == j], entry)
+            for k in range(j):
+                entry = entry - scaled[k] * (lower[j][k] if j < i else row[k])
+            scaled.append(entry)
+            row.append(entry * lower[j][j] if j < i else 1.0 / entry)
+            factor[i * count + j] = row[j]
+        lower.append(row)
+    code.finish()
+    code = Code(module, "solve", [POINTER] * 2, internal=bool(width), width=width)
+    places = code.numbers(code.function.args[1])
+    _substitute(code.numbers(code.function.args[0]).__getitem__, places, count)
+    code.finish()
+
+
+def _solve_tangents(module: ir.Module, count: int) -> None:
+    code = Code(module, "solve_tangents", [POINTER] * 2, width=LANES)
+    factor, places = code.function.args
+
+    def entry(k: int) -> Value:
+        return Value(code, code.splat(code.at.load(code.offset(factor, k, REAL), align=8, typ=REAL)))
+
+    _substitute(entry, code.numbers(places), count)
+    code.finish()
+
+
+def _substitute(factor: Callable[[int], Value], places: Numbers, count: int) -> None:
+    """Solve with factors, in place."""
+    x = [places[i] for i in range(count)]
+    for i in range(count):
+        for j in range(i):
+            x[i] = x[i] - factor(i * count + j) * x[j]
+    for i in reversed(range(count)):
+        x[i] = x[i] * factor(i * count + i)
+        for j in range(i + 1, count):
+            x[i] = x[i] - factor(j * count + i) * x[j]
+        places[i] = x[i]
 
 
 def _tangent(module: ir.Module, tree: Tree) -> None:

@@ -57,8 +57,10 @@ class _Rates:
         self.code, self.rules = code, rules
         self.program = arguments[0]
         self.primal = code.external("primal", [POINTER] * 5)
+        self.factorise, self.solve = code.external("factorise", [POINTER] * 3), code.external("solve", [POINTER] * 2)
         if code.tangents:
             self.tangent = code.external("tangent", [POINTER] * 8)
+            self.solve_tangents = code.external("solve_tangents", [POINTER] * 2)
         self.numbers = code.numbers(arguments[1], arguments[2])
         self.commands = code.numbers(arguments[3], arguments[4])
         self.directions = code.numbers(arguments[5])
@@ -76,6 +78,7 @@ class _Rates:
         self.slope = code.scratch(JOINTS)
         self.matrix = code.scratch(JOINTS * JOINTS, plain=True)
         self.factor = code.scratch(JOINTS * JOINTS, plain=True)
+        self.held = code.scratch(JOINTS, plain=True)
         self.attached = Attached(code, self.program, self.numbers, self.commands, self.states, self.time[1].plain)
 
     def own(self, k: Index, what: Joint) -> Value:
@@ -164,35 +167,15 @@ class _Rates:
         self.code.at.call(self.tangent, arguments)
 
     def _factorise(self) -> None:
-        """L D L' of the mass matrix, with those of a unit matrix for the rows of joints that stick."""
-        code, n, matrix, factor = self.code, self.n, self.matrix, self.factor
-        with code.count(n) as i:
-            row = code.product(i, n)
-            held = self.stuck(i)
-            with code.count(code.sum(i, 1)) as j:
-                either = code.any_of(held, self.stuck(j))
-                unit = where(code.equal(i, j), code.value(1.0), code.value(0.0))
-                entry = code.scratch(1, plain=True)
-                entry[0] = where(either, unit, matrix[code.sum(row, j)])
-                other = code.product(j, n)
-                with code.count(j) as k:
-                    product = factor[code.sum(row, k)] * factor[code.sum(other, k)]
-                    entry[0] = entry[0] - product * factor[code.sum(code.product(k, n), k)]
-                below = code.below(j, i)
-                pivot = factor[code.sum(other, j)]
-                factor[code.sum(row, j)] = entry[0] / where(below, pivot, code.value(1.0))
+        """Factors of the mass matrix, with those of a unit matrix for the rows of joints that stick."""
+        if not self.code.width:
+            with self.code.count(self.n) as k:
+                self.held[k] = where(self.stuck(k), self.code.value(1.0), self.code.value(0.0))
+        self.code.at.call(self.factorise, [self.matrix.place, self.held.place, self.factor.place])
 
     def _backwards(self, numbers: Numbers) -> None:
-        """Solve with the factors, in place; numbers and tangents alike."""
-        code, n, factor = self.code, self.n, self.factor
-        with code.count(n) as i, code.count(i) as j:
-            numbers[i] = numbers[i] - factor[code.sum(code.product(i, n), j)] * numbers[j]
-        with code.count(n) as i:
-            numbers[i] = numbers[i] / factor[code.sum(code.product(i, n), i)]
-        with code.count(n) as back:
-            i = code.at.sub(code.sum(n, -1), back)
-            with code.count(n, code.sum(i, 1)) as j:
-                numbers[i] = numbers[i] - factor[code.sum(code.product(j, n), i)] * numbers[j]
+        """Solve with the factors, in place."""
+        self.code.at.call(self.solve, [self.factor.place, numbers.place])
 
     def _solve(self) -> None:
         """Accelerations under `total`; with their tangents the change of the forces that they need, in `slope`."""
@@ -200,7 +183,7 @@ class _Rates:
         with code.count(n) as k:
             pull = self.total.plain(k) - self.bias.plain(k)
             a[k] = where(self.stuck(k), code.value(0.0), pull)
-        self._backwards(Numbers(code, a.place, None))
+        self._backwards(a)
         if not code.tangents:
             return
         self._kernel_tangent(a, self.slope.beside)
@@ -211,15 +194,7 @@ class _Rates:
             pull = self.total[k] - self.slope[k]
             a_tangent = where(self.stuck(k), code.value(0.0), pull)
             code.at.store(_tangent(a_tangent), code.offset(a.beside, k, VECTOR), align=8)
-        lanes = _Lanes(code, a.beside)
-        with code.count(n) as i, code.count(i) as j:
-            lanes.take(i, self.factor[code.sum(code.product(i, n), j)], j)
-        with code.count(n) as i:
-            lanes.divide(i, self.factor[code.sum(code.product(i, n), i)])
-        with code.count(n) as back:
-            i = code.at.sub(code.sum(n, -1), back)
-            with code.count(n, code.sum(i, 1)) as j:
-                lanes.take(i, self.factor[code.sum(code.product(j, n), i)], j)
+        code.at.call(self.solve_tangents, [self.factor.place, a.beside])
 
     def _contacts(self) -> None:
         """Push back where a tendon is at a stop, by as much as MuJoCo's soft constraint does."""
@@ -283,27 +258,6 @@ class _Rates:
 
     def _slope(self, k: Index) -> Number:
         return self.slope[k] if self.code.tangents else 0.0
-
-
-class _Lanes:
-    """Tangents in memory, without their numbers."""
-
-    def __init__(self, code: Code, place: ir.Value) -> None:
-        self.code, self.place = code, place
-
-    def _get(self, k: Index) -> ir.Value:
-        return self.code.at.load(self.code.offset(self.place, k, VECTOR), align=8, typ=VECTOR)
-
-    def _set(self, k: Index, lanes: ir.Value) -> None:
-        self.code.at.store(lanes, self.code.offset(self.place, k, VECTOR), align=8)
-
-    def take(self, k: Index, factor: Value, other: Index) -> None:
-        at = self.code.at
-        product = at.fmul(self.code.splat(factor.primal), self._get(other), flags=("contract",))
-        self._set(k, at.fsub(self._get(k), product, flags=("contract",)))
-
-    def divide(self, k: Index, by: Value) -> None:
-        self._set(k, self.code.at.fdiv(self._get(k), self.code.splat(by.primal)))
 
 
 def _tangent(value: Value) -> ir.Value:

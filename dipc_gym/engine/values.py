@@ -445,23 +445,17 @@ def where(condition: ir.Value, one: Number, other: Number) -> Value:
 
 def sin(x: Value) -> Value:
     """Sine."""
-    if x.code.width:
-        return elementary.sin_cos(x)[0]
-    return x._chain(x.code.call("sin", x.primal), lambda: x.code.call("cos", x.primal))
+    return sin_cos(x)[0]
 
 
 def cos(x: Value) -> Value:
     """Cosine."""
-    if x.code.width:
-        return elementary.sin_cos(x)[1]
-    return x._chain(x.code.call("cos", x.primal), lambda: x.code.at.fneg(x.code.call("sin", x.primal)))
+    return sin_cos(x)[1]
 
 
 def sin_cos(x: Value) -> tuple[Value, Value]:
     """Sine and cosine, each of which is the other's slope."""
-    if x.code.width:
-        return elementary.sin_cos(x)
-    s, c = x.code.call("sin", x.primal), x.code.call("cos", x.primal)
+    s, c = (one.primal for one in elementary.sin_cos(x.plain))
     return x._chain(s, lambda: c), x._chain(c, lambda: x.code.at.fneg(s))
 
 
