@@ -56,8 +56,10 @@ class _Rates:
         arguments = code.function.args
         self.code, self.rules = code, rules
         self.program = arguments[0]
-        self.primal = code.external("primal", [POINTER] * 5)
-        self.factorise, self.solve = code.external("factorise", [POINTER] * 3), code.external("solve", [POINTER] * 2)
+        self.primal = code.external("primal", [POINTER] * 6)
+        self.free, self.solve = code.external("free", [POINTER] * 3), code.external("solve", [POINTER] * 2)
+        if not code.width:
+            self.bound = code.external("bound", [POINTER] * 4)
         if code.tangents:
             self.tangent = code.external("tangent", [POINTER] * 8)
             self.solve_tangents = code.external("solve_tangents", [POINTER] * 2)
@@ -78,7 +80,7 @@ class _Rates:
         self.slope = code.scratch(JOINTS)
         self.matrix = code.scratch(JOINTS * JOINTS, plain=True)
         self.factor = code.scratch(JOINTS * JOINTS, plain=True)
-        self.held = code.scratch(JOINTS, plain=True)
+        self.held, self.any_held = code.scratch(JOINTS, plain=True), code.counter()
         self.attached = Attached(code, self.program, self.numbers, self.commands, self.states, self.time[1].plain)
 
     def own(self, k: Index, what: Joint) -> Value:
@@ -99,14 +101,12 @@ class _Rates:
             self.rates[k] = self.speeds[k]
         self.attached.on_joints(self.forces)
         self.attached.by_elements(self.forces, self.drives, self.rates, self.holding if code.width else None)
-        arguments = [self.states.place, self.speeds.place, self.numbers.place, self.matrix.place, self.bias.place]
-        code.at.call(self.primal, arguments)
+        joints = self.numbers.since(code.whole(self.program, Head.JOINT_NUMBERS))
+        read = [self.states.place, self.speeds.place, self.numbers.place, joints.place]
+        code.at.call(self.primal, [*read, self.matrix.place, self.bias.place])
         with code.count(n) as k:
-            at = code.sum(code.product(k, n), k)
-            self.matrix[at] = self.matrix[at] + self.own(k, Joint.ARMATURE).plain
             self.levels[k] = self.own(k, Joint.FRICTION)
         self._laws()
-        self._factorise()
         with code.count(n) as k:
             if not code.width:
                 slides = self.directions[k] * self.levels[k]
@@ -166,24 +166,30 @@ class _Rates:
         arguments = [states.place, speeds.place, accelerations.place, numbers.place, *beside, out]
         self.code.at.call(self.tangent, arguments)
 
-    def _factorise(self) -> None:
-        """Factors of the mass matrix, with those of a unit matrix for the rows of joints that stick."""
-        if not self.code.width:
-            with self.code.count(self.n) as k:
-                self.held[k] = where(self.stuck(k), self.code.value(1.0), self.code.value(0.0))
-        self.code.at.call(self.factorise, [self.matrix.place, self.held.place, self.factor.place])
+    def _solve(self, *, factorised: bool = False) -> None:
+        """Accelerations under `total`; with their tangents the change of the forces that they need, in `slope`.
 
-    def _backwards(self, numbers: Numbers) -> None:
-        """Solve with the factors, in place."""
-        self.code.at.call(self.solve, [self.factor.place, numbers.place])
-
-    def _solve(self) -> None:
-        """Accelerations under `total`; with their tangents the change of the forces that they need, in `slope`."""
-        code, n, a = self.code, self.n, self.accelerations
+        Rows of joints that stick are those of a unit matrix.
+        """
+        code, n, a, any_held = self.code, self.n, self.accelerations, self.any_held
+        any_held.set(0)
         with code.count(n) as k:
             pull = self.total.plain(k) - self.bias.plain(k)
-            a[k] = where(self.stuck(k), code.value(0.0), pull)
-        self._backwards(a)
+            stuck = self.stuck(k)
+            a[k] = where(stuck, code.value(0.0), pull)
+            if not code.width:
+                self.held[k] = where(stuck, code.value(1.0), code.value(0.0))
+                any_held.set(code.at.or_(any_held.get(), code.at.zext(stuck, INT)))
+        if factorised:
+            self._backwards(a)
+        elif code.width:
+            code.at.call(self.free, [self.matrix.place, a.place, self.factor.place])
+        else:
+            with code.either(code.equal(any_held.get(), 1)) as (some, none):
+                with some:
+                    code.at.call(self.bound, [self.matrix.place, self.held.place, a.place, self.factor.place])
+                with none:
+                    code.at.call(self.free, [self.matrix.place, a.place, self.factor.place])
         if not code.tangents:
             return
         self._kernel_tangent(a, self.slope.beside)
@@ -195,6 +201,10 @@ class _Rates:
             a_tangent = where(self.stuck(k), code.value(0.0), pull)
             code.at.store(_tangent(a_tangent), code.offset(a.beside, k, VECTOR), align=8)
         code.at.call(self.solve_tangents, [self.factor.place, a.beside])
+
+    def _backwards(self, numbers: Numbers) -> None:
+        """Solve with the factors, in place."""
+        self.code.at.call(self.solve, [self.factor.place, numbers.place])
 
     def _contacts(self) -> None:
         """Push back where a tendon is at a stop, by as much as MuJoCo's soft constraint does."""
@@ -239,7 +249,7 @@ class _Rates:
                         pushes[stop] = maximum(push, 0.0)
                         attached.push(element, coefficients, away * pushes[stop], self.total)
                     number.set(code.sum(stop, 1))
-            self._solve()
+            self._solve(factorised=True)
 
     def _hold(self) -> None:
         """What friction has to give where joints stick."""
