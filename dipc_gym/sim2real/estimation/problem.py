@@ -19,7 +19,7 @@ from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
 from dipc_gym.sim2real.simulation.compiled import Compiled, changes, compiled, derivatives
 from dipc_gym.sim2real.simulation.motion import initial_states
-from dipc_gym.sim2real.simulation.slopes import Slopes, in_parameters_alone
+from dipc_gym.sim2real.simulation.slopes import Slopes, begins_alike, maps_of, with_maps
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -134,20 +134,26 @@ def _with_changes(
     that is known.
     """
     here, values = structure.physics(z), np.array([*structure.values(z).values()])
-    known = structure.worked_out.get(Slopes)
+    known, maps = structure.worked_out.get(Slopes), maps_of(here)
     apart = [np.array([*structure.values(probe).values()]) - values for probe in probes]
     by_step = np.array([moved[i] / steps[i] for i, moved in enumerate(apart)])
     if isinstance(known, Slopes) and len(probes):
         parameters = parameters_of(known.program, here)
-        if parameters is not None and known.hold(values, parameters):
-            of = Compiled((here,), windows, structure.base, step, known.program, parameters[None])
-            return of, by_step[:, None] * known.by_value
-    of = compiled([here, *(structure.physics(probe) for probe in probes)], windows, structure.base, step)
+        if parameters is not None and known.hold(values, np.append(parameters, maps)):
+            change = by_step[:, None] * known.by_value
+            moved_maps = change[:, len(parameters) :] * steps[:, None] if len(maps) else ()
+            variants = (here, *(with_maps(here, maps + moved) for moved in moved_maps))
+            of = Compiled(variants, windows, structure.base, step, known.program, parameters[None])
+            return of, change[:, : len(parameters)]
+    variants = (here, *(structure.physics(probe) for probe in probes))
+    of = compiled(variants, windows, structure.base, step)
     change = changes(of, steps)
     alone = all(np.count_nonzero(moved) == 1 and moved[i] for i, moved in enumerate(apart))
-    if len(probes) and alone and in_parameters_alone(here):
-        by_value = change / by_step[:, None]
-        structure.worked_out[Slopes] = Slopes(of.program, values, of.parameters[0].copy(), by_value, by_step * steps)
+    if len(probes) and alone and begins_alike(here):
+        of_maps = np.array([maps_of(variant) - maps for variant in variants[1:]]) / steps[:, None]
+        by_value = np.append(change, of_maps, axis=1) / by_step[:, None]
+        there = np.append(of.parameters[0], maps)
+        structure.worked_out[Slopes] = Slopes(of.program, values, there, by_value, by_step * steps)
     return of, change
 
 

@@ -79,8 +79,14 @@ class Compiled:
         nu = self.model.nu
         padded = [np.pad(r.commands, ((0, 0), (0, nu - r.commands.shape[1]))) for r in recordings]
         whole = np.concatenate(padded)
-        changed = bool(self.variants[0].stage("command"))
-        values = np.stack([variant.command(whole) for variant in self.variants]) if changed else whole[None]
+        if not self.variants[0].stage("command"):
+            return Commands(np.concatenate([r.time for r in recordings]), whole[None])
+        made: dict[bytes, Array] = {}
+        for variant in self.variants:
+            key = _of_commands(variant)
+            if key not in made:
+                made[key] = variant.command(whole)
+        values = np.stack([made[_of_commands(variant)] for variant in self.variants])
         return Commands(np.concatenate([r.time for r in recordings]), values)
 
     def jobs(self, at: float, length: Array, times: Array, initial: Array, commands: Commands) -> Jobs:
@@ -172,6 +178,11 @@ class Compiled:
             k, zero = address.index(extra.index), np.zeros(())
             out[..., k, :] = extra(Moment(zero, zero, zero, zero, out[..., k, :]))
         return out
+
+
+def _of_commands(variant: Physics) -> bytes:
+    """What tells one variant's commands from another's."""
+    return b"".join(extra.data.tobytes() for extra in variant.stage("command"))
 
 
 def compiled(variants: Sequence[Physics], windows: Windows, base: Sequence[str], step: float) -> Compiled:

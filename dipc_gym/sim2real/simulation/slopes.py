@@ -7,13 +7,13 @@ proportion to it. So as long as a program's parameters come to where the slopes 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.engine import program
-from dipc_gym.physics import Physics
+from dipc_gym.physics import Extra, Physics
 from dipc_gym.sim2real.simulation.heat import heating_motors
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ class Slopes:
     Attributes:
         program: of the structure, right for all numbers that were tried.
         values: numbers of the hypothesis, (p,).
-        parameters: of the program there, (k,).
+        parameters: of the program there, then `maps_of` the model, (k,).
         by_value: their change per unit of each number, (p, k).
         apart: what the numbers differed by to tell it, (p,).
     """
@@ -42,7 +42,7 @@ class Slopes:
     apart: Array
 
     def hold(self, values: Array, parameters: Array) -> bool:
-        """Whether the map is affine as far as other numbers (p,), at which the program's parameters (k,) are these.
+        """Whether the map is affine as far as other numbers (p,), at which parameters (k,) are these.
 
         Only a step in which every number moves tells: a product of two is affine along one of them.
         """
@@ -56,6 +56,25 @@ class Slopes:
         return bool(np.all(np.abs(self.parameters + moved @ self.by_value - parameters) <= allowed))
 
 
-def in_parameters_alone(physics: Physics) -> bool:
-    """Whether all that numbers of a hypothesis change are parameters of the program: no command, reading or start."""
-    return not (physics.stage("command") or physics.stage("sensor") or heating_motors(physics.model))
+def begins_alike(physics: Physics) -> bool:
+    """Whether simulations begin at the same states whatever the numbers: no winding heats."""
+    return not heating_motors(physics.model)
+
+
+def maps_of(physics: Physics) -> Array:
+    """Numbers of what changes commands and readings, which the engine does not see, (m,)."""
+    return np.concatenate([np.zeros(0), *(extra.data for extra in physics.extras if _maps(extra))])
+
+
+def with_maps(physics: Physics, numbers: Array) -> Physics:
+    """The same model with other numbers (m,) of what changes commands and readings."""
+    at, extras = 0, []
+    for extra in physics.extras:
+        if _maps(extra):
+            extra, at = replace(extra, data=numbers[at : at + len(extra.data)]), at + len(extra.data)
+        extras.append(extra)
+    return replace(physics, extras=tuple(extras))
+
+
+def _maps(extra: Extra) -> bool:
+    return extra.stage in ("command", "sensor")
