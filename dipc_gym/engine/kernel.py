@@ -8,9 +8,10 @@ from typing import Any
 
 from llvmlite import ir
 
+from dipc_gym.engine.code import Code, Numbers
 from dipc_gym.engine.layout import Joint
 from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK, Mechanics, Tree
-from dipc_gym.engine.values import LANES, POINTER, REAL, Code, Numbers, Value, sin_cos, where
+from dipc_gym.engine.values import LANES, POINTER, REAL, Value, sin_cos, where
 
 
 @functools.lru_cache(maxsize=256)

@@ -11,23 +11,10 @@ from typing import Any
 
 from llvmlite import ir
 
+from dipc_gym.engine.code import Code, Index, Numbers, integer
 from dipc_gym.engine.forces import Attached, Rule, depth_of, laws
 from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Element, Head, Joint, Kind, Spring
-from dipc_gym.engine.values import (
-    BIT,
-    INT,
-    LANES,
-    POINTER,
-    VECTOR,
-    Code,
-    Index,
-    Number,
-    Numbers,
-    Value,
-    integer,
-    maximum,
-    where,
-)
+from dipc_gym.engine.values import BIT, INT, LANES, POINTER, VECTOR, Number, Value, maximum, where
 from dipc_gym.physics import Moment
 
 # program, parameters (2), commands (2), directions, time (2), states (2), rates (2), holding (2), levels (2)
