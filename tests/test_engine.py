@@ -23,6 +23,7 @@ from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
+from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation import batch
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
@@ -230,6 +231,37 @@ def test_sensitivities_are_limits_of_differences(
         # Where a joint barely sticks or not within the difference, there is no limit: all windows but one must agree.
         off = np.abs(exact - difference).max(axis=(1, 2)) / max(np.abs(difference).max(), 1e-9)
         assert np.sort(off)[-2] < 1e-5
+
+
+@pytest.mark.parametrize(("effect", "at", "guess"), CASES)
+@pytest.mark.parametrize("step", [1e-3, 0.3])
+def test_slopes_that_are_kept_are_those_that_are_found_anew(
+    hanging: object, effect: str, at: str, guess: dict[str, float], step: float
+) -> None:
+    """A structure that was asked elsewhere before says what one says that never was, products of numbers or not."""
+    problem, term = hanging.problem.pick(np.arange(1)), Term(catalogue()[effect], at, guess)
+    parameters = model_parameters(Document(mjcf.from_text(HANGING)), hanging.structure.model)
+    base = replace(hanging.structure, model_parameters=tuple(parameters[:3]))
+    found = []
+    for before in (True, False):
+        structure = base.with_term(term)
+        there = structure.clip(structure.first + step * (1 + np.arange(len(structure.first)) / 7))
+        for z in (structure.first, there) if before else (there,):
+            probes = [z + 1e-6 * unit for unit in np.eye(len(z))]
+            found.append(sensitivities(problem, structure, z, probes, problem.initial))
+    _, kept, anew = found
+    for ours, theirs in zip(kept, anew, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-7 * np.abs(theirs).max())
+
+
+def test_slopes_of_an_affine_map_cost_no_models(hanging: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    structure = hanging.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0}))
+    problem, made = hanging.problem.pick(np.arange(1)), []
+    whole = type(structure).physics
+    monkeypatch.setattr(type(structure), "physics", lambda self, z: made.append(z) or whole(self, z))
+    for z in (structure.first, structure.first + 0.1):
+        assert sensitivities(problem, structure, z, [z + 1e-6], problem.initial) is not None
+    assert len(made) == 3
 
 
 def test_sensitivities_of_a_random_tree() -> None:

@@ -78,6 +78,8 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
             ("accelerations", found[n : 2 * n], data.qacc),
             ("rates of hidden states", found[2 * n : 2 * n + model.na], data.act_dot),
         ):
+            if not np.isfinite(theirs).all():
+                raise Uncovered(f"{what} that are no numbers to MuJoCo itself")
             if len(theirs) and not np.allclose(ours, theirs, rtol=TOLERANCE, atol=TOLERANCE * np.abs(theirs).max()):
                 worst = int(np.argmax(np.abs(ours - theirs)))
                 raise Uncovered(f"{what} that differ from MuJoCo's: {ours[worst]:.9g}, not {theirs[worst]:.9g}")

@@ -11,12 +11,13 @@ from collections.abc import Sequence
 
 from llvmlite import ir
 
-from dipc_gym.engine.kernel import write_primal
+from dipc_gym.engine.code import Code, Numbers
+from dipc_gym.engine.kernel import write_primal, write_solver
 from dipc_gym.engine.layout import JOINTS, STATES, Head, Joint
 from dipc_gym.engine.motion import write_rates
 from dipc_gym.engine.program import Array, Program, Uncovered
 from dipc_gym.engine.rigid import Tree
-from dipc_gym.engine.values import INT, POINTER, Code, Numbers, Value, where
+from dipc_gym.engine.values import INT, POINTER, Value, where
 
 WIDTH = 8  # simulations side by side; processors with shorter vectors take them in parts
 FOLLOWED = 0.5  # time constant, in steps, that Runge-Kutta follows safely
@@ -55,6 +56,7 @@ class Ensemble:
 
     def __init__(self, module: ir.Module, tree: Tree, codes: Sequence[int]) -> None:
         write_primal(module, tree, width=WIDTH)
+        write_solver(module, tree, width=WIDTH)
         self.rates = write_rates(module, [], tangents=False, width=WIDTH)
         kind = ir.ArrayType(INT, len(codes))
         self.program = ir.GlobalVariable(module, kind, "program")

@@ -12,8 +12,9 @@ from typing import Any
 
 from llvmlite import ir
 
+from dipc_gym.engine.code import Code, Numbers, integer
 from dipc_gym.engine.layout import JOINTS, Element, Feature, Force, Head, Joint, Kind, Law, Spring
-from dipc_gym.engine.values import INT, POINTER, Code, Numbers, Value, exp, integer, maximum, minimum, sin, where
+from dipc_gym.engine.values import INT, POINTER, Value, exp, maximum, minimum, sin, where
 from dipc_gym.physics import Moment
 
 Rule = Callable[[Any, Moment], Any]

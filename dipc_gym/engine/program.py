@@ -68,6 +68,16 @@ def read(variants: Sequence[Physics]) -> tuple[Program, Array]:
     return Program(tree, codes, names, first.hidden), parameters
 
 
+def parameters_of(program: Program, variant: Physics) -> Array | None:
+    """Parameters (k,) of another variant of a program's structure; None where it has another one."""
+    one = _Writer(variant)
+    numbers, fixed = np.array(one.numbers), program.tree.fixed
+    same = (one.tree.parents, one.tree.slides) == (program.tree.parents, program.tree.slides)
+    if not same or one.ints != program.codes.tolist() or any(numbers[k] != value for k, value in fixed):
+        return None
+    return numbers
+
+
 class _Writer:
     """Reads one model."""
 

@@ -18,8 +18,7 @@ from dipc_gym.files import write_whole
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.places import inside
 from dipc_gym.recording.units import of_sensor
-from dipc_gym.sim2real.estimation.fit import Fit, correct_initial, fit
-from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.fit import readings
 from dipc_gym.sim2real.estimation.segments import joined
 from dipc_gym.sim2real.report import page
 from dipc_gym.sim2real.result import Diagnosis, Work
@@ -123,7 +122,7 @@ def report_data(found: Diagnosis, model: str, command: str) -> page.ReportData:
         return page.ReportData(model, diagnosis, command=command, notes=found.notes)
     before = "recalibrated" if work.recalibrated.structure.model_parameters else "nominal"
     held = {
-        name: _on(work.held, fitted)
+        name: readings(work.held, fitted.structure, fitted.z)
         for name, fitted in (("nominal", work.nominal), ("recalibrated", work.recalibrated), ("improved", work.final))
     }
     structural = bool(work.final.structure.terms)
@@ -139,13 +138,6 @@ def report_data(found: Diagnosis, model: str, command: str) -> page.ReportData:
         command,
         found.notes,
     )
-
-
-def _on(problem: Problem, fitted: Fit) -> Array:
-    """Readings (n, m, ns) of held-out windows as a fit predicts them, initial states corrected."""
-    again = fit(problem, fitted.structure, fitted.z, most=0)
-    _, readings = correct_initial(problem, again)
-    return readings
 
 
 def _traces(work: Work, held: dict[str, Array], structural: bool) -> list[page.Trace]:

@@ -119,9 +119,9 @@ class Fitter:
 
     def polish(self, fitted: Fit) -> Fit:
         """Fit on until nothing changes."""
-        if fitted.converged:
+        if fitted.converged and fitted.whole:
             return fitted
-        return fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=25)
+        return fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=0 if fitted.converged else 25)
 
     def without(self, current: Fit, key: str) -> Fit:
         """Refit with one effect less, from the parameters that it has now: the fit before may have been stuck."""

@@ -87,7 +87,8 @@ class Progress:
             return self
 
         def informed(fitted: Fit) -> Fit:
-            return fitted.join(fit(new, fitted.structure, fitted.z, most=0))
+            there = fit(new, fitted.structure, fitted.z, most=0)
+            return fitted.join(there if fitted.whole else there.result())
 
         return replace(
             self,
@@ -143,8 +144,9 @@ class Journal:
         return tuple(fit(problem, fitted.structure, fitted.z, most=0) for fitted in path)
 
     def begin(self, tried: Sequence[Tried]) -> None:
-        """Note the hypotheses of a new round."""
-        self.progress = replace(self.progress, rounds=(*self.progress.rounds, tried))
+        """Note the hypotheses of a new round; of those before only what they came to is asked again."""
+        before = [[one.result() for one in earlier] for earlier in self.progress.rounds]
+        self.progress = replace(self.progress, rounds=(*before, tried))
 
     def update(self, news: Sequence[Tried]) -> None:
         """Note what became of some of them."""

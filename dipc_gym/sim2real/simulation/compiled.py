@@ -88,8 +88,14 @@ class Compiled:
         nu = self.model.nu
         padded = [np.pad(r.commands, ((0, 0), (0, nu - r.commands.shape[1]))) for r in recordings]
         whole = np.concatenate(padded)
-        changed = bool(self.variants[0].stage("command"))
-        values = np.stack([variant.command(whole) for variant in self.variants]) if changed else whole[None]
+        if not self.variants[0].stage("command"):
+            return Commands(np.concatenate([r.time for r in recordings]), whole[None])
+        made: dict[bytes, Array] = {}
+        for variant in self.variants:
+            key = _of_commands(variant)
+            if key not in made:
+                made[key] = variant.command(whole)
+        values = np.stack([made[_of_commands(variant)] for variant in self.variants])
         return Commands(np.concatenate([r.time for r in recordings]), values)
 
     def jobs(self, at: float, length: Array, times: Array, initial: Array, commands: Commands) -> Jobs:
@@ -209,6 +215,11 @@ class Compiled:
         return out
 
 
+def _of_commands(variant: Physics) -> bytes:
+    """What tells one variant's commands from another's."""
+    return b"".join(extra.data.tobytes() for extra in variant.stage("command"))
+
+
 def compiled(variants: Sequence[Physics], windows: Windows, base: Sequence[str], step: float) -> Compiled:
     """Windows and variants for the engine.
 
@@ -273,14 +284,32 @@ def predicted(
     return np.ascontiguousarray(np.swapaxes(said, 2, 3))
 
 
+def changes(of: Compiled, steps: Array) -> Array:
+    """How a program's parameters change with those of a hypothesis, (p, k).
+
+    Args:
+        of: a variant, and for each parameter one in which it is a little larger.
+        steps: by how much, (p,).
+    """
+    return np.asarray((of.parameters[1:] - of.parameters[0]) / steps[:, None])
+
+
 def derivatives(
-    of: Compiled, steps: Array, initial: Array, warm: float, warm_initial: Array | None, threads: int
+    of: Compiled,
+    change: Array,
+    steps: Array,
+    initial: Array,
+    warm: float,
+    warm_initial: Array | None,
+    threads: int,
 ) -> tuple[Array, Array, Array]:
     """Readings of the first variant and how they change with parameters and initial states.
 
     Args:
-        of: the variant itself, and for each parameter one in which it is a little larger.
-        steps: by how much, (p,).
+        of: the variant itself, and for each parameter one in which it is a little larger; these may be left out where
+            parameters change the program's alone.
+        change: of the program's parameters with each parameter, (p, k).
+        steps: by how much parameters are larger in the other variants, (p,).
         initial: positions and velocities of the base joints, (windows, 2 nb).
         warm: s simulated before each window.
         warm_initial: as `initial`, `warm` seconds before.
@@ -293,8 +322,7 @@ def derivatives(
     Raises:
         Uncovered: a parameter changes the geometry, whose derivatives the engine leaves out.
     """
-    count, nb2 = len(steps), initial.shape[1]
-    change = (of.parameters[1:] - of.parameters[0]) / steps[:, None]
+    count, nb2 = len(change), initial.shape[1]
     links = change[:, GRAVITY : of.program.tree.count].reshape(count, len(of.program.tree.parents), LINK)
     if links[..., :GEOMETRY].any():
         raise Uncovered("derivatives by the geometry of joints")
@@ -313,7 +341,7 @@ def derivatives(
         assert warm_initial is not None
         far = np.broadcast_to(warm_initial, initial.shape)
         begun = of.begun(-warm, np.broadcast_to(far, (len(of.variants), *initial.shape)))
-        begin = (begun[1:] - begun[0]) / steps[:, None, None]
+        begin = _begin_changes(begun, steps)
         nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
         jobs = one.jobs(-warm, np.full(len(of.windows), warm), nothing, begun[:1], commands)
         directions = Directions(change, begin, None if moved is None else moved[:count])
@@ -323,7 +351,7 @@ def derivatives(
     else:
         begun = of.begun(0.0, np.broadcast_to(initial, (len(of.variants), *initial.shape)))
         states = begun[0]
-        tangents = np.concatenate([(begun[1:] - begun[0]) / steps[:, None, None], np.zeros((nb2, *begun.shape[1:]))])
+        tangents = np.concatenate([_begin_changes(begun, steps), np.zeros((nb2, *begun.shape[1:]))])
         tangents[count:] = of.put_back(tangents[count:], unit[count:])
     times, length = of.sampled()
     jobs = one.jobs(0.0, length, times, states[None], commands)
@@ -339,3 +367,10 @@ def derivatives(
             changes[k] += (of.sensed(readings, of.variants[k + 1]) - said) / steps[k]
     said, changes = np.swapaxes(said, 1, 2), np.swapaxes(changes, 2, 3)
     return np.ascontiguousarray(said), changes[:count], changes[count:]
+
+
+def _begin_changes(begun: Array, steps: Array) -> Array:
+    """Change (p, windows, nx) of the states that simulations begin at, from those of all variants (1 + p or 1, ...)."""
+    if len(begun) == 1:
+        return np.zeros((len(steps), *begun.shape[1:]))
+    return np.asarray((begun[1:] - begun[0]) / steps[:, None, None])
