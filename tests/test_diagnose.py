@@ -26,6 +26,7 @@ from dipc_gym.sim2real.result import Diagnosis, Errors
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict import improve, judge, sentences
+from dipc_gym.sim2real.verdict.written import Option
 
 MASS, DRAG, FORCE = 1.26, 40.0, 4.0  # kg, N s/m of bearing and back-EMF together, N/V
 NOMINAL = """<mujoco model="cart">
@@ -153,23 +154,24 @@ def test_names_dry_friction_and_its_level(few: list[object], tmp_path: Path) -> 
     assert "what the owner wrote" in found.improved
 
 
-@pytest.mark.parametrize(("error", "refitted", "taken"), [(1.1, 1.0, False), (3.0, 1.1, True), (9.0, 4.0, False)])
-def test_numbers_are_refitted_to_the_step_where_that_makes_up_for_it(
-    wrong_damping: Diagnosis, monkeypatch: pytest.MonkeyPatch, error: float, refitted: float, taken: bool
+@pytest.mark.parametrize("refitted", [False, True])
+def test_the_file_says_where_its_numbers_make_up_for_its_step(
+    wrong_damping: Diagnosis, monkeypatch: pytest.MonkeyPatch, refitted: bool
 ) -> None:
-    """Errors at the file's step of fine steps' numbers and of others, which are wrong at any other step."""
+    """Parameters that make up for a step are wrong at any other: the file holds them, and diagnosis.json the rig's."""
     found, work = wrong_damping, wrong_damping.work
     assert work is not None
     assert found.held_out is not None
-    other = replace(work.final, z=work.final.z + 0.05)
-    monkeypatch.setattr(improve, "fit", lambda *_, **__: other)
-    monkeypatch.setattr(judge, "error_on", lambda _, fitted: refitted if fitted is other else error)
+    assert found.written is not None
+    option = Option(work.final.structure, work.final.z + 0.05 * refitted, 1.1, refitted)
+    said = replace(found.written, refitted=refitted)
+    monkeypatch.setattr(improve, "written", lambda *_: (option, said))
+    fits = work.nominal, work.recalibrated, work.final
     given = physics.load(work.source)
-    text, note = improve.improved_model(work.source, given, work.prepared, work.final, found.held_out)
-    fine = mujoco.MjModel.from_xml_string(text).dof_damping[0] == found.recalibrated[0]["value"]
-    assert fine == (not taken)
-    assert ("those that fine steps need are in diagnosis.json" in text) == taken
-    assert ("a shorter step is worth more" in note) == (error > 1.2 and not taken)
+    text, _, _ = improve.improved_model(work.source, given, work.search.partition, work.held, fits, found.held_out)
+    rig = mujoco.MjModel.from_xml_string(text).dof_damping[0] == found.recalibrated[0]["value"]
+    assert rig == (not refitted)
+    assert ("those that fine steps need are in diagnosis.json" in text) == refitted
 
 
 def test_friction_that_depends_on_direction_is_also_a_constant_force() -> None:

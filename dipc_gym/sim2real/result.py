@@ -78,6 +78,46 @@ class Errors:
             "improved": round(self.improved / scale, 6),
         }
 
+    def in_noise(self) -> dict[str, float]:
+        """In units of noise."""
+        return {name: round(getattr(self, name), 4) for name in ("nominal", "recalibrated", "improved")}
+
+
+@dataclass(frozen=True)
+class AsWritten:
+    """What improved.xml comes to as its owner will run it, simulated by MuJoCo at the file's own step.
+
+    Attributes:
+        timestep: of the file, s.
+        integrator: of the file, as MJCF names it.
+        held_out: errors in units of noise, of all three models in such steps, on windows that nothing was chosen by.
+        validation: the same on those that the form was chosen by.
+        forms: elements in words, by key of each effect that is written otherwise than it was fitted.
+        refitted: whether parameters make up for the step, and so hold at no other.
+        finer: a step that brings the file down to what fine steps predict, s, and its error on held-out data; None
+            where its own does, or none of those tried.
+    """
+
+    timestep: float
+    integrator: str
+    held_out: Errors
+    validation: Errors
+    forms: Mapping[str, str] = field(default_factory=dict)
+    refitted: bool = False
+    finer: tuple[float, float] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in diagnosis.json."""
+        return {
+            "timestep": self.timestep,
+            "integrator": self.integrator,
+            "held_out_in_noise": self.held_out.in_noise(),
+            "validation_in_noise": self.validation.in_noise(),
+            "forms": dict(self.forms),
+            "refitted": self.refitted,
+            "finer": None if self.finer is None else {"timestep": self.finer[0], "error": round(self.finer[1], 4)},
+        }
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -91,6 +131,8 @@ class Diagnosis:
         recalibrated: model parameters that had to change.
         train: errors on windows between the fitted ones.
         held_out: errors on windows that no fit has touched; they may strike effects off, and add none.
+        validation: errors on windows that no fit has touched, and that chose among models.
+        written: errors of the improved model's file at its own step; None where that is the model as given.
         force: error of the inverse model on the same data, of the force that each joint transmits.
         next_experiment: what would settle what is left.
         improved: MJCF text of the improved model.
@@ -107,6 +149,8 @@ class Diagnosis:
     recalibrated: tuple[dict[str, Any], ...] = ()
     train: Errors | None = None
     held_out: Errors | None = None
+    validation: Errors | None = None
+    written: AsWritten | None = None
     force: dict[str, Errors] = field(default_factory=dict)
     next_experiment: str = ""
     improved: str = ""
@@ -123,11 +167,7 @@ class Diagnosis:
                 "train": self.train.relative(),
                 "held_out": self.held_out.relative(),
                 "noise_floor": round(1 / max(self.held_out.nominal, 1e-12), 6),
-                "held_out_in_noise": {
-                    "nominal": round(self.held_out.nominal, 4),
-                    "recalibrated": round(self.held_out.recalibrated, 4),
-                    "improved": round(self.held_out.improved, 4),
-                },
+                "held_out_in_noise": self.held_out.in_noise(),
                 "held_out_force": {
                     at: {
                         "nominal": round(e.nominal, 5),
@@ -138,6 +178,10 @@ class Diagnosis:
                     if np.isfinite(e.nominal)
                 },
             }
+            if self.validation is not None:
+                fit["validation_in_noise"] = self.validation.in_noise()
+            if self.written is not None:
+                fit["as_written"] = self.written.to_dict()
         return {
             "schema": "dipc-gym/diagnosis/2",
             "verdict": self.verdict,

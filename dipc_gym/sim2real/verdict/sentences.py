@@ -8,9 +8,10 @@ from typing import Any
 
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.result import Errors, Missing
+from dipc_gym.sim2real.result import AsWritten, Errors, Missing
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict.conventions import Convention
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
 
 def verb(where: str) -> str:
@@ -19,7 +20,13 @@ def verb(where: str) -> str:
 
 
 def in_one_sentence(
-    verdict: str, missing: Sequence[Missing], changed: Sequence[dict[str, Any]], errors: Errors, *, others: bool = False
+    verdict: str,
+    missing: Sequence[Missing],
+    changed: Sequence[dict[str, Any]],
+    errors: Errors,
+    *,
+    others: bool = False,
+    written: AsWritten | None = None,
 ) -> str:
     """What happened, in words that a rig's owner understands.
 
@@ -29,9 +36,13 @@ def in_one_sentence(
         changed: model parameters that had to change.
         errors: on held-out windows, in units of noise.
         others: whether other parameters would have done as well.
+        written: what the improved model comes to at its own step.
     """
     goes = "falls" if errors.improved < errors.nominal else "goes"
     fall = f"On held-out data the error {goes} from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
+    if written is not None:
+        at = f"improved.xml at its own step of {1e3 * written.timestep:g} ms"
+        fall += f" ({at}: {written.held_out.improved:.3g})"
     known = " ".join(m.sentence for m in missing if m.effect != "unknown" or m.law is not None)
     left = ""
     if errors.improved > SCORE.at_floor:
@@ -117,6 +128,43 @@ def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
             f"{errors.recalibrated:.3g} to {errors.improved:.3g} times the noise)."
         )
     return notes
+
+
+def as_written(said: AsWritten, errors: Errors) -> str:
+    """What the improved model comes to as its owner will run it; its errors in fine steps, in units of noise."""
+    at = f"At its own step of {1e3 * said.timestep:g} ms ({said.integrator})"
+    return (
+        f"{at} this file predicts held-out data to {said.held_out.improved:.3g} times the noise, the model as given to "
+        f"{said.held_out.nominal:.3g}; in fine steps what was found predicts them to {errors.improved:.3g}."
+    )
+
+
+def step_costs(said: AsWritten, errors: Errors, *, dropped: bool, stiff: bool) -> str:
+    """Note on a file that predicts worse at its own step than what was found does in fine ones; empty if it does not.
+
+    Args:
+        said: what the file comes to.
+        errors: in fine steps, in units of noise.
+        dropped: whether effects are left out of the file.
+        stiff: whether dry friction in it has constants chosen with its step in mind.
+    """
+    allowed = SCORE.at_floor * max(errors.improved, 1.0)
+    if not dropped and said.finer is None and said.held_out.improved <= allowed:
+        return ""
+    note = (
+        f"At the model's own step of {1e3 * said.timestep:g} ms and with its integrator improved.xml predicts to "
+        f"{said.held_out.improved:.3g} times the noise, with a converged step to {errors.improved:.3g}, and no "
+        "parameters make up for that: a shorter step is worth more than any further physics."
+    )
+    if dropped:
+        note += " With what was found beside it, it would predict worse there than without, so that is left out of it."
+    if said.finer is None:
+        return f"{note} None of the steps tried, down to a {max(VERDICT.shorter)}th of it, brings it there."
+    times = round(said.timestep / said.finer[0])
+    also = f" and each solreffriction {times} times shorter as well" if stiff else ""
+    return (
+        f"{note} With a timestep of {1e3 * said.finer[0]:g} ms{also} it predicts to {said.finer[1]:.3g} times the noise."
+    )
 
 
 def own_step(step: float, fine: float) -> str:
