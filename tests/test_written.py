@@ -109,7 +109,7 @@ def test_what_the_file_costs_at_its_own_step_is_said_everywhere(tmp_path: Path) 
     written = found.written
     assert written is not None
     assert found.held_out is not None
-    assert found.held_out.improved < SCORE.at_floor < written.held_out.improved  # 2 ms are too coarse for 10 micrometres
+    assert found.held_out.improved < SCORE.at_floor < written.held_out.improved  # 2 ms are coarse for 0.01 mm
     assert found.to_dict()["fit"]["as_written"]["held_out_in_noise"]["improved"] == pytest.approx(
         written.held_out.improved, abs=1e-3
     )

@@ -64,8 +64,8 @@ def improved_model(
     lines.append(sentences.as_written(said, errors))
     if option.refitted:
         lines.append(
-            f"Parameters are what this file's step of {1e3 * said.timestep:g} ms and its integrator need to predict the "
-            "recordings; those that fine steps need are in diagnosis.json."
+            f"Parameters are what this file's step of {1e3 * said.timestep:g} ms and its integrator need to predict "
+            "the recordings; those that fine steps need are in diagnosis.json."
         )
     if loaders:
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")

@@ -160,11 +160,9 @@ def step_costs(said: AsWritten, errors: Errors, *, dropped: bool, stiff: bool) -
         note += " With what was found beside it, it would predict worse there than without, so that is left out of it."
     if said.finer is None:
         return f"{note} None of the steps tried, down to a {max(VERDICT.shorter)}th of it, brings it there."
-    times = round(said.timestep / said.finer[0])
-    also = f" and each solreffriction {times} times shorter as well" if stiff else ""
-    return (
-        f"{note} With a timestep of {1e3 * said.finer[0]:g} ms{also} it predicts to {said.finer[1]:.3g} times the noise."
-    )
+    step, error = said.finer
+    also = f" and each solreffriction {said.timestep / step:.0f} times shorter as well" if stiff else ""
+    return f"{note} With a timestep of {1e3 * step:g} ms{also} it predicts to {error:.3g} times the noise."
 
 
 def own_step(step: float, fine: float) -> str:
