@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.verdict import conclude, judge, sparse
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.verdict import conclude, judge, judgement, sparse
+from dipc_gym.sim2real.verdict.conclude import Conclusion
 
 
 class _Searched:
@@ -222,3 +228,19 @@ def test_ctrl_c_while_effects_are_judged_keeps_them(monkeypatch: pytest.MonkeyPa
     assert found.fitted.name == "first"  # type: ignore[attr-defined]
     assert found.rivals == {"first": []}
     assert search.interrupted
+
+
+@given(st.lists(st.floats(0.9, 1e4), min_size=4, max_size=4))
+def test_what_is_concluded_predicts_validation_data_no_worse_than_what_was_there(errors: list[float]) -> None:
+    """Found, the same in coarse steps, recalibrated, as given; at the noise all are as good."""
+    found, *others = (_fitted(name) for name in ("a", "a", "", ""))
+    known = {id(fitted): error for fitted, error in zip((found, *others), errors, strict=True)}
+    search: Any = SimpleNamespace(partition=SimpleNamespace(validation=None))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(judge, "error_on", lambda _, fitted: known[id(fitted)])
+        best = judgement._best(search, Conclusion(cast("Fit", found)), cast("list[Fit]", others))
+    reached = known[id(best.fitted)]
+    assert reached <= max(min(errors), SCORE.at_floor)
+    assert (best.fitted is found) == (errors[0] <= max(min(errors), SCORE.at_floor))
+    dropped = bool(found.structure.terms) and not best.fitted.structure.terms
+    assert bool(best.notes) == dropped

@@ -369,8 +369,12 @@ def written(folder: Path, was: str, becomes: str) -> Path:
     return folder / "improved.xml"
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", LAWS)
+FORCES = [law for law in LAWS if "force" in law]  # what the compiled engine has
+
+
+@pytest.mark.parametrize(
+    ("law", "engine"), [*((law, "mujoco") for law in LAWS), *((law, "compiled") for law in FORCES)]
+)
 def test_laws_under_custom_run_in_the_batch(law: str, engine: str, tmp_path: Path) -> None:
     model = written(tmp_path, "<keyframe>", LAWS[law])
     kwargs = {"engine": engine, "plant": {"encoders": {"noise": 0.2}}, "model": model, "max_episode_steps": 60}

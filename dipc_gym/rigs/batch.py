@@ -181,7 +181,9 @@ class MujocoRigs:
 def free_at_rest(rig: Rig) -> bool:
     """Whether a cart on which nothing has moved feels no dry friction, as without cogging."""
     kind, numbers = rig.model.actuator_biastype, rig.model.actuator_biasprm
-    return not (rig.frictionloss or rig.physics.pressed) and all(kind[i] == mujoco.mjtBias.mjBIAS_DCMOTOR and numbers[i, 0] == 0 for i, _ in rig.passive)
+    return not (rig.frictionloss or rig.physics.pressed) and all(
+        kind[i] == mujoco.mjtBias.mjBIAS_DCMOTOR and numbers[i, 0] == 0 for i, _ in rig.passive
+    )
 
 
 class _PlantNumbers:

@@ -70,7 +70,7 @@ class VerdictSettings:
     widest: float = 50.0
     free: float = 1.0
     negligible: float = 2e-3
-    shorter: tuple[int, ...] = (2, 4, 8, 16)
+    shorter: tuple[int, ...] = (2, 4, 8, 16, 32)
     refit: int = 36
     refit_steps: int = 4
     others: int = 4
