@@ -34,7 +34,7 @@ class Missing:
         same_here: other names for the same model on this rig with this data.
         rivals: other effects that were tried in its place.
         needs_loader: whether stock MuJoCo leaves it out.
-        law: of a law of any shape its table: `inputs` (name, unit and knots each), `levels` and their `unit`.
+        law: of a law of any shape what it is of, its table, and where data support it; see `effects.law.described`.
     """
 
     effect: str

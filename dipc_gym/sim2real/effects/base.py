@@ -200,8 +200,8 @@ class Effect(ABC):
         """
         return ()
 
-    def table_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any] | None:
-        """The law as a table, where it is one: `inputs` (name, unit, knots each), `levels`, `unit` of these."""
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any] | None:
+        """The law as diagnosis.json holds it, where it is a table; see `law.described`."""
         return None
 
     @abstractmethod
