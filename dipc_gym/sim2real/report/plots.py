@@ -14,7 +14,7 @@ from dipc_gym.sim2real.report.charts import Chart, Layer, Tone, axis, span
 from dipc_gym.sim2real.report.wording import number
 
 if TYPE_CHECKING:
-    from dipc_gym.sim2real.report.page import Mismatch, SensorResidual, Trace
+    from dipc_gym.sim2real.result import Mismatch, SensorResidual, Trace
 
 Array = NDArray[np.float64]
 

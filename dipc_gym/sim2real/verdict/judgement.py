@@ -10,13 +10,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import names
-from dipc_gym.sim2real.result import Diagnosis, Errors, Work
+from dipc_gym.sim2real.result import Details, Diagnosis, Errors, Located, SensorFit
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.search import Search
@@ -24,7 +25,10 @@ from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion
+from dipc_gym.sim2real.verdict.details import details, predictions, sensor_fits
 from dipc_gym.sim2real.verdict.late import Late
+
+Array = NDArray[np.float64]
 
 
 def judgement(
@@ -32,10 +36,10 @@ def judgement(
     base: Baseline,
     search: Search,
     found: Conclusion,
-    located: Sequence[judge.Located],
+    located: Sequence[Located],
     provenance: dict[str, Any],
     late: Late,
-) -> Diagnosis:
+) -> tuple[Diagnosis, Conclusion]:
     """Judge what a search came to by test data.
 
     Args:
@@ -46,6 +50,9 @@ def judgement(
         located: where the mismatch sat before it.
         provenance: versions, inputs, seed.
         late: runs stages, and keeps what was found where one fails.
+
+    Returns:
+        The diagnosis, and what the search came to, as it was judged.
     """
     source, prepared, nominal, recalibrated = case.given.source, case.prepared, base.nominal, base.recalibrated
     joints, concluded = prepared.structure.base, found
@@ -140,9 +147,23 @@ def judgement(
             lambda: (final.structure.write(final.z).text(), None, ""),
         )
         notes += [step_note] if step_note else []
-    return Diagnosis(
+    predicted = late("Predictions of test data", lambda: predictions(test, *three), dict[str, Array])
+    sensors = late(
+        "Errors in the units of the sensors",
+        lambda: sensor_fits(test.windows, case.given.physics.model, predicted),
+        tuple[SensorFit, ...],
+    )
+    judged, text = found, improved
+    behind: Details | None = late(
+        "What the report draws",
+        lambda: details(source, base, search, judged, test, located, text, predicted),
+        lambda: None,
+    )
+    diagnosis = Diagnosis(
         verdict,
-        sentences.in_one_sentence(verdict, missing, changed, errors, others=bool(found.others), written=written),
+        sentences.in_one_sentence(
+            verdict, missing, changed, errors, others=bool(found.others), written=written, sensors=sensors
+        ),
         tuple(located),
         tuple(missing),
         tuple(changed),
@@ -150,14 +171,16 @@ def judgement(
         errors,
         validation,
         written,
+        sensors,
         force,
         sentences.next_experiment(verdict, missing, others=bool(changed and found.others)),
         improved,
         files_of(source, improved),
-        (*notes, *late.notes),
+        tuple(notes),
         provenance,
-        Work(source, case.given.recordings, test, prepared, nominal, recalibrated, final, search, found.rivals),
+        behind,
     )
+    return diagnosis, found
 
 
 def _best(search: Search, found: Conclusion, others: Sequence[Fit]) -> Conclusion:

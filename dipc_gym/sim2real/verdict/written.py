@@ -99,8 +99,10 @@ def written(
         for option in [as_found] if best is as_found else [best, as_found]:
             refitted += _made_up(option, to_refit, validation)
     taken = choose(physical, refitted, plainer, enough)
-    finer = _finer(taken, validation, enough) if taken.error > enough else None
     errors = [error(held_out, one.structure, one.z) for one in (nominal, recalibrated, taken)]
+    told = SCORE.at_floor * max(error(test, final.structure, final.z), 1.0)
+    costs = taken.error > enough or errors[-1] > told
+    finer = _finer(taken, ((validation, enough), (held_out, told))) if costs else None
     said = AsWritten(
         timestep,
         integrator,
@@ -151,11 +153,14 @@ def _made_up(option: Option, problem: Problem, validation: Problem) -> list[Opti
     return []
 
 
-def _finer(option: Option, validation: Problem, enough: float) -> float | None:
-    """The longest of a few shorter steps at which a model predicts well enough, s; None if none does."""
-    own = validation.stepping.timestep
-    steps = (own / shorter for shorter in VERDICT.shorter)
-    return next((s for s in steps if error(_at(validation, s), option.structure, option.z) <= enough), None)
+def _finer(option: Option, parts: Sequence[tuple[Problem, float]]) -> float | None:
+    """The longest of a few shorter steps at which a model predicts all windows well enough, s; None if none does."""
+    own = parts[0][0].stepping.timestep
+    for shorter in VERDICT.shorter:
+        step = own / shorter
+        if all(error(_at(part, step), option.structure, option.z) <= enough for part, enough in parts):
+            return step
+    return None
 
 
 def _at(problem: Problem, step: float) -> Problem:
