@@ -92,8 +92,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         exact_state: observe the simulation's state instead of encoder readings.
         engine: what simulates: `"mujoco"`, or `"compiled"`, machine code that integrates more finely and agrees with
             the vector environment on the same engine to the last bit. It leaves out dry friction by `frictionloss`,
-            ranges of the poles' joints, stops, delayed sensors and `<custom>`; the rail's stops do not push, for an
-            episode ends there.
+            ranges of the poles' joints, stops, delayed sensors, and of `<custom>` all but forces; the rail's stops do
+            not push, for an episode ends there.
         render_mode: `"human"`, `"rgb_array"` or None.
         width: of the picture, pixels.
         height: of the picture, pixels.

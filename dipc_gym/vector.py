@@ -43,8 +43,10 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     Args:
         num_envs: how many.
         plant: as for the single environment; numbers may be distributions (`PlantFamily`).
-        model: path of an MJCF file, as for the single environment. Dry friction by `frictionloss`, delayed sensors and
-            effects under `<custom>` are not for the batch: use `vectorization_mode="sync"`.
+        model: path of an MJCF file, as for the single environment, with what stands under `<custom>`. Sensors that are
+            delayed, or changed there, are not for the batch, nor is frictionloss of the cart beside tendon limits or
+            equalities: use `vectorization_mode="sync"`. With frictionloss, the `friction` of the step in which the cart
+            meets the rail's end holds what the stop does to it.
         exact_state: observe the simulation's state instead of encoder readings.
         max_episode_steps: steps after which an episode is truncated; None never truncates.
         autoreset_mode: `"NextStep"` (default), `"SameStep"` or `"Disabled"`, as Gymnasium defines them.

@@ -1,224 +1,203 @@
-"""What a search comes to: what validation data strike off, and what takes the place of what was found."""
+"""What a search comes to: what validation data strike off, and what takes the place of what was found.
+
+Every test has recordings of a simulated cart. A search runs one round on them, so that all hypotheses are tried; then
+it is put where the test wants it, as if it had accepted these effects, with fits of its own.
+"""
 
 from __future__ import annotations
 
-import math
-from types import SimpleNamespace
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
+from test_diagnose import NOMINAL, run
 
-from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.verdict import conclude, judge, sparse
-
-
-class _Searched:
-    """A search that has run, its fits told apart by names alone."""
-
-    interrupted = False
-    question = None
-
-    def __init__(self, *path: str) -> None:
-        self.progress = SimpleNamespace(path=[_fitted(name) for name in path], current=_fitted(path[-1]))
-        self.partition = SimpleNamespace(validation=None)
-        self.scorer = self.fitter = self
-        self.errors: dict[str, float] = {}
-
-    def tell(self, line: str) -> None:
-        """Nobody listens."""
-
-    def replace_last(self, better: SimpleNamespace) -> None:
-        """Another search found nothing to add."""
-        self.progress = SimpleNamespace(path=[*self.progress.path[:-1], better], current=better)
-
-    def comparison_error(self, fitted: SimpleNamespace) -> float:
-        """The same as on validation data."""
-        return self.errors[fitted.name]
-
-    def alike(self, best: SimpleNamespace, other: SimpleNamespace, _: SimpleNamespace) -> bool:
-        """What has the best in its name predicts alike."""
-        return "best" in best.name and "best" in other.name
-
-    def compare(self, new: SimpleNamespace, old: SimpleNamespace) -> SimpleNamespace:
-        """Whether one predicts as well as the other, by their names."""
-        return SimpleNamespace(alike="worse" not in old.name)
-
-    def without(self, fitted: SimpleNamespace, key: str) -> SimpleNamespace:
-        """A fit with one effect less."""
-        return _fitted(" ".join(term.key for term in fitted.structure.terms if term.key != key))
+from dipc_gym import mjcf
+from dipc_gym.recording import Recording
+from dipc_gym.sim2real import diagnosis
+from dipc_gym.sim2real.effects import Values, catalogue
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.model.parameters import Wishes
+from dipc_gym.sim2real.model.structure import Term, names
+from dipc_gym.sim2real.selection.baseline import baseline
+from dipc_gym.sim2real.selection.case import gather, part
+from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.hypotheses import Phase
+from dipc_gym.sim2real.selection.progress import Journal
+from dipc_gym.sim2real.selection.rounds import addition
+from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.verdict import judge, judgement, sparse
+from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
 
 
-def _fitted(name: str) -> SimpleNamespace:
-    """A push happens once, heat is a trend; what is plain has one parameter, everything else two."""
-    ids = {"push": "disturbance.pulse", "heat": "motor.thermal"}
-    like = [catalogue()[ids.get(key, "friction.coulomb")] for key in name.split()]
-    kinds = [
-        {"once": one.once, "leaves": one.leaves, "needs_loader": False, "place": "joint", "of_no_kind": False}
-        for one in like
-    ]
-    terms = [
-        SimpleNamespace(key=key, effect=SimpleNamespace(**kind)) for key, kind in zip(name.split(), kinds, strict=True)
-    ]
-    count = sum(1 if term.key == "plain" else 2 for term in terms)
-    return SimpleNamespace(name=name, structure=SimpleNamespace(terms=terms), z=np.zeros(count))
+@dataclass(frozen=True)
+class Ready:
+    """A search whose first round is over, whatever it accepted."""
+
+    search: Search
+
+    def accepting(self, *effects: str, **guesses: Values) -> Search:
+        """A search of its own that accepted these effects one after another.
+
+        Args:
+            effects: ids.
+            guesses: where to begin, by id with an underscore for the dot; otherwise where the round began.
+        """
+        old = self.search
+        path, rounds = [old.progress.path[0]], [list(old.progress.rounds[0])]
+        for effect in effects:
+            tried = next((one for one in rounds[0] if one.term.effect.id == effect), None)
+            guess = guesses.get(effect.replace(".", "_"))
+            term = tried.term if tried and guess is None else Term(catalogue()[effect], "cart", guess or {})
+            path.append(self._fitted(path[-1], term))
+            if tried is not None:
+                rounds[0][rounds[0].index(tried)] = replace(tried, fitted=path[-1])
+        journal = Journal(replace(old.progress, path=tuple(path), rounds=tuple(rounds)))
+        return Search(old.question, old.scorer, journal)
+
+    def _fitted(self, base: Fit, term: Term) -> Fit:
+        """A fit with one effect more."""
+        fitter = Fitter(self.search.scorer)
+        sketch = fitter.sketch(base, base.structure.with_term(term))
+        assert sketch is not None
+        full = fitter.full(base, sketch)
+        assert full is not None
+        return full
 
 
-def _conclude(
-    monkeypatch: pytest.MonkeyPatch,
-    search: _Searched,
-    errors: dict[str, float],
-    better: dict[str, list[str]],
-    same: dict[str, list[str]] | None = None,
-) -> tuple[conclude.Conclusion, list[str]]:
-    """Conclude a search given errors on validation data, and the rivals of each effect that predict better or that are
-    the same model; also what was asked.
+def ready(text: str, runs: Sequence[Recording], *effects: str, fix: tuple[str, ...] = ()) -> Ready:
+    """Read, part, fit the model itself, and try every effect once."""
+    given = gather(mjcf.from_text(text), runs, (), Wishes(fix=fix))
+    case = part(given, threads=1, tell=lambda _: None)
+    base = baseline(case)
+    search, _ = diagnosis._search(case, base, [catalogue()[effect] for effect in effects], lambda _: None)
+    addition(search.question, Phase.FORMULAS, search.fitter, search.journal)
+    return Ready(search)
+
+
+def found(fitted: Fit) -> list[str]:
+    """Effects of a fit, whose place is the cart or its drive."""
+    return [name.split("@")[0] for name in names(fitted.structure.terms)]
+
+
+@functools.cache
+def sticky() -> Ready:
+    """Coulomb friction of 3 N."""
+    effects = ("friction.coulomb", "friction.asymmetric", "friction.viscous", "motor.deadzone", "drag.quadratic")
+    return ready(NOMINAL, [run(1, 20, 3.0)], *effects, "disturbance.pulse")
+
+
+@functools.cache
+def pushed_early() -> Ready:
+    """Coulomb friction of 3 N; a steady force of 2 N before the validation data, which begin at 12 s."""
+    early = run(2, 20, 3.0, knock=(2.0, 0.0, 12.0))
+    return ready(NOMINAL, [early], "friction.coulomb", "load.constant", "friction.viscous")
+
+
+def test_a_rival_that_predicts_better_takes_the_place() -> None:
+    """It is asked in its turn what could stand in for it, and nothing predicts better than it."""
+    wrong = "motor.deadzone"
+    concluded = conclude(sticky().accepting(wrong))
+    assert found(concluded.fitted) == ["friction.coulomb"]
+    assert concluded.fitted.error < 1.2
+    rivals = concluded.rivals["friction.coulomb@cart"]
+    assert {rival.term.effect.id for rival in rivals} >= {wrong}
+    assert not any(rival.better for rival in rivals)
+    assert all(rival.ruled_out for rival in rivals if rival.term.effect.id == wrong)
+    assert concluded.notes == []
+
+
+@pytest.mark.parametrize("chosen", ["friction.asymmetric", "friction.coulomb"])
+def test_of_names_for_one_model_the_plainer_one_stays(chosen: str) -> None:
+    """Friction of two levels, one for each direction, that came out alike is friction of one."""
+    concluded = conclude(sticky().accepting(chosen))
+    assert found(concluded.fitted) == ["friction.coulomb"]
+
+
+def test_what_validation_data_strike_off_is_not_asked_for_rivals() -> None:
+    """Neither is it added again."""
+    concluded = conclude(pushed_early().accepting("friction.coulomb", "load.constant"))
+    assert found(concluded.fitted) == ["friction.coulomb"]
+    assert list(concluded.rivals) == ["friction.coulomb@cart"]
+    (note,) = concluded.notes
+    assert note.startswith("load.constant@cart would explain the recordings that were fitted, but validation data")
+
+
+def test_effects_that_validation_data_strike_off_altogether() -> None:
+    """Then nothing is named, and nothing is asked."""
+    steady = ready(NOMINAL, [run(2, 20, 0.0, knock=(2.0, 0.0, 12.0))], "load.constant", "friction.coulomb")
+    concluded = conclude(steady.accepting("load.constant"))
+    assert found(concluded.fitted) == []
+    assert concluded.rivals == {}
+    assert len(concluded.notes) == 1
+
+
+def test_a_name_that_needs_nothing_beside_it_goes_before_two() -> None:
+    """Beside a spring a steady force is a sensor's bias. The friction that was accepted with the force is idle.
+
+    As one of a pair, neither was ever compared with what would do alone.
     """
-    asked: list[str] = []
-
-    def rivals(_: object, full: SimpleNamespace, term: SimpleNamespace) -> list[judge.Rival]:
-        asked.append(f"{term.key} in {full.name}")
-        alike, ahead = (same or {}).get(term.key, []), better.get(term.key, [])
-        return [
-            judge.Rival(_fitted(name).structure.terms[0], _fitted(name), name in alike, False, name in ahead)
-            for name in ("worse", *alike, *ahead)
-        ]
-
-    monkeypatch.setattr(judge, "rivals", rivals)
-    monkeypatch.setattr(sparse, "fewest_parameters", lambda _, fit: fit)
-    monkeypatch.setattr(sparse, "other_parameters", lambda *_: [])
-    search.errors = errors
-    monkeypatch.setattr(judge, "error_on", lambda _, fit: errors[fit.name])
-
-    def apart(_: object, new: SimpleNamespace, old: SimpleNamespace) -> SimpleNamespace:
-        gain = 2 * math.log(errors.get(old.name, errors[""]) / errors[new.name])
-        return SimpleNamespace(gain=gain, error=0.0)
-
-    monkeypatch.setattr(judge, "apart", apart)
-    return conclude.conclude(search), asked  # type: ignore[arg-type]
+    sprung = NOMINAL.replace('damping="40"', 'damping="40" stiffness="200"')
+    seen = run(3, 20, 0.0, spring=200.0)
+    seen = replace(seen, sensors=seen.sensors + 0.02)
+    effects = ("load.constant", "friction.coulomb", "sensor.bias")
+    both = ready(sprung, [seen], *effects, fix=("cart.mass", "motor.gear"))
+    pair = both.accepting("load.constant", "friction.coulomb", friction_coulomb={"level": 1e-3})
+    assert found(pair.progress.current) == ["load.constant", "friction.coulomb"]
+    concluded = conclude(pair)
+    assert found(concluded.fitted) == ["sensor.bias"]
+    assert concluded.fitted.error < 1.2
 
 
-def test_a_rival_that_predicts_better_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The best of them does, and is asked in its turn what could stand in for it."""
-    errors = {"": 19.0, "first": 4.0, "good": 3.0, "best": 2.0}
-    found, asked = _conclude(monkeypatch, _Searched("", "first"), errors, {"first": ["good", "best"]})
-    assert found.fitted.name == "best"  # type: ignore[attr-defined]
-    assert asked == ["first in first", "best in best"]
-    assert [rival.better for rival in found.rivals["best"]] == [False]
-    assert found.notes == []
+def test_a_push_is_named_only_where_next_to_nothing_is_left() -> None:
+    """One of several windows that stand out could always be a push: it is no law that another recording shares."""
+    effects = ("friction.coulomb", "disturbance.pulse")
+    knock = (6.0, 5.0, 0.08)
+    plain = ready(NOMINAL, [run(7, 20, 3.0, knock=knock)], *effects)
+    push = {"force": 4.0, "start": 4.95, "duration": 0.1}
+    kept = conclude(plain.accepting(*effects, disturbance_pulse=push))
+    assert found(kept.fitted) == ["friction.coulomb", "disturbance.pulse"]
+    assert kept.notes == []
+    uneven = ready(NOMINAL, [run(7, 20, 3.0, knock=knock, uneven=(0.5, 0.02))], *effects)
+    struck = conclude(uneven.accepting(*effects, disturbance_pulse=push))
+    assert found(struck.fitted) == ["friction.coulomb"]
+    assert struck.notes[0].startswith("disturbance.pulse@cart would explain a part")
 
 
-def test_of_rivals_that_predict_better_alike_the_simplest_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    errors = {"": 19.0, "first": 4.0, "good": 3.0, "best": 2.01, "best elaborated": 2.0}
-    better = ["good", "best elaborated", "best"]
-    found, _ = _conclude(monkeypatch, _Searched("", "first"), errors, {"first": better})
-    assert found.fitted.name == "best"  # type: ignore[attr-defined]
-
-
-def test_what_validation_data_strike_off_is_not_asked_for_rivals(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither is it added again, though a rival of what is left would predict better."""
-    errors = {"": 19.0, "first": 4.0, "first second": 5.0, "best": 2.0}
-    search = _Searched("", "first", "first second")
-    found, asked = _conclude(monkeypatch, search, errors, {"first": ["best"]})
-    assert found.fitted.name == "first"  # type: ignore[attr-defined]
-    assert asked == ["first in first"]
-    assert len(found.notes) == 1
-    assert found.notes[0].startswith("second would explain")
-
-
-def test_effects_that_validation_data_strike_off_altogether(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Then nothing is named."""
-    errors = {"": 4.0, "first": 5.0, "first second": 6.0}
-    found, asked = _conclude(monkeypatch, _Searched("", "first", "first second"), errors, {})
-    assert found.fitted.name == ""
-    assert asked == []
-    assert len(found.notes) == 2
-
-
-@pytest.mark.parametrize(
-    ("chosen", "same", "stays"),
-    [
-        ("first", ["second", "plain"], "plain"),  # one parameter for two
-        ("first", ["second"], "first"),  # as many parameters: nothing says which
-        ("plain", ["first"], "plain"),
-    ],
-)
-def test_of_names_for_one_model_the_plainer_one_stays(
-    monkeypatch: pytest.MonkeyPatch, chosen: str, same: list[str], stays: str
-) -> None:
-    """What was accepted as one of a pair was never compared with what would do in its place."""
-    errors = dict.fromkeys(("first", "second", "plain"), 1.0) | {"": 9.0}
-    found, _ = _conclude(monkeypatch, _Searched("", chosen), errors, {}, {chosen: same})
-    assert found.fitted.name == stays  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize(
-    ("idle", "stays"),
-    [
-        ({"zero spring bias": "zero spring"}, "zero spring"),
-        ({"zero spring bias": "zero worse"}, "force spring bias"),  # pruning may be content with less
-        ({}, "force spring bias"),
-    ],
-)
-def test_a_name_that_needs_nothing_beside_it_goes_before_two(
-    monkeypatch: pytest.MonkeyPatch, idle: dict[str, str], stays: str
-) -> None:
-    """A constant force and another sensor's bias may together be what one biased sensor is alone."""
-    names = ("force spring bias", "zero spring bias", "zero spring")
-    errors = dict.fromkeys(names, 1.0) | {"": 9.0, "worse": 2.0}
-    monkeypatch.setattr(conclude, "prune", lambda _question, _fitter, fit, _tell: _fitted(idle.get(fit.name, fit.name)))
-    same = {"force": ["zero spring bias"]}
-    found, _ = _conclude(monkeypatch, _Searched("", "force spring bias"), errors, {}, same)
-    assert found.fitted.name == stays  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize(
-    ("accepted", "alone", "left", "named", "struck_off"),
-    [
-        ("first push", 1.6, 1.1, "first push", []),
-        ("first push", 1.6, 1.5, "first", ["push"]),  # one of several windows that stand out could always be a push
-        ("first push", 7.0, 1.5, "first", ["push"]),  # it helps, however much is left beside it
-        ("first push", 12.0, 1.5, "", ["push", "first would explain"]),  # without it, validation data speak against it
-        ("first second", 7.5, 4.0, "first second", []),
-        ("first second", 4.1, 4.0, "first second", ["second improves"]),  # by too little to have a name
-    ],
-)
-def test_what_only_stands_in_for_what_is_left_is_not_named(
-    monkeypatch: pytest.MonkeyPatch, accepted: str, alone: float, left: float, named: str, struck_off: list[str]
-) -> None:
-    """The error is 9 times the noise without any effect."""
-    errors = {"": 9.0, "first": alone, accepted: left}
-    found, _ = _conclude(monkeypatch, _Searched("", "first", accepted), errors, {})
-    assert found.fitted.name == named  # type: ignore[attr-defined]
-    assert len(found.notes) == len(struck_off)
-    assert all(note.startswith(words) for note, words in zip(found.notes, struck_off, strict=True))
-
-
-@pytest.mark.parametrize(
-    ("alone", "left", "named", "struck_off"),
-    [
-        (40.0, 2.5, "first heat", []),
-        (20.0, 4.0, "first", ["heat"]),  # whatever else drifts, as a load that changes, may pass for heat
-        (40.0, 4.0, "first", ["heat"]),
-    ],
-)
-def test_a_trend_is_named_only_where_next_to_nothing_is_left(
-    monkeypatch: pytest.MonkeyPatch, alone: float, left: float, named: str, struck_off: list[str]
-) -> None:
-    """The error is 90 times the noise without any effect."""
-    errors = {"": 90.0, "first": alone, "first heat": left}
-    found, _ = _conclude(monkeypatch, _Searched("", "first", "first heat"), errors, {})
-    assert found.fitted.name == named  # type: ignore[attr-defined]
-    assert len(found.notes) == len(struck_off)
-    assert all(note.startswith(words) for note, words in zip(found.notes, struck_off, strict=True))
+def test_what_improves_predictions_by_too_little_has_no_name() -> None:
+    """Drag that takes up a little of friction that is uneven: it stays in the model, or goes, and is never named."""
+    effects = ("friction.coulomb", "drag.quadratic")
+    uneven = ready(NOMINAL, [run(7, 20, 3.0, uneven=(0.5, 0.02))], *effects)
+    concluded = conclude(uneven.accepting(*effects))
+    assert found(concluded.fitted)[0] == "friction.coulomb"
+    named = [name for name in names(concluded.fitted.structure.terms) if name not in concluded.unnamed]
+    assert named == ["friction.coulomb@cart"]
 
 
 def test_ctrl_c_while_effects_are_judged_keeps_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stopped(*_: object) -> SimpleNamespace:
+    def stopped(*_: Any) -> Fit:
         raise KeyboardInterrupt
 
-    search = _Searched("", "first")
+    search = sticky().accepting("friction.coulomb")
     monkeypatch.setattr(sparse, "fewest_parameters", stopped)
-    found = conclude.conclude(search)  # type: ignore[arg-type]
-    assert found.fitted.name == "first"  # type: ignore[attr-defined]
-    assert found.rivals == {"first": []}
+    concluded = conclude(search)
+    assert found(concluded.fitted) == ["friction.coulomb"]
+    assert concluded.rivals == {"friction.coulomb@cart": []}
     assert search.interrupted
+    assert np.isfinite(concluded.fitted.error)
+
+
+@pytest.mark.parametrize("accepted", [("load.constant",), ("friction.coulomb", "load.constant"), ("friction.coulomb",)])
+def test_what_is_concluded_predicts_validation_data_no_worse_than_what_was_there(accepted: tuple[str, ...]) -> None:
+    """Whatever a conclusion came to: beside it stand the model as given and with its own parameters refitted."""
+    search = pushed_early().accepting(*accepted)
+    before, *_, last = search.progress.path
+    best = judgement._best(search, Conclusion(last), [before])
+    reached, *others = (judge.error_on(search.partition.validation, one) for one in (best.fitted, last, before))
+    assert reached <= max(min(others), SCORE.at_floor)
+    assert (best.fitted is last) == (others[0] <= max(min(others), SCORE.at_floor))
+    assert bool(best.notes) == (best.fitted is before)

@@ -89,7 +89,7 @@ def test_the_settings_page_has_what_decides() -> None:
     for row in (
         "| `EstimationSettings.growth` | `10.0` | times its size that an initial error may grow to within a window |",
         "| `ScoreSettings.worth` | `0.02` | smallest improvement of the mean log square error that is worth an effect",
-        "| `VerdictSettings.shorter` | `(2, 4, 8, 16)` |",
+        "| `VerdictSettings.shorter` | `(2, 4, 8, 16, 32)` |",
     ):
         assert row in page
     for effect in effects.catalogue().values():

@@ -24,9 +24,10 @@ from dipc_gym.files import whole, write_json, write_whole
 from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.report import content, page
+from dipc_gym.sim2real.report import folder as saving
+from dipc_gym.sim2real.report import page
 from dipc_gym.sim2real.selection.search import Search
-from dipc_gym.sim2real.verdict import findings, improve, judge, judgement
+from dipc_gym.sim2real.verdict import details, findings, improve, judge, judgement
 from dipc_gym.sim2real.verdict.late import Late
 
 FEW = [catalogue()[name] for name in ("friction.coulomb", "drag.quadratic")]
@@ -47,7 +48,7 @@ STAGES: dict[str, list[tuple[Any, str]]] = {
     "no comparison with rivals, no figures": [
         (diagnosis, "conclude"),
         (findings, "choice_shift"),
-        (content, "_traces"),
+        (details, "_traces"),
     ],
     "no fine fit, no errors, no numbers": [
         (Search, "refine"),
@@ -70,7 +71,7 @@ def test_late_stages_that_fail_lose_nothing_that_was_found(
     for where, name in STAGES[stages]:
         monkeypatch.setattr(where, name, fail)
     found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], effects=FEW)
-    content.save(found, tmp_path / "out", model="cart.xml", command="")
+    saving.save(found, tmp_path / "out", model="cart.xml", command="")
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert [one["effect"] for one in said["missing"]] == ["friction.coulomb"]
     assert said["missing"][0]["parameters"]["level"]["value"] == pytest.approx(3.0, rel=0.05)
@@ -169,9 +170,11 @@ def test_no_room_while_results_are_put_in_place_names_those_that_are_whole(
         return move(self, target)
 
     monkeypatch.setattr(Path, "replace", refuse)
-    with pytest.raises(OSError, match=r"No space left on device, at report.html; whole are improved.xml alone: .*out"):
-        content.save(found, tmp_path / "out", model="m", command="")
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["improved.xml"]
+    with pytest.raises(
+        OSError, match=r"No space left on device, at report.html; whole are improved.xml, report.json alone: .*out"
+    ):
+        saving.save(found, tmp_path / "out", model="m", command="")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"improved.xml", "report.json"}
 
 
 def test_an_interrupted_writing_leaves_the_old_file(tmp_path: Path) -> None:

@@ -14,16 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dipc_gym.sim2real.report.page import (
-    VERDICTS,
-    Candidate,
-    Mismatch,
-    ReportData,
-    SensorResidual,
-    Trace,
-    render,
-    write,
-)
+from dipc_gym.sim2real.report.page import VERDICTS, ReportData, render, write
+from dipc_gym.sim2real.result import Candidate, Details, Mismatch, SensorResidual, Trace
 
 WIDTHS = (390, 1280)
 HOSTILE = (
@@ -248,46 +240,53 @@ def example(verdict: str = "explained", seed: int = 0) -> ReportData:
     return ReportData(
         model="cart.xml",
         diagnosis=diagnosis,
-        before=first,
-        traces=[
-            Trace("cart_position", "m", "steps.csv", s["time"], s["observed"], s["nominal"], recalibrated, improved),
-            Trace("cart_again", "m", "sweep.csv", s["time"], s["observed"], s["nominal"], recalibrated, improved),
-        ],
-        maps=[
-            Mismatch(
-                "slide",
-                "N",
-                "m",
-                np.concatenate([s["time"][:2500], s["time"][:2500]]),
-                s["x"],
-                s["v"],
-                s[f"force {first}"],
-                s["force improved"] if found else None,
+        details=Details(
+            before=first,
+            traces=(
+                Trace(
+                    "cart_position", "m", "steps.csv", s["time"], s["observed"], s["nominal"], recalibrated, improved
+                ),
+                Trace("cart_again", "m", "sweep.csv", s["time"], s["observed"], s["nominal"], recalibrated, improved),
+            ),
+            maps=(
+                Mismatch(
+                    "slide",
+                    "N",
+                    "m",
+                    np.concatenate([s["time"][:2500], s["time"][:2500]]),
+                    s["x"],
+                    s["v"],
+                    s[f"force {first}"],
+                    s["force improved"] if found else None,
+                ),
+            ),
+            candidates=tuple(rows[0 if found else 3 :]) if refit else (),
+            residuals=(
+                SensorResidual(
+                    "cart_position",
+                    s["time"],
+                    scaled[first],
+                    scaled["improved"] if found else None,
+                    DT * np.arange(lags),
+                    autocorrelation(scaled[first], lags),
+                    autocorrelation(scaled["improved"], lags) if found else None,
+                    1.96 / np.sqrt(len(s["time"])),
+                    "What is left looks like noise: 96 % of the autocorrelation lies inside the band."
+                    if verdict not in ("partly explained", "unexplained")
+                    else "What is left does not look like noise: it remembers itself for 40 ms.",
+                ),
+            ),
+            difference="".join(
+                difflib.unified_diff(
+                    BEFORE_XML.splitlines(keepends=True),
+                    AFTER_XML.splitlines(keepends=True),
+                    "cart.xml",
+                    "improved.xml",
+                )
             )
-        ],
-        candidates=rows[0 if found else 3 :] if refit else [],
-        residuals=[
-            SensorResidual(
-                "cart_position",
-                s["time"],
-                scaled[first],
-                scaled["improved"] if found else None,
-                DT * np.arange(lags),
-                autocorrelation(scaled[first], lags),
-                autocorrelation(scaled["improved"], lags) if found else None,
-                1.96 / np.sqrt(len(s["time"])),
-                "What is left looks like noise: 96 % of the autocorrelation lies inside the band."
-                if verdict not in ("partly explained", "unexplained")
-                else "What is left does not look like noise: it remembers itself for 40 ms.",
-            )
-        ],
-        difference="".join(
-            difflib.unified_diff(
-                BEFORE_XML.splitlines(keepends=True), AFTER_XML.splitlines(keepends=True), "cart.xml", "improved.xml"
-            )
-        )
-        if found
-        else "",
+            if found
+            else "",
+        ),
         command="dipc-gym diagnose cart.xml sweep.csv --held-out steps.csv --out diagnosis --seed 0",
         notes=[
             "steps.csv: cart_position stays at its largest value in 3 % of the samples; these were left out.",
@@ -485,8 +484,13 @@ def haunted(value: Any, text: str) -> Any:
     if isinstance(value, ReportData):
         return replace(
             value,
-            **{name: haunted(getattr(value, name), text) for name in ("model", "diagnosis", "traces", "maps")},
-            **{name: haunted(getattr(value, name), text) for name in ("candidates", "residuals", "command", "notes")},
+            **{name: haunted(getattr(value, name), text) for name in ("model", "diagnosis", "details")},
+            **{name: haunted(getattr(value, name), text) for name in ("command", "notes")},
+        )
+    if isinstance(value, Details):
+        return replace(
+            value,
+            **{name: haunted(getattr(value, name), text) for name in ("traces", "maps", "candidates", "residuals")},
             difference=f"--- {text}\n+++ {text}\n@@\n-{text}\n+{text}",
         )
     names = {Trace: ("sensor", "unit", "recording"), Mismatch: ("joint", "unit", "position_unit")}
@@ -538,15 +542,15 @@ def test_largest_page_stays_below_two_megabytes(tmp_path: Path) -> None:
     wild = [rng.standard_normal(n) for _ in range(4)]
     for w in wild[1:]:
         w[::7] = np.nan
-    data = replace(
-        haunted(example("partly explained"), name),
-        traces=[Trace(name, "m", name, time, *wild)] * 60,
-        maps=[Mismatch(name, "N", "m", time, *wild)] * 30,
-        residuals=[SensorResidual(name, time, wild[1], wild[2], time, wild[1], wild[2], 0.1, name)] * 60,
-        candidates=[Candidate(name, name, name, "ruled out", 1.0, 2.0, 0.1)] * 100
-        + [Candidate(name, name, name, "screened out")] * 500,
+    details = Details(
+        traces=(Trace(name, "m", name, time, *wild),) * 60,
+        maps=(Mismatch(name, "N", "m", time, *wild),) * 30,
+        residuals=(SensorResidual(name, time, wild[1], wild[2], time, wild[1], wild[2], 0.1, name),) * 60,
+        candidates=(Candidate(name, name, name, "ruled out", 1.0, 2.0, 0.1),) * 100
+        + (Candidate(name, name, name, "screened out"),) * 500,
         difference="\n".join(["+" + name] * 20_000),
     )
+    data = replace(haunted(example("partly explained"), name), details=details)
     write(data, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size <= 2_000_000
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -580,10 +584,12 @@ def test_sparse_and_broken_numbers_still_make_a_page(browser: Any, tmp_path: Pat
             "sentence": "Nothing moved.",
             "fit": {"held_out": {"nominal": None, "recalibrated": float("inf")}, "noise_floor": None},
         },
-        traces=[Trace("x", "m", "a.csv", time, gone, gone), Trace("x", "m", "a.csv", time, time, huge, gone, huge)],
-        maps=[Mismatch("j", "N", "m", time, gone, 0 * time, huge)],
-        residuals=[SensorResidual("x", time, gone, None, time, gone, None, np.nan, "Cannot be told.")],
-        candidates=[Candidate("a", "b", "c", "ruled out", float("inf"), float("nan"), None)],
+        Details(
+            traces=(Trace("x", "m", "a.csv", time, gone, gone), Trace("x", "m", "a.csv", time, time, huge, gone, huge)),
+            maps=(Mismatch("j", "N", "m", time, gone, 0 * time, huge),),
+            residuals=(SensorResidual("x", time, gone, None, time, gone, None, np.nan, "Cannot be told."),),
+            candidates=(Candidate("a", "b", "c", "ruled out", float("inf"), float("nan"), None),),
+        ),
     )
     visit = Visit(browser, data, tmp_path)
     visit.looks()

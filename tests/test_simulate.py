@@ -83,8 +83,22 @@ def test_too_short_a_recording_gives_no_window() -> None:
 
 def test_a_whole_number_of_steps_fits_a_sample() -> None:
     windows = cut([blank(np.arange(500) * 0.0033)], np.ones(1), 0.25, (0.0, 1.0))
-    assert grid_step(windows, Stepping(0.001)) == pytest.approx(0.0033 / 4)
-    assert grid_step(windows, Stepping(0.01)) == pytest.approx(0.0033)
+    assert grid_step(windows, Stepping(0.001, RK4)) == pytest.approx(0.0033 / 4)
+    assert grid_step(windows, Stepping(0.01, RK4)) == pytest.approx(0.0033)
+    assert grid_step(windows, Stepping(0.001)) == 0.001  # as its owner runs it
+
+
+def test_between_the_steps_of_a_model_as_it_is_readings_are_those_of_its_motion() -> None:
+    """Samples that lie on no step, of a pendulum that is simulated at its own."""
+    plain = rig(TORQUE)
+    windows = cut([blank(np.arange(500) * 0.0033)], np.ones(1), 0.25, (0.0, 1.0))
+    initial = np.tile([0.4, -0.3], (len(windows), 1))
+    off, on = (
+        simulate([plain], windows, initial[None], stepping, base=("shoulder",))[0]
+        for stepping in (Stepping(0.001), Stepping(0.0033 / 4, RK4))
+    )
+    assert np.abs(off - on).max() < 2e-3  # of first order in the step
+    assert np.abs(np.diff(off - on, n=2, axis=1)).max() < 1e-5  # and not in the sample's place between two
 
 
 # As MuJoCo does it

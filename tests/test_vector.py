@@ -330,11 +330,82 @@ def test_misuse_is_named() -> None:
 
 def test_models_that_the_batch_cannot_do_are_refused(tmp_path: Path) -> None:
     text = DoublePendulumEnv().source.text
-    rough = tmp_path / "rough.xml"
-    rough.write_text(text.replace('name="cart" type="slide"', 'name="cart" type="slide" frictionloss="3"'))
+    biased = tmp_path / "biased.xml"
+    entry = '<custom><numeric name="dipc_gym:sensor.bias:pole1" data="0.1"/></custom>'
+    biased.write_text(text.replace("<keyframe>", f"{entry}<keyframe>"))
     with pytest.raises(mjcf.MjcfError, match="vectorization_mode='sync'"):
-        batched(2, model=rough)
-    assert mujoco.MjModel.from_xml_path(str(rough)).dof_frictionloss[0] == 3
+        batched(2, model=biased)
+
+
+LAWS = {
+    "a force of two joints": (
+        '<numeric name="dipc_gym:residual.force:pole1" data="20 3 2 -1 0 1 -2 2 0.3 -0.2 0.1 0.4 -0.3 -0.1"/>'
+        '<text name="dipc_gym:input:1:residual.force:pole1" data="position pole1"/>'
+        '<text name="dipc_gym:input:2:residual.force:pole1" data="velocity cart"/>'
+    ),
+    "a force of a command": (
+        '<numeric name="dipc_gym:residual.force:cart" data="5 3 1 -20 0 20 0 -4 1 3"/>'
+        '<text name="dipc_gym:input:1:residual.force:cart" data="command motor"/>'
+    ),
+    "a bent amplifier": '<numeric name="dipc_gym:motor.map:motor" data="-10 0 10 -7 0.5 9"/>',
+    "forces of time": (
+        '<numeric name="dipc_gym:disturbance.periodic:cart" data="2 1.3 0.4"/>'
+        '<numeric name="dipc_gym:disturbance.pulse:pole2" data="0.02 0.1 0.2"/>'
+    ),
+}
+ROUGH = {
+    "frictionloss": ('name="cart" type="slide"', 'name="cart" type="slide" frictionloss="3" solreffriction="0.002 1"'),
+    "friction along the way": ("<keyframe>", '<numeric name="dipc_gym:friction.position:cart" data="-0.4 0.4 2 5 1"/>'),
+    "friction under load": ("<keyframe>", '<numeric name="dipc_gym:friction.load:cart" data="2 0.1 0.05"/>'),
+}
+
+
+def written(folder: Path, was: str, becomes: str) -> Path:
+    if was == "<keyframe>":
+        becomes = f"<custom>{becomes}</custom><keyframe>"
+    text = DoublePendulumEnv().source.text
+    assert was in text
+    (folder / "improved.xml").write_text(text.replace(was, becomes))
+    return folder / "improved.xml"
+
+
+FORCES = [law for law in LAWS if "force" in law]  # what the compiled engine has
+
+
+@pytest.mark.parametrize(
+    ("law", "engine"), [*((law, "mujoco") for law in LAWS), *((law, "compiled") for law in FORCES)]
+)
+def test_laws_under_custom_run_in_the_batch(law: str, engine: str, tmp_path: Path) -> None:
+    model = written(tmp_path, "<keyframe>", LAWS[law])
+    kwargs = {"engine": engine, "plant": {"encoders": {"noise": 0.2}}, "model": model, "max_episode_steps": 60}
+    ours = batched(**kwargs)
+    seen = drive(ours, one_by_one(**kwargs), "NextStep", 150)
+    assert seen["terminated"] + seen["truncated"] > 2
+    still = batched(**{**kwargs, "model": None})
+    for one in (ours, still):
+        one.reset(seed=1)
+    actions = np.full((N, 1), 4.0, dtype=np.float32)
+    gaps = [np.abs(ours.step(actions)[0] - still.step(actions)[0]).max() for _ in range(30)]
+    assert max(gaps) > 1e-3  # they do something
+
+
+@pytest.mark.parametrize("kind", ROUGH)
+def test_dry_friction_by_frictionloss_runs_in_the_batch(kind: str, tmp_path: Path) -> None:
+    kwargs: dict[str, Any] = {"model": written(tmp_path, *ROUGH[kind])}
+    assert mujoco.MjModel.from_xml_path(str(kwargs["model"])).nv == 3
+    ours, theirs = batched(**kwargs), one_by_one(**kwargs)
+    drive(ours, theirs, "NextStep", 200, options={"start": "hanging"})
+    for one in (ours, theirs):
+        one.reset(seed=1, options={"state": [0.43, np.pi, np.pi, 2.0, 0.0, 0.0]})
+    rng, ended = np.random.default_rng(0), 0
+    while ended < N:
+        actions = rng.uniform(-24, 24, (N, 1)).astype(np.float32)
+        mine, other = ours.step(actions), theirs.step(actions)
+        stopped = mine[2]
+        ended += int(stopped.sum())
+        for infos in (mine[4], other[4]):
+            infos["friction"] = np.where(stopped, 0.0, infos["friction"])
+        assert same(mine, other)  # but for the friction beside the stop's push
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import tyro
 from dipc_gym import __version__
 from dipc_gym.cli.compare import Compare
 from dipc_gym.cli.compensator import FromModel
-from dipc_gym.cli.diagnose import Diagnose
+from dipc_gym.cli.diagnose import Diagnose, Report
 from dipc_gym.cli.export import Export
 from dipc_gym.cli.record import Record, Render
 from dipc_gym.cli.replay import Replay
@@ -39,6 +39,7 @@ COMMANDS: dict[str, type[Command]] = {
     "record": Record,
     "replay": Replay,
     "diagnose": Diagnose,
+    "report": Report,
     "compensator": FromModel,
     "export": Export,
     "trial": Trial,

@@ -1,4 +1,4 @@
-"""`dipc-gym diagnose`."""
+"""`dipc-gym diagnose` and `dipc-gym report`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Diagnose:
     and that can strike effects off but add none: the recordings given with --held-out, else the last quarter of each.
 
     The folder gets diagnosis.json (all of it, for programs), improved.xml (your model with what was missing, which
-    stock MuJoCo loads) and report.html (to read).
+    stock MuJoCo loads), report.html (to read) and report.json (what it draws: `dipc-gym report` draws it again).
 
     Try:
         dipc-gym diagnose rig.xml run_1.csv run_2.csv --out diagnosis
@@ -69,14 +69,14 @@ class Diagnose:
         from dipc_gym.recording.tables import check_format
         from dipc_gym.sim2real.diagnosis import diagnose
         from dipc_gym.sim2real.model.parameters import Wishes
-        from dipc_gym.sim2real.report import content
-        from dipc_gym.sim2real.verdict.late import finite
+        from dipc_gym.sim2real.report import folder
+        from dipc_gym.sim2real.result import finite
 
         if self.jobs < 0:
             raise ValueError(f"--jobs {self.jobs}: give the number of threads, or 0 for all cores")
         if not self.recordings:
             raise ValueError("name at least one recording after the model")
-        content.check_free(self.out, self.overwrite)
+        folder.check_free(self.out, self.overwrite)
         if self.design is not None:
             check_format(self.design)
             free(self.design, self.overwrite)
@@ -89,12 +89,21 @@ class Diagnose:
         wishes = Wishes(self.fix, {key: _spread(key, text) for key, text in pairs("prior", self.prior).items()})
         with alone(self.out):
             with Progress() as tell:
-                found = diagnose(source, fitted, judged, wishes=wishes, seed=self.seed, threads=self.jobs, tell=tell)
+                found = diagnose(
+                    source,
+                    fitted,
+                    judged,
+                    wishes=wishes,
+                    design=self.design is not None,
+                    seed=self.seed,
+                    threads=self.jobs,
+                    tell=tell,
+                )
             for note in found.notes:
                 print(f"note: {note}")
             command = shlex.join(["dipc-gym", *sys.argv[1:]])
             try:
-                content.save(found, self.out, model=self.model.name, command=command, overwrite=self.overwrite)
+                folder.save(found, self.out, model=self.model.name, command=command, overwrite=self.overwrite)
             except OSError:
                 print(dumps(finite(found.to_dict()), indent=2))  # what took so long is not lost with the disk
                 raise
@@ -107,17 +116,11 @@ class Diagnose:
         lacking = [f"{m.effect} at {m.at}" for m in found.missing if m.needs_loader]
         if lacking:
             print(f"Stock MuJoCo leaves out {', '.join(lacking)}; load improved.xml with dipc_gym.physics.load.")
-        if self.design is not None and found.work is None:
+        if self.design is not None and found.design is None:
             print(f"{self.design}: not written, for nothing was fitted that a command could tell apart")
-        elif self.design is not None and found.work is not None:
-            from dipc_gym.sim2real import design
-
-            work = found.work
-            proposed = design.propose(
-                work.contenders(), work.prepared.problem, work.recordings, work.prepared.motions, seed=self.seed
-            )
-            recording.write(proposed.commands, self.design, overwrite=self.overwrite)
-            print(f"{self.design}: {proposed.sentence}")
+        elif self.design is not None and found.design is not None:
+            recording.write(found.design.commands, self.design, overwrite=self.overwrite)
+            print(f"{self.design}: {found.design.sentence}")
         print(f"results in {self.out}")
         return 0
 
@@ -131,3 +134,28 @@ def _spread(key: str, text: str) -> tuple[float, float]:
         return float(mean), float(spread)
     except ValueError:
         raise ValueError(f"--prior {key}={text}: write it as {key}=1.2+-0.05, mean and standard deviation") from None
+
+
+@dataclass(frozen=True)
+class Report:
+    """Draw the report of a diagnosis again, from what its folder holds; nothing is simulated.
+
+    diagnosis.json and report.json of the folder are read, and report.html is replaced.
+
+    Try:
+        dipc-gym report diagnosis
+    """
+
+    folder: tyro.conf.Positional[Path]
+    """that dipc-gym diagnose has filled"""
+
+    def run(self) -> int:
+        """Draw it."""
+        from dipc_gym.alone import alone
+        from dipc_gym.sim2real.report.folder import redraw
+
+        if not self.folder.is_dir():
+            raise ValueError(f"{self.folder}: there is no such folder; name one that dipc-gym diagnose has filled")
+        with alone(self.folder):
+            print(redraw(self.folder))
+        return 0

@@ -13,26 +13,31 @@ from dipc_gym.cli.options import free
 
 @dataclass(frozen=True)
 class Export:
-    """Write estimator, controller and compensator for the rig's own computer.
+    """Write estimator, controller and compensator for the rig's own computer, or a law that a diagnosis found.
 
     As a C99 header: one function that takes the three encoder readings and returns the motor voltage. It uses no heap
     and nothing of the C library beyond the exponential, in float or double. Beside it stands a C file that checks the
     header on known voltages. Or as an ONNX graph with the same inputs and its memory as a vector.
 
     FILE is a compensator, and the controller the paper's LQR unless --controller says a policy; or FILE is a policy.
+    Or FILE is the diagnosis.json of `diagnose`, and what is written one law of it: a table, or a C function.
 
     Try:
         dipc-gym export llnf.json --to c --out rig.h
         dipc-gym export llnf.json --to c --out rig.h --controller policy.json --plant rig.json
         dipc-gym export runs/llnf/policy.json --compensator runs/llnf/compensator.json --to onnx --out rig.onnx
+        dipc-gym export diagnosis/diagnosis.json --law friction.position@cart --to c --out friction.h
+        dipc-gym export diagnosis/diagnosis.json --to csv --out law.csv
     """
 
     file: tyro.conf.Positional[Path]
-    """a saved compensator, or a saved policy (.json)"""
-    to: Literal["c", "onnx"]
+    """a saved compensator, a saved policy, or a diagnosis (.json)"""
+    to: Literal["c", "onnx", "csv"]
     """what to write"""
     out: Path
-    """file to write: .h or .onnx"""
+    """file to write: .h, .onnx or .csv"""
+    law: str | None = None
+    """with a diagnosis that holds several laws: which, as friction.position@cart"""
     controller: str | None = None
     """with a compensator: lqr, or a policy (.json); without it lqr"""
     compensator: str | None = None
@@ -50,11 +55,14 @@ class Export:
         """Write the files."""
         from dipc_gym.env import DoublePendulumEnv
         from dipc_gym.export import bundle
+        from dipc_gym.export import law as laws
 
-        suffix = {"c": ".h", "onnx": ".onnx"}[self.to]
+        suffix = {"c": ".h", "onnx": ".onnx", "csv": ".csv"}[self.to]
         if self.out.suffix != suffix:
             raise ValueError(f"{self.out}: --to {self.to} writes {suffix} files")
         free(self.out, self.overwrite)
+        if self.law is not None or self.to == "csv" or laws.is_diagnosis(self.file):
+            return self._law()
         if self.to == "c":
             free(bundle.checker(self.out), self.overwrite)
         plant = DoublePendulumEnv(plant=self.plant, model=self.model).plant
@@ -74,4 +82,30 @@ class Export:
         print(f"{self.out}: {bundle.prefix(self.out)}_reset, {bundle.prefix(self.out)}_step")
         print(f"worst case of a call: {', '.join(f'{count} {kind}' for kind, count in cost.items())}")
         print(f"{beside}: checks it; cc -std=c99 {beside.name} -lm && ./a.out")
+        return 0
+
+    def _law(self) -> int:
+        """Write a law of a diagnosis."""
+        from dipc_gym.export import bundle
+        from dipc_gym.export import law as laws
+        from dipc_gym.files import write_whole
+
+        others = {
+            "--controller": self.controller,
+            "--compensator": self.compensator,
+            "--plant": self.plant,
+            "--model": self.model,
+            "--force-limit": self.force_limit,
+        }
+        for option, value in others.items():
+            if value is not None:
+                raise ValueError(f"{option} {value}: a law is exported by itself; leave it out")
+        if self.to == "onnx":
+            raise ValueError(f"{self.file}: a law is written as csv or c, not as onnx")
+        law = laws.read(self.file, self.law)
+        name = bundle.prefix(self.out)
+        write_whole(self.out, (law.csv() if self.to == "csv" else law.c(name)).encode())
+        takes = [*(one.name for one in law.inputs), *(["speed"] if law.driven_up_to is not None else [])]
+        called = "a table" if self.to == "csv" else f"{name}({', '.join(takes)})"
+        print(f"{self.out}: {called}, {law.kind} of {law.key}{f' in {law.unit}' if law.unit else ''}")
         return 0

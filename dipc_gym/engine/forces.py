@@ -199,14 +199,16 @@ class Attached:
         return slots[2]
 
 
-def laws(code: Code, program: ir.Value, numbers: Numbers, rules: Sequence[Rule], moment: Callable[..., Moment]) -> Any:
+def laws(
+    code: Code, program: ir.Value, numbers: Numbers, rules: Sequence[Rule | None], moment: Callable[..., Moment]
+) -> Any:
     """Repeat for what `<custom>` adds to joints: index of the rule, the joint, and what the rule says of this moment.
 
     Args:
         code: to write into.
         program: address of its whole numbers.
         numbers: its parameters.
-        rules: in the order of their indices.
+        rules: in the order of their indices; None for one that does not occur.
         moment: what a rule may look at, by joint and by what else the law depends on.
     """
     return _Laws(code, program, numbers, rules, moment)
@@ -241,7 +243,9 @@ class Table:
     def across(self, rows: Value, columns: Value, x: Value, y: Value) -> Value:
         """A table with rows of columns, straight lines between: its knots along both, then its levels."""
         code = self.code
-        m, n = rows.floor(), columns.floor()
+        m, n = self._whole(rows), self._whole(columns)
+        if code.width:
+            return self._across_lanes(m, n, x, y)
         low, high, up = self._between(self.numbers, m, x)
         left, right, along = self._between(self.numbers.since(m), n, y)
         levels, found = self.numbers.since(code.sum(m, n)), []
@@ -250,6 +254,34 @@ class Table:
             one, other = (levels[code.sum(row, c)] for c in (left, right))
             found.append(one + along * (other - one))
         return found[0] + up * (found[1] - found[0])
+
+    def _whole(self, number: Value) -> ir.Value:
+        """A count, which is the same in all lanes."""
+        code = self.code
+        if not code.width:
+            return number.floor()
+        return code.at.fptosi(code.at.extract_element(number.primal, ir.Constant(ir.IntType(32), 0)), INT)
+
+    def _across_lanes(self, m: ir.Value, n: ir.Value, x: Value, y: Value) -> Value:
+        """The same where each lane may lie between other knots: every stretch adds as much of its rise as is passed."""
+        code = self.code
+        below, beside, levels = self.numbers, self.numbers.since(m), self.numbers.since(code.sum(m, n))
+        total, row, before = (code.scratch(1) for _ in range(3))
+        total[0], before[0] = 0.0, 0.0
+        with code.count(m) as i:
+            along = levels.since(code.product(i, n))
+            row[0] = along[0]
+            with code.count(n, 1) as j:
+                k = code.sum(j, -1)
+                share = minimum(maximum((y - beside[k]) / (beside[j] - beside[k]), 0.0), 1.0)
+                row[0] = row[0] + share * (along[j] - along[k])
+            first = code.equal(i, 0)
+            k = code.at.select(first, integer(0), code.sum(i, -1))
+            span = where(first, code.value(1.0), below[i] - below[k])
+            share = minimum(maximum((x - below[k]) / span, 0.0), 1.0)
+            total[0] = where(first, row[0], total[0] + share * (row[0] - before[0]))
+            before[0] = row[0]
+        return total[0]
 
     def _between(self, knots: Numbers, count: ir.Value, x: Value) -> tuple[ir.Value, ir.Value, Value]:
         """Entries below and above a number among knots, and how far between them it is."""
@@ -302,9 +334,12 @@ def depth_of(attached: Attached, element: ir.Value, own: Numbers) -> tuple[Value
 
 
 @functools.cache
-def written(rule: Rule) -> bool:
-    """Whether a law becomes code as it stands; one that a user registered may do anything."""
-    code = Code(ir.Module(), "law", [POINTER, INT], tangents=True)
+def written(rule: Rule, width: int = 0) -> bool:
+    """Whether a law becomes code as it stands, for one simulation or for `width` side by side.
+
+    One that a user registered may do anything.
+    """
+    code = Code(ir.Module(), "law", [POINTER, INT], tangents=not width, width=width)
     numbers, count = code.function.args
     now: Any = Moment
     try:
@@ -346,7 +381,9 @@ class _Terms:
 
 
 class _Laws:
-    def __init__(self, code: Code, program: ir.Value, numbers: Numbers, rules: Sequence[Rule], moment: Any) -> None:
+    def __init__(
+        self, code: Code, program: ir.Value, numbers: Numbers, rules: Sequence[Rule | None], moment: Any
+    ) -> None:
         self.code, self.numbers, self.rules, self.moment = code, numbers, rules, moment
         first, count = code.whole(program, Head.LAW_AT), code.whole(program, Head.LAWS)
         self._each = _Each(code, program, first, count, int(Law.SIZE))
@@ -359,8 +396,9 @@ class _Laws:
         said[0] = 0.0
         now = self.moment(joint, [code.whole(law, part) for part in (Law.FIRST, Law.SECOND)])
         for k, rule in enumerate(self.rules):
-            with code.when(code.equal(which, k)):
-                said[0] = rule(table, now)
+            if rule is not None:
+                with code.when(code.equal(which, k)):
+                    said[0] = rule(table, now)
         return which, joint, said[0]
 
     def __exit__(self, *what: Any) -> Any:

@@ -22,13 +22,14 @@ ARGUMENTS = [POINTER] * 16
 
 
 def write_rates(
-    module: ir.Module, rules: Sequence[tuple[Rule, bool]], *, tangents: bool, width: int = 0
+    module: ir.Module, rules: Sequence[tuple[Rule, bool] | None], *, tangents: bool, width: int = 0
 ) -> ir.Function:
     """Write the function that sets rates, holding forces and levels of friction.
 
     Args:
         module: to write into.
-        rules: what `<custom>` may add to joints, and whether each is a level of dry friction.
+        rules: what `<custom>` may add to joints, and whether each is a level of dry friction; None in the place of one
+            that no program of this module has.
         tangents: whether derivatives are worked out.
         width: 0, or how many simulations go side by side, without joints that stick and without stops; the forces of
             passive actuators then take the place of the holding forces.
@@ -39,7 +40,7 @@ def write_rates(
 
 
 class _Rates:
-    def __init__(self, code: Code, rules: Sequence[tuple[Rule, bool]]) -> None:
+    def __init__(self, code: Code, rules: Sequence[tuple[Rule, bool] | None]) -> None:
         arguments = code.function.args
         self.code, self.rules = code, rules
         self.program = arguments[0]
@@ -130,9 +131,12 @@ class _Rates:
                     value=code.value(0.0),
                 )
 
-            plain = [rule for rule, _ in self.rules]
+            plain = [one and one[0] for one in self.rules]
             with laws(code, self.program, self.numbers, plain, moment) as (which, joint, says):
-                for k, (_, dry) in enumerate(self.rules):
+                for k, one in enumerate(self.rules):
+                    if one is None:
+                        continue
+                    dry = one[1]
                     into = self.levels if dry else self.forces
                     with code.when(code.equal(which, k)):
                         into[joint] = says if dry else into[joint] + says

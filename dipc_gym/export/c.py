@@ -208,8 +208,8 @@ def header(program: Program, words: Header) -> str:
     order = ("additions", "multiplications", "divisions", "comparisons", "exponentials")
     constants = sum(s.numbers.size + s.weights.size for s in program.steps if s.operation in ("constant", "affine"))
     text = _HEADER.substitute(
-        title=_plain(words.title),
-        about="\n".join(f" * {_plain(line)}".rstrip() for line in words.about),
+        title=plain(words.title),
+        about="\n".join(f" * {plain(line)}".rstrip() for line in words.about),
         cost=", ".join(f"{cost[k]} {k if cost[k] > 1 else k[:-1]}" for k in order if cost[k]),
         state=sum(state.size for state in states),
         constants=constants,
@@ -315,7 +315,7 @@ class _Writer:
         lines: list[str] = []
         for place, step in enumerate(self.steps):
             if step.operation == "comment":
-                lines += ["", f"    /* {_plain(step.name)} */"]
+                lines += ["", f"    /* {plain(step.name)} */"]
             elif place in needed and place not in self.inlined:
                 lines += self._statement(place, step)
         lines += ["", "    /* What is remembered */"]
@@ -450,11 +450,11 @@ def _at(state: Step, k: int) -> str:
 
 
 def _described(program: Program, words: Header) -> str:
-    lines = [f" * {name}: {_plain(words.inputs[name])}" for name in program.inputs]
-    return "\n".join(["/* One control period.", *lines, f" * Returns {_plain(words.output)} */"])
+    lines = [f" * {name}: {plain(words.inputs[name])}" for name in program.inputs]
+    return "\n".join(["/* One control period.", *lines, f" * Returns {plain(words.output)} */"])
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """Words that cannot end a comment, in ASCII on one line."""
     ascii_text = text.encode("ascii", "replace").decode().replace("?", ".").replace("*/", "* /").replace("/*", "/ *")
     return " ".join(ascii_text.replace("\\", "/").split())

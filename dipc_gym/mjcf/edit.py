@@ -20,7 +20,13 @@ from dipc_gym.mjcf.scan import MjcfError
 from dipc_gym.mjcf.source import Source
 
 # What MuJoCo takes for options that are not written.
-_OPTIONS = {"timestep": "0.002", "gravity": "0 0 -9.81", "iterations": "100", "noslip_iterations": "0"}
+_OPTIONS = {
+    "timestep": "0.002",
+    "integrator": "Euler",
+    "gravity": "0 0 -9.81",
+    "iterations": "100",
+    "noslip_iterations": "0",
+}
 _TAG = re.compile(rb"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>""")
 _WRITTEN = re.compile(r"<!--.*?-->|(<[^!?/>][^>]*?)( ?/)?>", re.DOTALL)
 

@@ -11,6 +11,7 @@ import numpy as np
 from mujoco import batch as mjbatch
 
 from dipc_gym import kernels, mjcf
+from dipc_gym.physics import stack
 from dipc_gym.plant import Masses, Plant
 from dipc_gym.rig import DIVERGED, NAMES, Rig
 from dipc_gym.rigs.together import COSTS, Array, Encoders, Mask, Period, Rows, absolute, readings
@@ -30,11 +31,15 @@ class MujocoRigs:
     """
 
     def __init__(self, rig: Rig, encoders: Encoders, *, exact_state: bool, threads: int) -> None:
-        if rig.physics.extras or rig.frictionloss or not rig.joint_readings:
-            raise mjcf.MjcfError(
-                f"{rig.source.name}: frictionloss of the cart, delayed sensors and <custom> effects do not run in the "
-                "batch; make it with vectorization_mode='sync'"
-            )
+        tied = rig.model.neq or rig.model.tendon_limited.any() or rig.model.tendon_frictionloss.any()
+        for left_out, there in (
+            ("delayed sensors, and what <custom> does to sensors,", not rig.joint_readings),
+            ("frictionloss of the cart beside other constraints", rig.frictionloss and tied),
+        ):
+            if there:
+                raise mjcf.MjcfError(
+                    f"{rig.source.name}: {left_out} do not run in the batch; make it with vectorization_mode='sync'"
+                )
         n = len(encoders.noise)
         self.rig, self._encoders, self.count = rig, encoders, n
         self.sims = mjbatch.Batch(rig.model, n, threads)
@@ -54,6 +59,12 @@ class MujocoRigs:
         self._observed = np.zeros((6, n)) if exact_state else self._measured
         self._exact = exact_state
         self._friction, self._can_fall = np.zeros(n), np.zeros(n, dtype=bool)
+        self._physics = stack([rig.physics], np.zeros(n, dtype=np.intp))
+        self._held = self.sims.bind("qfrc_constraint") if rig.frictionloss else None
+        self._level = self.sims.expand("dof_frictionloss") if rig.physics.stage("friction") else np.zeros((n, 0))
+        self._applied = self.sims.bind("qfrc_applied") if rig.physics.stage("force") else np.zeros((n, 0))
+        if rig.physics.pressed:
+            self.sims.bind("qfrc_actuator"), self.sims.bind("qfrc_bias")
 
     @property
     def time(self) -> Array:
@@ -111,7 +122,7 @@ class MujocoRigs:
         supply, rail = rig.plant.supply, rig.rail
         volts = np.minimum(np.maximum(asked, -supply), supply)
         self._ctrl[:, rig.motor] = volts
-        self.sims.step(None if going.all() else going, nstep=rig.steps)
+        self._step(None if going.all() else going)
         joints = self.sims.state.T[self._joints]
         state = absolute(joints.copy())
         size = np.abs(state)
@@ -135,6 +146,18 @@ class MujocoRigs:
         infos |= {"voltage": volts, "clipped": volts != asked, "time": self.time, "diverged": diverged}
         return Period(rewards, terminated, infos)
 
+    def _step(self, going: Mask | None) -> None:
+        """Hold the commands for a control period, with what stands under `<custom>`."""
+        physics, steps = self._physics, self.rig.steps
+        if physics.stage("command"):
+            self._ctrl[:] = physics.command(self._ctrl, self.sims.time)
+        if not physics.acts:
+            self.sims.step(going, nstep=steps)
+            return
+        for _ in range(steps):
+            physics.act(self.sims, self._level, self._applied, self.rig.model.opt.timestep)
+            self.sims.step(going)
+
     def _measure(self, joints: Array, state: Array, which: Mask) -> None:
         """Read the encoders of joints (3, n), update their velocity filters, and note what is observed of some rows."""
         own, before, measured = self._encoders, self._measured, np.empty_like(self._measured)
@@ -148,13 +171,19 @@ class MujocoRigs:
         force = np.zeros(self.count)
         for i, gear in self.rig.passive:
             force += gear * self._force[:, i]
+        if self._held is not None:
+            cart = self.rig.dofs[0]
+            most = self._level[:, cart] if self._level.size else self.rig.model.dof_frictionloss[cart]
+            force += np.clip(self._held[:, cart], -most, most)  # the rail's stop pushes on the cart as well
         return force
 
 
 def free_at_rest(rig: Rig) -> bool:
     """Whether a cart on which nothing has moved feels no dry friction, as without cogging."""
     kind, numbers = rig.model.actuator_biastype, rig.model.actuator_biasprm
-    return all(kind[i] == mujoco.mjtBias.mjBIAS_DCMOTOR and numbers[i, 0] == 0 for i, _ in rig.passive)
+    return not (rig.frictionloss or rig.physics.pressed) and all(
+        kind[i] == mujoco.mjtBias.mjBIAS_DCMOTOR and numbers[i, 0] == 0 for i, _ in rig.passive
+    )
 
 
 class _PlantNumbers:

@@ -200,7 +200,7 @@ def _write_advance(module: ir.Module, ensemble: Ensemble, places: Places) -> ir.
         if places.past:
             delay = parameters[int(ensemble.codes[Head.DELAYS]) + places.command]
             commands[places.command] = _arrived(code, past, head, places.past, steps, step, delay / length)
-        stepper.step(states, length, passive)
+        stepper.step(time[0], states, length, passive)
         time[0] = time[0] + length
     for k in range(ensemble.nx):
         kept[k] = states[k]

@@ -143,7 +143,7 @@ class CompiledRigs:
             group, lane = np.divmod(rows, WIDTH)
             for i, state in enumerate(fresh[:, _STATES : _STATES + self._program.nx]):
                 own = self._numbers[group[i] if len(self._numbers) > 1 else 0, :, lane[i]]
-                passive = self._probe(own[_PARAMETERS:], state, np.zeros(1), own[Own.STEP] * FOLLOWED)[1]
+                passive = self._probe(own[_PARAMETERS:], state, np.zeros(1), 0.0, own[Own.STEP] * FOLLOWED)[1]
                 fresh[i, Kept.FRICTION] = passive[self._cart]
         self._memory[rows // WIDTH, :, rows % WIDTH] = fresh
         return fresh[:, Kept.FRICTION]
@@ -211,9 +211,11 @@ class CompiledRigs:
         """Everything but addresses."""
         return {**self.__dict__, "_bound": None}
 
-    def _probe(self, parameters: Array, states: Array, commands: Array, shortest: float) -> tuple[Array, Array]:
+    def _probe(
+        self, parameters: Array, states: Array, commands: Array, time: float, shortest: float
+    ) -> tuple[Array, Array]:
         """Rates of the states (nx,) of one rig, and the forces of its passive actuators on joints."""
-        inside = (parameters, commands, states, np.array([shortest]))
+        inside = (parameters, commands, np.array([time]), states, np.array([shortest]))
         lanes = [np.repeat(np.asarray(numbers, dtype=float)[:, None], WIDTH, axis=1) for numbers in inside]
         rates, passive = np.zeros((len(states), WIDTH)), np.zeros((JOINTS, WIDTH))
         _functions(self._text)[1](*(array.ctypes.data for array in (*lanes, rates, passive)))
@@ -222,8 +224,8 @@ class CompiledRigs:
     def _rates(
         self, program: Program, parameters: Array, states: Array, commands: Array, time: float, touching: Sequence[bool]
     ) -> Array:
-        """What `check` compares with MuJoCo; time and stops mean nothing here."""
-        return self._probe(parameters, states, commands, 1e-12)[0]
+        """What `check` compares with MuJoCo; stops mean nothing here."""
+        return self._probe(parameters, states, commands, time, 1e-12)[0]
 
 
 def _read(rig: Rig) -> tuple[Program, Array, Places]:
@@ -236,8 +238,8 @@ def _read(rig: Rig) -> tuple[Program, Array, Places]:
         for joint in range(model.njnt):
             if model.jnt_limited[joint] and int(model.jnt_qposadr[joint]) != rig.positions[0]:
                 raise Uncovered(f"the range of joint {model.joint(joint).name!r}")
-        if rig.physics.extras:
-            raise Uncovered("what stands under <custom>")
+        if rig.physics.stage("command"):
+            raise Uncovered("what <custom> does to commands")
         if not rig.joint_readings:
             raise Uncovered("a sensor with a delay")
     except Uncovered as reason:
@@ -256,6 +258,6 @@ def _functions(text: str) -> tuple[Any, Any]:
     """`run` and `probe`; calls of them let other threads run."""
     library = machine.load([text], ["run", "probe"])
     run = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(library.addresses["run"])
-    probe = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6)(library.addresses["probe"])
+    probe = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 7)(library.addresses["probe"])
     run.library = library  # type: ignore[attr-defined]
     return run, probe

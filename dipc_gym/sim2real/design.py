@@ -25,6 +25,7 @@ from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, names
+from dipc_gym.sim2real.result import Design
 from dipc_gym.sim2real.simulation.batch import simulate
 from dipc_gym.sim2real.simulation.motion import Motion, initial_states
 from dipc_gym.sim2real.simulation.windows import Windows, cut
@@ -38,21 +39,6 @@ BEYOND = 1.05  # times the range visited that a command may use
 ENOUGH = 24  # windows that a command is judged on
 TELLING = 0.3  # times the noise that a rival must be off by to be told from the likeliest in a minute or so
 OPEN_LOOP = 0.2  # of the usual command, that may be added where a controller has to keep the rig up
-
-
-@dataclass(frozen=True)
-class Design:
-    """What to do next.
-
-    Attributes:
-        sentence: what to command, where, how much and how long, and why.
-        commands: time and actuators, without sensors; `recording.write` makes a file of it.
-        difference: error in units of noise that the closest rival would be left with; NaN with no rival.
-    """
-
-    sentence: str
-    commands: Recording
-    difference: float = math.nan
 
 
 @dataclass(frozen=True)

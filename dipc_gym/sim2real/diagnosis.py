@@ -13,11 +13,12 @@ import numpy as np
 from dipc_gym import mjcf
 from dipc_gym.provenance import versions
 from dipc_gym.recording import Recording
+from dipc_gym.sim2real.design import propose
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.parameters import Wishes
-from dipc_gym.sim2real.result import Diagnosis
+from dipc_gym.sim2real.result import Design, Diagnosis, Located
 from dipc_gym.sim2real.selection.baseline import Baseline, baseline
 from dipc_gym.sim2real.selection.case import CannotTell, Case, Given, gather, part
 from dipc_gym.sim2real.selection.hypotheses import Question
@@ -39,6 +40,7 @@ def diagnose(
     *,
     wishes: Wishes | None = None,
     effects: Sequence[Effect] | None = None,
+    design: bool = False,
     seed: int = 0,
     threads: int = 0,
     tell: Callable[[str], None] = lambda line: None,
@@ -51,14 +53,15 @@ def diagnose(
         held_out: recordings to test with; without any, the last quarter of each recording is.
         wishes: what the owner knows.
         effects: the catalogue, or part of it.
-        seed: kept in the provenance; nothing here is drawn at random.
+        design: whether to work out the command that the next experiment should send.
+        seed: of the phases of that command; of the diagnosis itself nothing is drawn at random.
         threads: of the simulations; 0 for all cores.
         tell: called with lines about progress.
 
     Raises:
         mjcf.MjcfError: the model cannot be treated.
         RecordingError: the recordings hold no window, or what is held out is fitted as well.
-        ValueError: a wish names no parameter of the model.
+        ValueError: a wish names no parameter of the model, or a design is asked for and there is no actuator.
 
     Example:
         >>> from dipc_gym import recording
@@ -69,6 +72,8 @@ def diagnose(
     began = time.monotonic()
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given = gather(source, recordings, held_out, wishes or Wishes())
+    if design and not given.recordings[0].actuator_names:
+        raise ValueError("the rig has no actuator that could be commanded")
     for note in given.notes:  # whoever gave degrees for radians would rather know at once
         tell(f"note: {note}")
     provenance = _provenance(given, seed)
@@ -84,10 +89,29 @@ def diagnose(
     found = late(
         "What could stand in for the effects", lambda: conclude(search), lambda: Conclusion(search.progress.current)
     )
-    judged = judgement(case, base, search, found, located, provenance, late)
+    judged, concluded = judgement(case, base, search, found, located, provenance, late)
+    proposed: Design | None = None
+    if design:
+        proposed = late("The next experiment", lambda: _design(case, base, concluded, seed), lambda: None)
     provenance["seconds"] = round(time.monotonic() - began, 1)
     first = [sentences.own_step(given.physics.model.opt.timestep, base.fine)] if base.fine is not None else []
-    return replace(judged, notes=(*given.notes, *first, *judged.notes))
+    return replace(judged, notes=(*given.notes, *first, *judged.notes, *late.notes), design=proposed)
+
+
+def _design(case: Case, base: Baseline, concluded: Conclusion, seed: int) -> Design:
+    """The command that tells the chosen structure from rivals that are still open; where nothing was chosen, the
+    recalibrated one stands for it.
+    """
+    likeliest = concluded.fitted if len(concluded.fitted.z) else base.recalibrated
+    open_ = [rival.fitted for rivals in concluded.rivals.values() for rival in rivals if not rival.ruled_out]
+    prepared = case.prepared
+    return propose(
+        [(fitted.structure, fitted.z) for fitted in (likeliest, *open_)],
+        prepared.problem,
+        case.given.recordings,
+        prepared.motions,
+        seed=seed,
+    )
 
 
 def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) -> None:
@@ -114,7 +138,7 @@ def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) 
 
 def _search(
     case: Case, base: Baseline, effects: Sequence[Effect], tell: Callable[[str], None]
-) -> tuple[Search, list[judge.Located]]:
+) -> tuple[Search, list[Located]]:
     """A search that has not begun, and where the mismatch sits."""
     given, partition, recalibrated = case.given, base.partition, base.recalibrated
 

@@ -216,8 +216,8 @@ def replay(
 ) -> Replay:
     """Predict windows of a recording with a model as it stands in its file.
 
-    The model is simulated with its own integrator and time step (shortened at most so that a whole number of steps
-    fits a sample), with what `<custom>` says for `dipc_gym.physics`. Given a `step`, it is simulated as exactly as
+    The model is simulated with its own integrator at its own time step, read between two steps where a sample lies
+    there, with what `<custom>` says for `dipc_gym.physics`. Given a `step`, it is simulated as exactly as
     that allows instead: what is left is then owed to the model, not to its integration.
 
     Args:

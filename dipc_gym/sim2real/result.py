@@ -1,24 +1,41 @@
-"""What a diagnosis found, and how diagnosis.json says it."""
+"""What a diagnosis found: arrays and plain values, how diagnosis.json says it, and what the report draws."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import mjcf
-from dipc_gym.recording import Recording
-from dipc_gym.sim2real.estimation.fit import Fit
-from dipc_gym.sim2real.estimation.problem import Problem
-from dipc_gym.sim2real.estimation.segments import Prepared
-from dipc_gym.sim2real.model.structure import Structure
-from dipc_gym.sim2real.selection.search import Search
-from dipc_gym.sim2real.verdict import judge
+if TYPE_CHECKING:
+    from dipc_gym.recording import Recording
 
 Array = NDArray[np.float64]
+Status = Literal["chosen", "same model here", "not told apart", "ruled out", "screened out"]
+Before = Literal["nominal", "recalibrated"]
+
+MOST_TRACES, MOST_MAPS, MOST_RESIDUALS = 16, 8, 12  # that are drawn
+MOST_SAMPLES = 30_000  # of each that are kept; of longer recordings whole windows, or every few samples
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where a mismatch sits.
+
+    Attributes:
+        at: joint.
+        share: of the unexplained force, each joint's measured by what it transmits.
+        where: region, in words.
+        explained: share of the variance of its unexplained force that goes with one of velocity, position, load, time.
+    """
+
+    at: str
+    share: float
+    where: str
+    explained: float
 
 
 @dataclass(frozen=True)
@@ -34,7 +51,7 @@ class Missing:
         same_here: other names for the same model on this rig with this data.
         rivals: other effects that were tried in its place.
         needs_loader: whether stock MuJoCo leaves it out.
-        law: of a law of any shape its table: `inputs` (name, unit and knots each), `levels` and their `unit`.
+        law: of a law of any shape what it is of, its table, and where data support it; see `effects.law.described`.
     """
 
     effect: str
@@ -78,6 +95,254 @@ class Errors:
             "improved": round(self.improved / scale, 6),
         }
 
+    def in_noise(self) -> dict[str, float]:
+        """In units of noise."""
+        return {name: round(getattr(self, name), 4) for name in ("nominal", "recalibrated", "improved")}
+
+
+# What people measure by, of the unit in which a file holds it.
+SHOWN = {
+    "m": (1e3, "mm"),
+    "rad": (180 / math.pi, "degrees"),
+    "m/s": (1e3, "mm/s"),
+    "rad/s": (180 / math.pi, "degrees/s"),
+}
+
+
+def scaled(value: float, unit: str) -> tuple[float, str]:
+    """A number and its unit as people measure it.
+
+    Example:
+        >>> scaled(0.002, "m"), scaled(3.0, "A")
+        ((2.0, 'mm'), (3.0, 'A'))
+    """
+    factor, name = SHOWN.get(unit, (1.0, unit))
+    return factor * value, name
+
+
+@dataclass(frozen=True)
+class SensorFit:
+    """How far predictions of one sensor are off on held-out windows.
+
+    Attributes:
+        name: of the sensor.
+        unit: SI; empty if unknown.
+        noise: standard deviation of its own noise, in that unit; infinite if it never changes.
+        motion: root mean square of how far it moves within a window, in that unit.
+        errors: root mean square errors of all three models, in that unit.
+    """
+
+    name: str
+    unit: str
+    noise: float
+    motion: float
+    errors: Errors
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in diagnosis.json."""
+        three = {name: getattr(self.errors, name) for name in ("nominal", "recalibrated", "improved")}
+        share = {name: round(value / self.motion, 6) if self.motion > 0 else None for name, value in three.items()}
+        return {
+            "unit": self.unit,
+            "noise": self.noise if np.isfinite(self.noise) else None,
+            "motion": self.motion,
+            "error": three,
+            "share_of_motion": share,
+        }
+
+
+@dataclass(frozen=True)
+class AsWritten:
+    """What improved.xml comes to as its owner will run it, simulated by MuJoCo at the file's own step.
+
+    Attributes:
+        timestep: of the file, s.
+        integrator: of the file, as MJCF names it.
+        held_out: errors in units of noise, of all three models in such steps, on windows that nothing was chosen by.
+        validation: the same on those that the form was chosen by.
+        forms: elements in words, by key of each effect that is written otherwise than it was fitted.
+        refitted: whether parameters make up for the step, and so hold at no other.
+        finer: a step that brings the file down to what fine steps predict, s, and its error on held-out data; None
+            where its own does, or none of those tried.
+    """
+
+    timestep: float
+    integrator: str
+    held_out: Errors
+    validation: Errors
+    forms: Mapping[str, str] = field(default_factory=dict)
+    refitted: bool = False
+    finer: tuple[float, float] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in diagnosis.json."""
+        return {
+            "timestep": self.timestep,
+            "integrator": self.integrator,
+            "held_out_in_noise": self.held_out.in_noise(),
+            "validation_in_noise": self.validation.in_noise(),
+            "forms": dict(self.forms),
+            "refitted": self.refitted,
+            "finer": None if self.finer is None else {"timestep": self.finer[0], "error": round(self.finer[1], 4)},
+        }
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A sensor on held-out data, predicted window by window; NaN where no window lies.
+
+    Attributes:
+        sensor: its name.
+        unit: SI.
+        recording: name of the file.
+        time: s, rising, (n,).
+        observed: readings, (n,).
+        nominal: prediction of the model as given, (n,).
+        recalibrated: with its parameters refitted, (n,); None if there is nothing to refit.
+        improved: with what was missing, (n,); None if nothing is.
+    """
+
+    sensor: str
+    unit: str
+    recording: str
+    time: Array
+    observed: Array
+    nominal: Array
+    recalibrated: Array | None = None
+    improved: Array | None = None
+
+    def __post_init__(self) -> None:
+        _same_length(self, "time", "observed", "nominal", "recalibrated", "improved")
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """Force at one joint that a model does not explain: where it sits.
+
+    Attributes:
+        joint: its name.
+        unit: of the force, `N` or `N m`.
+        position_unit: `m` or `rad`; velocity is per second.
+        time: s, (n,); may begin anew with each recording.
+        position: of the joint, (n,).
+        velocity: of the joint, (n,).
+        before: unexplained force without what was missing, (n,).
+        after: unexplained force with it, (n,); None if nothing is missing.
+    """
+
+    joint: str
+    unit: str
+    position_unit: str
+    time: Array
+    position: Array
+    velocity: Array
+    before: Array
+    after: Array | None = None
+
+    def __post_init__(self) -> None:
+        _same_length(self, "time", "position", "velocity", "before", "after")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A hypothesis and what became of it.
+
+    Attributes:
+        effect: id.
+        at: place.
+        words: the effect in plain words.
+        status: what became of it.
+        error: reached by its fit, in units of noise; of a sketch, as that of all windows would be; None if it was not
+            fitted.
+        improvement: mean fall of the log square error against the refitted model, beside what was in place when it was
+            tried; on windows it was not fitted to, or on those of a sketch; None if not fitted.
+        standard_error: of the improvement.
+    """
+
+    effect: str
+    at: str
+    words: str
+    status: Status
+    error: float | None = None
+    improvement: float | None = None
+    standard_error: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.status not in get_args(Status):
+            raise ValueError(f"status of {self.effect}: {self.status!r} is none of {', '.join(get_args(Status))}")
+
+
+@dataclass(frozen=True)
+class SensorResidual:
+    """What prediction leaves of one sensor, in units of its noise.
+
+    Attributes:
+        sensor: its name.
+        time: s, (n,).
+        before: without what was missing, (n,).
+        after: with it, (n,); None if nothing is missing.
+        lags: s, (k,).
+        before_autocorrelation: (k,).
+        after_autocorrelation: (k,); None if nothing is missing.
+        band: half width of the 95 % band of white noise.
+        statement: whether this looks like noise, in one sentence.
+    """
+
+    sensor: str
+    time: Array
+    before: Array
+    after: Array | None
+    lags: Array
+    before_autocorrelation: Array
+    after_autocorrelation: Array | None
+    band: float
+    statement: str
+
+    def __post_init__(self) -> None:
+        _same_length(self, "time", "before", "after")
+        _same_length(self, "lags", "before_autocorrelation", "after_autocorrelation")
+
+
+@dataclass(frozen=True)
+class Details:
+    """What stands behind a diagnosis, as the report draws it; of traces, maps and residuals that are not drawn the
+    names alone, without samples.
+
+    Attributes:
+        before: which model stands for "before" in maps and residuals.
+        traces: test data, the most telling first.
+        maps: where the mismatch sits, the joint with most of it first.
+        candidates: hypotheses, the best first.
+        residuals: per sensor.
+        difference: unified difference of the MJCF, from the model to the improved one; empty if there is none.
+    """
+
+    before: Before = "recalibrated"
+    traces: tuple[Trace, ...] = ()
+    maps: tuple[Mismatch, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    residuals: tuple[SensorResidual, ...] = ()
+    difference: str = ""
+
+    def __post_init__(self) -> None:
+        if self.before not in get_args(Before):
+            raise ValueError(f"before: {self.before!r} is none of {', '.join(get_args(Before))}")
+
+
+@dataclass(frozen=True)
+class Design:
+    """What to do next.
+
+    Attributes:
+        sentence: what to command, where, how much and how long, and why.
+        commands: time and actuators, without sensors; `recording.write` makes a file of it.
+        difference: error in units of noise that the closest rival would be left with; NaN with no rival.
+    """
+
+    sentence: str
+    commands: Recording
+    difference: float = math.nan
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -91,29 +356,37 @@ class Diagnosis:
         recalibrated: model parameters that had to change.
         train: errors on windows between the fitted ones.
         held_out: errors on windows that no fit has touched; they may strike effects off, and add none.
+        validation: errors on windows that no fit has touched, and that chose among models.
+        written: errors of the improved model's file at its own step; None where that is the model as given.
+        sensors: errors of each sensor on the held-out windows, in its own unit.
         force: error of the inverse model on the same data, of the force that each joint transmits.
         next_experiment: what would settle what is left.
         improved: MJCF text of the improved model.
         files: contents of the meshes, textures and sub-models that it asks for, by the names it gives them.
         notes: about recordings and step size.
         provenance: versions, inputs, seed.
-        work: what the report draws; None where nothing could be fitted.
+        details: what the report draws; None where nothing could be fitted.
+        design: the command that the next experiment should send, where it was asked for and something can be told.
     """
 
     verdict: str
     sentence: str
-    located: tuple[judge.Located, ...] = ()
+    located: tuple[Located, ...] = ()
     missing: tuple[Missing, ...] = ()
     recalibrated: tuple[dict[str, Any], ...] = ()
     train: Errors | None = None
     held_out: Errors | None = None
+    validation: Errors | None = None
+    written: AsWritten | None = None
+    sensors: tuple[SensorFit, ...] = ()
     force: dict[str, Errors] = field(default_factory=dict)
     next_experiment: str = ""
     improved: str = ""
     files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
     notes: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
-    work: Work | None = field(default=None, repr=False)
+    details: Details | None = field(default=None, repr=False)
+    design: Design | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of diagnosis.json."""
@@ -123,11 +396,7 @@ class Diagnosis:
                 "train": self.train.relative(),
                 "held_out": self.held_out.relative(),
                 "noise_floor": round(1 / max(self.held_out.nominal, 1e-12), 6),
-                "held_out_in_noise": {
-                    "nominal": round(self.held_out.nominal, 4),
-                    "recalibrated": round(self.held_out.recalibrated, 4),
-                    "improved": round(self.held_out.improved, 4),
-                },
+                "held_out_in_noise": self.held_out.in_noise(),
                 "held_out_force": {
                     at: {
                         "nominal": round(e.nominal, 5),
@@ -138,6 +407,12 @@ class Diagnosis:
                     if np.isfinite(e.nominal)
                 },
             }
+            if self.sensors:
+                fit["held_out_by_sensor"] = {one.name: one.to_dict() for one in self.sensors}
+            if self.validation is not None:
+                fit["validation_in_noise"] = self.validation.in_noise()
+            if self.written is not None:
+                fit["as_written"] = self.written.to_dict()
         return {
             "schema": "dipc-gym/diagnosis/2",
             "verdict": self.verdict,
@@ -156,34 +431,22 @@ class Diagnosis:
         }
 
 
-@dataclass(frozen=True)
-class Work:
-    """Everything behind a diagnosis, for the report and for whoever wants to go on.
+def finite(value: Any) -> Any:
+    """A value as JSON can hold it: numbers that are not finite become null.
 
-    Attributes:
-        source: the nominal model.
-        recordings: that were fitted.
-        held: windows for judging.
-        prepared: windows for fitting.
-        nominal: fit of the initial states alone.
-        recalibrated: fit of the model parameters.
-        final: fit of the chosen structure.
-        search: with every hypothesis tried.
-        replaced: rivals of each effect found, by its key.
+    Example:
+        >>> finite({"error": float("inf"), "at": ["cart", 2.0]})
+        {'error': None, 'at': ['cart', 2.0]}
     """
+    if isinstance(value, dict):
+        return {key: finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
-    source: mjcf.Source
-    recordings: tuple[Recording, ...]
-    held: Problem
-    prepared: Prepared
-    nominal: Fit
-    recalibrated: Fit
-    final: Fit
-    search: Search
-    replaced: dict[str, list[judge.Rival]]
 
-    def contenders(self) -> list[tuple[Structure, Array]]:
-        """The chosen structure, or the recalibrated one where nothing was chosen, and the rivals still open."""
-        first = self.final if len(self.final.z) else self.recalibrated
-        open_ = [r.fitted for rivals in self.replaced.values() for r in rivals if not r.ruled_out]
-        return [(fitted.structure, fitted.z) for fitted in (first, *open_)]
+def _same_length(record: object, *names: str) -> None:
+    values = [(name, getattr(record, name)) for name in names]
+    lengths = {name: np.shape(value) for name, value in values if value is not None}
+    if len(set(lengths.values())) > 1 or any(len(shape) != 1 for shape in lengths.values()):
+        raise ValueError(f"{type(record).__name__}: fields must be vectors of one length, not {lengths}")

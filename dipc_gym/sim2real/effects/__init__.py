@@ -10,7 +10,7 @@ import importlib
 import inspect
 import pkgutil
 
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values
 
 __all__ = ["Effect", "Evidence", "Parameter", "Values", "catalogue", "register"]
 
@@ -34,6 +34,8 @@ def catalogue() -> dict[str, Effect]:
         for info in pkgutil.iter_modules(__path__):
             module = importlib.import_module(f"{__name__}.{info.name}")
             for _, found in inspect.getmembers(module, inspect.isclass):
-                if issubclass(found, Effect) and not inspect.isabstract(found) and found.__module__ == module.__name__:
+                if not issubclass(found, Effect) or issubclass(found, Form) or inspect.isabstract(found):
+                    continue
+                if found.__module__ == module.__name__:
                     _effects[found.id] = found()
     return dict(sorted(_effects.items()))

@@ -151,6 +151,7 @@ class Effect(ABC):
         once: whether it happened once, so that other recordings cannot confirm it.
         of_no_kind: whether it only models what nothing accounts for, as a law that predicts it: asked last, no name.
         of_the_clock: whether it depends on time and not on the state, so that no other recording shares it.
+        element: of MJCF that it is written as, in words, where its effect has more than one form.
         leaves: share of a mismatch that it may leave and be named. Small for an effect that is told from others by when
             it acts alone: what it leaves may act then as well.
     """
@@ -172,6 +173,7 @@ class Effect(ABC):
     of_the_clock: ClassVar[bool] = False
     of_no_kind: ClassVar[bool] = False
     leaves: ClassVar[float] = LEAVES
+    element: str = ""
 
     @property
     def name(self) -> str:
@@ -190,8 +192,16 @@ class Effect(ABC):
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """First guesses, small enough that the response is nearly linear; each is tried."""
 
-    def table_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any] | None:
-        """The law as a table, where it is one: `inputs` (name, unit, knots each), `levels`, `unit` of these."""
+    def forms(self) -> Sequence[Form]:
+        """The same effect in other elements of MJCF: parameters of the same names, some of them fixed, another edit.
+
+        At the step of a file one may predict where another is off by fifty times the noise: bristles too stiff for it,
+        friction whose peak lasts less than a step. Which is written back is measured.
+        """
+        return ()
+
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any] | None:
+        """The law as diagnosis.json holds it, where it is a table; see `law.described`."""
         return None
 
     @abstractmethod
@@ -201,6 +211,14 @@ class Effect(ABC):
     @abstractmethod
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """The effect in one plain sentence."""
+
+
+class Form(Effect):
+    """An effect in other elements of MJCF than it has in the catalogue, which passes over it: it is no hypothesis."""
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """None; it takes the values of the effect that it is a form of."""
+        return ()
 
 
 def dof(model: mujoco.MjModel, joint: str) -> int:

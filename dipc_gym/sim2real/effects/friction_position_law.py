@@ -19,6 +19,7 @@ class FrictionOfPosition(Law):
     place = "joint"
     law = "dry friction"
     of, slide = "position", "m"
+    kind = "dry friction"
     unit = "N"
     lowest = 0.0
     rivals = ("friction.speed", "load.position:law")

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, passive_motor
-from dipc_gym.sim2real.effects.friction_stribeck import Stribeck
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values, passive_motor
+from dipc_gym.sim2real.effects.friction_stribeck import LevelAlone, Stribeck
+
+SOFTER = (4.0, 16.0, 64.0)  # times; MuJoCo's bristles are integrated explicitly, so a long step bears only soft ones
 
 
 class Presliding(Effect):
@@ -20,7 +23,7 @@ class Presliding(Effect):
     id = "friction.stribeck:presliding"
     place = "joint"
     law = "dry friction"
-    parameters = (
+    parameters: tuple[Parameter, ...] = (
         *Stribeck.parameters,
         Parameter("stiffness", "N/m", 1e-9, log=True),
         Parameter("damping", "N s/m", 1e-12, log=True),
@@ -30,6 +33,11 @@ class Presliding(Effect):
     contains = ("friction.coulomb", "friction.stribeck")
     finest = 5e-4
     warm = 0.06
+    element = "LuGre bristles of a passive motor"
+
+    def forms(self) -> Sequence[Form]:
+        """Friction that does not give way, with its peak or without, and softer bristles."""
+        return (WithoutBristles(), LevelAlone(self.parameters), *(Softer(times) for times in SOFTER))
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Bristles that bend by a few thousandths of the way, or by a few ten-thousandths."""
@@ -63,3 +71,31 @@ class Presliding(Effect):
             f"Stick-slip friction with presliding (LuGre) at {at}: {values['static']:.3g} {unit['static']} to break "
             f"away, {values['level']:.3g} {unit['level']} in motion; it gives way by {bend:.2g} {way} before it slips."
         )
+
+
+class WithoutBristles(Form, Presliding):
+    """Presliding friction, written without what gives way: dry friction, and passive forces for its peak."""
+
+    id = "friction.stribeck:rigid"
+    parameters = tuple(replace(p, fixed=p.name in ("stiffness", "damping")) for p in Presliding.parameters)
+    warm = 0.0
+    element = "dry friction that does not give way, and passive forces that speed takes off it"
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """As friction without memory is."""
+        Stribeck().edit(document, at, values)
+
+
+class Softer(Form, Presliding):
+    """Presliding friction whose bristles are softer than the rig's, for the file's step does not bear those."""
+
+    id = "friction.stribeck:softer"
+
+    def __init__(self, times: float) -> None:
+        self.times = times
+        self.element = f"LuGre bristles of a passive motor, {times:g} times softer than the rig's"
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """Less stiffness, and damping that damps it as well."""
+        softer = {"stiffness": values["stiffness"] / self.times, "damping": values["damping"] / self.times**0.5}
+        super().edit(document, at, {**values, **softer})

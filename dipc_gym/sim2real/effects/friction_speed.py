@@ -24,6 +24,7 @@ class FrictionOfSpeed(Law):
     place = "joint"
     law = "dry friction"
     of, slide = "speed", "m/s"
+    kind = "friction against motion"
     unit = "N"
     lowest = 0.0
     rivals = ("friction.position:law", "friction.asymmetric")

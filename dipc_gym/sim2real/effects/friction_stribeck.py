@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry, passive_rate
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values, dry, passive_rate
 
 # The curve exp(-(v / velocity)^2) is drawn with straight lines between these multiples of the Stribeck velocity. Chosen
 # to minimise the mean fourth power of the error, which is nowhere above 0.7 %: chords from knots on the curve are off
@@ -35,6 +36,11 @@ class Stribeck(Effect):
     levels = ("level",)
     rivals = ("friction.coulomb", "friction.asymmetric", "transmission.backlash")
     contains = ("friction.coulomb",)
+    element = "dry friction and passive forces that speed takes off it"
+
+    def forms(self) -> Sequence[Form]:
+        """Dry friction alone: at a long step the peak may last less than one."""
+        return (LevelAlone(self.parameters),)
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Kinetic level from the force that opposes motion, a static one half as large again."""
@@ -60,3 +66,22 @@ class Stribeck(Effect):
             f"{values['level']:.3g} {unit['level']} in motion, with the change below "
             f"{values['velocity']:.2g} {unit['velocity']}."
         )
+
+
+class LevelAlone(Form):
+    """Stick-slip friction of any kind, written as dry friction at the level in motion."""
+
+    id = "friction.stribeck:level"
+    place = "joint"
+    element = "dry friction at the level in motion alone"
+
+    def __init__(self, parameters: Sequence[Parameter]) -> None:
+        self.parameters = tuple(replace(p, fixed=p.name != "level", above="") for p in parameters)
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """Dry friction on the joint."""
+        dry(document, at, values["level"])
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        return f"Dry friction of {values['level']:.3g} {unit['level']} at {at}."

@@ -8,7 +8,9 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values, dof, passive_ramp
+
+LARGE = 1e9  # N or N m
 
 
 class Viscous(Effect):
@@ -19,6 +21,11 @@ class Viscous(Effect):
     linear = ("coefficient",)
     parameters = (Parameter("coefficient", "N s/m", 0.0),)
     rivals = ("motor.back_emf", "drag.quadratic", "friction.coulomb")
+    element = "damping of the joint"
+
+    def forms(self) -> Sequence[Form]:
+        """The force of a passive actuator, which the integrator may treat otherwise than the damping of a joint."""
+        return (ByActuator(),)
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Where the model has no damping."""
@@ -39,3 +46,14 @@ class Viscous(Effect):
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         return f"Viscous friction of {values['coefficient']:.3g} {unit['coefficient']} at {at}."
+
+
+class ByActuator(Form, Viscous):
+    """Viscous friction, written as the force of an actuator: Euler's method takes it as it is when a step begins."""
+
+    id = "friction.viscous:actuator"
+    element = "the force of a passive actuator"
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A passive force in proportion to speed, without limits that it would reach."""
+        passive_ramp(document, f"{at}_drag", at, (0.0, 0.0, -values["coefficient"]), (-LARGE, LARGE))

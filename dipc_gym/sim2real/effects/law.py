@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,42 @@ from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 
 Array = NDArray[np.float64]
 
+Outside = Literal["constant", "parallel"]
+
 LOOSE = 5.0  # standard deviation of a value's prior, in sizes of the whole law
+
+
+def described(
+    kind: str,
+    inputs: Sequence[Mapping[str, Any]],
+    levels: Any,
+    unit: str,
+    *,
+    passive: bool | None,
+    outside: Outside = "constant",
+    driven_up_to: float | None = None,
+) -> dict[str, Any]:
+    """A law as diagnosis.json holds it.
+
+    Args:
+        kind: what its values are, in words.
+        inputs: `name`, `unit` and `knots` of each.
+        levels: at the knots; of two inputs a row over the second for each knot of the first.
+        unit: of these.
+        passive: whether it can only take energy away; None where it exerts nothing.
+        outside: beyond the first and last knots it goes on as it ends, or parallel to its input.
+        driven_up_to: speed of the joint beyond which it drives no further; from there to twice as fast it fades.
+    """
+    return {
+        "of": [one["name"] for one in inputs],
+        "kind": kind,
+        "table": {"inputs": [dict(one) for one in inputs], "levels": levels, "unit": unit},
+        "formula": None,
+        "supported": [[one["knots"][0], one["knots"][-1]] for one in inputs],
+        "outside": outside,
+        "driven_up_to": driven_up_to,
+        "passive": passive,
+    }
 
 
 class Law(Effect):
@@ -32,6 +67,9 @@ class Law(Effect):
     slide: str  # unit of that at a joint that slides
     unit: str
     lowest = -np.inf  # value
+    kind: str  # what the values are, in words
+    passive: bool | None = True  # whether it can only take energy away; None where it exerts nothing
+    outside: Outside = "constant"  # what it does where no data lie
     from_nothing = True  # whether the whole law at zero does nothing, and half of it half as much
 
     def __init__(self, knots: Sequence[float] = (), values: Sequence[float] = ()) -> None:
@@ -72,10 +110,11 @@ class Law(Effect):
         """Unit of the input, from that of the values: what slides along an axis turns in radians about one."""
         return self.slide.replace("m", "rad") if unit[self.parameters[0].name].startswith("N m") else self.slide
 
-    def table_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """Knots and values."""
         inputs = [{"name": self.of, "unit": self.per(unit), "knots": list(self.knots)}]
-        return {"inputs": inputs, "levels": self.values(values), "unit": unit[self.parameters[0].name]}
+        levels, per = self.values(values), unit[self.parameters[0].name]
+        return described(self.kind, inputs, levels, per, passive=self.passive, outside=self.outside)
 
     def where(self, values: Values, unit: Mapping[str, str]) -> str:
         """Range and place of the largest value, in words."""

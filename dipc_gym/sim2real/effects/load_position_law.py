@@ -18,6 +18,7 @@ class ForceOfPosition(Law):
     id = "load.position:law"
     place = "joint"
     of, slide = "position", "m"
+    kind = "force"
     unit = "N"
     rivals = ("friction.position:law", "motor.cogging")
     contains = ("load.constant", "load.spring", "load.position")

@@ -20,6 +20,7 @@ class CommandMap(Law):
     place = "actuator"
     law = "command"
     of, slide = "command", ""
+    kind, passive, outside = "command that acts", None, "parallel"
     unit = "command"
     from_nothing = False
     rivals = ("motor.deadzone", "motor.saturation")

@@ -11,8 +11,8 @@ import numpy as np
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import LOOSE
+from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.law import LOOSE, described
 from dipc_gym.sim2real.effects.surfaces import Surface, surface
 
 WORDS = {"position": "the position of {}", "velocity": "the velocity of {}", "command": "the command to {}"}
@@ -28,6 +28,7 @@ class UnknownForce(Effect):
         shape: what the evidence asked for; None in the catalogue.
         speed: largest of the joint in the data.
         units: of the inputs.
+        at: joint.
     """
 
     id = RESIDUAL
@@ -37,8 +38,10 @@ class UnknownForce(Effect):
     of_no_kind = True
     needs_loader = True
 
-    def __init__(self, shape: Surface | None = None, speed: float = 1.0, units: Sequence[str] = ("", "")) -> None:
-        self.shape, self.speed, self.units = shape, speed, tuple(units)
+    def __init__(
+        self, shape: Surface | None = None, speed: float = 1.0, units: Sequence[str] = ("", ""), at: str = ""
+    ) -> None:
+        self.shape, self.speed, self.units, self.at = shape, speed, tuple(units), at
         levels = [] if shape is None else shape.levels.ravel().tolist()
         self.first = {f"level_{k + 1}": level for k, level in enumerate(levels)}
         size = max((abs(level) for level in levels), default=1.0) or 1.0
@@ -51,7 +54,7 @@ class UnknownForce(Effect):
         if found is None or found.inputs == (f"position {evidence.at}",):  # that is a law of a kind, asked as such
             return []
         units = [_unit(evidence.model, one) for one in found.inputs]
-        shaped = UnknownForce(found, 1.2 * float(np.max(np.abs(evidence.velocity))) or 1.0, units)
+        shaped = UnknownForce(found, 1.2 * float(np.max(np.abs(evidence.velocity))) or 1.0, units, evidence.at)
         return [(shaped, shaped.first)]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
@@ -66,7 +69,7 @@ class UnknownForce(Effect):
         document.custom(RESIDUAL, at, [self.speed, len(first), len(second), *first, *second, *levels])
         document.depends(RESIDUAL, at, self.shape.inputs)
 
-    def table_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any] | None:
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any] | None:
         """Knots along one or two inputs, and levels; with two a row over the second for each knot of the first."""
         if self.shape is None:
             return None
@@ -75,7 +78,18 @@ class UnknownForce(Effect):
             for name, of, knots in zip(self.shape.inputs, self.units, self.shape.knots, strict=False)
         ]
         levels = np.reshape([values[name] for name in self.first], self.shape.levels.shape)
-        return {"inputs": inputs, "levels": levels.tolist(), "unit": next(iter(unit.values()))}
+        force = next(iter(unit.values()))
+        passive = self._takes(levels)
+        return described("force", inputs, levels.tolist(), force, passive=passive, driven_up_to=self.speed)
+
+    def _takes(self, levels: Array) -> bool:
+        """Whether the force is against the joint's own motion wherever the table has one."""
+        assert self.shape is not None
+        own = [k for k, name in enumerate(self.shape.inputs) if name == f"velocity {self.at}"]
+        if not own:
+            return False
+        speeds = np.expand_dims(self.shape.knots[own[0]], 1 - own[0]) if levels.ndim > 1 else self.shape.knots[0]
+        return bool(np.all(levels * speeds <= 0))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

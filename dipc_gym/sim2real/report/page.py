@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from dipc_gym.files import write_whole
 from dipc_gym.sim2real.report import plots
 from dipc_gym.sim2real.report.charts import Tone
-from dipc_gym.sim2real.report.wording import clean, measured, number, percent, short, tied
+from dipc_gym.sim2real.report.wording import clean, fine_percent, measured, number, percent, short, tied
+from dipc_gym.sim2real.result import MOST_MAPS, MOST_RESIDUALS, MOST_TRACES, Candidate, Details, Status, scaled
 
 Array = NDArray[np.float64]
-Status = Literal["chosen", "same model here", "not told apart", "ruled out", "screened out"]
 
 VERDICTS = {
     "consistent": "The model predicts these recordings as well as their noise allows.",
@@ -32,124 +32,8 @@ VERDICTS = {
     "unexplained": "There is structure beyond noise, and no known effect accounts for it.",
     "cannot tell": "These recordings cannot decide it.",
 }
-MOST_TRACES, MOST_MAPS, MOST_RESIDUALS, MOST_CANDIDATES = 16, 8, 12, 30  # drawn or listed in full: keeps it below 2 MB
+MOST_CANDIDATES = 30  # listed in full; what is drawn is bounded as well: keeps the page below 2 MB
 MOST_LINES = 400  # of the difference
-
-
-@dataclass(frozen=True)
-class Trace:
-    """A sensor on held-out data, predicted window by window; NaN where no window lies.
-
-    Attributes:
-        sensor: its name.
-        unit: SI.
-        recording: name of the file.
-        time: s, rising, (n,).
-        observed: readings, (n,).
-        nominal: prediction of the model as given, (n,).
-        recalibrated: with its parameters refitted, (n,); None if there is nothing to refit.
-        improved: with what was missing, (n,); None if nothing is.
-    """
-
-    sensor: str
-    unit: str
-    recording: str
-    time: Array
-    observed: Array
-    nominal: Array
-    recalibrated: Array | None = None
-    improved: Array | None = None
-
-    def __post_init__(self) -> None:
-        _same_length(self, "time", "observed", "nominal", "recalibrated", "improved")
-
-
-@dataclass(frozen=True)
-class Mismatch:
-    """Force at one joint that a model does not explain: where it sits.
-
-    Attributes:
-        joint: its name.
-        unit: of the force, `N` or `N m`.
-        position_unit: `m` or `rad`; velocity is per second.
-        time: s, (n,); may begin anew with each recording.
-        position: of the joint, (n,).
-        velocity: of the joint, (n,).
-        before: unexplained force without what was missing, (n,).
-        after: unexplained force with it, (n,); None if nothing is missing.
-    """
-
-    joint: str
-    unit: str
-    position_unit: str
-    time: Array
-    position: Array
-    velocity: Array
-    before: Array
-    after: Array | None = None
-
-    def __post_init__(self) -> None:
-        _same_length(self, "time", "position", "velocity", "before", "after")
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A hypothesis and what became of it.
-
-    Attributes:
-        effect: id.
-        at: place.
-        words: the effect in plain words.
-        status: what became of it.
-        error: reached by its fit, in units of noise; of a sketch, as that of all windows would be; None if it was not
-            fitted.
-        improvement: mean fall of the log square error against the refitted model, beside what was in place when it was
-            tried; on windows it was not fitted to, or on those of a sketch; None if not fitted.
-        standard_error: of the improvement.
-    """
-
-    effect: str
-    at: str
-    words: str
-    status: Status
-    error: float | None = None
-    improvement: float | None = None
-    standard_error: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.status not in get_args(Status):
-            raise ValueError(f"status of {self.effect}: {self.status!r} is none of {', '.join(get_args(Status))}")
-
-
-@dataclass(frozen=True)
-class SensorResidual:
-    """What prediction leaves of one sensor, in units of its noise.
-
-    Attributes:
-        sensor: its name.
-        time: s, (n,).
-        before: without what was missing, (n,).
-        after: with it, (n,); None if nothing is missing.
-        lags: s, (k,).
-        before_autocorrelation: (k,).
-        after_autocorrelation: (k,); None if nothing is missing.
-        band: half width of the 95 % band of white noise.
-        statement: whether this looks like noise, in one sentence.
-    """
-
-    sensor: str
-    time: Array
-    before: Array
-    after: Array | None
-    lags: Array
-    before_autocorrelation: Array
-    after_autocorrelation: Array | None
-    band: float
-    statement: str
-
-    def __post_init__(self) -> None:
-        _same_length(self, "time", "before", "after")
-        _same_length(self, "lags", "before_autocorrelation", "after_autocorrelation")
 
 
 @dataclass(frozen=True)
@@ -159,24 +43,14 @@ class ReportData:
     Attributes:
         model: name of the model's file.
         diagnosis: what `diagnosis.json` holds.
-        before: what stands for "before" in maps and residuals.
-        traces: held-out data, the most telling first.
-        maps: where the mismatch sits, the joint with most of it first.
-        candidates: hypotheses, the best first.
-        residuals: per sensor.
-        difference: unified difference of the MJCF, from the model to the improved one; empty if there is none.
+        details: what is drawn and listed.
         command: that makes this page again.
         notes: sentences about the recordings and about the step size.
     """
 
     model: str
     diagnosis: Mapping[str, Any]
-    before: Literal["nominal", "recalibrated"] = "recalibrated"
-    traces: Sequence[Trace] = ()
-    maps: Sequence[Mismatch] = ()
-    candidates: Sequence[Candidate] = ()
-    residuals: Sequence[SensorResidual] = ()
-    difference: str = ""
+    details: Details = field(default_factory=Details)
     command: str = ""
     notes: Sequence[str] = ()
 
@@ -217,7 +91,8 @@ def render(data: ReportData) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": number, "percent": percent, "short": short, "measured": measured, "tied": tied}
+    environment.filters |= {"number": number, "percent": percent, "fine_percent": fine_percent}
+    environment.filters |= {"short": short, "measured": measured, "tied": tied}
     with np.errstate(all="ignore"):  # a prediction may have diverged; charts leave out what is not finite
         parts = _parts(data)
     return environment.get_template("page.html.j2").render(
@@ -227,32 +102,27 @@ def render(data: ReportData) -> str:
 
 def _parts(data: ReportData) -> dict[str, Any]:
     """What the template shows, drawn and sorted."""
-    shown, rest, screened = _candidates(data.candidates)
-    first: Tone = "nominal" if data.before == "nominal" else "before"
+    shown, rest, screened = _candidates(data.details.candidates)
+    first: Tone = "nominal" if data.details.before == "nominal" else "before"
     return {
         "first": first,
         "fit": _fit(data.diagnosis),
-        "traces": [(trace, *plots.trace(trace)) for trace in data.traces[:MOST_TRACES]],
+        "traces": [(trace, *plots.trace(trace)) for trace in data.details.traces[:MOST_TRACES]],
         "laws": [plots.law(m["law"]) if m.get("law") else None for m in data.diagnosis.get("missing") or []],
-        "maps": [(mismatch, plots.mismatch_map(mismatch, first)) for mismatch in data.maps[:MOST_MAPS]],
-        "residuals": [(residual, *plots.residual(residual, first)) for residual in data.residuals[:MOST_RESIDUALS]],
+        "maps": [(mismatch, plots.mismatch_map(mismatch, first)) for mismatch in data.details.maps[:MOST_MAPS]],
+        "residuals": [
+            (residual, *plots.residual(residual, first)) for residual in data.details.residuals[:MOST_RESIDUALS]
+        ],
         "not_drawn": {
-            "traces": data.traces[MOST_TRACES:],
-            "maps": data.maps[MOST_MAPS:],
-            "residuals": data.residuals[MOST_RESIDUALS:],
+            "traces": data.details.traces[MOST_TRACES:],
+            "maps": data.details.maps[MOST_MAPS:],
+            "residuals": data.details.residuals[MOST_RESIDUALS:],
         },
         "candidates": shown,
         "candidates_left": rest,
         "screened": screened,
-        "difference": _difference(data.difference),
+        "difference": _difference(data.details.difference),
     }
-
-
-def _same_length(record: object, *names: str) -> None:
-    values = [(name, getattr(record, name)) for name in names]
-    lengths = {name: np.shape(value) for name, value in values if value is not None}
-    if len(set(lengths.values())) > 1 or any(len(shape) != 1 for shape in lengths.values()):
-        raise ValueError(f"{type(record).__name__}: fields must be vectors of one length, not {lengths}")
 
 
 # ----------------------------------------------------------------------------------------------------------- sections
@@ -267,9 +137,13 @@ def _fit(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
         "recalibrated": "Its parameters refitted",
         "improved": "With the missing physics",
     }
-    if all(m["effect"] == "unknown" for m in diagnosis.get("missing") or []):
+    if all(m["effect"] == "unknown" and not m.get("law") for m in diagnosis.get("missing") or []):
         del labels["improved"]
     known = {k: held_out[k] for k in labels if held_out.get(k) is not None and math.isfinite(held_out[k])}
+    written, as_given = fit.get("as_written"), (fit.get("held_out_in_noise") or {}).get("nominal")
+    if written and as_given and written["held_out_in_noise"].get("improved") is not None:
+        labels["written"] = f"improved.xml at its own step, {1e3 * written['timestep']:g} ms"
+        known["written"] = written["held_out_in_noise"]["improved"] / as_given
     train = fit.get("train") or {}
     full = max([*known.values(), floor or 0.0, 1e-12]) * 1.02
     return {
@@ -279,7 +153,25 @@ def _fit(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
         "first": known.get("nominal"),
         "last": next((known[k] for k in ("improved", "recalibrated", "nominal") if k in known), None),
         "train": [(labels[k], train[k]) for k in labels if train.get(k) is not None],
+        "sensors": [
+            {
+                "name": name,
+                "unit": scaled(0.0, one["unit"])[1],
+                "rows": _sensor(one),
+                "noise": scaled(one["noise"], one["unit"])[0],
+            }
+            for name, one in (fit.get("held_out_by_sensor") or {}).items()
+        ],
     }
+
+
+def _sensor(one: Mapping[str, Any]) -> list[tuple[str, float | None, float | None]]:
+    """Column, error in the unit people measure by, and its share of the motion, of each model."""
+    columns = (("As given", "nominal"), ("Refitted", "recalibrated"), ("Improved", "improved"))
+    return [
+        (column, scaled(one["error"].get(key), one["unit"])[0], one["share_of_motion"].get(key))
+        for column, key in columns
+    ]
 
 
 def _candidates(rows: Sequence[Candidate]) -> tuple[list[tuple[Candidate, dict[str, float]]], int, list[Candidate]]:

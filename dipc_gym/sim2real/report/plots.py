@@ -14,7 +14,7 @@ from dipc_gym.sim2real.report.charts import Chart, Layer, Tone, axis, span
 from dipc_gym.sim2real.report.wording import number
 
 if TYPE_CHECKING:
-    from dipc_gym.sim2real.report.page import Mismatch, SensorResidual, Trace
+    from dipc_gym.sim2real.result import Mismatch, SensorResidual, Trace
 
 Array = NDArray[np.float64]
 
@@ -98,11 +98,17 @@ def mismatch_map(mismatch: Mismatch, first: Tone) -> list[Chart]:
 
 
 def law(law: Mapping[str, Any]) -> Chart:
-    """A law over its first input; of two inputs, where the second is small, in the middle and large."""
-    first, *others = law["inputs"]
-    x, levels = np.array(first["knots"], dtype=float), np.array(law["levels"], dtype=float)
+    """A law over its first input, its interval shaded; of two inputs, where the second is small, middle and large.
+
+    It goes on a little beyond the data, where it is constant: there it is drawn as what it is without them.
+    """
+    table = law["table"]
+    first, *others = table["inputs"]
+    x, levels = np.array(first["knots"], dtype=float), np.array(table["levels"], dtype=float)
     lines: list[tuple[Tone, Array]] = [("after", levels)]
-    words = ""
+    words, band = "", None
+    if "low" in table and not others:
+        band = np.array(table["low"], dtype=float), np.array(table["high"], dtype=float)
     if others:
         across_all = levels.shape[1]
         picked = (0, across_all // 2, across_all - 1)
@@ -110,14 +116,22 @@ def law(law: Mapping[str, Any]) -> Chart:
         lines = [(tone, levels[:, k]) for tone, k in zip(tones, picked, strict=True)]
         at = ", ".join(number(float(others[0]["knots"][k])) for k in picked)
         words = f", at {others[0]['name']} of {at} {others[0]['unit']}".rstrip()
-    across = axis(float(x[0]), float(x[-1]), first["name"], first["unit"])
-    up = axis(*span([y for _, y in lines], 1.0, zero=True), "law", law["unit"], 5)
-    return Chart(
-        f"The law over {first['name']}{words}",
-        across,
-        up,
-        tuple(charts.line(tone, x, y, across, up) for tone, y in lines),
-    )
+    margin = 0.08 * float(x[-1] - x[0])
+    beyond = margin if law["outside"] == "constant" else 0.0
+    across = axis(float(x[0]) - beyond, float(x[-1]) + beyond, first["name"], first["unit"])
+    seen = [y for _, y in lines] + ([] if band is None else list(band))
+    low, high = span(seen, 1.0, zero=True)
+    up = axis(low, high, law["kind"], table["unit"], 5)
+    layers = []
+    for ends in (np.array([x[0] - beyond, x[0]]), np.array([x[-1], x[-1] + beyond])) if beyond else ():
+        layers.append(charts.area("shade", ends, np.full(2, low), np.full(2, high), across, up))
+    if band is not None:
+        layers.append(charts.area("after", x, *band, across, up))
+    wider = np.concatenate([[x[0] - beyond], x, [x[-1] + beyond]])
+    layers += [charts.line(tone, wider, np.concatenate([y[:1], y, y[-1:]]), across, up) for tone, y in lines]
+    interval = ", with its 90 % interval" if band is not None else ""
+    outside = "; grey: beyond the data, where it goes on as it ends" if beyond else ""
+    return Chart(f"The law over {first['name']}{words}{interval}{outside}", across, up, tuple(layers))
 
 
 def residual(residual: SensorResidual, first: Tone) -> tuple[Chart, Chart]:

@@ -32,6 +32,11 @@ def percent(share: float | None) -> str:
     return "–" if share is None or not math.isfinite(share) else f"{100 * share:.0f}{NBSP}%".replace("-", "−")
 
 
+def fine_percent(share: float | None) -> str:
+    """A share in percent, to two digits however small it is."""
+    return "–" if share is None or not math.isfinite(share) else f"{number(100 * share, 2)}{NBSP}%"
+
+
 def measured(value: float | None, error: float | None) -> str:
     """A number with its standard error, both to the second digit of the error."""
     if value is None or error is None or not (math.isfinite(value) and 0 < error < 1e5):

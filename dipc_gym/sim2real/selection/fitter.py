@@ -28,13 +28,11 @@ class Fitter:
 
     scorer: Scorer
     _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
-    _sketches: dict[tuple[int, tuple[str, ...], bytes, int], tuple[Fit, Fit | None]] = field(
-        default_factory=dict, repr=False
-    )
+    _begun: dict[tuple[int, tuple[str, ...], bytes, int], Fit | None] = field(default_factory=dict, repr=False)
 
     def over(self, partition: Partition) -> Fitter:
         """The same to other windows; full fits that were kept stay for when these windows come back."""
-        return self if partition is self.partition else Fitter(self.scorer.over(partition), self._kept)
+        return self if partition is self.partition else Fitter(self.scorer.over(partition), self._kept, self._begun)
 
     @property
     def partition(self) -> Partition:
@@ -60,14 +58,17 @@ class Fitter:
         simulated.
         """
         z, initial = carry(base.structure, base.z, structure), base.initial[self.subset]
+        # A search that begins anew lays the same hypotheses over the same fit without effects.
         asked = (id(base), tuple(names(structure.terms)), z.tobytes(), len(self.problem.windows))
-        if asked not in self._sketches:
-            try:
-                sketch = fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
-            except (mjcf.MjcfError, np.linalg.LinAlgError):
-                sketch = None
-            self._sketches[asked] = (base, sketch)
-        return self._sketches[asked][1]
+        if asked in self._begun:
+            return self._begun[asked]
+        try:
+            sketch = fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
+        except (mjcf.MjcfError, np.linalg.LinAlgError):
+            sketch = None
+        if not base.structure.terms:
+            self._begun[asked] = sketch
+        return sketch
 
     def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.

@@ -42,9 +42,10 @@ class Stepping:
     """How finely, and by which rule, a model is simulated.
 
     Attributes:
-        timestep: longest step, s; shortened so that a whole number of steps fits one sample.
-        integrator: MuJoCo's, or None for the model's own. With one of its choice, dry friction is not left to
-            MuJoCo's constraint either, but to `stick.DryFriction`, which locates reversals inside the step.
+        timestep: s; with an integrator the longest, shortened so that a whole number of steps fits one sample.
+        integrator: MuJoCo's, or None for the model as its owner runs it: with its own, at this very step, read between
+            two steps where a sample lies there. With one of its choice, dry friction is not left to MuJoCo's constraint
+            either, but to `stick.DryFriction`, which locates reversals inside the step.
     """
 
     timestep: float
@@ -68,7 +69,12 @@ def is_stiff(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def grid_step(windows: Windows, stepping: Stepping) -> float:
-    """The simulation step, s: the longest within the stepping of which a whole number fits the sample period."""
+    """The simulation step, s: the longest within the stepping of which a whole number fits the sample period.
+
+    A model that is simulated as it is keeps its own.
+    """
+    if stepping.integrator is None:
+        return stepping.timestep
     step = windows.period / math.ceil(windows.period / stepping.timestep - 1e-6)
     return stepping.timestep if abs(step / stepping.timestep - 1) < 1e-6 else step  # stamps are rounded
 
@@ -127,7 +133,7 @@ def simulate(
     else:
         runs.begin(0, initial)
     ahead = runs.late.max(axis=1, keepdims=True) - runs.late
-    nstep = math.floor((windows.times.max() + ahead.max(initial=0.0)) / runs.step + 1e-6) + 2
+    nstep = max(math.floor((windows.times.max() + ahead.max(initial=0.0)) / runs.step + 1e-6) + 2, 4)  # of a cubic
     readings = runs.run(0, nstep, record=True)
     assert readings is not None
     readings = _sense(runs.physics, readings, track, runs.step)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dipc_gym.engine import program
 from dipc_gym.physics import Extra, Physics
 from dipc_gym.sim2real.simulation.heat import heating_motors
+from dipc_gym.sim2real.simulation.memory import loads, yielding
 
 Array = NDArray[np.float64]
 
@@ -57,8 +58,9 @@ class Slopes:
 
 
 def begins_alike(physics: Physics) -> bool:
-    """Whether simulations begin at the same states whatever the numbers: no winding heats."""
-    return not heating_motors(physics.model)
+    """Whether simulations begin at the same states whatever the numbers: no winding heats, nothing remembers longer."""
+    model = physics.model
+    return not (heating_motors(model) or yielding(model) or loads(model))
 
 
 def maps_of(physics: Physics) -> Array:

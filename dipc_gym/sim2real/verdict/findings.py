@@ -146,7 +146,7 @@ def missing_effects(
                 tuple(_each_once([_name(rival.term) for rival in rivals if rival.same])),
                 tuple(_each_once(tried)),
                 term.effect.needs_loader,
-                term.effect.table_of(final.structure.term_values(final.z, term), units),
+                _law(final, term, units, wide),
             )
         )
     return sorted(missing, key=lambda one: -one.share)
@@ -179,6 +179,25 @@ def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -
             low, high = sorted((slot.value(z - half), slot.value(z + half)))
             parameters[name] |= {"low": low, "high": high, "level": 0.9}
     return parameters
+
+
+def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[str, Any] | None:
+    """The law of an effect whose shape is free, its table with 90 % intervals of every level where all are known.
+
+    The intervals are from resampled seconds of recordings, so they say how far the table would be another one with
+    other data, whatever is left over.
+    """
+    law = term.effect.law_of(final.structure.term_values(final.z, term), units)
+    if law is None:
+        return None
+    keys = {f"{term.key}.{p.name}" for p in term.effect.parameters if not p.fixed}
+    own = [i for i, slot in enumerate(final.structure.slots) if slot.key in keys]
+    shape = np.shape(law["table"]["levels"])
+    if len(own) == math.prod(shape) and np.isfinite(wide[own]).all():
+        ends = [[final.structure.slots[i].value(final.z[i] + sign * wide[i]) for i in own] for sign in (-1, 1)]
+        for name, end in zip(("low", "high"), np.sort(ends, axis=0), strict=True):
+            law["table"][name] = np.reshape(end, shape).tolist()
+    return law
 
 
 def _rival(rival: judge.Rival, test: Problem, errors: Errors) -> dict[str, Any]:

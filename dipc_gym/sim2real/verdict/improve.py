@@ -1,91 +1,85 @@
-"""Write what was found back as MJCF, with parameters that hold at the step at which the file is simulated, if any
-do.
-"""
+"""Write what was found back as MJCF, with a comment that says what it is and how well it predicts as it stands."""
 
 from __future__ import annotations
 
-import contextlib
 import re
-from dataclasses import replace
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording.units import of_sensor
 from dipc_gym.sim2real.effects.base import is_dcmotor, joint_of
-from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
-from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.model.structure import Structure, Term
-from dipc_gym.sim2real.result import Errors
-from dipc_gym.sim2real.selection.settings import SCORE
-from dipc_gym.sim2real.simulation.batch import Stepping, is_stiff
-from dipc_gym.sim2real.verdict import judge
+from dipc_gym.sim2real.result import AsWritten, Errors
+from dipc_gym.sim2real.selection.progress import Partition
+from dipc_gym.sim2real.simulation.batch import is_stiff
+from dipc_gym.sim2real.verdict import sentences
 from dipc_gym.sim2real.verdict.settings import VERDICT
+from dipc_gym.sim2real.verdict.written import written
+
+Array = NDArray[np.float64]
 
 
 def improved_model(
     source: mjcf.Source,
     given: physics.Physics,
-    prepared: Prepared,
-    final: Fit,
+    partition: Partition,
+    test: Problem,
+    fits: tuple[Fit, Fit, Fit],
     errors: Errors,
-) -> tuple[str, str]:
-    """Text of the improved model, refitted at its own step where that makes up for it, and a note on what it costs."""
-    structure = final.structure
-    if not structure.model_parameters and not structure.terms:
-        return source.text, ""
-    own = Stepping(given.model.opt.timestep, None)
-    coarse = replace(prepared.problem, stepping=own)
-    count = len(coarse.windows)
-    some = coarse.pick(np.unique(np.linspace(0, count - 1, min(36, count)).round().astype(np.intp)))
-    written, enough = final, SCORE.at_floor * max(errors.improved, 1.0)
-    error = judge.error_on(some, final)
-    note = ""
-    if error > enough:
-        # Parameters that make up for a step are wrong at any other; they are worth having where they do make up for it.
-        with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
-            again = fit(some, structure, final.z, most=4)
-            if (refitted := judge.error_on(some, again)) <= enough:
-                written, error = again, refitted
-    if error > enough:
-        note = (
-            f"At the model's own step of {1e3 * own.timestep:g} ms and with its integrator the improved model predicts "
-            f"to {error:.3g} times the noise, with a converged step to {errors.improved:.3g}, and no parameters make "
-            f"up for that: a shorter step is worth more than any further physics. {_advice(some, own, final, enough)}"
-        ).strip()
-    z = written.z
-    document = structure.write(z)
-    lines = [t.effect.sentence(t.at, structure.term_values(z, t), place_units(structure, t)) for t in structure.terms]
+) -> tuple[str, AsWritten | None, str]:
+    """Text of the improved model in the forms that predict best at its own step, what it comes to there, and a note.
+
+    Args:
+        source: the model as given.
+        given: the same, compiled.
+        partition: windows to refit to, and to choose by.
+        test: windows to judge by.
+        fits: the model as given, recalibrated, and what was found.
+        errors: of these in fine steps, on the windows to judge by, in units of noise.
+    """
+    final = fits[-1]
+    if not final.structure.model_parameters and not final.structure.terms:
+        return source.text, None, ""
+    integrator = Document(source).get_option("integrator")
+    option, said = written(given.model.opt.timestep, integrator, partition, test, fits)
+    structure, z = option.structure, option.z
+    document, forms = structure.write(z), dict(option.forms)
+    lines = []
+    for term, found in zip(structure.terms, final.structure.terms, strict=False):
+        lines.append(found.effect.sentence(found.at, structure.term_values(z, term), place_units(structure, term)))
+        if found.key in forms:
+            lines[-1] += f" Written as {forms[found.key]}, which predicts best at this file's step."
     loaders = [t.key for t in structure.terms if t.effect.needs_loader]
     if structure.model_parameters:
         moved = {
             n.key: abs(change) >= VERDICT.negligible for n, change in zip(structure.model_parameters, z, strict=False)
         }
         lines.append("Refitted: " + ", ".join(key if far else f"{key} (hardly)" for key, far in moved.items()) + ".")
-    if written is not final:
+    lines.append(sentences.as_written(said, errors))
+    if option.refitted:
         lines.append(
-            f"Parameters are what this file's step of {1e3 * own.timestep:g} ms and its integrator need to predict the "
-            "recordings; those that fine steps need are in diagnosis.json."
+            f"Parameters are what this file's step of {1e3 * said.timestep:g} ms and its integrator need to predict "
+            "the recordings; those that fine steps need are in diagnosis.json."
         )
     if loaders:
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")
+    dropped = len(final.structure.terms) - len(structure.terms)
+    note = sentences.step_costs(said, errors, dropped=bool(dropped), stiff=bool(_stiff(structure, z)))
+    if not structure.model_parameters and not structure.terms:
+        return source.text, said, note
     document.comment("Changed by dipc-gym diagnose.", *lines)
-    return document.text(), note
+    return document.text(), said, note
 
 
-def _advice(some: Problem, own: Stepping, final: Fit, enough: float) -> str:
-    """The longest of a few shorter steps at which a model predicts well enough, in words; nothing if none does."""
-    stiff = is_stiff(final.structure.physics(final.z).model).any()
-    some = some.pick(np.arange(0, len(some.windows), 3))  # the shortest steps take longest, and a factor of two is told
-    for shorter in VERDICT.shorter:
-        step = own.timestep / shorter
-        error = judge.error_on(replace(some, stepping=Stepping(step, None)), final)
-        if error <= enough:
-            also = f" and each solreffriction {shorter} times shorter as well" if stiff else ""
-            return f"With a timestep of {1e3 * step:g} ms{also} it predicts to {error:.3g} times the noise."
-    return ""
+def _stiff(structure: Structure, z: Array) -> bool:
+    """Whether a model holds dry friction whose constants were chosen with its step in mind."""
+    return bool(is_stiff(structure.physics(z).model).any())
 
 
 def place_units(structure: Structure, term: Term) -> dict[str, str]:

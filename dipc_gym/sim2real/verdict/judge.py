@@ -15,6 +15,7 @@ from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.model.structure import Structure, Term, names
+from dipc_gym.sim2real.result import Located
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.search import Search
@@ -161,28 +162,6 @@ def _stand_ins(
         yield terms, functools.reduce(Structure.with_term, terms, remaining), None
 
 
-@dataclass(frozen=True)
-class Located:
-    """Where a mismatch sits.
-
-    Attributes:
-        at: joint.
-        share: of the unexplained force, each joint's measured by what it transmits.
-        where: region, in words.
-        explained: share of the variance of its unexplained force that goes with one of velocity, position, load, time.
-    """
-
-    at: str
-    share: float
-    where: str
-    explained: float
-
-    @property
-    def has_pattern(self) -> bool:
-        """Whether the unexplained force goes with anything."""
-        return self.explained >= VERDICT.pattern
-
-
 def locate(scene: Scene, joints: Sequence[str]) -> list[Located]:
     """Which joints carry the unexplained force, and in which region of motion; the largest share first."""
     size = np.sqrt(np.mean(scene.force**2, axis=0))
@@ -238,7 +217,7 @@ def negligible(recalibrated: float, motion: float, located: Located) -> bool:
         motion: within a window, in units of noise.
         located: where the mismatch sits, the joint that carries most of it.
     """
-    return recalibrated < VERDICT.small * motion and not located.has_pattern
+    return recalibrated < VERDICT.small * motion and located.explained < VERDICT.pattern
 
 
 def refuted(without: float, error: float) -> bool:

@@ -10,12 +10,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
-from dipc_gym.sim2real.result import Diagnosis, Errors, Work
+from dipc_gym.sim2real.model.structure import names
+from dipc_gym.sim2real.result import Details, Diagnosis, Errors, Located, SensorFit
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.search import Search
@@ -23,7 +25,10 @@ from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion
+from dipc_gym.sim2real.verdict.details import details, predictions, sensor_fits
 from dipc_gym.sim2real.verdict.late import Late
+
+Array = NDArray[np.float64]
 
 
 def judgement(
@@ -31,10 +36,10 @@ def judgement(
     base: Baseline,
     search: Search,
     found: Conclusion,
-    located: Sequence[judge.Located],
+    located: Sequence[Located],
     provenance: dict[str, Any],
     late: Late,
-) -> Diagnosis:
+) -> tuple[Diagnosis, Conclusion]:
     """Judge what a search came to by test data.
 
     Args:
@@ -45,25 +50,29 @@ def judgement(
         located: where the mismatch sat before it.
         provenance: versions, inputs, seed.
         late: runs stages, and keeps what was found where one fails.
+
+    Returns:
+        The diagnosis, and what the search came to, as it was judged.
     """
     source, prepared, nominal, recalibrated = case.given.source, case.prepared, base.nominal, base.recalibrated
     joints, concluded = prepared.structure.base, found
-    found = late(
-        "Which model predicts best", lambda: _best(search, concluded, [recalibrated, nominal]), lambda: concluded
-    )
-    notes = [*found.notes]
-    open_choice = late(
-        "Whether other parameters would do",
-        lambda: findings.choice_shift(found.fitted, found.others),
-        lambda: np.full(len(found.fitted.z), np.inf),
-    )
-    final, test = found.fitted, base.test
+    coarse, test = found.fitted, base.test
     if base.fine is None:
         # The search compares; what it came to is fitted, judged and reported at half the step.
-        coarse = final
         final = late("A fit at half the step", lambda: search.refine(coarse), lambda: coarse)
         test = test if final is coarse else replace(test, finer=2)
-    found = replace(found, fitted=final)
+        concluded = replace(found, fitted=final)
+    found = late(
+        "Which model predicts best",
+        lambda: _best(search, concluded, [coarse, recalibrated, nominal]),
+        lambda: concluded,
+    )
+    notes, final = [*found.notes], found.fitted
+    open_choice = late(
+        "Whether other parameters would do",
+        lambda: findings.choice_shift(final, found.others),
+        lambda: np.full(len(final.z), np.inf),
+    )
     three = (nominal, recalibrated, final)
     fitted = Errors(*(f.error for f in three))
     train = late(
@@ -125,44 +134,70 @@ def judgement(
             lambda: findings.with_unknown(named, errors, search, final, joints),
             lambda: named,
         )
-    improved = source.text
+    validation = late(
+        "The error on validation data",
+        lambda: Errors(*(judge.error_on(search.partition.validation, f) for f in three)),
+        lambda: None,
+    )
+    improved, written = source.text, None
     if verdict != "consistent":
-        improved, step_note = late(
+        improved, written, step_note = late(
             "What the improved model costs at its own step",
-            lambda: improve.improved_model(source, case.given.physics, prepared, final, errors),
-            lambda: (final.structure.write(final.z).text(), ""),
+            lambda: improve.improved_model(source, case.given.physics, search.partition, test, three, errors),
+            lambda: (final.structure.write(final.z).text(), None, ""),
         )
         notes += [step_note] if step_note else []
-    return Diagnosis(
+    predicted = late("Predictions of test data", lambda: predictions(test, *three), dict[str, Array])
+    sensors = late(
+        "Errors in the units of the sensors",
+        lambda: sensor_fits(test.windows, case.given.physics.model, predicted),
+        tuple[SensorFit, ...],
+    )
+    judged, text = found, improved
+    behind: Details | None = late(
+        "What the report draws",
+        lambda: details(source, base, search, judged, test, located, text, predicted),
+        lambda: None,
+    )
+    diagnosis = Diagnosis(
         verdict,
-        sentences.in_one_sentence(verdict, missing, changed, errors, others=bool(found.others)),
+        sentences.in_one_sentence(
+            verdict, missing, changed, errors, others=bool(found.others), written=written, sensors=sensors
+        ),
         tuple(located),
         tuple(missing),
         tuple(changed),
         train,
         errors,
+        validation,
+        written,
+        sensors,
         force,
         sentences.next_experiment(verdict, missing, others=bool(changed and found.others)),
         improved,
         files_of(source, improved),
-        (*notes, *late.notes),
+        tuple(notes),
         provenance,
-        Work(source, case.given.recordings, test, prepared, nominal, recalibrated, final, search, found.rivals),
+        behind,
     )
+    return diagnosis, found
 
 
 def _best(search: Search, found: Conclusion, others: Sequence[Fit]) -> Conclusion:
-    """A conclusion, or the first of other fits that clearly predicts validation data better, with a note on that.
+    """A conclusion, or the first of other fits that predict validation data no worse than any, with a note on that.
 
-    Nobody is given a model that predicts worse than what they had.
+    Nobody is given a model that predicts worse than what they had. At the noise, all are as good.
     """
-    error = judge.error_on(search.partition.validation, found.fitted)
-    for other in others:
-        without = judge.error_on(search.partition.validation, other)
-        if judge.refuted(without, error):
-            note = sentences.refutation(found.fitted.structure.terms, without, error, "Refitted parameters")
-            return Conclusion(other, notes=[*found.notes, note])
-    return found
+    errors = [judge.error_on(search.partition.validation, fitted) for fitted in (found.fitted, *others)]
+    least = max(min(errors), SCORE.at_floor)
+    if not errors[0] > least:  # nor where nothing is known of it
+        return found
+    k = next(k for k, error in enumerate(errors) if error <= least)
+    other = others[k - 1]
+    if names(other.structure.terms) == names(found.fitted.structure.terms):
+        return replace(found, fitted=other)
+    note = sentences.refutation(found.fitted.structure.terms, errors[k], errors[0], "Refitted parameters")
+    return Conclusion(other, notes=[*found.notes, note])
 
 
 def files_of(source: mjcf.Source, text: str) -> dict[str, bytes]:

@@ -6,9 +6,8 @@ Ctrl-C ends, is left out and said to be; the others go on.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from dipc_gym.sim2real.selection.search import Search
 
@@ -54,17 +53,3 @@ class Late:
             )
             self._search.tell(f"note: {self.notes[-1]}")
             return otherwise()
-
-
-def finite(value: Any) -> Any:
-    """A value as JSON can hold it: numbers that are not finite become null.
-
-    Example:
-        >>> finite({"error": float("inf"), "at": ["cart", 2.0]})
-        {'error': None, 'at': ['cart', 2.0]}
-    """
-    if isinstance(value, dict):
-        return {key: finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

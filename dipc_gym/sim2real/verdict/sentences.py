@@ -8,9 +8,10 @@ from typing import Any
 
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.result import Errors, Missing
+from dipc_gym.sim2real.result import AsWritten, Errors, Missing, SensorFit, scaled
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict.conventions import Convention
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
 
 def verb(where: str) -> str:
@@ -19,7 +20,14 @@ def verb(where: str) -> str:
 
 
 def in_one_sentence(
-    verdict: str, missing: Sequence[Missing], changed: Sequence[dict[str, Any]], errors: Errors, *, others: bool = False
+    verdict: str,
+    missing: Sequence[Missing],
+    changed: Sequence[dict[str, Any]],
+    errors: Errors,
+    *,
+    others: bool = False,
+    written: AsWritten | None = None,
+    sensors: Sequence[SensorFit] = (),
 ) -> str:
     """What happened, in words that a rig's owner understands.
 
@@ -29,27 +37,66 @@ def in_one_sentence(
         changed: model parameters that had to change.
         errors: on held-out windows, in units of noise.
         others: whether other parameters would have done as well.
+        written: what the improved model comes to at its own step.
+        sensors: errors of each, in its own unit.
     """
     goes = "falls" if errors.improved < errors.nominal else "goes"
-    fall = f"On held-out data the error {goes} from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
+    times = f"from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
+    told = in_units(sensors)
+    fall = f"On held-out data the error {goes} {f'{told}: ' if told else ''}{times}"
+    if written is not None:
+        at = f"improved.xml at its own step of {1e3 * written.timestep:g} ms"
+        fall += f" ({at}: {written.held_out.improved:.3g})"
     known = " ".join(m.sentence for m in missing if m.effect != "unknown" or m.law is not None)
     left = ""
     if errors.improved > SCORE.at_floor:
         left = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
     if verdict == "consistent":
-        return f"Nothing is missing: the model predicts held-out data to {errors.nominal:.3g} times the noise.{left}"
+        told = " and ".join(f"{_shown(one.errors.nominal, one.unit)} at {one.name}" for one in _telling(sensors))
+        within = f"{told + ', ' if told else ''}{errors.nominal:.3g} times the noise"
+        return f"Nothing is missing: the model predicts held-out data to {within}.{left}"
     if verdict == "recalibrated":
         names = ", ".join(f"{c['parameter']} of {c['at']}" for c in changed)
         instead = " (or others, which predict as well: see the notes)" if others else ""
         return f"No physics is missing; wrong parameters were: {names}{instead}. {fall}.{left}"
     if verdict == "explained":
-        return f"The model lacks this: {known} {fall}; what is left looks like noise."
+        return f"The model lacks this: {known} {fall}; what is left is as small as noise."
     if verdict == "modelled":
         law = " ".join(m.sentence for m in missing) or "What the model lacks has no name, but a law that predicts it."
         return f"{law} {fall}.{left}"
     if verdict == "partly explained":
         return f"{known} That helps, but structure is left that no known effect accounts for. {fall}."
     return f"{missing[0].sentence if missing else ''} {fall}.".strip()
+
+
+def in_units(sensors: Sequence[SensorFit]) -> str:
+    """How errors fall of the two sensors that tell most, in words an owner measures by; empty if nothing is known.
+
+    Example:
+        >>> in_units([SensorFit("arm", "rad", 1e-3, 0.5, Errors(0.05, 0.02, 0.001))])
+        'from 2.86 to 0.0573 degrees at arm (10 to 0.2 % of its motion)'
+    """
+    parts = []
+    for one in _telling(sensors):
+        e = one.errors
+        share = f" ({100 * e.nominal / one.motion:.2g} to {100 * e.improved / one.motion:.2g} % of its motion)"
+        parts.append(
+            f"from {_shown(e.nominal, one.unit, bare=True)} to {_shown(e.improved, one.unit)} at {one.name}"
+            f"{share if one.motion > 0 else ''}"
+        )
+    return " and ".join(parts)
+
+
+def _telling(sensors: Sequence[SensorFit]) -> list[SensorFit]:
+    """The two sensors whose errors are largest beside their noise."""
+    known = [one for one in sensors if math.isfinite(one.noise) and one.noise > 0]
+    return sorted(known, key=lambda one: -one.errors.nominal / one.noise)[:2]
+
+
+def _shown(value: float, unit: str, *, bare: bool = False) -> str:
+    """A number in a unit that people measure by."""
+    number, name = scaled(value, unit)
+    return f"{number:.3g}" if bare else f"{number:.3g} {name}".strip()
 
 
 def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = False) -> str:
@@ -117,6 +164,41 @@ def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
             f"{errors.recalibrated:.3g} to {errors.improved:.3g} times the noise)."
         )
     return notes
+
+
+def as_written(said: AsWritten, errors: Errors) -> str:
+    """What the improved model comes to as its owner will run it; its errors in fine steps, in units of noise."""
+    at = f"At its own step of {1e3 * said.timestep:g} ms ({said.integrator})"
+    return (
+        f"{at} this file predicts held-out data to {said.held_out.improved:.3g} times the noise, the model as given to "
+        f"{said.held_out.nominal:.3g}; in fine steps what was found predicts them to {errors.improved:.3g}."
+    )
+
+
+def step_costs(said: AsWritten, errors: Errors, *, dropped: bool, stiff: bool) -> str:
+    """Note on a file that predicts worse at its own step than what was found does in fine ones; empty if it does not.
+
+    Args:
+        said: what the file comes to.
+        errors: in fine steps, in units of noise.
+        dropped: whether effects are left out of the file.
+        stiff: whether dry friction in it has constants chosen with its step in mind.
+    """
+    allowed = SCORE.at_floor * max(errors.improved, 1.0)
+    if not dropped and said.finer is None and said.held_out.improved <= allowed:
+        return ""
+    note = (
+        f"At the model's own step of {1e3 * said.timestep:g} ms and with its integrator improved.xml predicts to "
+        f"{said.held_out.improved:.3g} times the noise, with a converged step to {errors.improved:.3g}, and no "
+        "parameters make up for that: a shorter step is worth more than any further physics."
+    )
+    if dropped:
+        note += " With what was found beside it, it would predict worse there than without, so that is left out of it."
+    if said.finer is None:
+        return f"{note} None of the steps tried, down to 1/{max(VERDICT.shorter)} of it, brings it there."
+    step, error = said.finer
+    also = f" and each solreffriction {said.timestep / step:.0f} times shorter as well" if stiff else ""
+    return f"{note} With a timestep of {1e3 * step:g} ms{also} it predicts to {error:.3g} times the noise."
 
 
 def own_step(step: float, fine: float) -> str:

@@ -51,6 +51,8 @@ class VerdictSettings:
         free: standard deviation, as a logarithm, of a parameter of which nothing is known
         negligible: share of itself; a parameter that moves by less was right
         shorter: parts of the model's own step that are tried in turn where that is too coarse
+        refit: windows that tell whether other parameters make up for the model's own step
+        refit_steps: steps of that fit
         others: choices of parameters that are tried in place of those that changed
     """
 
@@ -68,7 +70,9 @@ class VerdictSettings:
     widest: float = 50.0
     free: float = 1.0
     negligible: float = 2e-3
-    shorter: tuple[int, ...] = (2, 4, 8, 16)
+    shorter: tuple[int, ...] = (2, 4, 8, 16, 32)
+    refit: int = 36
+    refit_steps: int = 4
     others: int = 4
 
 

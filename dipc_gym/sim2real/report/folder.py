@@ -1,0 +1,132 @@
+"""The folder of a diagnosis: diagnosis.json, improved.xml, report.json and report.html; the page can be drawn again."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dipc_gym.files import write_whole
+from dipc_gym.places import inside
+from dipc_gym.sim2real.report import page, saved
+from dipc_gym.sim2real.result import Details, Diagnosis, finite
+
+DIAGNOSIS, DETAILS, PAGE = "diagnosis.json", "report.json", "report.html"
+DRAFTS = ".diagnosis-"  # what the folder of files that are not in place yet is called, with a few letters more
+
+
+def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite: bool = False) -> Path:
+    """Write a diagnosis; each file appears whole or not at all, and none before all are made.
+
+    Args:
+        found: what was found.
+        folder: to write into; made if it does not exist.
+        model: name of the model's file, for the report.
+        command: that makes this again.
+        overwrite: whether a folder that is not empty may be replaced. Only the files that are written are.
+
+    Raises:
+        FileExistsError: the folder is not empty, or is a file.
+        OSError: a file cannot be written; the message says at which, and which are whole.
+
+    Returns:
+        The folder.
+    """
+    check_free(folder, overwrite)
+    drawn = _page(found, model, command).encode()
+    said = json.dumps(finite(found.to_dict()), indent=2, allow_nan=False) + "\n"
+    texts = {
+        **found.files,
+        "improved.xml": found.improved.encode(),
+        DETAILS: saved.text(saved.Drawn(model, command, found.details)).encode(),
+        PAGE: drawn,
+        DIAGNOSIS: said.encode(),
+    }
+    whole: list[str] = []
+    at_work = "."
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for old in folder.glob(f"{DRAFTS}*"):  # of a run that was killed
+            shutil.rmtree(old, ignore_errors=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=DRAFTS) as draft:
+            for at_work, text in texts.items():
+                file = inside(draft, at_work)
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(file, text)
+            for at_work in texts:
+                place = inside(folder, at_work)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                (Path(draft) / at_work).replace(place)
+                whole.append(at_work)
+    except OSError as error:
+        stand = (
+            f"whole are {', '.join(whole)} alone" if whole else "nothing was written, and what was there is untouched"
+        )
+        reason = os.strerror(error.errno) if error.errno else error
+        raise OSError(error.errno, f"{reason}, at {at_work}; {stand}", str(folder)) from error
+    return folder
+
+
+def redraw(folder: str | Path) -> Path:
+    """Draw the report of a saved diagnosis again, from what the folder holds; nothing is simulated.
+
+    Args:
+        folder: that `save` or `dipc-gym diagnose` has filled. Its report.html is replaced.
+
+    Raises:
+        SavedError: diagnosis.json or report.json is not there, or not as it was written.
+        PlaceError: a file of the folder is a link that leads out of it.
+        OSError: the page cannot be written.
+
+    Returns:
+        The page.
+
+    Example:
+        >>> redraw("diagnosis")  # doctest: +SKIP
+        PosixPath('diagnosis/report.html')
+    """
+    folder = Path(folder)
+    diagnosis = saved.read_diagnosis(inside(folder, DIAGNOSIS))
+    drawn = saved.read(inside(folder, DETAILS))
+    place = inside(folder, PAGE)
+    write_whole(place, page.render(_data(diagnosis, drawn.details, drawn.model, drawn.command)).encode())
+    return place
+
+
+def _data(diagnosis: Mapping[str, Any], details: Details | None, model: str, command: str) -> page.ReportData:
+    return page.ReportData(model, diagnosis, details or Details(), command, diagnosis["notes"])
+
+
+def _page(found: Diagnosis, model: str, command: str) -> str:
+    """The page; without figures if one cannot be drawn, for what was found goes before."""
+    diagnosis = finite(found.to_dict())
+    try:
+        return page.render(_data(diagnosis, found.details, model, command))
+    except Exception as error:  # whatever it is, the other files wait for this one
+        said = f"The figures could not be drawn ({type(error).__name__}: {error}). Please report this with the files."
+        return page.render(page.ReportData(model, diagnosis, command=command, notes=(*found.notes, said)))
+
+
+def check_free(folder: Path, overwrite: bool) -> None:
+    """Refuse a folder that holds something, or that cannot be written: before the work rather than after it.
+
+    Raises:
+        FileExistsError: with what to do.
+        PermissionError: likewise.
+    """
+    nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not nearest.is_dir():
+        raise FileExistsError(f"{nearest} is a file; name a folder for the results")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise PermissionError(f"{nearest} may not be written; name another folder for the results")
+    if folder.is_dir() and any(folder.iterdir()) and not (overwrite or _unfinished(folder)):
+        raise FileExistsError(f"{folder} is not empty; name another folder or add --overwrite")
+
+
+def _unfinished(folder: Path) -> bool:
+    """Whether a diagnosis was killed while it wrote here: its drafts are there, and what comes last is not."""
+    return any(folder.glob(f"{DRAFTS}*")) and not (folder / DIAGNOSIS).exists()

@@ -1,0 +1,168 @@
+"""What is written back, judged as its owner will run it: by MuJoCo, with the file's own integrator at its own step.
+
+What predicts best in fine steps need not do so there: bristles may be too stiff for the step, a peak of friction
+shorter than it. So every effect that MJCF can say in several ways is written in the one whose file predicts best, and
+no file is written that predicts worse than the one that was given.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym.sim2real.estimation.fit import Fit, fit, simulated
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.model.structure import Structure, Term, carry
+from dipc_gym.sim2real.result import AsWritten, Errors
+from dipc_gym.sim2real.selection.progress import Partition
+from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.verdict.settings import VERDICT
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Option:
+    """A model that may be written.
+
+    Attributes:
+        structure: in which form each effect is.
+        z: its mapped parameters, (p,).
+        error: on validation data at the file's own step, in units of noise.
+        refitted: whether the parameters make up for the step.
+        forms: elements in words, by key of each effect that is in another form than it was fitted in.
+    """
+
+    structure: Structure
+    z: Array
+    error: float
+    refitted: bool = False
+    forms: tuple[tuple[str, str], ...] = ()
+
+
+def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequence[Option], enough: float) -> Option:
+    """Which model is written.
+
+    Parameters that make up for a step are wrong at any other: they are worth having only where they do make up for it,
+    or where every other file would predict worse than a plainer one does.
+
+    Args:
+        physical: with the rig's own parameters; the first in the forms that were fitted.
+        refitted: with parameters that make up for the step.
+        plainer: the model as given, and with its own parameters refitted.
+        enough: error that fine steps allow.
+
+    Returns:
+        One that predicts no worse than the plainer ones, or as well as noise allows.
+    """
+    least = max(min(option.error for option in plainer), SCORE.at_floor)
+    for options in (physical[:1], physical, refitted):
+        best = min(options, key=lambda option: option.error, default=None)
+        if best is not None and best.error <= min(enough, least):
+            return best
+    best = min(physical, key=lambda option: option.error)
+    return best if best.error <= least else min([*physical, *refitted, *plainer], key=lambda option: option.error)
+
+
+def written(
+    timestep: float, integrator: str, partition: Partition, test: Problem, fits: tuple[Fit, Fit, Fit]
+) -> tuple[Option, AsWritten]:
+    """Choose what is written, and judge it on windows that nothing was chosen by.
+
+    Args:
+        timestep: of the file, s.
+        integrator: of the file.
+        partition: windows to refit to, and to choose by.
+        test: windows to judge by.
+        fits: the model as given, recalibrated, and what was found.
+    """
+    own = Stepping(timestep)
+    chosen_by = partition.validation if len(partition.validation.windows) else partition.comparison
+    validation, held_out = (replace(part, stepping=own, finer=1) for part in (chosen_by, test))
+    nominal, recalibrated, final = fits
+    plainer = [Option(one.structure, one.z, error(validation, one.structure, one.z)) for one in (nominal, recalibrated)]
+    enough = SCORE.at_floor * max(error(chosen_by, final.structure, final.z), 1.0)
+    as_found = Option(final.structure, final.z, error(validation, final.structure, final.z))
+    physical, refitted = [as_found], list[Option]()
+    if as_found.error > enough:
+        physical += _in_other_forms(as_found, validation)
+        count = len(partition.problem.windows)
+        some = np.unique(np.linspace(0, count - 1, min(VERDICT.refit, count)).round().astype(np.intp))
+        to_refit = replace(partition.problem.pick(some), stepping=own, finer=1)
+        best = min(physical, key=lambda option: option.error)
+        for option in [as_found] if best is as_found else [best, as_found]:
+            refitted += _made_up(option, to_refit, validation)
+    taken = choose(physical, refitted, plainer, enough)
+    errors = [error(held_out, one.structure, one.z) for one in (nominal, recalibrated, taken)]
+    told = SCORE.at_floor * max(error(test, final.structure, final.z), 1.0)
+    costs = taken.error > enough or errors[-1] > told
+    finer = _finer(taken, ((validation, enough), (held_out, told))) if costs else None
+    said = AsWritten(
+        timestep,
+        integrator,
+        Errors(*errors),
+        Errors(*(option.error for option in (*plainer, taken))),
+        dict(taken.forms),
+        taken.refitted,
+        None if finer is None else (finer, error(_at(held_out, finer), taken.structure, taken.z)),
+    )
+    return taken, said
+
+
+def error(problem: Problem, structure: Structure, z: Array) -> float:
+    """Root mean square error of a structure, in units of noise; infinite where it does not compile."""
+    try:
+        return float(np.sqrt(np.mean(simulated(problem, structure, z))))
+    except (mjcf.MjcfError, np.linalg.LinAlgError):
+        return float("inf")
+
+
+def _in_other_forms(found: Option, validation: Problem) -> list[Option]:
+    """A model with each of its effects in turn in the form that predicts best beside those chosen before it."""
+    options, best = list[Option](), found
+    for k, term in enumerate(found.structure.terms):
+        for structure, words in _forms(best, k):
+            z = carry(best.structure, best.z, structure)
+            after = error(validation, structure, z)
+            options.append(Option(structure, z, after, forms=(*best.forms, (term.key, words))))
+        best = min([best, *options], key=lambda option: option.error)
+    return options
+
+
+def _forms(option: Option, k: int) -> Iterator[tuple[Structure, str]]:
+    """A structure with one of its effects in each of its other forms, and what that is written as."""
+    structure, terms = option.structure, option.structure.terms
+    values = structure.term_values(option.z, terms[k])
+    for form in terms[k].effect.forms():
+        term = Term(form, terms[k].at, values)
+        yield replace(structure, terms=(*terms[:k], term, *terms[k + 1 :])), form.element
+
+
+def _made_up(option: Option, problem: Problem, validation: Problem) -> list[Option]:
+    """A model with parameters that make up for the step, if it can be fitted there."""
+    with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
+        again = fit(problem, option.structure, option.z, most=VERDICT.refit_steps)
+        after = error(validation, again.structure, again.z)
+        return [replace(option, z=again.z, error=after, refitted=True)]
+    return []
+
+
+def _finer(option: Option, parts: Sequence[tuple[Problem, float]]) -> float | None:
+    """The longest of a few shorter steps at which a model predicts all windows well enough, s; None if none does."""
+    own = parts[0][0].stepping.timestep
+    for shorter in VERDICT.shorter:
+        step = own / shorter
+        if all(error(_at(part, step), option.structure, option.z) <= enough for part, enough in parts):
+            return step
+    return None
+
+
+def _at(problem: Problem, step: float) -> Problem:
+    """The same windows in other steps of the model's own integrator."""
+    return replace(problem, stepping=Stepping(step))

@@ -1,0 +1,217 @@
+"""Laws that a diagnosis found, as tables and as C: the same numbers as in Python, on many inputs."""
+
+from __future__ import annotations
+
+import csv
+import ctypes
+import json
+import math
+import shutil
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dipc_gym import cli, physics
+from dipc_gym.export import law as laws
+from dipc_gym.export.law import Input, Law, LawError
+from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
+from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
+from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
+from dipc_gym.sim2real.effects.motor_map import CommandMap
+from dipc_gym.sim2real.effects.unknown_force import UnknownForce
+
+GCC = shutil.which("gcc") or shutil.which("cc")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
+COUNT = 100_000
+needs_c = pytest.mark.skipif(GCC is None, reason="no C compiler")
+
+
+def surface() -> UnknownForce:
+    levels = np.array([[0.3, -0.2], [0.1, 0.4], [-0.3, -0.1]])
+    shape: Any = SimpleNamespace(
+        inputs=("position cart", "velocity pole1"),
+        knots=(np.array([-1.0, 0.1, 2.0]), np.array([-3.0, 3.5])),
+        levels=levels,
+    )
+    return UnknownForce(shape, 1.5, ("m", "rad/s"), "cart")
+
+
+FOUND = {
+    "friction.position@cart": FrictionOfPosition([-0.2, -0.05, 0.0, 0.3], [2.0, 1.5, 6.0, 2.5]),
+    "friction.speed@cart": FrictionOfSpeed([0.0, 0.02, 0.4], [3.0, 2.0, 2.6]),
+    "load.position@cart": ForceOfPosition([-0.2, 0.2], [1.0, -1.0]),
+    "motor.map@motor": CommandMap([-10.0, 0.0, 10.0], [-7.0, 0.5, 9.0]),
+    "unknown@cart": surface(),
+}
+
+
+def diagnosis(folder: Path, *keys: str) -> Path:
+    """What `diagnose` writes of these laws."""
+    missing = []
+    for key in keys:
+        effect = FOUND[key]
+        values = {
+            p.name: value
+            for p, value in zip(
+                effect.parameters,
+                effect.first if isinstance(effect.first, tuple) else effect.first.values(),
+                strict=True,
+            )
+        }
+        law = effect.law_of(values, {p.name: "V" if "motor" in key else "N" for p in effect.parameters})
+        name, _, at = key.partition("@")
+        missing.append({"effect": name, "at": at, "law": law})
+    (folder / "diagnosis.json").write_text(json.dumps({"schema": laws.SCHEMA, "missing": missing}, allow_nan=False))
+    return folder / "diagnosis.json"
+
+
+def compiled(text: str, count: int, folder: Path, *, single: bool = False) -> Any:
+    """The header's function on arrays."""
+    (folder / "law.h").write_text(text)
+    letters = [f"a{k}" for k in range(count)]
+    all_of = f"void all(int n, {', '.join(f'const double *{x}' for x in letters)}, double *out)"
+    one = f"law({', '.join(f'(law_real){x}[i]' for x in letters)})"
+    loop = f"{{ int i; for (i = 0; i < n; i++) out[i] = (double){one}; }}"
+    (folder / "law.c").write_text(f'#include "law.h"\n{all_of};\n{all_of}\n{loop}\n')
+    library = folder / "law.so"
+    flags = ["-DLAW_FLOAT"] if single else []
+    subprocess.run(
+        [GCC, *STRICT, *flags, "-O2", "-shared", "-fPIC", "law.c", "-o", str(library)], cwd=folder, check=True
+    )
+    function = ctypes.CDLL(str(library)).all
+
+    def call(*inputs: np.ndarray) -> np.ndarray:
+        given = [np.ascontiguousarray(one, dtype=float) for one in inputs]
+        out = np.empty(len(given[0]))
+        function(len(out), *(ctypes.c_void_p(one.ctypes.data) for one in (*given, out)))
+        return out
+
+    return call
+
+
+@needs_c
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("key", FOUND)
+def test_c_gives_what_python_gives_on_a_hundred_thousand_inputs(key: str, single: bool, tmp_path: Path) -> None:
+    law = laws.read(diagnosis(tmp_path, *FOUND), key)
+    rng = np.random.default_rng(0)
+    inputs = []
+    for one in law.inputs:
+        reach = one.knots[-1] - one.knots[0]
+        x = rng.uniform(one.knots[0] - reach, one.knots[-1] + reach, COUNT)
+        x[: len(one.knots)] = one.knots
+        x[-4:] = np.inf, -np.inf, np.nan, 1e30
+        inputs.append(x)
+    speed = rng.uniform(-5, 5, COUNT) if law.driven_up_to is not None else None
+    more = [] if speed is None else [speed]
+    function = compiled(law.c("law"), len(inputs) + len(more), tmp_path, single=single)
+    with np.errstate(invalid="ignore"):
+        expected = law(*inputs, speed=speed)
+    found = function(*inputs, *more)
+    fine = np.isfinite(expected)
+    size = np.abs(expected[fine][:-1]).max()
+    np.testing.assert_allclose(
+        found[fine], expected[fine], rtol=1e-5 if single else 1e-13, atol=size * (1e-4 if single else 1e-13)
+    )
+    assert np.isnan(found[-2])
+    assert np.isnan(expected[-2])
+
+
+@pytest.mark.parametrize("key", ["friction.position@cart", "motor.map@motor", "unknown@cart"])
+def test_a_law_is_what_the_loader_applies(key: str, tmp_path: Path) -> None:
+    """The same numbers as the model has under `<custom>`, in the physics that environments and replay run."""
+    law, effect = laws.read(diagnosis(tmp_path, key)), FOUND[key]
+    rng = np.random.default_rng(1)
+    given = [rng.uniform(2 * one.knots[0], 2 * one.knots[-1], 500) for one in law.inputs]
+    speed = rng.uniform(-4, 4, 500)
+    zero = np.zeros(500)
+    if key == "unknown@cart":
+        first, second = law.inputs
+        data = np.array([1.5, 3, 2, *first.knots, *second.knots, *law.levels.ravel()])
+        moment = physics.Moment(zero, zero, zero, zero, zero, speed, tuple(given))
+        applied = physics.force_of(np.tile(data, (500, 1)), moment)
+        found = law(*given, speed=speed)
+    elif key == "motor.map@motor":
+        applied = physics.command_map(
+            np.array([*effect.knots, *effect.first]), physics.Moment(zero, zero, zero, zero, given[0])
+        )
+        found = law(*given)
+    else:
+        even = np.linspace(-0.2, 0.3, 501)  # the file has knots at even distances
+        data = np.tile([-0.2, 0.3, *np.interp(even, law.inputs[0].knots, law.levels)], (500, 1))
+        applied = physics.friction_along(data, physics.Moment(zero, given[0], zero, zero, zero))
+        found = law(*given)
+    np.testing.assert_allclose(applied, found, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("key", FOUND)
+def test_the_table_is_the_law_at_its_knots(key: str, tmp_path: Path) -> None:
+    law = laws.read(diagnosis(tmp_path, key))
+    head, *rows = csv.reader(law.csv().splitlines())
+    assert len(head) == len(law.inputs) + 1
+    numbers = np.array(rows, dtype=float)
+    still = None if law.driven_up_to is None else np.zeros(len(numbers))
+    np.testing.assert_allclose(law(*numbers.T[:-1], speed=still), numbers[:, -1], rtol=1e-15)
+    assert len(numbers) == law.levels.size
+
+
+@given(st.integers(0, 10_000), st.integers(2, 9))
+def test_a_law_stays_within_its_levels(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    levels = rng.normal(size=count)
+    law = Law("a@b", "force", "N", (Input("position", "m", np.cumsum(rng.uniform(0.1, 1, count))),), levels)
+    found = law(rng.normal(size=200) * 1e3)
+    assert levels.min() - 1e-12 <= found.min()
+    assert found.max() <= levels.max() + 1e-12
+
+
+def test_the_command_writes_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, several = diagnosis(tmp_path, "friction.position@cart"), tmp_path / "several"
+    several.mkdir()
+    assert cli.main(["export", str(file), "--to", "c", "--out", str(tmp_path / "my law.h")]) == 0
+    assert "my_law(position), dry friction of friction.position@cart in N" in capsys.readouterr().out
+    assert "data from -0.2 to 0.3" in (tmp_path / "my law.h").read_text()
+    assert cli.main(["export", str(file), "--to", "csv", "--out", str(tmp_path / "law.csv")]) == 0
+    assert (tmp_path / "law.csv").read_text().splitlines()[:2] == ['"position, m","dry friction, N"', "-0.2,2.0"]
+    both = diagnosis(several, "friction.speed@cart", "load.position@cart")
+    for arguments, says in (
+        ([str(both)], "it holds friction.speed@cart, load.position@cart; say --law which"),
+        ([str(both), "--law", "friction.sped@cart"], "did you mean 'friction.speed@cart'"),
+        ([str(file), "--plant", "rig.json"], "--plant rig.json: a law is exported by itself"),
+        ([str(tmp_path / "none.json"), "--law", "a@b"], "give a diagnosis as dipc-gym diagnose makes it"),
+    ):
+        assert cli.main(["export", *arguments, "--to", "csv", "--out", str(tmp_path / "other.csv")]) == 2
+        assert says in capsys.readouterr().err
+        assert not (tmp_path / "other.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"levels": [1.0, 2.0]}, "levels of shape (2,) for knots of (4,)"),
+        ({"levels": [1.0, math.nan, 2.0, 3.0]}, "a level is not a finite number"),
+        ({"inputs": [{"name": "position", "unit": "m", "knots": [0.0, 1.0, 1.0, 2.0]}]}, "do not increase"),
+        (
+            {"inputs": [{"name": "position", "unit": "m", "knots": list(range(5000))}], "levels": [0.0] * 5000},
+            "at most 4096",
+        ),
+        ({"inputs": "position"}, "not a law"),
+        ({"levels": "many"}, "not a law"),
+        ({"inputs": []}, "one or two inputs"),
+    ],
+)
+def test_a_law_that_is_none_is_refused_by_name(change: dict[str, Any], says: str, tmp_path: Path) -> None:
+    file = diagnosis(tmp_path, "friction.position@cart")
+    said = json.loads(file.read_text())
+    said["missing"][0]["law"]["table"] |= change
+    file.write_text(json.dumps(said))
+    with pytest.raises(LawError) as refused:
+        laws.read(file)
+    assert says in str(refused.value)
+    assert str(refused.value).startswith(f"{file}: friction.position@cart: ")

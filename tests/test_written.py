@@ -1,0 +1,264 @@
+"""What is written back, judged as its owner will run it: by MuJoCo, with the file's own integrator at its own step."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sim2real_rigs import CART, TORQUE
+
+from dipc_gym import mjcf, recording
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.recording import Recording
+from dipc_gym.sim2real.diagnosis import diagnose
+from dipc_gym.sim2real.effects import Effect, catalogue
+from dipc_gym.sim2real.model.structure import Structure, Term
+from dipc_gym.sim2real.replay import replay
+from dipc_gym.sim2real.result import Diagnosis
+from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.verdict.written import Option, choose
+
+FURUTA = """<mujoco model="furuta">
+  <compiler angle="radian"/>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body name="arm">
+      <inertial pos="0.1 0 0" mass="0.25" diaginertia="1e-4 9e-4 9e-4"/>
+      <joint name="arm" axis="0 0 1" damping="0.002"/>
+      <body name="pendulum" pos="0.2 0 0">
+        <inertial pos="0 0 -0.12" mass="0.12" diaginertia="6e-4 6e-4 1e-5"/>
+        <joint name="pendulum" axis="1 0 0" damping="2e-4"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="arm" gear="0.05"/></actuator>
+  <sensor><jointpos name="arm" joint="arm"/><jointpos name="pendulum" joint="pendulum"/></sensor>
+</mujoco>"""
+RAIL = CART.replace('timestep="0.001"', 'timestep="0.002"')
+LEVEL = 0.02  # N m of dry friction at the arm
+
+
+def simulated(text: str, joint: str, level: float, strength: float, noise: float, seed: int) -> Recording:
+    """Twenty seconds of a rig with dry friction in one joint, by MuJoCo in steps twenty times as fine as its file's."""
+    model = copy.copy(mjcf.compile(mjcf.from_text(text)))
+    model.opt.timestep /= 20
+    model.opt.noslip_iterations = 3
+    dof = int(model.joint(joint).dofadr[0])
+    model.dof_frictionloss[dof], model.dof_solref[dof] = level, (2 * model.opt.timestep, 1)
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    rates, phases, period = rng.uniform(0.15, 2.5, 6), rng.uniform(0, 6, 6), 20 * model.opt.timestep
+    time = period * np.arange(round(20 / period))
+    command = strength * np.sum(np.sin(2 * np.pi * rates * time[:, None] + phases), axis=1)
+    readings = np.empty((len(time), model.nsensordata))
+    for k in range(len(time)):
+        mujoco.mj_forward(model, data)
+        readings[k] = data.sensordata + noise * rng.normal(size=model.nsensordata)
+        data.ctrl[0] = command[k]
+        mujoco.mj_step(model, data, 20)
+    names = mjcf.controls(model), mjcf.scalar_sensors(model)
+    return Recording(f"run {seed}", time, command[:, None], readings, tuple(names[0]), tuple(names[1]))
+
+
+def furuta(seed: int) -> Recording:
+    return simulated(FURUTA, "arm", LEVEL, 0.8, 3e-4, seed)
+
+
+def asked(text: str, runs: list[Recording], held_out: Recording, *names: str) -> Diagnosis:
+    return diagnose(mjcf.from_text(text), runs, [held_out], effects=[catalogue()[name] for name in names])
+
+
+def off(text: str, run: Recording, folder: Path) -> float:
+    """Times the noise by which MuJoCo is off that runs a file as it stands."""
+    (folder / "model.xml").write_text(text)
+    recording.write(run, folder / "run.csv", overwrite=True)
+    return replay(folder / "model.xml", folder / "run.csv").error
+
+
+def test_bristles_too_stiff_for_the_file_are_written_as_dry_friction(tmp_path: Path) -> None:
+    """LuGre friction fitted to dry friction explains it in fine steps, and blows up in those of the file."""
+    fresh = furuta(3)
+    found = asked(FURUTA, [furuta(1), furuta(2)], fresh, "friction.stribeck:presliding")
+    assert found.verdict == "explained", found.sentence
+    key = "friction.stribeck:presliding@arm"
+    written = found.written
+    assert written is not None
+    assert key in written.forms
+    assert "dcmotor" not in found.improved
+    assert written.forms[key] in found.improved  # told in the comment
+    document = Document(mjcf.from_text(FURUTA))
+    bristles = {name: one["value"] for name, one in found.missing[0].parameters.items()}
+    catalogue()["friction.stribeck:presliding"].edit(document, "arm", bristles)
+    plain = FURUTA.replace('damping="0.002"', f'damping="0.002" frictionloss="{LEVEL}" solreffriction="0.004 1"')
+    as_written, as_found, by_hand = (off(text, fresh, tmp_path) for text in (found.improved, document.text(), plain))
+    assert as_found > 20
+    assert as_written < 1.1 * by_hand < 3
+    assert written.held_out.improved == pytest.approx(as_written, rel=0.05)  # less the first window, and its noise
+
+
+def test_what_the_file_costs_at_its_own_step_is_said_everywhere(tmp_path: Path) -> None:
+    text, joint, level, strength, noise = RAIL, "cart", 3.0, 4.0, 1e-5
+    first, second, fresh = (simulated(text, joint, level, strength, noise, seed) for seed in (1, 2, 3))
+    found = asked(text, [first, second], fresh, "friction.coulomb")
+    assert [(m.effect, m.at) for m in found.missing] == [("friction.coulomb", joint)]
+    written = found.written
+    assert written is not None
+    assert found.held_out is not None
+    assert found.held_out.improved < SCORE.at_floor < written.held_out.improved  # 2 ms are coarse for 0.01 mm
+    assert found.to_dict()["fit"]["as_written"]["held_out_in_noise"]["improved"] == pytest.approx(
+        written.held_out.improved, abs=1e-3
+    )
+    figure = f"{written.held_out.improved:.3g}"
+    assert f"at its own step of 2 ms: {figure}" in found.sentence
+    assert f"to {figure} times the noise" in found.improved
+    note = next(note for note in found.notes if "own step" in note)
+    assert figure in note
+    assert off(found.improved, fresh, tmp_path) == pytest.approx(written.held_out.improved, rel=0.05)
+    assert written.finer is not None
+    step, error = written.finer
+    assert f"a timestep of {1e3 * step:g} ms" in note
+    assert f"{error:.3g} times" in note
+    finer = found.improved.replace('timestep="0.002"', f'timestep="{step}"')
+    finer = finer.replace('solreffriction="0.004 1"', f'solreffriction="{2 * step} 1"')
+    assert off(finer, fresh, tmp_path) == pytest.approx(error, rel=0.05)
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+NOTHING = Structure(Document(mjcf.from_text(CART)), mjcf.compile(mjcf.from_text(CART)), ("cart",))
+
+
+def option(error: float, *, refitted: bool = False) -> Option:
+    return Option(NOTHING, NOTHING.first, error, refitted)
+
+
+def options(*, refitted: bool = False) -> st.SearchStrategy[list[Option]]:
+    made = st.floats(0.9, 1e6).map(lambda error: option(error, refitted=refitted))
+    return st.lists(made, min_size=0 if refitted else 1, max_size=6)
+
+
+@pytest.mark.parametrize(
+    ("physical", "refitted", "plainer", "taken"),
+    [
+        ((1.1,), (), (9.0,), 1.1),  # the rig's own parameters will do
+        ((50.0, 1.7, 1.1), (), (9.0,), 1.1),  # in another form
+        ((3.0,), (1.1,), (9.0,), 1.1),  # others make up for the step
+        ((9.0,), (4.0,), (20.0,), 9.0),  # others do not, and are wrong at any other step
+        ((9.0,), (4.0,), (5.0,), 4.0),  # but better than nothing
+        ((9.0,), (7.0,), (5.0, 6.0), 5.0),  # nothing is better
+        ((1.19,), (), (1.0,), 1.19),  # at the noise all are as good
+    ],
+)
+def test_what_is_written(
+    physical: tuple[float, ...], refitted: tuple[float, ...], plainer: tuple[float, ...], taken: float
+) -> None:
+    made = [option(error, refitted=True) for error in refitted]
+    chosen = choose([option(error) for error in physical], made, [option(error) for error in plainer], 1.2)
+    assert chosen.error == taken
+
+
+@given(physical=options(), refitted=options(refitted=True), plainer=options(), enough=st.floats(1.2, 1e6))
+def test_no_file_predicts_worse_than_a_plainer_one(
+    physical: list[Option], refitted: list[Option], plainer: list[Option], enough: float
+) -> None:
+    taken = choose(physical, refitted, plainer, enough)
+    assert taken.error <= max(min(option.error for option in plainer), SCORE.at_floor)
+    if taken.refitted:  # the rig's own parameters would do as badly as to be no good
+        assert min(option.error for option in physical) > min(enough, *(option.error for option in plainer))
+    if physical[0].error <= min(enough, max(SCORE.at_floor, min(option.error for option in plainer))):
+        assert taken is physical[0]
+
+
+def in_forms() -> list[tuple[str, Effect]]:
+    return [(name, form) for name, effect in catalogue().items() for form in effect.forms()]
+
+
+@pytest.mark.parametrize(("name", "form"), in_forms(), ids=lambda one: one if isinstance(one, str) else one.element)
+def test_a_form_is_the_same_friction_at_speed(name: str, form: Effect) -> None:
+    """At a steady speed each form asks for the force that its effect does, and no form is a hypothesis."""
+    effect = catalogue()[name]
+    values = {"level": 0.3, "static": 0.4, "velocity": 0.05, "stiffness": 40.0, "damping": 0.3, "coefficient": 0.2}
+    assert form.element
+    assert form.element != effect.element
+    assert {p.name for p in form.parameters} == {p.name for p in effect.parameters}
+    assert form.id not in catalogue()
+    forces = []
+    for one in (effect, form):
+        base = mjcf.compile(mjcf.from_text(TORQUE.replace("<option", '<option gravity="0 0 0"')))
+        structure = Structure(Document(mjcf.from_text(TORQUE.replace("<option", '<option gravity="0 0 0"'))), base, ())
+        structure = structure.with_term(Term(one, "shoulder", values))
+        model = copy.copy(structure.physics(structure.first).model)
+        model.opt.timestep = 1e-4
+        data = mujoco.MjData(model)
+        for _ in range(40_000):  # bristles bend until they slip
+            data.qvel[0] = 0.5
+            mujoco.mj_step(model, data)
+        data.qvel[0] = 0.5
+        mujoco.mj_forward(model, data)
+        forces.append(float(data.qfrc_passive[0] + data.qfrc_actuator[0] + data.qfrc_constraint[0]))
+    assert forces[0] < 0
+    assert forces[1] == pytest.approx(forces[0], rel=0.02)
+
+
+# --- nobody is given a model that predicts worse than what they had ------------------------------------------------
+
+
+class Hysteresis:
+    """A wire rope under the cart (Bouc-Wen): a force with a memory, which no effect of those asked for has."""
+
+    def __init__(self, size: float, reach: float) -> None:
+        self.size, self.reach, self.z = size, reach, 0.0
+
+    def force(self, x: float, v: float, h: float) -> float:
+        self.z += h * (v - abs(v) * self.z * abs(self.z) / self.reach**2) if self.reach else 0.0
+        return -self.size * self.z / self.reach
+
+
+class StiffSpot:
+    """Dry friction with one stiff spot two centimetres wide, on half a metre of rail."""
+
+    def force(self, x: float, v: float, h: float) -> float:
+        return -(2.0 + 6.0 * np.exp(-(((x - 0.05) / 0.01) ** 2))) * np.tanh(v / 1e-3)
+
+
+def rail(law: Hysteresis | StiffSpot, seed: int, seconds: float = 24.0) -> Recording:
+    """A cart with a law of its own, integrated here at 50 microseconds."""
+    rng, h, hold = np.random.default_rng(seed), 5e-5, 40
+    time = h * hold * np.arange(round(seconds / (h * hold)))
+    rates, phases = rng.uniform(0.1, 1.2, 5), rng.uniform(0, 6, 5)
+    volts = 3.0 * np.sum(np.sin(2 * np.pi * rates * time[:, None] + phases), axis=1)
+    x = v = 0.0
+    out = np.empty(len(time))
+    for k, u in enumerate(volts):
+        out[k] = x
+        for _ in range(hold):
+            v += h * (4.0 * u - 40.0 * v - 8.0 * x + law.force(x, v, h)) / 1.26
+            x += h * v
+    return Recording(
+        f"rail {seed}", time, volts[:, None], (out + 1e-5 * rng.normal(size=len(out)))[:, None], ("motor",), ("cart",)
+    )
+
+
+NOT_ENOUGH = ("friction.coulomb", "friction.position", "friction.stribeck", "load.position", "motor.deadzone")
+
+
+@pytest.mark.parametrize("law", [Hysteresis(6.0, 4e-3), StiffSpot()], ids=lambda law: type(law).__name__)
+def test_no_diagnosis_predicts_worse_than_refitted_numbers(law: Hysteresis | StiffSpot) -> None:
+    text = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="cart">
+      <inertial pos="0 0 0" mass="1.26" diaginertia="1e-3 1e-3 1e-3"/>
+      <joint name="cart" type="slide" axis="1 0 0" damping="40" stiffness="8"/></body></worldbody>
+      <actuator><motor name="motor" joint="cart" gear="4"/></actuator>
+      <sensor><jointpos name="cart" joint="cart"/></sensor></mujoco>"""
+    runs = [rail(law, seed) for seed in (1, 2)]
+    found = diagnose(mjcf.from_text(text), runs, effects=[catalogue()[name] for name in NOT_ENOUGH])
+    assert found.verdict not in ("consistent", "cannot tell"), found.sentence
+    validation, written = found.validation, found.written
+    assert validation is not None
+    assert written is not None
+    for errors in (validation, written.validation):
+        assert errors.improved <= max(min(errors.nominal, errors.recalibrated), SCORE.at_floor)
+    assert found.to_dict()["fit"]["validation_in_noise"]["improved"] == pytest.approx(validation.improved, abs=1e-4)
