@@ -32,6 +32,19 @@ def inertia_at(model: mujoco.MjModel, joint: str) -> float:
     return float(full[model.joint(joint).dofadr[0], model.joint(joint).dofadr[0]])
 
 
+def free_inertia(model: mujoco.MjModel, joint: str) -> float:
+    """What a force at the joint accelerates while all others are free, kg or kg m^2, in the reference configuration.
+
+    No more than that can be taken out of it: poles that hang on a cart are carried by it and are no part of it.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    at = model.joint(joint).dofadr[0]
+    return float(1.0 / np.linalg.inv(full)[at, at])
+
+
 def rotor_guesses(evidence: Evidence, shares: Sequence[float]) -> list[float]:
     """Inertias that the rotor may have: the armature that the model gives the joint, or shares of what it moves."""
     joint = joint_of(evidence.model, evidence.at)

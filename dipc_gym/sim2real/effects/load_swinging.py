@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.operators import swing
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import beside, couple
+from dipc_gym.sim2real.effects.coupling import beside, couple, free_inertia
 
 Array = NDArray[np.float64]
 
 RATES = 2 * np.pi * np.geomspace(0.4, 20.0, 40)  # rad/s, tried by regression
 DAMPED = 0.05  # damping ratio to begin with
-LIGHTEST, HEAVIEST = 0.01, 0.8  # of a first guess, as a share of what the joint moves
+LIGHTEST, HEAVIEST = 0.01, 0.7  # of a first guess, as a share of what the joint moves
 
 
 class SwingingLoad(Effect):
@@ -53,9 +53,10 @@ class SwingingLoad(Effect):
         for one in sorted(found):
             if len(peaks) < 2 and all(abs(np.log(one[1] / other[1])) > 0.3 for other in peaks):
                 peaks.append(one)
+        inertia = free_inertia(evidence.model, evidence.at)
         return [
             {
-                "mass": float(np.clip(mass, LIGHTEST * evidence.inertia, HEAVIEST * evidence.inertia)),
+                "mass": float(np.clip(mass, LIGHTEST * inertia, HEAVIEST * inertia)),
                 "frequency": rate / (2 * np.pi),
                 "damping_ratio": DAMPED,
             }

@@ -66,5 +66,6 @@ def _core(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
         and t.term.at == chosen.term.at
         and t.fitted is not None
         and t.fitted.error < most
+        and chosen.fitted.error > SEARCH.far_better * t.fitted.error
     ]
     return _core(min(plain, key=lambda t: t.score), clear, current) if plain else chosen

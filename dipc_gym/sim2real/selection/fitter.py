@@ -28,7 +28,9 @@ class Fitter:
 
     scorer: Scorer
     _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
-    _begun: dict[tuple[int, tuple[str, ...], bytes, int], Fit | None] = field(default_factory=dict, repr=False)
+    _begun: dict[tuple[int, tuple[str, ...], bytes, int], tuple[Fit, Fit | None]] = field(
+        default_factory=dict, repr=False
+    )
 
     def over(self, partition: Partition) -> Fitter:
         """The same to other windows; full fits that were kept stay for when these windows come back."""
@@ -61,13 +63,13 @@ class Fitter:
         # A search that begins anew lays the same hypotheses over the same fit without effects.
         asked = (id(base), tuple(names(structure.terms)), z.tobytes(), len(self.problem.windows))
         if asked in self._begun:
-            return self._begun[asked]
+            return self._begun[asked][1]
         try:
             sketch = fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             sketch = None
         if not base.structure.terms:
-            self._begun[asked] = sketch
+            self._begun[asked] = base, sketch
         return sketch
 
     def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:

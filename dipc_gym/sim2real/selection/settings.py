@@ -83,6 +83,8 @@ class SearchSettings:
         once: improvement of the log square errors, summed over windows, by which an event that happened once stands
             out
         most: share of the improvement that a plain effect must bring to go before one that elaborates it
+        far_better: share of what a plain effect leaves, below which one that elaborates it leaves so little that its
+            shape is no accident: it does not wait for the plain one
         in_reach: times the noise, from which a fit may yet come down to it
         earns: share of the excess error that an effect must remove where it does not come down to the noise
         most_anew: steps of a fit that is begun anew, from guesses that may be far off
@@ -103,6 +105,7 @@ class SearchSettings:
     shapes: int = 6
     once: float = 1.5
     most: float = 0.5
+    far_better: float = 0.3
     in_reach: float = 3.0
     earns: float = 0.1
     most_anew: int = 30

@@ -115,11 +115,14 @@ def plain_first(sketched: Sequence[Start], error: float) -> list[Start]:
         sketched: hypotheses with sketches, and what they were laid over.
         error: of the present fit on the same windows, in units of noise.
     """
-    brought = {tried.key: error - tried.sketch.error for tried, _ in sketched if tried.sketch is not None}
+    left = {tried.key: tried.sketch.error for tried, _ in sketched if tried.sketch is not None}
 
     def waits(tried: Tried) -> bool:
-        plain = [brought.get(f"{inner}@{tried.term.at}", 0.0) for inner in tried.term.effect.contains]
-        far = tried.sketch is not None and tried.sketch.error > SEARCH.in_reach
-        return far and max(plain, default=0.0) > SEARCH.most * brought[tried.key]
+        own = left[tried.key]
+        plain = min(
+            (left.get(f"{inner}@{tried.term.at}", error) for inner in tried.term.effect.contains), default=error
+        )
+        most = error - plain > SEARCH.most * (error - own)
+        return own > SEARCH.in_reach and most and own > SEARCH.far_better * plain
 
     return [start for start in sketched if not waits(start[0])]

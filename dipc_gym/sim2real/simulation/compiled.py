@@ -166,7 +166,7 @@ class Compiled:
         for motor in heating_motors(self.model):
             state = 2 * self.model.nv + int(self.model.actuator_actadr[motor])
             delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + self.model.nu]
-            for mine, recording, motion, begin in self._passes(at):
+            for mine, recording, motion, begin in self._passes(at, f"how hot {self.model.actuator(motor).name} is"):
                 args = (self.variants, delays, motor, recording, motion, begin)
                 states[:, mine, state] = winding_temperatures(*args)
 
@@ -174,7 +174,7 @@ class Compiled:
         """Give every spring that yields the rest at which it is bent as the motion before has left it."""
         for state, tendon in self._yielding:
             length = sum(coefficient * states[..., joint] for joint, coefficient in along(self.model, tendon))
-            for mine, _, motion, begin in self._passes(at):
+            for mine, _, motion, begin in self._passes(at, f"how far {self.model.tendon(tendon).name} is bent"):
                 states[:, mine, state] = length[:, mine] - bends(self.variants, tendon, motion, begin)
 
     def _swing(self, states: Array, at: float) -> None:
@@ -182,16 +182,16 @@ class Compiled:
         leaders = mjcf.followers(self.model)
         for name, load in loads(self.model).items():
             lead = self.base.index(leaders[name])
-            for mine, _, motion, begin in self._passes(at):
+            for mine, _, motion, begin in self._passes(at, f"how {name} swings"):
                 apart, faster = swings(self.variants, load, lead, motion, begin)
                 states[:, mine, load.at] += apart
                 states[:, mine, self.model.nv + load.at] += faster
 
-    def _passes(self, at: float) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion, Array]]:
+    def _passes(self, at: float, what: str) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion, Array]]:
         """Each recording with its motion, which windows are its own, and the times `at` seconds after their starts."""
         windows = self.windows
         if len(windows.motions) != len(windows.recordings):
-            raise ValueError("what a model remembers depends on its motion; give the windows their recordings' motions")
+            raise ValueError(f"{what} depends on its motion; give the windows their recordings' motions")
         for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
             mine = windows.source == i
             yield mine, recording, motion, windows.start[mine] + at - self.parameters[0, self.program.codes[Head.LATE]]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_SINGULAR = 1e15  # condition from which a matrix has no inverse
 _EVENTS = 4  # reversals looked for within one step; what is left over is a small error
 
 
@@ -168,7 +169,13 @@ class DryFriction:
 
 def _inverse(matrices: Array) -> Array:
     """Inverses of matrices (n, k, k); LAPACK takes ten times as long for single numbers."""
-    return np.asarray(1.0 / matrices if matrices.shape[-1] == 1 else np.linalg.inv(matrices))
+    if matrices.shape[-1] == 1:
+        return np.asarray(1.0 / matrices)
+    try:
+        return np.asarray(np.linalg.inv(matrices))
+    except np.linalg.LinAlgError:  # a hypothesis took more mass from a body than it has; its simulation ends there
+        sound = (np.linalg.cond(matrices) < _SINGULAR)[:, None, None]
+        return np.where(sound, np.linalg.inv(np.where(sound, matrices, np.eye(matrices.shape[-1]))), np.nan)
 
 
 def _dense_map(model: mujoco.MjModel) -> NDArray[np.intp]:
