@@ -13,6 +13,7 @@ import argparse
 import os
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -76,9 +77,7 @@ def windows(text, threads, repeats):
         times,
         times.max(axis=(1, 2)),
     )
-    one = run.Jobs(
-        **{**vars(jobs), "parameters": parameters, "starts": initial[:1], "which": np.zeros(1, dtype=np.int64)}
-    )
+    one = replace(jobs, parameters=parameters, initial=initial[:1], which=np.zeros(1, dtype=np.int64))
     directions = run.Directions(np.zeros((8, parameters.shape[1])), np.zeros((8, WINDOWS, 2 * n)))
     directions.initial[:, :, 0] = 1.0
 

@@ -331,14 +331,14 @@ class Physics:
         """Memory (2, ..., nsensordata) of lagging sensors at rest at these readings; None if no sensor lags."""
         return np.stack([sensordata, sensordata]) if self.stage("lag") else None
 
-    def act(self, state: mujoco.MjData, frictionloss: Array, applied: Array, step: float = 0.0) -> None:
+    def act(self, state: Any, frictionloss: Array, applied: Array, step: float = 0.0) -> None:
         """Write friction and forces of this moment, or of a step that begins now.
 
         They are held over the step, so they are those of its middle: held from its beginning, a force that depends on
         time would come half a step late.
 
         Args:
-            state: an `MjData`, or a `mujoco.batch.Batch` with bound fields (n, ...).
+            state: an `MjData`, a `mujoco.batch.Batch` with bound fields (n, ...), or what has such fields.
             frictionloss: where dry friction goes, (..., nv).
             applied: where generalised forces go, (..., nv).
             step: s.
@@ -497,10 +497,11 @@ def _usable(extra: Extra) -> bool:
     if extra.effect == RESIDUAL and not _is_surface(extra):
         return False
     # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on.
-    places = np.unique([*numbers, *TRIED])
+    x = np.unique([*numbers, *TRIED])
+    everywhere = replace(extra, data=np.broadcast_to(numbers, (len(x), len(numbers))))
     try:
         with np.errstate(all="ignore"):
-            tried = [extra(replace(_moment(abs(x), x, x, x, x), speed=x, inputs=(x, x))) for x in places]
+            tried = everywhere(replace(_moment(np.abs(x), x, x, x, x), speed=x, inputs=(x, x)))
         return bool(np.all(np.abs(tried) <= LARGEST**2))
     except (IndexError, ValueError):
         return False

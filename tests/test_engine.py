@@ -23,6 +23,7 @@ from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
+from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation import batch
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
@@ -35,7 +36,7 @@ def numbers(values: Array) -> str:
     return " ".join(repr(float(x)) for x in np.ravel(values))
 
 
-def random_tree(rng: np.random.Generator, joints: int, *, dry: bool = False) -> str:
+def random_tree(rng: np.random.Generator, joints: int, *, dry: bool = False, yields: bool = False) -> str:
     """A tree of hinges and slides, along axes of the frame or not, with springs, dampers and motors of many kinds."""
     parents = [int(rng.integers(-1, i)) if i else -1 for i in range(joints)]
 
@@ -71,6 +72,7 @@ def random_tree(rng: np.random.Generator, joints: int, *, dry: bool = False) -> 
     if joints > 1:
         ends = f'<joint joint="j0" coef="1"/><joint joint="j1" coef="{rng.normal()}"/>'
         tendon = f"""<tendon><fixed stiffness="5 1 1" damping="0.2 0.1 0.1" springlength="-0.1 0.1">{ends}</fixed>
+            {f'<fixed stiffness="4" springlength="0.05" springyield="0.02">{ends}</fixed>' if yields else ""}
             <fixed limited="true" range="-0.2 0.2" solreflimit="-10000 -30" solimplimit="1e-4 1e-4 1">{ends}</fixed>
             </tendon>"""
     sensors = "".join(f'<jointpos name="s{i}" joint="j{i}"/>' for i in range(joints))
@@ -96,7 +98,7 @@ def added(text: str, effect: str, at: str, **values: float) -> physics.Physics:
 @given(st.integers(0, 10_000), st.integers(1, 7))
 def test_accelerations_of_random_trees_are_mujocos(seed: int, joints: int) -> None:
     """`check` compares at random states and raises where anything differs by more than 1e-9 of the largest."""
-    source = loaded(random_tree(np.random.default_rng(seed), joints))
+    source = loaded(random_tree(np.random.default_rng(seed), joints, yields=True))
     what, parameters = program.read([source])
     check.check(what, parameters[0], source)
 
@@ -197,6 +199,7 @@ CASES = [
     ("motor.inductance", "motor", {"time_constant": 0.002}),
     ("motor.deadzone", "motor", {"width": 0.3}),
     ("load.tilt", "world", {"about_x": 0.01, "about_y": 0.02}),
+    ("load.swinging", "cart", {"mass": 0.1, "frequency": 3.0, "damping_ratio": 0.1}),
     ("sensor.gain", "pole1", {"gain": 1.01}),
 ]
 
@@ -228,6 +231,37 @@ def test_sensitivities_are_limits_of_differences(
         # Where a joint barely sticks or not within the difference, there is no limit: all windows but one must agree.
         off = np.abs(exact - difference).max(axis=(1, 2)) / max(np.abs(difference).max(), 1e-9)
         assert np.sort(off)[-2] < 1e-5
+
+
+@pytest.mark.parametrize(("effect", "at", "guess"), CASES)
+@pytest.mark.parametrize("step", [1e-3, 0.3])
+def test_slopes_that_are_kept_are_those_that_are_found_anew(
+    hanging: object, effect: str, at: str, guess: dict[str, float], step: float
+) -> None:
+    """A structure that was asked elsewhere before says what one says that never was, products of numbers or not."""
+    problem, term = hanging.problem.pick(np.arange(1)), Term(catalogue()[effect], at, guess)
+    parameters = model_parameters(Document(mjcf.from_text(HANGING)), hanging.structure.model)
+    base = replace(hanging.structure, model_parameters=tuple(parameters[:3]))
+    found = []
+    for before in (True, False):
+        structure = base.with_term(term)
+        there = structure.clip(structure.first + step * (1 + np.arange(len(structure.first)) / 7))
+        for z in (structure.first, there) if before else (there,):
+            probes = [z + 1e-6 * unit for unit in np.eye(len(z))]
+            found.append(sensitivities(problem, structure, z, probes, problem.initial))
+    _, kept, anew = found
+    for ours, theirs in zip(kept, anew, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-7 * np.abs(theirs).max())
+
+
+def test_slopes_of_an_affine_map_cost_no_models(hanging: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    structure = hanging.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0}))
+    problem, made = hanging.problem.pick(np.arange(1)), []
+    whole = type(structure).physics
+    monkeypatch.setattr(type(structure), "physics", lambda self, z: made.append(z) or whole(self, z))
+    for z in (structure.first, structure.first + 0.1):
+        assert sensitivities(problem, structure, z, [z + 1e-6], problem.initial) is not None
+    assert len(made) == 3
 
 
 def test_sensitivities_of_a_random_tree() -> None:

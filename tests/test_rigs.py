@@ -20,8 +20,9 @@ from llvmlite import ir
 import dipc_gym
 from dipc_gym import mjcf
 from dipc_gym.engine import check, machine, program
+from dipc_gym.engine.code import Code
 from dipc_gym.engine.ensemble import WIDTH
-from dipc_gym.engine.values import POINTER, Code, exp, sin_cos
+from dipc_gym.engine.values import POINTER, exp, sin_cos
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.randomise import PlantFamily
 from dipc_gym.rig import Rig

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 
 from llvmlite import ir
 
+from dipc_gym.engine.code import Code, Numbers
 from dipc_gym.engine.forces import written
-from dipc_gym.engine.kernel import write_primal
+from dipc_gym.engine.kernel import write_primal, write_solver
 from dipc_gym.engine.layout import JOINTS, STATES, Head, Joint, Law
 from dipc_gym.engine.motion import write_rates
 from dipc_gym.engine.program import Array, Program, Uncovered, rules
 from dipc_gym.engine.rigid import Tree
-from dipc_gym.engine.values import INT, POINTER, Code, Numbers, Value, where
+from dipc_gym.engine.values import INT, POINTER, Value, where
 
 WIDTH = 8  # simulations side by side; processors with shorter vectors take them in parts
 FOLLOWED = 0.5  # time constant, in steps, that Runge-Kutta follows safely
@@ -64,6 +65,7 @@ class Ensemble:
 
     def __init__(self, module: ir.Module, tree: Tree, codes: Sequence[int]) -> None:
         write_primal(module, tree, width=WIDTH)
+        write_solver(module, tree, width=WIDTH)
         used = _laws(codes)
         laws = [(rule, dry) if k in used else None for k, (_, rule, dry) in enumerate(rules())]
         self.rates = write_rates(module, laws if used else [], tangents=False, width=WIDTH)

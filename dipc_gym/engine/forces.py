@@ -12,8 +12,9 @@ from typing import Any
 
 from llvmlite import ir
 
+from dipc_gym.engine.code import Code, Numbers, integer
 from dipc_gym.engine.layout import JOINTS, Element, Feature, Force, Head, Joint, Kind, Law, Spring
-from dipc_gym.engine.values import INT, POINTER, Code, Numbers, Value, exp, integer, maximum, minimum, sin, where
+from dipc_gym.engine.values import INT, POINTER, Value, exp, maximum, minimum, sin, where
 from dipc_gym.physics import Moment
 
 Rule = Callable[[Any, Moment], Any]
@@ -79,6 +80,23 @@ class Attached:
                 out = where(over > 0, over, where(under < 0, under, code.value(0.0)))
                 pull = _pull(own, Spring.STIFFNESS, out) + _drag(own, Spring.DAMPING, speed)
                 self.push(element, own.since(Spring.SIZE), -pull, forces)
+            with code.when(code.equal(kind, int(Kind.YIELDING))):
+                self._yield(element, own, forces, rates)
+
+    def _yield(self, element: ir.Value, own: Numbers, forces: Numbers, rates: Numbers) -> None:
+        """A spring bends so far and no further: its rest then goes along, and stays where it was left.
+
+        What a step takes it too far is put right as fast as the step can follow.
+        """
+        code = self.code
+        place = code.sum(self.hidden, code.whole(element, Element.STATE))
+        length, speed = self.reach(element, own.since(Spring.SIZE))
+        bend, most = length - self.states[place], own[Spring.YIELD]
+        held = minimum(maximum(bend, -most), most)
+        along = where(bend > 0, maximum(speed, 0.0), minimum(speed, 0.0))
+        rates[place] = where(abs(bend) < most, code.value(0.0), along + (bend - held) / self.shortest)
+        pull = _pull(own, Spring.STIFFNESS, held) + _drag(own, Spring.DAMPING, speed)
+        self.push(element, own.since(Spring.SIZE), -pull, forces)
 
     def elements(self) -> Any:
         """Repeat for the address of each element."""

@@ -55,6 +55,7 @@ class Kind(IntEnum):
     MOTOR = 3
     SPRING = 4
     STOP = 5
+    YIELDING = 6  # a spring whose rest goes along where it is bent further than it bears
 
 
 class Element(IntEnum):
@@ -103,7 +104,8 @@ class Spring(IntEnum):
     STIFFNESS = 2  # and two more; of a stop its pull back per length
     DAMPING = 5  # and two more; of a stop its pull back per speed
     WEIGHT = 8  # of a stop: what its compliance adds to what it pushes on
-    SIZE = 9
+    YIELD = 9  # of a spring that yields: how far it bends
+    SIZE = 10
 
 
 class Sensor(IntEnum):

@@ -11,23 +11,10 @@ from typing import Any
 
 from llvmlite import ir
 
+from dipc_gym.engine.code import Code, Index, Numbers, integer
 from dipc_gym.engine.forces import Attached, Rule, depth_of, laws
 from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Element, Head, Joint, Kind, Spring
-from dipc_gym.engine.values import (
-    BIT,
-    INT,
-    LANES,
-    POINTER,
-    VECTOR,
-    Code,
-    Index,
-    Number,
-    Numbers,
-    Value,
-    integer,
-    maximum,
-    where,
-)
+from dipc_gym.engine.values import BIT, INT, LANES, POINTER, VECTOR, Number, Value, maximum, where
 from dipc_gym.physics import Moment
 
 # program, parameters (2), commands (2), directions, time (2), states (2), rates (2), holding (2), levels (2)
@@ -57,9 +44,13 @@ class _Rates:
         arguments = code.function.args
         self.code, self.rules = code, rules
         self.program = arguments[0]
-        self.primal = code.external("primal", [POINTER] * 5)
+        self.primal = code.external("primal", [POINTER] * 6)
+        self.free, self.solve = code.external("free", [POINTER] * 3), code.external("solve", [POINTER] * 2)
+        if not code.width:
+            self.bound = code.external("bound", [POINTER] * 4)
         if code.tangents:
             self.tangent = code.external("tangent", [POINTER] * 8)
+            self.solve_tangents = code.external("solve_tangents", [POINTER] * 2)
         self.numbers = code.numbers(arguments[1], arguments[2])
         self.commands = code.numbers(arguments[3], arguments[4])
         self.directions = code.numbers(arguments[5])
@@ -77,6 +68,7 @@ class _Rates:
         self.slope = code.scratch(JOINTS)
         self.matrix = code.scratch(JOINTS * JOINTS, plain=True)
         self.factor = code.scratch(JOINTS * JOINTS, plain=True)
+        self.held, self.any_held = code.scratch(JOINTS, plain=True), code.counter()
         self.attached = Attached(code, self.program, self.numbers, self.commands, self.states, self.time[1].plain)
 
     def own(self, k: Index, what: Joint) -> Value:
@@ -97,14 +89,12 @@ class _Rates:
             self.rates[k] = self.speeds[k]
         self.attached.on_joints(self.forces)
         self.attached.by_elements(self.forces, self.drives, self.rates, self.holding if code.width else None)
-        arguments = [self.states.place, self.speeds.place, self.numbers.place, self.matrix.place, self.bias.place]
-        code.at.call(self.primal, arguments)
+        joints = self.numbers.since(code.whole(self.program, Head.JOINT_NUMBERS))
+        read = [self.states.place, self.speeds.place, self.numbers.place, joints.place]
+        code.at.call(self.primal, [*read, self.matrix.place, self.bias.place])
         with code.count(n) as k:
-            at = code.sum(code.product(k, n), k)
-            self.matrix[at] = self.matrix[at] + self.own(k, Joint.ARMATURE).plain
             self.levels[k] = self.own(k, Joint.FRICTION)
         self._laws()
-        self._factorise()
         with code.count(n) as k:
             if not code.width:
                 slides = self.directions[k] * self.levels[k]
@@ -167,44 +157,30 @@ class _Rates:
         arguments = [states.place, speeds.place, accelerations.place, numbers.place, *beside, out]
         self.code.at.call(self.tangent, arguments)
 
-    def _factorise(self) -> None:
-        """L D L' of the mass matrix, with those of a unit matrix for the rows of joints that stick."""
-        code, n, matrix, factor = self.code, self.n, self.matrix, self.factor
-        with code.count(n) as i:
-            row = code.product(i, n)
-            held = self.stuck(i)
-            with code.count(code.sum(i, 1)) as j:
-                either = code.any_of(held, self.stuck(j))
-                unit = where(code.equal(i, j), code.value(1.0), code.value(0.0))
-                entry = code.scratch(1, plain=True)
-                entry[0] = where(either, unit, matrix[code.sum(row, j)])
-                other = code.product(j, n)
-                with code.count(j) as k:
-                    product = factor[code.sum(row, k)] * factor[code.sum(other, k)]
-                    entry[0] = entry[0] - product * factor[code.sum(code.product(k, n), k)]
-                below = code.below(j, i)
-                pivot = factor[code.sum(other, j)]
-                factor[code.sum(row, j)] = entry[0] / where(below, pivot, code.value(1.0))
+    def _solve(self, *, factorised: bool = False) -> None:
+        """Accelerations under `total`; with their tangents the change of the forces that they need, in `slope`.
 
-    def _backwards(self, numbers: Numbers) -> None:
-        """Solve with the factors, in place; numbers and tangents alike."""
-        code, n, factor = self.code, self.n, self.factor
-        with code.count(n) as i, code.count(i) as j:
-            numbers[i] = numbers[i] - factor[code.sum(code.product(i, n), j)] * numbers[j]
-        with code.count(n) as i:
-            numbers[i] = numbers[i] / factor[code.sum(code.product(i, n), i)]
-        with code.count(n) as back:
-            i = code.at.sub(code.sum(n, -1), back)
-            with code.count(n, code.sum(i, 1)) as j:
-                numbers[i] = numbers[i] - factor[code.sum(code.product(j, n), i)] * numbers[j]
-
-    def _solve(self) -> None:
-        """Accelerations under `total`; with their tangents the change of the forces that they need, in `slope`."""
-        code, n, a = self.code, self.n, self.accelerations
+        Rows of joints that stick are those of a unit matrix.
+        """
+        code, n, a, any_held = self.code, self.n, self.accelerations, self.any_held
+        any_held.set(0)
         with code.count(n) as k:
             pull = self.total.plain(k) - self.bias.plain(k)
-            a[k] = where(self.stuck(k), code.value(0.0), pull)
-        self._backwards(Numbers(code, a.place, None))
+            stuck = self.stuck(k)
+            a[k] = where(stuck, code.value(0.0), pull)
+            if not code.width:
+                self.held[k] = where(stuck, code.value(1.0), code.value(0.0))
+                any_held.set(code.at.or_(any_held.get(), code.at.zext(stuck, INT)))
+        if factorised:
+            self._backwards(a)
+        elif code.width:
+            code.at.call(self.free, [self.matrix.place, a.place, self.factor.place])
+        else:
+            with code.either(code.equal(any_held.get(), 1)) as (some, none):
+                with some:
+                    code.at.call(self.bound, [self.matrix.place, self.held.place, a.place, self.factor.place])
+                with none:
+                    code.at.call(self.free, [self.matrix.place, a.place, self.factor.place])
         if not code.tangents:
             return
         self._kernel_tangent(a, self.slope.beside)
@@ -215,15 +191,11 @@ class _Rates:
             pull = self.total[k] - self.slope[k]
             a_tangent = where(self.stuck(k), code.value(0.0), pull)
             code.at.store(_tangent(a_tangent), code.offset(a.beside, k, VECTOR), align=8)
-        lanes = _Lanes(code, a.beside)
-        with code.count(n) as i, code.count(i) as j:
-            lanes.take(i, self.factor[code.sum(code.product(i, n), j)], j)
-        with code.count(n) as i:
-            lanes.divide(i, self.factor[code.sum(code.product(i, n), i)])
-        with code.count(n) as back:
-            i = code.at.sub(code.sum(n, -1), back)
-            with code.count(n, code.sum(i, 1)) as j:
-                lanes.take(i, self.factor[code.sum(code.product(j, n), i)], j)
+        code.at.call(self.solve_tangents, [self.factor.place, a.beside])
+
+    def _backwards(self, numbers: Numbers) -> None:
+        """Solve with the factors, in place."""
+        self.code.at.call(self.solve, [self.factor.place, numbers.place])
 
     def _contacts(self) -> None:
         """Push back where a tendon is at a stop, by as much as MuJoCo's soft constraint does."""
@@ -268,7 +240,7 @@ class _Rates:
                         pushes[stop] = maximum(push, 0.0)
                         attached.push(element, coefficients, away * pushes[stop], self.total)
                     number.set(code.sum(stop, 1))
-            self._solve()
+            self._solve(factorised=True)
 
     def _hold(self) -> None:
         """What friction has to give where joints stick."""
@@ -287,27 +259,6 @@ class _Rates:
 
     def _slope(self, k: Index) -> Number:
         return self.slope[k] if self.code.tangents else 0.0
-
-
-class _Lanes:
-    """Tangents in memory, without their numbers."""
-
-    def __init__(self, code: Code, place: ir.Value) -> None:
-        self.code, self.place = code, place
-
-    def _get(self, k: Index) -> ir.Value:
-        return self.code.at.load(self.code.offset(self.place, k, VECTOR), align=8, typ=VECTOR)
-
-    def _set(self, k: Index, lanes: ir.Value) -> None:
-        self.code.at.store(lanes, self.code.offset(self.place, k, VECTOR), align=8)
-
-    def take(self, k: Index, factor: Value, other: Index) -> None:
-        at = self.code.at
-        product = at.fmul(self.code.splat(factor.primal), self._get(other), flags=("contract",))
-        self._set(k, at.fsub(self._get(k), product, flags=("contract",)))
-
-    def divide(self, k: Index, by: Value) -> None:
-        self._set(k, self.code.at.fdiv(self._get(k), self.code.splat(by.primal)))
 
 
 def _tangent(value: Value) -> ir.Value:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import layout, rigid
 from dipc_gym.engine.forces import written
-from dipc_gym.engine.layout import STATES, Element, Feature, Force, Head, Kind, Law, Sensor, Spring
+from dipc_gym.engine.layout import STATES, Element, Feature, Force, Head, Kind, Law, Sensor
 from dipc_gym.physics import Physics
 
 Array = NDArray[np.float64]
@@ -68,6 +68,16 @@ def read(variants: Sequence[Physics]) -> tuple[Program, Array]:
     return Program(tree, codes, names, first.hidden), parameters
 
 
+def parameters_of(program: Program, variant: Physics) -> Array | None:
+    """Parameters (k,) of another variant of a program's structure; None where it has another one."""
+    one = _Writer(variant)
+    numbers, fixed = np.array(one.numbers), program.tree.fixed
+    same = (one.tree.parents, one.tree.slides) == (program.tree.parents, program.tree.slides)
+    if not same or one.ints != program.codes.tolist() or any(numbers[k] != value for k, value in fixed):
+        return None
+    return numbers
+
+
 class _Writer:
     """Reads one model."""
 
@@ -78,7 +88,7 @@ class _Writer:
         self.tree, numbers = rigid.tree_of(model)
         self.numbers: list[float] = numbers.tolist()
         self.ints: list[int] = [0] * int(Head.SIZE)
-        self.hidden = 0
+        self.yielding = 0  # springs, whose rests are hidden states behind MuJoCo's activations
         self._joints()
         elements = [*self._tendons(), *self._actuators()]
         self.ints[Head.DELAYS] = len(self.numbers)
@@ -94,6 +104,7 @@ class _Writer:
         self.ints += [number for element in elements for number in element]
         self.ints[Head.JOINTS] = model.nv
         self.ints[Head.CONTROLS] = model.nu
+        self.hidden = model.na + self.yielding
         self.ints[Head.STATES] = 2 * model.nv + self.hidden + lags
         self.ints[Head.PARAMETERS] = len(self.numbers)
         for what, most, count in (
@@ -165,9 +176,16 @@ class _Writer:
             low, high = model.tendon_lengthspring[t]
             stiffness = [float(model.tendon_stiffness[t]), *np.ravel(model.tendon_stiffnesspoly[t]).tolist()]
             damping = [float(model.tendon_damping[t]), *np.ravel(model.tendon_dampingpoly[t]).tolist()]
-            if any(stiffness) or any(damping):
-                spring = [float(low), float(high), *stiffness, *damping]
-                elements.append(self._element(Kind.SPRING, dofs, coefficients, [*spring, *[0.0] * (Spring.SIZE - 8)]))
+            spring = [float(low), float(high), *stiffness, *damping, 0.0, float(model.tendon_springyield[t])]
+            if model.tendon_plasticadr[t] >= 0:
+                if low != high:
+                    raise Uncovered(f"tendon {name!r} has a spring that yields, and a gap")
+                elements.append(
+                    self._element(Kind.YIELDING, dofs, coefficients, spring, state=model.na + self.yielding)
+                )
+                self.yielding += 1
+            elif any(stiffness) or any(damping):
+                elements.append(self._element(Kind.SPRING, dofs, coefficients, spring))
             if model.tendon_limited[t]:
                 stops.append(self._stop(t, name, dofs, coefficients))
         self.ints[Head.STOPS] = len(stops)
@@ -183,7 +201,7 @@ class _Writer:
         share = float(np.clip(least, 1e-4, 0.9999))
         low, high = (float(x) for x in model.tendon_range[t])
         soft = (1 - share) / share * float(model.tendon_invweight0[t])
-        numbers = [low, high, -pull / share, 0.0, 0.0, -drag / share, 0.0, 0.0, soft]
+        numbers = [low, high, -pull / share, 0.0, 0.0, -drag / share, 0.0, 0.0, soft, 0.0]
         return self._element(Kind.STOP, dofs, coefficients, numbers)
 
     def _actuators(self) -> list[list[int]]:
@@ -293,13 +311,11 @@ class _Writer:
 
     def _state(self, i: int) -> int:
         """Index of an actuator's first hidden state, which is MuJoCo's."""
-        self.hidden = self.model.na
         return int(self.model.actuator_actadr[i])
 
     def _sensors(self) -> int:
         """Sensors; how many of them lag."""
         model, kinds = self.model, mujoco.mjtSensor
-        self.hidden = model.na
         lags = {extra.index: float(extra.data[0]) for extra in self.physics.stage("lag")}
         found, late = [], 0
         latest = float(mjcf.sensor_delays(model).max(initial=0.0))
@@ -330,7 +346,7 @@ class _Writer:
             )
             tau = lags.get(int(model.sensor_adr[sensor]))
             if tau is not None:
-                numbers[Sensor.LAG] = 2 * model.nv + self.hidden + late
+                numbers[Sensor.LAG] = 2 * model.nv + model.na + self.yielding + late
                 late += 1
             self.numbers += [factor, tau or 0.0, latest - float(model.sensor_delay[sensor])]
             found.append(numbers)
@@ -385,7 +401,7 @@ def _check_covered(model: mujoco.MjModel) -> None:
     for what, there in (
         ("an equality constraint", model.neq > 0),
         ("a limited actuator force at a joint", bool(model.jnt_actfrclimited.any())),
-        ("a spring that yields", bool(np.any(model.jnt_springyield)) or bool(np.any(model.tendon_springyield))),
+        ("a spring of a joint that yields", bool(np.any(model.jnt_springyield))),
         ("a medium with density, viscosity or wind", bool(model.opt.density or model.opt.viscosity)),
         ("a flexible body", model.nflex > 0),
         ("a mocap body", model.nmocap > 0),

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.signal import detrend
 
 from dipc_gym.mjcf import is_hinge
 from dipc_gym.recording.tables import RecordingError
@@ -241,6 +239,9 @@ def _odd_rate(
 
 def _way(time: NDArray[np.float64], place: NDArray[np.float64], rate: NDArray[np.float64]) -> tuple[float, float]:
     """How many times the way of `place` a rate goes, and which share of its way that is; biases are taken out."""
+    from scipy.integrate import cumulative_trapezoid  # these take a second to import, and few recordings need them
+    from scipy.signal import detrend
+
     gone, there = detrend(cumulative_trapezoid(rate, time, initial=0)), detrend(place)
     both = float(gone @ there)
     return both / float(there @ there), both**2 / float(there @ there) / float(gone @ gone)

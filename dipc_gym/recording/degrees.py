@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from dipc_gym.mjcf import is_hinge
 from dipc_gym.recording.tables import RecordingError
@@ -84,6 +83,8 @@ def _turns(recording: Recording, model: mujoco.MjModel, names: list[str]) -> boo
 
 def _off(recording: Recording, sensors: NDArray[np.float64], model: mujoco.MjModel, names: list[str]) -> float:
     """How far accelerations of these sensors are from the model's, relative to their size."""
+    from scipy.signal import savgol_filter  # takes a second to import, and few recordings need it
+
     read = {
         name: int(model.sensor(name).objid[0])
         for name in recording.sensor_names

@@ -14,10 +14,11 @@ from typing import Any
 from llvmlite import ir
 
 from dipc_gym import kernels
+from dipc_gym.engine.code import Code, Numbers, integer
 from dipc_gym.engine.ensemble import WIDTH, Ensemble, Stepper
 from dipc_gym.engine.layout import JOINTS, Head
 from dipc_gym.engine.rigid import Tree
-from dipc_gym.engine.values import INT, POINTER, REAL, Code, Numbers, Value, integer, where
+from dipc_gym.engine.values import INT, POINTER, REAL, Value, where
 from dipc_gym.rig import DIVERGED
 
 CHUNK = 16  # groups of rigs that a thread takes at once

@@ -142,9 +142,15 @@ def _search(
     """A search that has not begun, and where the mismatch sits."""
     given, partition, recalibrated = case.given, base.partition, base.recalibrated
 
+    seen: list[tuple[Fit, unexplained.Scene]] = []
+
     def look(fitted: Fit, outliers: Sequence[float] = ()) -> unexplained.Scene:
-        physics = fitted.structure.physics(fitted.z)
-        return unexplained.scene(physics, given.recordings, case.prepared.motions, given.span[1], outliers)
+        scene = next((scene for one, scene in seen if one is fitted), None)
+        if scene is None:
+            physics = fitted.structure.physics(fitted.z)
+            scene = unexplained.scene(physics, given.recordings, case.prepared.motions, given.span[1])
+            seen[:] = [*seen[-3:], (fitted, scene)]  # every round asks for those of the last few
+        return replace(scene, outliers=tuple(outliers))
 
     question = Question(effects, case.prepared.structure.base, look)
     nominal = np.zeros(len(given.model_parameters))

@@ -93,8 +93,8 @@ def fit_effect(
     for at in unexplained.places(effect, given.model, ready.structure.base, recordings[0]):
         fits = [
             fit(fitted, structure, carry(free, without.z, structure), without.initial)
-            for guess in effect.guesses(seen.at(effect.place, at, {}))
-            for structure in (free.with_term(Term(effect, at, guess)),)
+            for shaped, guess in effect.proposals(seen.at(effect.place, at, {}))
+            for structure in (free.with_term(Term(shaped, at, guess)),)
         ]
         if not fits:
             continue
@@ -102,6 +102,6 @@ def fit_effect(
         (term,) = best.structure.terms
         values, units = best.structure.term_values(best.z, term), place_units(best.structure, term)
         error = fit(comparison, best.structure, best.z, most=0).error
-        sentence, improved = effect.sentence(at, values, units), best.structure.write(best.z).text()
+        sentence, improved = term.effect.sentence(at, values, units), best.structure.write(best.z).text()
         found.append(EffectFit(effect.id, at, error_without, error, values, units, sentence, improved))
     return sorted(found, key=lambda one: one.error)

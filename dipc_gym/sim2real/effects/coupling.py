@@ -42,9 +42,6 @@ def rotor_guesses(evidence: Evidence, shares: Sequence[float]) -> list[float]:
 def split(document: Document, actuator: str, inertia: float) -> tuple[str, str]:
     """Give the motor a rotor beside the body it drives, and take its inertia from that of the joint.
 
-    The model held both as one, as an armature or as part of the body: what the two weigh together stays, so that a
-    refit has nothing to make up for. Where the joint has no armature, a negative one takes the rotor out of the body.
-
     Args:
         document: to edit.
         actuator: drives the rotor from now on.
@@ -54,30 +51,50 @@ def split(document: Document, actuator: str, inertia: float) -> tuple[str, str]:
         Names of the rotor's joint and of the joint it is to be coupled to.
     """
     element = document.actuator(actuator)
-    joint = document.joint(element.get("joint", ""))
+    joint = element.get("joint", "")
+    name = beside(document, f"{actuator}_rotor", joint, inertia)
+    document.set(element, joint=name)
+    return name, joint
+
+
+def beside(document: Document, name: str, at: str, inertia: float) -> str:
+    """Take a part of what a joint moves out of it, as a body of its own that moves along the same axis.
+
+    The model held both as one, as an armature or as part of the body: what the two weigh together stays, so that a
+    refit has nothing to make up for. Where the joint has no armature, a negative one takes the part out of the body.
+
+    Args:
+        document: to edit.
+        name: of the body and its joint, if nothing is called so.
+        at: the joint.
+        inertia: of the part, as felt at the joint, kg or kg m^2.
+
+    Returns:
+        Name of the part's joint.
+    """
+    joint = document.joint(at)
     body = document.parent(joint)
-    name = document.fresh(f"{actuator}_rotor")
-    rotor = document.add(document.parent(body), "body", name=name, gravcomp=1)
+    name = document.fresh(name)
+    part = document.add(document.parent(body), "body", name=name, gravcomp=1)
     for attribute in ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"):
         if body.get(attribute):
-            document.set(rotor, **{attribute: body.get(attribute, "")})
+            document.set(part, **{attribute: body.get(attribute, "")})
     kind = document.effective(joint, "type", "hinge")
     place = document.effective(joint, "pos", "0 0 0")
     document.add(
-        rotor,
+        part,
         "inertial",
         pos=place,
         mass=1e-3 if kind == "hinge" else inertia,
         diaginertia=(inertia,) * 3 if kind == "hinge" else (1e-6,) * 3,
     )
     axis = document.effective(joint, "axis", "0 0 1")
-    own = document.add(rotor, "joint", name=name, type=kind, axis=axis, pos=place)
+    own = document.add(part, "joint", name=name, type=kind, axis=axis, pos=place)
     document.plain(own, damping="0 0 0", stiffness="0 0 0", frictionloss="0", armature="0", springdamper="0 0")
     document.plain(own, limited="auto", range="0 0")
     document.set(joint, armature=float(document.effective(joint, "armature", "0")) - inertia)
-    document.set(element, joint=name)
-    document.follows(name, joint.get("name", ""))
-    return name, joint.get("name", "")
+    document.follows(name, at)
+    return name
 
 
 def couple(document: Document, name: str, rotor: str, load: str, stiffness: float, damping: float) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dipc_gym.sim2real.effects.tables import BLOCK, COVERED, SPARE
+from dipc_gym.sim2real.effects.tables import BLOCK, COVERED, spared
 
 Array = NDArray[np.float64]
 Sums = tuple[sparse.csr_array, Array, float]  # normal matrix, right-hand side, sum of squares
@@ -126,8 +126,8 @@ class _Even:
             if not tries:
                 break
             knots = max(tries, key=lambda one: _taken(self._levels(one, self.sums[:1])[1], self.sums[0]))
-        most = max(worth for _, worth in path)
-        chosen = next(one for one, worth in path if worth >= most - SPARE * max(most - path[0][1], 0.0))
+        enough = spared(1.0 - path[0][1], min(1.0 - worth for _, worth in path))
+        chosen = next(one for one, worth in path if 1.0 - worth <= enough)
         levels, _ = self._levels(chosen, self.sums)
         return tuple(e[k] for e, k in zip(self.edges, chosen, strict=True)), levels.reshape([len(k) for k in chosen])
 

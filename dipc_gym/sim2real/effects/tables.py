@@ -18,10 +18,11 @@ from dipc_gym.sim2real.effects.base import passive_ramp
 Array = NDArray[np.float64]
 
 BINS = 64  # of the range of the input; no knot lies closer to another than one of them
-MOST_KNOTS = 14  # of a table
+MOST_KNOTS = 24  # of a table
 FEWEST = 20  # samples between two knots
 BLOCK = 1.0  # s; alternating blocks choose knots and confirm them
 SPARE = 0.03  # share of what knots gain on the confirming blocks that a table with fewer of them may forgo
+NEAR = 0.1  # share of what the best table leaves that one with fewer knots may leave more
 COVERED = 0.005  # share of the samples beyond either end of a table
 
 
@@ -60,9 +61,18 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
         grown.append(min(tries, key=lambda knots: sums[0].left(knots, sums[0].weights(knots))))
     # A narrow spot takes three knots, of which the first alone gains nothing: tables are grown first, then compared.
     left = [sums[1].left(knots, sums[0].weights(knots)) for knots in grown]
-    enough = min(left) + SPARE * (left[0] - min(left))
+    enough = spared(left[0], min(left))
     chosen = next(knots for knots, after in zip(grown, left, strict=True) if after <= enough)
     return edges[chosen], both.weights(chosen)[: len(chosen)]
+
+
+def spared(before: float, least: float) -> float:
+    """Sum of squares that a shape may leave of what did not choose it, where a richer one leaves the least.
+
+    A share of what the shape takes, so that noise adds no knots; but where it takes nearly all, no more than a share
+    of what is left in the end, or a large law would stay coarse.
+    """
+    return least + min(SPARE * max(before - least, 0.0), NEAR * least)
 
 
 def _room(k: int, chosen: Sequence[int], counts: NDArray[np.intp]) -> bool:

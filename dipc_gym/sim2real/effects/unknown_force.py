@@ -51,7 +51,7 @@ class UnknownForce(Effect):
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """A table of what tells most of the unexplained force."""
         found = surface(evidence.inputs, evidence.force, evidence.time)
-        if found is None:
+        if found is None or found.inputs == (f"position {evidence.at}",):  # that is a law of a kind, asked as such
             return []
         units = [_unit(evidence.model, one) for one in found.inputs]
         shaped = UnknownForce(found, 1.2 * float(np.max(np.abs(evidence.velocity))) or 1.0, units, evidence.at)

@@ -73,6 +73,21 @@ class Fit:
         """Root of the mean square prediction error, in units of noise."""
         return float(np.sqrt(np.mean(self.mse)))
 
+    @property
+    def whole(self) -> bool:
+        """Whether it still has its residuals; see `result`."""
+        return self.raw.shape[1] > 0
+
+    def result(self) -> Fit:
+        """What it came to, without residuals and Jacobians: of hundreds of hypotheses these fill the memory."""
+        return replace(
+            self,
+            raw=self.raw[:, :0].copy(),
+            left=self.left[:, :0].copy(),
+            sensitivity=self.sensitivity[:, :0].copy(),
+            jacobian=self.jacobian[:, :0].copy(),
+        )
+
     def pick(self, which: NDArray[np.intp]) -> Fit:
         """What it says of some of the windows."""
         q = self.quadratics
@@ -218,13 +233,27 @@ def correct_initial(problem: Problem, fitted: Fit, rounds: int = 3) -> tuple[Arr
     Returns:
         Initial states (n, 2 nb) and readings (n, m, ns).
     """
-    shooting = Shooting(problem, fitted.structure)
-    s, residual, S = fitted.initial, fitted.raw, fitted.sensitivity
+    begin = fitted.initial, fitted.raw, fitted.sensitivity
+    return _corrected(Shooting(problem, fitted.structure), fitted.z, *begin, rounds)
+
+
+def readings(problem: Problem, structure: Structure, z: Array, rounds: int = 3) -> Array:
+    """What is predicted (n, m, ns) of windows that took no part in a fit, from initial states that `rounds` steps
+    corrected.
+    """
+    shooting = Shooting(problem, structure)
+    s, residual, _, S = shooting.settled(z, problem.initial, parameters=False)
+    return _corrected(shooting, z, s, residual, S, rounds)[1]
+
+
+def _corrected(shooting: Shooting, z: Array, s: Array, residual: Array, S: Array, rounds: int) -> tuple[Array, Array]:
+    """Initial states after some Gauss-Newton steps, and readings from there."""
+    problem = shooting.problem
     for k in range(rounds):
         if k:
-            _, _, S = shooting.derivatives(fitted.z, s, residual, parameters=False)
-        s, residual = shooting.corrected(fitted.z, s, residual, S, [problem.initial])
-    return s, predict(problem, fitted.structure, [fitted.z], s[None])[0]
+            _, _, S = shooting.derivatives(z, s, residual, parameters=False)
+        s, residual = shooting.corrected(z, s, residual, S, [problem.initial])
+    return s, predict(problem, shooting.structure, [z], s[None])[0]
 
 
 def evaluate(problem: Problem, structure: Structure, z: Array, initial: Array | None = None) -> tuple[Array, Array]:

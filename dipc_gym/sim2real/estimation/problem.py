@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.engine import Uncovered
+from dipc_gym.engine.program import parameters_of
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
-from dipc_gym.sim2real.simulation.compiled import compiled, derivatives
+from dipc_gym.sim2real.simulation.compiled import Compiled, changes, compiled, derivatives
 from dipc_gym.sim2real.simulation.motion import initial_states
+from dipc_gym.sim2real.simulation.slopes import Slopes, begins_alike, maps_of, with_maps
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -118,12 +120,41 @@ def sensitivities(
     stepping = _stepping(replace(problem, stepping=replace(problem.stepping, integrator=_RK4)), structure)
     steps = np.array([probe[i] - z[i] for i, probe in enumerate(probes)])
     try:
-        variants = [structure.physics(one) for one in (z, *probes)]
-        of = compiled(variants, windows, structure.base, grid_step(windows, stepping))
+        of, change = _with_changes(structure, z, probes, steps, windows, grid_step(windows, stepping))
         begin = initial_states(windows.motions, windows.source, windows.start - warm) if warm else None
-        return derivatives(of, steps, initial, warm, begin, problem.threads)
+        return derivatives(of, change, steps, initial, warm, begin, problem.threads)
     except Uncovered:
         return None
+
+
+def _with_changes(
+    structure: Structure, z: Array, probes: Sequence[Array], steps: Array, windows: Windows, step: float
+) -> tuple[Compiled, Array]:
+    """What the engine simulates at z and at the probes, and how its parameters change with z, (p, k); at z alone where
+    that is known.
+    """
+    here, values = structure.physics(z), np.array([*structure.values(z).values()])
+    known, maps = structure.worked_out.get(Slopes), maps_of(here)
+    apart = [np.array([*structure.values(probe).values()]) - values for probe in probes]
+    by_step = np.array([moved[i] / steps[i] for i, moved in enumerate(apart)])
+    if isinstance(known, Slopes) and len(probes):
+        parameters = parameters_of(known.program, here)
+        if parameters is not None and known.hold(values, np.append(parameters, maps)):
+            change = by_step[:, None] * known.by_value
+            moved_maps = change[:, len(parameters) :] * steps[:, None] if len(maps) else ()
+            variants = (here, *(with_maps(here, maps + moved) for moved in moved_maps))
+            of = Compiled(variants, windows, structure.base, step, known.program, parameters[None])
+            return of, change[:, : len(parameters)]
+    variants = (here, *(structure.physics(probe) for probe in probes))
+    of = compiled(variants, windows, structure.base, step)
+    change = changes(of, steps)
+    alone = all(np.count_nonzero(moved) == 1 and moved[i] for i, moved in enumerate(apart))
+    if len(probes) and alone and begins_alike(here):
+        of_maps = np.array([maps_of(variant) - maps for variant in variants[1:]]) / steps[:, None]
+        by_value = np.append(change, of_maps, axis=1) / by_step[:, None]
+        there = np.append(of.parameters[0], maps)
+        structure.worked_out[Slopes] = Slopes(of.program, values, there, by_value, by_step * steps)
+    return of, change
 
 
 def normalised_residual(problem: Problem, readings: Array) -> Array:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -193,25 +195,39 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     commands = physics.command(_delayed(model, recording), recording.time)
     model.actuator_delay[:] = 0
     gaps = np.diff(motion.time, prepend=motion.time[0])
-    residual, load = np.empty((n, model.nv)), np.empty((n, model.nv))
-    nu = recording.commands.shape[1]
+    needed, driven, biased = np.empty((3, n, model.nv))
+    time, sent = motion.time.tolist(), data.ctrl[: recording.commands.shape[1]]
+    qpos, qvel, qacc, act = data.qpos, data.qvel, data.qacc, data.act
+    inverse, actuator, bias = data.qfrc_inverse, data.qfrc_actuator, data.qfrc_bias
     position, velocity, acceleration = (x @ out.T for x in (motion.position, motion.velocity, motion.acceleration))
+    # What holds a joint may depend on the forces of the moment, so it is known only after these.
+    dry = bool(physics.stage("friction"))
     for k in range(n):
-        data.time, data.qpos[:], data.qvel[:] = motion.time[k], position[k], velocity[k]
-        data.ctrl[:nu] = commands[k]
+        data.time, qpos[:], qvel[:], sent[:] = time[k], position[k], velocity[k], commands[k]
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
         if model.na:
-            data.act[:] += data.act_dot * _relaxed(model, data, gaps[k])
+            act[:] += data.act_dot * _relaxed(model, data, gaps[k])
             mujoco.mj_fwdActuation(model, data)
-        physics.act(data, model.dof_frictionloss, data.qfrc_applied)
-        data.qacc[:] = acceleration[k]
+        driven[k], biased[k] = actuator, bias
+        if not dry:
+            qacc[:] = acceleration[k]
+            mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
+            needed[k] = inverse
+    moments = SimpleNamespace(
+        time=motion.time, qpos=position, qvel=velocity, ctrl=commands, qfrc_actuator=driven, qfrc_bias=biased
+    )
+    levels, pushed = np.tile(level, (n, 1)), np.zeros((n, model.nv))
+    side_by_side = [replace(x, data=np.broadcast_to(x.data, (n, len(x.data)))) for x in physics.extras]
+    replace(physics, extras=tuple(side_by_side)).act(moments, levels, pushed)
+    for k in range(n if dry else 0):
+        data.time, qpos[:], qvel[:], qacc[:] = time[k], position[k], velocity[k], acceleration[k]
+        model.dof_frictionloss[:] = levels[k]
         mujoco.mj_inverse(model, data)
-        residual[k] = data.qfrc_inverse - data.qfrc_actuator - data.qfrc_applied
-        load[k] = data.qfrc_actuator + data.qfrc_bias
+        needed[k] = inverse
     model.dof_frictionloss[:], model.actuator_delay[:] = level, delay
-    return residual @ out, load @ out
+    return (needed - driven - pushed) @ out, (driven + biased) @ out
 
 
 def _delayed(model: mujoco.MjModel, recording: Recording) -> Array:

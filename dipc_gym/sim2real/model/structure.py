@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,12 +18,16 @@ from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.base import Effect, Parameter
 from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
 from dipc_gym.sim2real.model.parameters import ModelParameter
+from dipc_gym.sim2real.simulation.memory import loads
 
 Array = NDArray[np.float64]
 
+_models: dict[tuple[int, bytes], Physics] = {}  # compiled lately; a fit asks for the same ones again
+_numbers = itertools.count()
+
 WARM = 0.06  # s that bristles, currents and delays need to reach their state
 FAST = 5e-4  # s, longest step for what moves within milliseconds
-_KEPT = 32  # models that a structure keeps compiled
+_KEPT = 64  # models that stay compiled, of all structures; each takes a tenth of a megabyte
 FARTHEST = 4.0  # standard deviations of its prior by which a model parameter may move
 
 
@@ -183,18 +188,24 @@ class Structure:
         Raises:
             mjcf.MjcfError: an edit does not compile.
         """
-        key = z.tobytes()
-        if key not in self._made:
+        key = self._own, z.tobytes()
+        made = _models.pop(key, None)
+        if made is None:
             source = self.document.source.edited(self.write(z).text())
             made = physics.from_model(mjcf.compile(source, trusted=True))
-            if len(self._made) >= _KEPT:
-                self._made.clear()
-            self._made[key] = made
-        return self._made[key]
+        _models[key] = made  # at the end, so that those go that nobody asked for lately
+        while len(_models) > _KEPT:
+            _models.pop(next(iter(_models)), None)
+        return made
 
     @functools.cached_property
-    def _made(self) -> dict[bytes, Physics]:
-        """Models compiled lately, by their parameters; a fit asks for the same ones again."""
+    def _own(self) -> int:
+        """A number that no other structure has."""
+        return next(_numbers)
+
+    @functools.cached_property
+    def worked_out(self) -> dict[type, object]:
+        """What others found out about this structure and want to know again, by its type."""
         return {}
 
     @property
@@ -205,9 +216,14 @@ class Structure:
     @functools.cached_property
     def _own_warm(self) -> float:
         """S that the nominal model needs: windings, bristles, lagging sensors and joints behind a gap remember."""
-        if len(self.base) < self.model.njnt:
+        if self._hides:
             return SWING if np.any(self.model.tendon_stiffness > 0) else SETTLE
         return WARM if self.model.na > 0 or self._own_lag else 0.0
+
+    @functools.cached_property
+    def _hides(self) -> bool:
+        """Whether joints hide behind a gap or a coupling; of a load that swings one knows what it does."""
+        return len(self.base) + len(loads(self.model)) < self.model.njnt
 
     @functools.cached_property
     def _own_lag(self) -> bool:
@@ -229,7 +245,7 @@ class Structure:
     def own_finest(self) -> float:
         """Longest step that the model's own currents, bristles, rotors and lags bear under explicit integration, s."""
         model, kind = self.model, mujoco.mjtDyn
-        finest = FAST if len(self.base) < model.njnt or self._own_lag else math.inf
+        finest = FAST if self._hides or self._own_lag else math.inf
         for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
             if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:
                 finest = min(finest, FAST, numbers[0])

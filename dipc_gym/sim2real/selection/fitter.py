@@ -28,10 +28,11 @@ class Fitter:
 
     scorer: Scorer
     _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
+    _begun: dict[tuple[int, tuple[str, ...], bytes, int], Fit | None] = field(default_factory=dict, repr=False)
 
     def over(self, partition: Partition) -> Fitter:
         """The same to other windows; full fits that were kept stay for when these windows come back."""
-        return self if partition is self.partition else Fitter(self.scorer.over(partition), self._kept)
+        return self if partition is self.partition else Fitter(self.scorer.over(partition), self._kept, self._begun)
 
     @property
     def partition(self) -> Partition:
@@ -57,10 +58,17 @@ class Fitter:
         simulated.
         """
         z, initial = carry(base.structure, base.z, structure), base.initial[self.subset]
+        # A search that begins anew lays the same hypotheses over the same fit without effects.
+        asked = (id(base), tuple(names(structure.terms)), z.tobytes(), len(self.problem.windows))
+        if asked in self._begun:
+            return self._begun[asked]
         try:
-            return fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
+            sketch = fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
-            return None
+            sketch = None
+        if not base.structure.terms:
+            self._begun[asked] = sketch
+        return sketch
 
     def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.
@@ -112,9 +120,9 @@ class Fitter:
 
     def polish(self, fitted: Fit) -> Fit:
         """Fit on until nothing changes."""
-        if fitted.converged:
+        if fitted.converged and fitted.whole:
             return fitted
-        return fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=25)
+        return fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=0 if fitted.converged else 25)
 
     def without(self, current: Fit, key: str) -> Fit:
         """Refit with one effect less, from the parameters that it has now: the fit before may have been stuck."""

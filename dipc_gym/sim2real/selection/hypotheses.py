@@ -8,22 +8,23 @@ from enum import IntEnum
 
 import numpy as np
 
-from dipc_gym.sim2real.effects.base import Effect, dof
+from dipc_gym.sim2real.effects.base import LEAVES, Effect, dof
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import mean_loss
 from dipc_gym.sim2real.estimation.unexplained import Scene, places
-from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.model.structure import Term, carry
 from dipc_gym.sim2real.selection import data, ranking, screen
 from dipc_gym.sim2real.selection.progress import Partition, Progress
 from dipc_gym.sim2real.selection.ranking import Start
 from dipc_gym.sim2real.selection.screen import Tried, excludes
+from dipc_gym.sim2real.selection.settings import SEARCH
 
 
 class Phase(IntEnum):
     """What kinds of law are asked for; each phase begins where no law of the one before comes down to the noise."""
 
     FORMULAS = 1
-    SHAPES = 2  # laws of any shape as well
+    SHAPES = 2  # laws of any shape as well; laws of no kind compete with them
     NO_KIND = 3  # laws of no kind, and nothing else
 
 
@@ -65,15 +66,30 @@ def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> 
     for effect in question.effects:
         if (effect.once and not ranking.quiet(current)) or (effect.free and phase < Phase.SHAPES):
             continue
-        if effect.of_no_kind != (phase == Phase.NO_KIND):
+        if phase == Phase.NO_KIND and not effect.of_no_kind:
+            continue
+        # No other recording shares a law of the clock: laws of the state go before it, down to near the noise.
+        if phase >= Phase.SHAPES and effect.leaves < LEAVES and current.error > SEARCH.in_reach:
             continue
         for at in places(effect, current.structure.model, question.joints, scene.recordings[0]):
             if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):
                 continue
-            evidence = scene.at(effect.place, at, levels)
+            seen = _without_plainer(question, current, effect, at, scene) if effect.free else scene
+            evidence = seen.at(effect.place, at, levels)
             plain = _plain(current, effect, at)
             found += [Term(shaped, at, {**guess, **plain}) for shaped, guess in effect.proposals(evidence)]
     return found
+
+
+def _without_plainer(question: Question, current: Fit, effect: Effect, at: str, scene: Scene) -> Scene:
+    """The evidence less what a law would replace: its shape has to take that on. Levels of friction it is told."""
+    kept = current.structure
+    for term in kept.terms:
+        if term.at == at and term.effect.id in effect.contains and not term.effect.levels:
+            kept = kept.without(term.key)
+    if kept is current.structure:
+        return scene
+    return question.look(replace(current, structure=kept, z=carry(current.structure, current.z, kept)), scene.outliers)
 
 
 def _plain(current: Fit, effect: Effect, at: str) -> dict[str, float]:
@@ -93,16 +109,12 @@ def screened(question: Question, phase: Phase, progress: Progress) -> list[Scree
 
 
 def _bases(phase: Phase, progress: Progress) -> list[Fit]:
-    """What effects are tried on top of: the present fit, and at first the nominal parameters where it left them.
-
-    Parameters that made up for a formula are in the way of a law, so laws are tried on what was before it as well.
-    """
-    current, begin, anchor = progress.current, progress.path[0], progress.anchor
-    before = [begin] if phase >= Phase.SHAPES and current.structure.terms else []
-    if phase == Phase.NO_KIND or anchor is None or (current.structure.terms and not before):
+    """What effects are tried on top of: the present fit, and at first the nominal parameters where it left them."""
+    current, anchor = progress.current, progress.anchor
+    if phase == Phase.NO_KIND or anchor is None or current.structure.terms:
         return [current]
-    far = np.abs(begin.z - anchor.z).max(initial=0.0) >= 0.1
-    return [current, *before, *([anchor] if far else [])]
+    far = np.abs(current.z - anchor.z).max(initial=0.0) >= 0.1
+    return [current, anchor] if far else [current]
 
 
 def _on_top(question: Question, phase: Phase, partition: Partition, base: Fit, current: Fit) -> Screened:

@@ -87,7 +87,8 @@ class Progress:
             return self
 
         def informed(fitted: Fit) -> Fit:
-            return fitted.join(fit(new, fitted.structure, fitted.z, most=0))
+            there = fit(new, fitted.structure, fitted.z, most=0)
+            return fitted.join(there if fitted.whole else there.result())
 
         return replace(
             self,
@@ -131,9 +132,21 @@ class Journal:
     progress: Progress
     tell: Callable[[str], None] = lambda line: None
 
+    def go_back(self, path: tuple[Fit, ...]) -> None:
+        """Go on from fits that were accepted before; what was tried since then stays known."""
+        self.progress = replace(self.progress, path=self.informed(path))
+
+    def informed(self, path: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        """Fits that were accepted before, as they are on the windows of now: some may have come, or gone."""
+        problem = self.progress.partition.problem
+        if all(len(fitted.mse) == len(problem.windows) for fitted in path):
+            return path
+        return tuple(fit(problem, fitted.structure, fitted.z, most=0) for fitted in path)
+
     def begin(self, tried: Sequence[Tried]) -> None:
-        """Note the hypotheses of a new round."""
-        self.progress = replace(self.progress, rounds=(*self.progress.rounds, tried))
+        """Note the hypotheses of a new round; of those before only what they came to is asked again."""
+        before = [[one.result() for one in earlier] for earlier in self.progress.rounds]
+        self.progress = replace(self.progress, rounds=(*before, tried))
 
     def update(self, news: Sequence[Tried]) -> None:
         """Note what became of some of them."""

@@ -58,7 +58,10 @@ def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal)
     if chosen is not None:
         return fitter.polish(chosen)
     found = pairs.best(fitter, [*tried_early, *pairs.sketched(fitter, both[len(early) :], current)], current)
-    return None if found is None else _accepted(*found, fitter, current, journal)
+    # What a law of any shape leaves is its own bad fit as well, and two effects together take up some of anything.
+    if found is None or (phase != Phase.FORMULAS and found[0].error > SEARCH.in_reach):
+        return None
+    return _accepted(*found, fitter, current, journal)
 
 
 def _ahead(fitter: Fitter, group: Fit, sketched: Sequence[Start], current: Fit) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,7 +31,7 @@ class Scorer:
 
     partition: Partition
     small: bool = False
-    _known: dict[int, tuple[Fit, Array]] = field(default_factory=dict, repr=False)
+    _known: dict[int, tuple[weakref.ref[Fit], Array]] = field(default_factory=dict, repr=False)
 
     def over(self, partition: Partition) -> Scorer:
         """The same on other windows; what is known of those compared on stays, if they are the same."""
@@ -41,10 +42,11 @@ class Scorer:
 
     def comparison_mse(self, fitted: Fit) -> Array:
         """Mean square error of each comparison window, in units of noise, (n,)."""
-        if id(fitted) not in self._known:
+        of, mse = self._known.get(id(fitted), (lambda: None, np.zeros(0)))
+        if of() is not fitted:  # another may have had its place in memory
             mse, _ = evaluate(self.partition.comparison, fitted.structure, fitted.z)
-            self._known[id(fitted)] = (fitted, mse)
-        return self._known[id(fitted)][1]
+            self._known[id(fitted)] = (weakref.ref(fitted), mse)
+        return mse
 
     def comparison_error(self, fitted: Fit) -> float:
         """Root mean square error on the comparison windows, in units of noise."""

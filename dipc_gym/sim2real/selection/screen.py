@@ -51,6 +51,11 @@ class Tried:
         """`effect@place`."""
         return self.term.key
 
+    def result(self) -> Tried:
+        """What is asked of it in later rounds."""
+        sketch, fitted = self.sketch and self.sketch.result(), self.fitted and self.fitted.result()
+        return replace(self, sketch=sketch, fitted=fitted, response=np.zeros((0, 0)))
+
     def pick(self, which: NDArray[np.intp], subset: NDArray[np.intp]) -> Tried:
         """What its fits say of some of the windows, and of some of the subset that was sketched on."""
         sketch = self.sketch and self.sketch.pick(subset[subset < len(self.sketch.mse)])

@@ -69,17 +69,26 @@ class Search:
     def run(self, most: int = SEARCH.most_effects) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
         found = self._add(most)
-        if found.error <= SCORE.at_floor or self.scorer.small or self.interrupted:
+        if self._done(found) or self.scorer.small:
             return found
-        self.tell("no formula comes down to the noise; asking for laws of any shape")
-        self.phase = Phase.SHAPES
-        self._without_clocks()
+        self.tell("no formula comes down to the noise; asking for laws of any shape, from the beginning")
+        self.phase, formulas = Phase.SHAPES, self.progress.path
+        self.journal.go_back(formulas[:1])
         found = self._add(most)
-        if found.error <= SCORE.at_floor or self.interrupted:
+        formulas = self.journal.informed(formulas)
+        if not self._done(found) and self.scorer.compare(formulas[-1], found).clear:
+            self.tell("formulas predict better than laws; asking for laws beside them")
+            self.journal.go_back(formulas)
+            self._without_clocks()
+            found = self._add(most)
+        if self._done(found):
             return found
         self.tell("no law of a kind comes down to the noise; modelling what is left")
         self.phase = Phase.NO_KIND
         return self._add(len(self.question.joints))
+
+    def _done(self, found: Fit) -> bool:
+        return found.error <= SCORE.at_floor or self.interrupted
 
     def replace_last(self, better: Fit) -> Fit:
         """Put a fit in the place of the one that `run` came to, and add what earns its place beside it."""

@@ -42,7 +42,8 @@ def in_turn(
     # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already, such
     # a guess gains nothing as it stands. Only its fit tells.
     laws = [start for start in ranked if start[0].term.effect.free and start not in first]
-    sketched = _sketches(fitter, [*first, *laws[: SEARCH.shapes]], starts, current)
+    of_no_kind = [start for start in laws[SEARCH.shapes :] if start[0].term.effect.of_no_kind]
+    sketched = _sketches(fitter, [*first, *laws[: SEARCH.shapes], *of_no_kind[:1]], starts, current)
     if at_noise(sketched):
         return sketched
     slow = [start for start, share in worth if fitter.slow(start[0].term) and SEARCH.in_turn < share <= SEARCH.keeps_up]

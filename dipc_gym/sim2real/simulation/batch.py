@@ -24,6 +24,7 @@ from dipc_gym.sim2real.simulation.commands import first_moments, per_step
 from dipc_gym.sim2real.simulation.compiled import compiled, predicted
 from dipc_gym.sim2real.simulation.dry_friction import DryFriction
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
+from dipc_gym.sim2real.simulation.memory import along, bends, loads, swings, yielding
 from dipc_gym.sim2real.simulation.windings import steady_currents
 from dipc_gym.sim2real.simulation.windows import Windows
 
@@ -174,6 +175,7 @@ class _Runs:
         self.sims = mjbatch.Batch(models[0], len(which), threads)
         _spread(self.sims, models, which)
         self.dry = DryFriction(self.sims, level[which]) if located else None
+        self._names = tuple(base)
         self._base, self._hidden, self._leaders = _addresses(models[0], base)
 
     def begin(self, at: int, initial: Array) -> None:
@@ -182,6 +184,26 @@ class _Runs:
         self.sims.time[:] = (begin - self.late.max(axis=1, keepdims=True)).ravel()
         _warm_windings(self.sims, self.variants, self.delays, self.windows)
         self._place(initial)
+        self._remember()
+
+    def _remember(self) -> None:
+        """Give springs that yield and loads that swing what they remember of the motion before."""
+        model, windows, sims = self.variants[0].model, self.windows, self.sims
+        bent, swung, leaders = yielding(model), loads(model), mjcf.followers(model)
+        if not bent and not swung:
+            return
+        for i, motion in enumerate(windows.motions):
+            mine = np.tile(windows.source == i, len(self.variants))
+            begin = sims.time.reshape(len(self.variants), len(windows))[0, windows.source == i]
+            for tendon in bent:
+                length = sum(coefficient * sims.qpos[mine, joint] for joint, coefficient in along(model, tendon))
+                first = int(model.tendon_plasticadr[tendon])
+                rest = length - bends(self.variants, tendon, motion, begin).ravel()
+                sims.plastic[mine, first] = sims.plastic[mine, first + 1] = rest
+            for name, load in swung.items():
+                apart, faster = swings(self.variants, load, self._names.index(leaders[name]), motion, begin)
+                sims.qpos[mine, load.at] += apart.ravel()
+                sims.qvel[mine, load.at] += faster.ravel()
 
     def put_back(self, initial: Array) -> None:
         """Put the joints at positions and velocities (variants, n, 2 nb).
@@ -189,11 +211,18 @@ class _Runs:
         Whatever hides behind a gap keeps its place relative to them.
         """
         qpos, qvel = self.sims.qpos, self.sims.qvel
+        before = qpos.copy()
         apart = qpos[:, self._hidden] - qpos[:, self._leaders]
         faster = qvel[:, self._hidden] - qvel[:, self._leaders]
         self._place(initial)
         qpos[:, self._hidden] += apart
         qvel[:, self._hidden] += faster
+        model = self.variants[0].model
+        for tendon in yielding(model):  # stays as bent as it is
+            first = int(model.tendon_plasticadr[tendon])
+            for joint, coefficient in along(model, tendon):
+                moved = coefficient * (qpos[:, joint] - before[:, joint])
+                self.sims.plastic[:, first : first + 2] += moved[:, None]
 
     def _place(self, initial: Array) -> None:
         qpos, qvel, nb = self.sims.qpos, self.sims.qvel, len(self._base)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -18,8 +18,11 @@ from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.physics import Moment, Physics
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
+from dipc_gym.sim2real.simulation.memory import along, bends, loads, swings, yielding
 
 if TYPE_CHECKING:
+    from dipc_gym.recording import Recording
+    from dipc_gym.sim2real.simulation.motion import Motion
     from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -73,14 +76,26 @@ class Compiled:
             if one[Sensor.LAG] >= 0
         ]
 
+    @property
+    def _yielding(self) -> list[tuple[int, int]]:
+        """State of the rest of each spring that yields, and its tendon."""
+        first = 2 * self.model.nv + self.model.na
+        return [(first + k, tendon) for k, tendon in enumerate(yielding(self.model))]
+
     def commands(self) -> Commands:
         """Recorded commands as the model sees them; one set if no variant changes them."""
         recordings = self.windows.recordings
         nu = self.model.nu
         padded = [np.pad(r.commands, ((0, 0), (0, nu - r.commands.shape[1]))) for r in recordings]
         whole = np.concatenate(padded)
-        changed = bool(self.variants[0].stage("command"))
-        values = np.stack([variant.command(whole) for variant in self.variants]) if changed else whole[None]
+        if not self.variants[0].stage("command"):
+            return Commands(np.concatenate([r.time for r in recordings]), whole[None])
+        made: dict[bytes, Array] = {}
+        for variant in self.variants:
+            key = _of_commands(variant)
+            if key not in made:
+                made[key] = variant.command(whole)
+        values = np.stack([made[_of_commands(variant)] for variant in self.variants])
         return Commands(np.concatenate([r.time for r in recordings]), values)
 
     def jobs(self, at: float, length: Array, times: Array, initial: Array, commands: Commands) -> Jobs:
@@ -119,6 +134,8 @@ class Compiled:
             states[..., [part * n + k for k in base]] = initial[..., part * nb : (part + 1) * nb]
             states[..., [part * n + k for k in hidden]] = states[..., [part * n + k for k in leaders]]
         self._heat(states, at)
+        self._bend(states, at)
+        self._swing(states, at)
         for lag, state, factor in self._lags:
             states[..., lag] = factor * states[..., state]
         return states
@@ -126,8 +143,8 @@ class Compiled:
     def put_back(self, states: Array, initial: Array) -> Array:
         """States (..., nx) with base joints at positions and velocities (..., 2 nb).
 
-        What hides behind a gap keeps its place relative to them, and what a sensor remembers moves along. All of it is
-        linear, so tangents are put back in the same way.
+        What hides behind a gap keeps its place relative to them, springs that yield stay as bent as they are, and what
+        a sensor remembers moves along. All of it is linear, so tangents are put back in the same way.
         """
         base, hidden, leaders = self._dofs
         n, nb = self.model.nv, len(base)
@@ -136,24 +153,48 @@ class Compiled:
             at, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
             out[..., at] = initial[..., part * nb : (part + 1) * nb]
             out[..., behind] += out[..., lead] - states[..., lead]
+        for rest, tendon in self._yielding:
+            for joint, coefficient in along(self.model, tendon):
+                out[..., rest] += coefficient * (out[..., joint] - states[..., joint])
         for lag, state, factor in self._lags:
             out[..., lag] += factor * (out[..., state] - states[..., state])
         return out
 
     def _heat(self, states: Array, at: float) -> None:
         """Give every winding that heats the temperature that it has `at` seconds after each window's start."""
-        windows, codes = self.windows, self.program.codes
+        codes = self.program.codes
         for motor in heating_motors(self.model):
-            if len(windows.motions) != len(windows.recordings):
-                name = self.model.actuator(motor).name
-                raise ValueError(f"how hot {name} is depends on its motion; give the windows their recordings' motions")
             state = 2 * self.model.nv + int(self.model.actuator_actadr[motor])
             delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + self.model.nu]
-            for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
-                mine = windows.source == i
-                begin = windows.start[mine] + at - self.parameters[0, codes[Head.LATE]]
+            for mine, recording, motion, begin in self._passes(at):
                 args = (self.variants, delays, motor, recording, motion, begin)
                 states[:, mine, state] = winding_temperatures(*args)
+
+    def _bend(self, states: Array, at: float) -> None:
+        """Give every spring that yields the rest at which it is bent as the motion before has left it."""
+        for state, tendon in self._yielding:
+            length = sum(coefficient * states[..., joint] for joint, coefficient in along(self.model, tendon))
+            for mine, _, motion, begin in self._passes(at):
+                states[:, mine, state] = length[:, mine] - bends(self.variants, tendon, motion, begin)
+
+    def _swing(self, states: Array, at: float) -> None:
+        """Give every load that swings the motion against its joint that it has come to."""
+        leaders = mjcf.followers(self.model)
+        for name, load in loads(self.model).items():
+            lead = self.base.index(leaders[name])
+            for mine, _, motion, begin in self._passes(at):
+                apart, faster = swings(self.variants, load, lead, motion, begin)
+                states[:, mine, load.at] += apart
+                states[:, mine, self.model.nv + load.at] += faster
+
+    def _passes(self, at: float) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion, Array]]:
+        """Each recording with its motion, which windows are its own, and the times `at` seconds after their starts."""
+        windows = self.windows
+        if len(windows.motions) != len(windows.recordings):
+            raise ValueError("what a model remembers depends on its motion; give the windows their recordings' motions")
+        for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
+            mine = windows.source == i
+            yield mine, recording, motion, windows.start[mine] + at - self.parameters[0, self.program.codes[Head.LATE]]
 
     def sampled(self) -> tuple[Array, Array]:
         """Sample times of every sensor (windows, sensors, samples), and how long windows are simulated for them."""
@@ -172,6 +213,11 @@ class Compiled:
             k, zero = address.index(extra.index), np.zeros(())
             out[..., k, :] = extra(Moment(zero, zero, zero, zero, out[..., k, :]))
         return out
+
+
+def _of_commands(variant: Physics) -> bytes:
+    """What tells one variant's commands from another's."""
+    return b"".join(extra.data.tobytes() for extra in variant.stage("command"))
 
 
 def compiled(variants: Sequence[Physics], windows: Windows, base: Sequence[str], step: float) -> Compiled:
@@ -238,14 +284,32 @@ def predicted(
     return np.ascontiguousarray(np.swapaxes(said, 2, 3))
 
 
+def changes(of: Compiled, steps: Array) -> Array:
+    """How a program's parameters change with those of a hypothesis, (p, k).
+
+    Args:
+        of: a variant, and for each parameter one in which it is a little larger.
+        steps: by how much, (p,).
+    """
+    return np.asarray((of.parameters[1:] - of.parameters[0]) / steps[:, None])
+
+
 def derivatives(
-    of: Compiled, steps: Array, initial: Array, warm: float, warm_initial: Array | None, threads: int
+    of: Compiled,
+    change: Array,
+    steps: Array,
+    initial: Array,
+    warm: float,
+    warm_initial: Array | None,
+    threads: int,
 ) -> tuple[Array, Array, Array]:
     """Readings of the first variant and how they change with parameters and initial states.
 
     Args:
-        of: the variant itself, and for each parameter one in which it is a little larger.
-        steps: by how much, (p,).
+        of: the variant itself, and for each parameter one in which it is a little larger; these may be left out where
+            parameters change the program's alone.
+        change: of the program's parameters with each parameter, (p, k).
+        steps: by how much parameters are larger in the other variants, (p,).
         initial: positions and velocities of the base joints, (windows, 2 nb).
         warm: s simulated before each window.
         warm_initial: as `initial`, `warm` seconds before.
@@ -258,8 +322,7 @@ def derivatives(
     Raises:
         Uncovered: a parameter changes the geometry, whose derivatives the engine leaves out.
     """
-    count, nb2 = len(steps), initial.shape[1]
-    change = (of.parameters[1:] - of.parameters[0]) / steps[:, None]
+    count, nb2 = len(change), initial.shape[1]
     links = change[:, GRAVITY : of.program.tree.count].reshape(count, len(of.program.tree.parents), LINK)
     if links[..., :GEOMETRY].any():
         raise Uncovered("derivatives by the geometry of joints")
@@ -278,7 +341,7 @@ def derivatives(
         assert warm_initial is not None
         far = np.broadcast_to(warm_initial, initial.shape)
         begun = of.begun(-warm, np.broadcast_to(far, (len(of.variants), *initial.shape)))
-        begin = (begun[1:] - begun[0]) / steps[:, None, None]
+        begin = _begin_changes(begun, steps)
         nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
         jobs = one.jobs(-warm, np.full(len(of.windows), warm), nothing, begun[:1], commands)
         directions = Directions(change, begin, None if moved is None else moved[:count])
@@ -288,7 +351,7 @@ def derivatives(
     else:
         begun = of.begun(0.0, np.broadcast_to(initial, (len(of.variants), *initial.shape)))
         states = begun[0]
-        tangents = np.concatenate([(begun[1:] - begun[0]) / steps[:, None, None], np.zeros((nb2, *begun.shape[1:]))])
+        tangents = np.concatenate([_begin_changes(begun, steps), np.zeros((nb2, *begun.shape[1:]))])
         tangents[count:] = of.put_back(tangents[count:], unit[count:])
     times, length = of.sampled()
     jobs = one.jobs(0.0, length, times, states[None], commands)
@@ -304,3 +367,10 @@ def derivatives(
             changes[k] += (of.sensed(readings, of.variants[k + 1]) - said) / steps[k]
     said, changes = np.swapaxes(said, 1, 2), np.swapaxes(changes, 2, 3)
     return np.ascontiguousarray(said), changes[:count], changes[count:]
+
+
+def _begin_changes(begun: Array, steps: Array) -> Array:
+    """Change (p, windows, nx) of the states that simulations begin at, from those of all variants (1 + p or 1, ...)."""
+    if len(begun) == 1:
+        return np.zeros((len(steps), *begun.shape[1:]))
+    return np.asarray((begun[1:] - begun[0]) / steps[:, None, None])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording.units import of_sensor
-from dipc_gym.sim2real.estimation.fit import Fit, correct_initial, fit
+from dipc_gym.sim2real.estimation.fit import Fit, readings
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import joined
 from dipc_gym.sim2real.estimation.unexplained import Scene
@@ -88,7 +88,7 @@ def details(
 def predictions(test: Problem, nominal: Fit, recalibrated: Fit, improved: Fit) -> dict[str, Array]:
     """Readings (n, m, ns) of test windows as each model predicts them, by its name."""
     three = {"nominal": nominal, "recalibrated": recalibrated, "improved": improved}
-    return {name: _readings(test, fitted) for name, fitted in three.items()}
+    return {name: readings(test, fitted.structure, fitted.z) for name, fitted in three.items()}
 
 
 def sensor_fits(w: Windows, model: mujoco.MjModel, predicted: Mapping[str, Array]) -> tuple[SensorFit, ...]:
@@ -105,13 +105,6 @@ def sensor_fits(w: Windows, model: mujoco.MjModel, predicted: Mapping[str, Array
         three = Errors(*(float(off[which][k]) for which in ("nominal", "recalibrated", "improved")))
         found.append(SensorFit(name, of_sensor(model, name), float(w.noise[k]), float(motion[k]), three))
     return tuple(found)
-
-
-def _readings(problem: Problem, fitted: Fit) -> Array:
-    """Readings (n, m, ns) of test windows as a fit predicts them, initial states corrected."""
-    again = fit(problem, fitted.structure, fitted.z, most=0)
-    _, readings = correct_initial(problem, again)
-    return readings
 
 
 def _evenly(which: NDArray[np.intp], most: int) -> NDArray[np.intp]:

@@ -137,6 +137,7 @@ def _stand_ins(
         t
         for t in own
         if t.key not in present
+        and not t.term.effect.of_no_kind
         and term.effect.id not in t.term.effect.contains
         and (t.fitted is not None or (t.term.effect.id in listed and (t.sketch is not None or not provisional)))
     ]

@@ -1,0 +1,82 @@
+"""How a program's parameters follow from those of a hypothesis, through MJCF's text and MuJoCo's compiler.
+
+The slopes of that map are found by moving one number at a time, which writes and compiles a model for each. Mostly the
+map is affine: a friction level, a damping, a mass or a knot of a table is a number of the program, or several are in
+proportion to it. So as long as a program's parameters come to where the slopes foretold, the slopes are kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.engine import program
+from dipc_gym.physics import Extra, Physics
+from dipc_gym.sim2real.simulation.heat import heating_motors
+from dipc_gym.sim2real.simulation.memory import loads, yielding
+
+Array = NDArray[np.float64]
+
+_FORETOLD = 1e-7  # share of what the numbers moved a parameter by, to which an affine map foretells it
+_ROUNDING = 4 * np.finfo(float).eps  # share of itself, to which a parameter is known
+_MOVED = 1e-12  # share of itself from which a number has moved
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """The map near some numbers.
+
+    Attributes:
+        program: of the structure, right for all numbers that were tried.
+        values: numbers of the hypothesis, (p,).
+        parameters: of the program there, then `maps_of` the model, (k,).
+        by_value: their change per unit of each number, (p, k).
+        apart: what the numbers differed by to tell it, (p,).
+    """
+
+    program: program.Program
+    values: Array
+    parameters: Array
+    by_value: Array
+    apart: Array
+
+    def hold(self, values: Array, parameters: Array) -> bool:
+        """Whether the map is affine as far as other numbers (p,), at which parameters (k,) are these.
+
+        Only a step in which every number moves tells: a product of two is affine along one of them.
+        """
+        moved = values - self.values
+        if not moved.any():
+            return True
+        if np.any(np.abs(moved) <= _MOVED * np.abs(values)):
+            return False
+        rounding = _ROUNDING * (1 + np.sum(np.abs(moved / self.apart)))
+        allowed = _FORETOLD * np.abs(moved) @ np.abs(self.by_value) + rounding * np.abs(parameters)
+        return bool(np.all(np.abs(self.parameters + moved @ self.by_value - parameters) <= allowed))
+
+
+def begins_alike(physics: Physics) -> bool:
+    """Whether simulations begin at the same states whatever the numbers: no winding heats, nothing remembers longer."""
+    model = physics.model
+    return not (heating_motors(model) or yielding(model) or loads(model))
+
+
+def maps_of(physics: Physics) -> Array:
+    """Numbers of what changes commands and readings, which the engine does not see, (m,)."""
+    return np.concatenate([np.zeros(0), *(extra.data for extra in physics.extras if _maps(extra))])
+
+
+def with_maps(physics: Physics, numbers: Array) -> Physics:
+    """The same model with other numbers (m,) of what changes commands and readings."""
+    at, extras = 0, []
+    for extra in physics.extras:
+        if _maps(extra):
+            extra, at = replace(extra, data=numbers[at : at + len(extra.data)]), at + len(extra.data)
+        extras.append(extra)
+    return replace(physics, extras=tuple(extras))
+
+
+def _maps(extra: Extra) -> bool:
+    return extra.stage in ("command", "sensor")
