@@ -446,11 +446,41 @@ def _extras(model: mujoco.MjModel) -> list[Extra]:
         extras.append(Extra(parts[1], parts[2], stage, index, model.numeric(i).data.copy(), inputs))
     for extra in extras:
         if not _usable(extra):
+            entry, rule = f"{mjcf.PREFIX}:{extra.effect}:{extra.at}", (_rules[extra.effect][1].__doc__ or "").strip()
             raise mjcf.MjcfError(
-                f"<custom> entry '{mjcf.PREFIX}:{extra.effect}:{extra.at}' has the numbers {extra.data.tolist()}, "
-                f"too few or out of range; {(_rules[extra.effect][1].__doc__ or '').strip().partition(chr(10))[0]}"
+                f"<custom> entry '{entry}' has the numbers {_shown(extra.data)}, too few or out of range"
+                f"{_fault(extra)}; {rule.partition(chr(10))[0]}"
             )
     return extras
+
+
+def _shown(numbers: Array) -> str:
+    """Numbers of an entry, the first of many."""
+    most = 16
+    more = f", and {len(numbers) - most:,} more" if len(numbers) > most else ""
+    return f"{numbers[:most].tolist()}{more}"
+
+
+def _fault(extra: Extra) -> str:
+    """What is wrong with the numbers of an entry, where one thing can be told; begins with a colon."""
+    numbers = extra.data
+    wild = np.flatnonzero(~(np.abs(numbers) <= LARGEST))
+    if len(wild):
+        return f": number {wild[0] + 1} is {numbers[wild[0]]:g}"
+    if extra.effect in _TABLES and len(numbers) % 2 == 0 and not np.all(np.diff(numbers[: len(numbers) // 2]) > 0):
+        return ": its knots do not increase"
+    if extra.effect != RESIDUAL or len(numbers) < 3 or not np.all(numbers[1:3] == np.round(numbers[1:3])):
+        return ""
+    m, n = int(numbers[1]), int(numbers[2])
+    if numbers[0] <= 0:
+        return f": its speed is {numbers[0]:g}, and must be positive"
+    if m * n > MOST_LEVELS:
+        return f": a table of {m} x {n} is {m * n:,} levels, more than {MOST_LEVELS:,}"
+    if len(numbers) != 3 + m + n + m * n:
+        return f": a table of {m} x {n} has {3 + m + n + m * n} numbers, not {len(numbers)}"
+    if not (np.all(np.diff(numbers[3 : 3 + m]) > 0) and np.all(np.diff(numbers[3 + m : 3 + m + n]) > 0)):
+        return ": its knots do not increase"
+    return ": what it depends on is not said" if not extra.inputs else ""
 
 
 def _usable(extra: Extra) -> bool:

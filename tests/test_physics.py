@@ -351,12 +351,16 @@ def test_no_residual_force_feeds_a_simulation_without_end(seed: int) -> None:
 @pytest.mark.parametrize(
     ("numbers", "inputs", "why"),
     [
-        ((1, 2, 1, 0, 1, 0, 5, 6), (), "too few or out of range"),
-        ((1, 2, 1, 1, 0, 0, 5, 6), ("position cart",), "too few or out of range"),
-        ((0, 2, 1, 0, 1, 0, 5, 6), ("position cart",), "too few or out of range"),
-        ((1, 2, 1, 0, 1, 0, 5), ("position cart",), "too few or out of range"),
-        ((1, 2, 1, 0, 1, 0, 5, math.nan), ("position cart",), "too few or out of range"),
-        ((1, 100, 100, *range(200), *[0.0] * 10_000), ("position cart", "velocity cart"), "too few or out of range"),
+        ((1, 2, 1, 0, 1, 0, 5, 6), (), "out of range: what it depends on is not said"),
+        ((1, 2, 1, 1, 0, 0, 5, 6), ("position cart",), "out of range: its knots do not increase"),
+        ((0, 2, 1, 0, 1, 0, 5, 6), ("position cart",), "out of range: its speed is 0, and must be positive"),
+        ((1, 2, 1, 0, 1, 0, 5), ("position cart",), "out of range: a table of 2 x 1 has 8 numbers, not 7"),
+        ((1, 2, 1, 0, 1, 0, 5, math.nan), ("position cart",), "out of range: number 8 is nan"),
+        (
+            (1, 100, 100, *range(200), *[0.0] * 10_000),
+            ("position cart", "velocity cart"),
+            "and 10,187 more, too few or out of range: a table of 100 x 100 is 10,000 levels, more than 4,096",
+        ),
         ((1, 2, 1, 0, 1, 0, 5, 6), ("position card",), "did you mean 'cart'"),
         ((1, 2, 1, 0, 1, 0, 5, 6), ("speed cart",), "position, velocity and command"),
     ],
