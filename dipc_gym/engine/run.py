@@ -253,9 +253,3 @@ def rates(
 @functools.lru_cache(maxsize=2)
 def _loop(tangents: bool) -> str:
     return str(write_loop([(rule, dry) for _, rule, dry in rules()], tangents=tangents))
-
-
-def stamps_of(recorded: Sequence[Array], values: Sequence[Array]) -> tuple[Commands, Whole]:
-    """Commands of several recordings, and where each begins among them."""
-    begin = np.cumsum([0, *(len(stamps) for stamps in recorded)])[:-1]
-    return Commands(np.concatenate(list(recorded)), np.concatenate(list(values))[None]), begin.astype(np.int64)

@@ -130,7 +130,7 @@ def _frames(courses: Mapping[str, Course], seconds: float, factor: float, model:
     env = gymnasium.make(ENV_ID, model=model, render_mode="rgb_array", width=width, height=height)
     length = min(seconds, max(float(course.time[-1]) for course in courses.values()))
     reach = 1.1 * max(float(np.abs(course.state[course.time <= length, 0]).max()) for course in courses.values())
-    traces = [_trace(name, course, length, max(reach, 1e-4)) for name, course in courses.items()]
+    traces = [_trace(course, length, max(reach, 1e-4)) for course in courses.values()]
     large, small = ImageFont.load_default(15), ImageFont.load_default(12)
     try:
         for moment in np.arange(0.0, max(length, 1 / RATE), 1 / RATE):  # of the shortest run one
@@ -154,7 +154,7 @@ def _frames(courses: Mapping[str, Course], seconds: float, factor: float, model:
         env.close()
 
 
-def _trace(name: str, course: Course, length: float, reach: float) -> Image.Image:
+def _trace(course: Course, length: float, reach: float) -> Image.Image:
     """The way of a cart over time, pale; what has been is drawn over it."""
     width, _ = SIZE
     image = Image.new("RGB", (width, TRACE + 2 * MARGIN), PAPER)

@@ -123,8 +123,7 @@ def propose(
     if not rig.stays(np.zeros((1, len(time), len(recordings[0].actuator_names))))[0]:
         return _beside_a_controller(structures, recordings, time, seed)
     found = [
-        (_worth(likeliest, rivals, problem, rig, candidate), candidate)
-        for candidate in _sized(rig, recordings, time, seed)
+        (_worth(likeliest, rivals, rig, candidate), candidate) for candidate in _sized(rig, recordings, time, seed)
     ]
     if not found:
         return _beside_a_controller(structures, recordings, time, seed)
@@ -271,7 +270,6 @@ def _largest(rig: _Rig, recordings: Sequence[Recording], actuator: int) -> float
 def _worth(
     likeliest: tuple[Structure, Array],
     rivals: Sequence[tuple[Structure, Array]],
-    problem: Problem,
     rig: _Rig,
     candidate: _Candidate,
 ) -> float:

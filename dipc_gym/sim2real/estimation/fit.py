@@ -122,6 +122,11 @@ def weights(mse: Array) -> Array:
     return 1.0 / (typical(mse) + mse)
 
 
+def prior_curvature(structure: Structure, problem: Problem, weight: Array) -> Array:
+    """What the prior adds to the curvature of a sum over windows of such weights (n,), (p, p)."""
+    return np.asarray(np.diag(structure.precision) / problem.counts.mean() * weight.sum())
+
+
 def fit(
     problem: Problem,
     structure: Structure,
@@ -143,7 +148,7 @@ def fit(
     """
     shooting = Shooting(problem, structure)
     z = structure.clip(structure.first if z is None else z)
-    prior = np.array([1 / slot.sigma**2 for slot in structure.slots]) / problem.counts.mean()
+    prior = structure.precision / problem.counts.mean()
     centre = np.array([slot.centre for slot in structure.slots])
     logs = np.array([slot.log for slot in structure.slots], dtype=bool)
     damping, steps, converged, exact = 1e-3, 0, False, True

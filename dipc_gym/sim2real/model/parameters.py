@@ -73,11 +73,7 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
             for attribute, unit in (("resistance", "ohm"), ("motorconst", "N m/A")):
                 values = document.effective(element, attribute, "0").split()
                 if values and float(values[0]) > 0:
-                    found.append(
-                        ModelParameter(
-                            attribute, name, float(values[0]), unit, _all_of("actuator", name, attribute), 0.3
-                        )
-                    )
+                    found.append(ModelParameter(attribute, name, float(values[0]), unit, _all_of(name, attribute), 0.3))
         elif model.actuator_ctrlnum[i]:
             gear = float(model.actuator_gear[i, 0])
             if gear:
@@ -162,7 +158,7 @@ def _first_of(kind: str, name: str, attribute: str, sign: float = 1.0) -> Callab
     return write
 
 
-def _all_of(kind: str, name: str, attribute: str) -> Callable[[Document, float], None]:
+def _all_of(name: str, attribute: str) -> Callable[[Document, float], None]:
     """Scales all numbers of an attribute, as torque and back-EMF constant of a motor."""
 
     def write(document: Document, value: float) -> None:

@@ -131,6 +131,11 @@ class Structure:
                 z.append(self.slots[len(z)].mapped(term.guess[p.name]))
         return np.array(z)
 
+    @functools.cached_property
+    def precision(self) -> Array:
+        """Of the prior of each mapped parameter, one over its variance, (p,)."""
+        return np.array([1 / slot.sigma**2 for slot in self.slots])
+
     def clip(self, z: Array) -> Array:
         """The nearest mapped parameters within bounds."""
         out = z.copy()

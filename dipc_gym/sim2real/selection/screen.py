@@ -201,8 +201,7 @@ class _Overlay:
         weight = 1.0 / (1.0 + current.mse) / self.counts
         self.A = np.einsum("n,nij->ij", weight, self.quadratics.A)
         self.b = weight @ self.quadratics.b
-        prior = np.array([1 / slot.sigma**2 for slot in current.structure.slots])
-        self.A[self.own, self.own] += prior / self.counts.mean()
+        self.A[self.own, self.own] += current.structure.precision / self.counts.mean()
 
     def predicted_gain(
         self, which: Sequence[int], effects: Sequence[Effect], *, beside: bool

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.fit import Fit, fit, prior_curvature
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
 from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.structure import Term
@@ -87,8 +87,7 @@ def step_shift(final: Fit, problem: Problem) -> Array:
     change = final.raw - normalised_residual(fine, predict(fine, final.structure, [final.z], final.initial[None])[0])
     change = change.reshape(len(change), -1)
     w = 1.0 / (typical(final.mse) + final.mse + np.sum(change**2, axis=1) / problem.counts) / problem.counts
-    prior = np.diag([1 / slot.sigma**2 for slot in final.structure.slots]) / problem.counts.mean() * w.sum()
-    curvature = np.einsum("n,nij->ij", w, final.quadratics.A) + prior
+    curvature = np.einsum("n,nij->ij", w, final.quadratics.A) + prior_curvature(final.structure, problem, w)
     # A Jacobian that initial states have been eliminated from leaves out of the change what they could explain.
     slope = np.einsum("n,nmk,nm->k", w, final.jacobian[:, : change.shape[1]], change)
     return np.asarray(2 * np.abs(np.linalg.pinv(curvature, hermitian=True) @ slope))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate, prior_curvature, weights
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.model.structure import Structure, Term, names
@@ -56,7 +56,7 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     if not len(fitted.z):
         return np.zeros(0)
     w = weights(fitted.mse) / counts
-    prior = np.diag([1 / slot.sigma**2 for slot in fitted.structure.slots]) / counts.mean() * w.sum()
+    prior = prior_curvature(fitted.structure, problem, w)
     _, block = np.unique(problem.blocks, return_inverse=True)
     count, p = int(block.max()) + 1, len(fitted.z)
     if count < VERDICT.fewest_blocks:
