@@ -193,6 +193,8 @@ def _entry(table: Array, k: NDArray[np.intp]) -> Array:
 
 MOST_KNOTS = 256  # of a table in a file
 MOST_LEVELS = 4096  # of a surface
+MOST_NUMBERS = 3 * MOST_LEVELS  # of any entry
+HEAD = 16  # numbers of an entry that say more than one level of a table
 
 _TABLES = frozenset({"motor.map"})
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
@@ -446,9 +448,10 @@ def _extras(model: mujoco.MjModel) -> list[Extra]:
         extras.append(Extra(parts[1], parts[2], stage, index, model.numeric(i).data.copy(), inputs))
     for extra in extras:
         if not _usable(extra):
+            rule = (_rules[extra.effect][1].__doc__ or "").strip().partition("\n")[0]
             raise mjcf.MjcfError(
-                f"<custom> entry '{mjcf.PREFIX}:{extra.effect}:{extra.at}' has the numbers {extra.data.tolist()}, "
-                f"too few or out of range; {(_rules[extra.effect][1].__doc__ or '').strip().partition(chr(10))[0]}"
+                f"<custom> entry '{mjcf.PREFIX}:{extra.effect}:{extra.at}' has the numbers {_shown(extra.data)}, "
+                f"too few, too many or out of range; {rule}"
             )
     return extras
 
@@ -456,7 +459,7 @@ def _extras(model: mujoco.MjModel) -> list[Extra]:
 def _usable(extra: Extra) -> bool:
     """Whether an entry's numbers give numbers, wherever a joint is and whenever it is."""
     numbers = extra.data
-    if not (len(numbers) and np.all(np.abs(numbers) <= LARGEST)):
+    if not (0 < len(numbers) <= MOST_NUMBERS and np.all(np.abs(numbers) <= LARGEST)):
         return False
     if extra.stage == "lag" and not SHORTEST_LAG <= numbers[0] <= LONGEST_LAG:
         return False
@@ -466,14 +469,21 @@ def _usable(extra: Extra) -> bool:
             return False
     if extra.effect == RESIDUAL and not _is_surface(extra):
         return False
-    # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on.
-    places = np.unique([*numbers, *TRIED])
+    # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on. Levels
+    # of a table are bounded by now, and so is what lies between two of them.
+    places = np.unique([*numbers[:HEAD], numbers.min(), numbers.max(), *TRIED])
     try:
         with np.errstate(all="ignore"):
             tried = [extra(replace(_moment(abs(x), x, x, x, x), speed=x, inputs=(x, x))) for x in places]
         return bool(np.all(np.abs(tried) <= LARGEST**2))
     except (IndexError, ValueError):
         return False
+
+
+def _shown(numbers: Array) -> str:
+    """The first numbers of an entry, and how many there are."""
+    first = str(numbers[:HEAD].tolist())
+    return first if len(numbers) <= HEAD else f"{first[:-1]}, ... {len(numbers)} in all]"
 
 
 def _is_surface(extra: Extra) -> bool:
