@@ -193,6 +193,8 @@ def _entry(table: Array, k: NDArray[np.intp]) -> Array:
 
 MOST_KNOTS = 256  # of a table in a file
 MOST_LEVELS = 4096  # of a surface
+MOST_NUMBERS = 3 * MOST_LEVELS  # of any entry
+HEAD = 16  # numbers of an entry that say more than one level of a table
 
 _TABLES = frozenset({"motor.map"})
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
@@ -448,7 +450,7 @@ def _extras(model: mujoco.MjModel) -> list[Extra]:
         if not _usable(extra):
             entry, rule = f"{mjcf.PREFIX}:{extra.effect}:{extra.at}", (_rules[extra.effect][1].__doc__ or "").strip()
             raise mjcf.MjcfError(
-                f"<custom> entry '{entry}' has the numbers {_shown(extra.data)}, too few or out of range"
+                f"<custom> entry '{entry}' has the numbers {_shown(extra.data)}, too few, too many or out of range"
                 f"{_fault(extra)}; {rule.partition(chr(10))[0]}"
             )
     return extras
@@ -486,7 +488,7 @@ def _fault(extra: Extra) -> str:
 def _usable(extra: Extra) -> bool:
     """Whether an entry's numbers give numbers, wherever a joint is and whenever it is."""
     numbers = extra.data
-    if not (len(numbers) and np.all(np.abs(numbers) <= LARGEST)):
+    if not (0 < len(numbers) <= MOST_NUMBERS and np.all(np.abs(numbers) <= LARGEST)):
         return False
     if extra.stage == "lag" and not SHORTEST_LAG <= numbers[0] <= LONGEST_LAG:
         return False
@@ -496,8 +498,9 @@ def _usable(extra: Extra) -> bool:
             return False
     if extra.effect == RESIDUAL and not _is_surface(extra):
         return False
-    # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on.
-    x = np.unique([*numbers, *TRIED])
+    # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on. Levels
+    # of a table are bounded by now, and so is what lies between two of them.
+    x = np.unique([*numbers[:HEAD], numbers.min(), numbers.max(), *TRIED])
     everywhere = replace(extra, data=np.broadcast_to(numbers, (len(x), len(numbers))))
     try:
         with np.errstate(all="ignore"):
@@ -505,6 +508,12 @@ def _usable(extra: Extra) -> bool:
         return bool(np.all(np.abs(tried) <= LARGEST**2))
     except (IndexError, ValueError):
         return False
+
+
+def _shown(numbers: Array) -> str:
+    """The first numbers of an entry, and how many there are."""
+    first = str(numbers[:HEAD].tolist())
+    return first if len(numbers) <= HEAD else f"{first[:-1]}, ... {len(numbers)} in all]"
 
 
 def _is_surface(extra: Extra) -> bool:
