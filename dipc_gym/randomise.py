@@ -16,6 +16,7 @@ from dipc_gym.plant import FORMAT, MAX_DELAY, RANGES, Encoders, Friction, Masses
 __all__ = ["Normal", "PlantFamily", "Uniform"]
 
 PARTS = {"motor": Motor, "friction": Friction, "encoders": Encoders, "masses": Masses}
+FIELDS = {field.name for field in dataclasses.fields(Plant)}
 FIXED = ("supply", "control_period")  # they set the action space and the rhythm of all environments
 MAY_BE_ZERO = ("delay", "friction.bristle_damping", "friction.viscous", "encoders.noise", "encoders.velocity_filter")
 FARTHEST = 1e12  # beyond the range of any field
@@ -148,8 +149,8 @@ class PlantFamily:
         for name, value in data.items():
             if name in PARTS and isinstance(value, Mapping):
                 plain[name] = {key: _centre(f"{name}.{key}", entry, spreads) for key, entry in value.items()}
-            else:
-                plain[name] = _centre(name, value, spreads)
+            else:  # of a name that there is not, the plant says so
+                plain[name] = _centre(name, value, spreads) if name in FIELDS else value
         return cls(Plant.from_dict(plain, base), tuple(spreads))
 
     def draw(self, rng: np.random.Generator) -> Plant:

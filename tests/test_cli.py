@@ -95,6 +95,8 @@ def test_notes_of_the_recording_that_is_trained_from_are_told(
     [
         (["compare", "--out", "full"], "choose another folder"),
         (["compare", "--out", "new", "--controller", "pid"], "there is no controller 'pid'"),
+        (["compare", "--out", "new", "--controller", "lqrr"], "did you mean 'lqr'?"),
+        (["compare", "--out", "new", "--estimator", "kalmann"], "did you mean 'kalman'?"),
         (["comapre", "--out", "new"], "did you mean 'compare'?"),
         (["compare", "--out", "new", "--compensator", "lnlf"], "did you mean 'llnf'?"),
         (["compare", "--out", "new", "--robustness", "fricton"], "did you mean 'friction'?"),

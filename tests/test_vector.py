@@ -265,6 +265,7 @@ def test_plants_with_masses_and_delay_go_through_files(tmp_path: Path) -> None:
         ({"masses": {"cart": {"normal": [0.5, 0.2]}}}, r"masses\.cart: normal .* reaches -0\.1"),
         ({"masses": {"cart": -0.5}}, r"masses\.cart is -0\.5"),
         ({"masses": {"wheel": {"uniform": [1, 2]}}}, r"unknown field 'masses\.wheel'"),
+        ({"frction": {"coulomb": 5.0}}, "unknown field 'frction'.*did you mean 'friction'"),
         ({"delay": {"uniform": [0.0, 1.5]}}, r"delay: uniform \[0, 1\.5\] reaches 1\.5 s; it can be 1 s at most"),
         ({"delay": {"normal": [0.001, 0.001]}}, "delay: normal .* must not be negative"),
         ({"delay": -0.001}, "delay is -0.001"),

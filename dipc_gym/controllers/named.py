@@ -7,6 +7,7 @@ from dipc_gym.controllers.base import Controller
 from dipc_gym.controllers.designs import DESIGNS
 from dipc_gym.controllers.lqr import LQR
 from dipc_gym.controllers.sb3_files import read_policy
+from dipc_gym.naming import suggestion
 from dipc_gym.policy import ControllerError
 
 
@@ -29,6 +30,6 @@ def load(name: str) -> Controller:
     if not name.endswith(".zip"):
         raise ControllerError(
             f"there is no controller {name!r}; there are 'lqr', {', '.join(map(repr, DESIGNS))} and paths of saved "
-            "policies (.json, .zip)"
+            f"policies (.json, .zip){suggestion(name, ['lqr', *DESIGNS])}"
         )
     return read_policy(name)

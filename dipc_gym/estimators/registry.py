@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dipc_gym.compensators import LuGre, RigConstants, Samples
 from dipc_gym.estimators.base import Estimator, RigModel
+from dipc_gym.naming import suggestion
 
 _KINDS: dict[str, type[Estimator]] = {}
 
@@ -35,7 +36,7 @@ def kind(name: str) -> type[Estimator]:
         ValueError: there is none; the message lists what there is.
     """
     if name not in _KINDS:
-        raise ValueError(f"there is no estimator {name!r}; there are {', '.join(_KINDS)}")
+        raise ValueError(f"there is no estimator {name!r}; there are {', '.join(_KINDS)}{suggestion(name, _KINDS)}")
     return _KINDS[name]
 
 
