@@ -456,13 +456,6 @@ def _extras(model: mujoco.MjModel) -> list[Extra]:
     return extras
 
 
-def _shown(numbers: Array) -> str:
-    """Numbers of an entry, the first of many."""
-    most = 16
-    more = f", and {len(numbers) - most:,} more" if len(numbers) > most else ""
-    return f"{numbers[:most].tolist()}{more}"
-
-
 def _fault(extra: Extra) -> str:
     """What is wrong with the numbers of an entry, where one thing can be told; begins with a colon."""
     numbers = extra.data

@@ -196,7 +196,8 @@ class _Runs:
             mine = np.tile(windows.source == i, len(self.variants))
             begin = sims.time.reshape(len(self.variants), len(windows))[0, windows.source == i]
             for tendon in bent:
-                length = sum(coefficient * sims.qpos[mine, joint] for joint, coefficient in along(model, tendon))
+                joints, coefficients = zip(*along(model, tendon), strict=True)
+                length = sims.qpos[mine][:, list(joints)] @ np.array(coefficients)
                 first = int(model.tendon_plasticadr[tendon])
                 rest = length - bends(self.variants, tendon, motion, begin).ravel()
                 sims.plastic[mine, first] = sims.plastic[mine, first + 1] = rest

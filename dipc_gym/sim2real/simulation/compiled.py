@@ -173,7 +173,8 @@ class Compiled:
     def _bend(self, states: Array, at: float) -> None:
         """Give every spring that yields the rest at which it is bent as the motion before has left it."""
         for state, tendon in self._yielding:
-            length = sum(coefficient * states[..., joint] for joint, coefficient in along(self.model, tendon))
+            joints, coefficients = zip(*along(self.model, tendon), strict=True)
+            length = states[..., list(joints)] @ np.array(coefficients)
             for mine, _, motion, begin in self._passes(at, f"how far {self.model.tendon(tendon).name} is bent"):
                 states[:, mine, state] = length[:, mine] - bends(self.variants, tendon, motion, begin)
 

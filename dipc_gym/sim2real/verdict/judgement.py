@@ -64,7 +64,7 @@ def judgement(
         concluded = replace(found, fitted=final)
     found = late(
         "Which model predicts best",
-        lambda: _best(search, concluded, [coarse, recalibrated, nominal]),
+        lambda: _best(search, concluded, search.journal.informed((coarse, recalibrated, nominal))),
         lambda: concluded,
     )
     notes, final = [*found.notes], found.fitted
