@@ -30,8 +30,9 @@ _lock = threading.Lock()
 
 def cache_folder() -> Path:
     """Where compiled code is kept: in the cache folder of the user's system."""
+    base: str | Path
     if sys.platform == "win32":
-        base: str | Path = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
     elif sys.platform == "darwin":
         base = Path.home() / "Library" / "Caches"
     else:

@@ -263,6 +263,15 @@ def _motor(rig: Rig) -> list[Effect]:
             ),
             fixed=((index("heat_coefficient"), 0.0039),),
         ),
+        Effect(
+            "load.swinging",
+            rig.joints[0],
+            (
+                Parameter("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),
+                Parameter("damping_ratio", "", index("slosh_damping"), 0.02, 0.2),
+            ),
+            fixed=((index("slosh_mass"), 0.15 * own), (index("m0"), -0.15 * own)),
+        ),
     ]
     return found
 
@@ -272,7 +281,6 @@ def unknowns(rig: Rig) -> list[Effect]:
     at = rig.joints[0]
     force, span = rig.force[0], rig.span[0]
     n, m = _units(rig, 0)
-    own = rig.plant[index("m0")]
     level = Parameter("level", n, index("coulomb", 0), 0.05 * force, 0.25 * force)
     part = ("friction.coulomb",)
     found = [
@@ -297,13 +305,6 @@ def unknowns(rig: Rig) -> list[Effect]:
             ),
             includes=(*part, "friction.stribeck"),
             kind="breakaway force that grows with the time at rest",
-        ),
-        Effect(
-            "unknown",
-            at,
-            (Parameter("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),),
-            fixed=((index("slosh_mass"), 0.15 * own), (index("m0"), -0.15 * own), (index("slosh_damping"), 0.05)),
-            kind="sloshing load with a resonance of its own",
         ),
         Effect(
             "unknown",

@@ -268,6 +268,8 @@ def _values(answer: Mapping[str, Any], truth: str) -> dict[str, float]:
         values["rotor_inertia"] = drive["rotor"]
     if effect == "disturbance.periodic":
         values["frequency"] /= 2 * math.pi
+    if effect == "load.swinging" and "slosh_rate" in values:
+        values["frequency"] = values["slosh_rate"] / (2 * math.pi)
     if effect == "sensor.gain":
         values["gain"] += 1
     if effect == "load.spring":

@@ -23,7 +23,7 @@ from dipc_gym.trials.plant import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_JOI
     KT, KE, RESISTANCE, INDUCTANCE, DEAD, VLIMIT, FLIMIT, COG_SIZE, COG_WAVE, COG_PHASE,
     HEAT_COEFFICIENT, HEAT_RESISTANCE, HEAT_TIME, DELAY,
     ROTOR, GAP, STIFFNESS, SHAFT_DAMPING,
-    DRIFT, DRIFT_TIME, DWELL, DWELL_TIME, SLOSH_MASS, SLOSH_RATE, SLOSH_DAMPING,
+    DRIFT, DRIFT_TIME, DWELL, DWELL_TIME, SLOSH_MASS, SLOSH_RATE, SLOSH_DAMPING, SLOSH_LENGTH,
     CREEP_STIFFNESS, CREEP_TIME, LEAK, ENCODER_SIZE, ENCODER_WAVE,
     LAW, BUMP1, CENTRE1, WIDTH1, BUMP2, CENTRE2, WIDTH2, BUMP3, CENTRE3, WIDTH3,
     FALL, FALL_SPEED, FALL_POWER, RISE, RISE_SPEED, RISE_POWER,
@@ -173,6 +173,8 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
         rhs[0] -= p[b + BRISTLE] * s[BRISTLE_Z] + p[b + BRISTLE_DAMPING] * rate
     if p[SLOSH_MASS] > 0.0:
         away = s[SLOSH_Q] - s[0]
+        if p[SLOSH_LENGTH] > 0.0:
+            away = p[SLOSH_LENGTH] * np.sin(away / p[SLOSH_LENGTH])
         pull = p[SLOSH_RATE] * (p[SLOSH_RATE] * away + 2.0 * p[SLOSH_DAMPING] * (s[SLOSH_V] - s[V]))
         out[SLOSH_Q] = s[SLOSH_V]
         out[SLOSH_V] = -pull

@@ -10,7 +10,8 @@ GLOBAL = (
     "cog_size", "cog_wave", "cog_phase",
     "heat_coefficient", "heat_resistance", "heat_time", "delay",
     "rotor", "gap", "stiffness", "shaft_damping",  # transmission
-    "drift", "drift_time", "dwell", "dwell_time", "slosh_mass", "slosh_rate", "slosh_damping",  # in no catalogue
+    "drift", "drift_time", "dwell", "dwell_time",  # in no catalogue
+    "slosh_mass", "slosh_rate", "slosh_damping", "slosh_length",  # a load that swings, like a pendulum if of a length
     "creep_stiffness", "creep_time", "leak", "encoder_size", "encoder_wave",
     "law", "bump1", "centre1", "width1", "bump2", "centre2", "width2", "bump3", "centre3", "width3",  # of any shape
     "fall", "fall_speed", "fall_power", "rise", "rise_speed", "rise_power",

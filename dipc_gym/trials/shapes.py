@@ -1,12 +1,14 @@
 """Laws of any shape, for the trial of laws: of a kind that has a name, and of none.
 
 Shapes are sums of bell curves, powers and exponentials, with numbers at random. The tool writes laws as straight lines
-between knots, and its formulas are sines, constants and squares: none of these can be one of them but by approximation.
+between knots, its formulas are sines, constants and squares, its friction with memory springs that slip, its loads hang
+on straight springs: none of these can be one of them but by approximation.
 """
 
 from __future__ import annotations
 
 from dipc_gym.trials import integrator
+from dipc_gym.trials.catalogue import unknowns
 from dipc_gym.trials.hidden import Effect, Parameter
 from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import Rig
@@ -22,7 +24,7 @@ def named(rig: Rig) -> list[Effect]:
     """
     at, force, speed, span = rig.joints[0], rig.force[0], rig.speed[0], rig.span[0]
     n, m = ("N", "m") if rig.linear else ("N m", "rad")
-    middle = rig.start[0]
+    middle, own = rig.start[0], rig.plant[index("m0")]
     level = Parameter("level", n, index("coulomb", 0), 0.02 * force, 0.3 * force)
     found = [
         _law(
@@ -63,6 +65,29 @@ def named(rig: Rig) -> list[Effect]:
             alike=("motor.map", "motor.deadzone", "motor.saturation"),
             also_at=(at,),
         ),
+        Effect(
+            "friction.hysteresis",
+            at,
+            (
+                Parameter("force", n, index("hysteresis"), 0.03 * force, 0.4 * force),
+                Parameter("width", m, index("hysteresis_width"), 0.02 * span, 0.4 * span),
+                Parameter("power", "", index("hysteresis_power"), 1.0, 3.0),
+            ),
+            kind="hysteresis after Bouc and Wen",
+            alike=("friction.hysteresis", "friction.stribeck"),
+        ),
+        Effect(
+            "load.swinging",
+            at,
+            (
+                Parameter("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),
+                Parameter("slosh_length", m, index("slosh_length"), 0.1 * span, span),
+                Parameter("slosh_damping", "", index("slosh_damping"), 0.02, 0.2),
+            ),
+            fixed=((index("slosh_mass"), 0.15 * own), (index("m0"), -0.15 * own)),
+            kind="load that swings like a pendulum",
+            alike=("load.swinging",),
+        ),
     ]
     return [law for law in found if not (rig.name == "motor_axis" and law.name.endswith(".position"))]
 
@@ -89,31 +114,10 @@ def nameless(rig: Rig) -> list[Effect]:
             also_at=("motor",),
             kind="drive that is stronger here and weaker there",
         ),
-        Effect(
-            "unknown",
-            at,
-            (
-                Parameter("force", n, index("hysteresis"), 0.03 * force, 0.4 * force),
-                Parameter("width", m, index("hysteresis_width"), 0.02 * span, 0.4 * span),
-                Parameter("power", "", index("hysteresis_power"), 1.0, 3.0),
-            ),
-            includes=("friction.coulomb", "friction.speed", "load.spring"),
-            kind="hysteresis after Bouc and Wen",
-        ),
-        Effect(
-            "unknown",
-            at,
-            (Parameter("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),),
-            fixed=(
-                (index("slosh_mass"), 0.15 * rig.plant[index("m0")]),
-                (index("m0"), -0.15 * rig.plant[index("m0")]),
-                (index("slosh_damping"), 0.05),
-            ),
-            kind="hidden mode",
-        ),
     ]
-    if rig.name == "motor_axis":
-        found = found[2:]
+    if rig.name == "motor_axis":  # goes round and round
+        found = []
+    found += [other for other in unknowns(rig) if other.kind.startswith(("creeping", "breakaway", "dry friction"))]
     if rig.count > 1:
         pull = rig.force[1]
         found.append(
