@@ -277,3 +277,32 @@ def test_ctrl_c_ends_in_a_sentence(tmp_path: Path) -> None:
     for path in tmp_path.rglob("*.json"):
         json.loads(path.read_text())
     assert not list(tmp_path.rglob("*.partial"))
+
+
+# --- nobody reads what is printed ------------------------------------------------------------------------------------
+
+
+def test_a_diagnosis_whose_output_goes_to_a_pipe_that_breaks_is_written(tmp_path: Path) -> None:
+    """`diagnose ... 2>&1 | tee log`, and Ctrl-C: both get it, and tee is gone at once."""
+    (tmp_path / "cart.xml").write_text(NOMINAL)
+    recording.write(run(1, 6, 3.0), tmp_path / "run.csv")
+    command = [sys.executable, "-m", "dipc_gym", "diagnose", "cart.xml", "run.csv", "--out", "found", "--jobs", "1"]
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
+    assert process.stdout is not None
+    while "added" not in process.stdout.readline():
+        assert process.poll() is None
+    process.stdout.close()
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(timeout=300) == 1
+    said = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
+    assert said["missing"][0]["effect"] == "friction.coulomb"
+    assert (tmp_path / "found" / "report.html").exists()
+
+
+def test_a_pipe_that_breaks_leaves_no_traceback(tmp_path: Path) -> None:
+    command = f"{sys.executable} -m dipc_gym --help | true; echo ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    assert done.stdout.strip() in ("0", "1")  # 0 where all fitted into the pipe before its reader had gone

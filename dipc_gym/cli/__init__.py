@@ -6,8 +6,10 @@ that help comes at once.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Protocol
 
 import numpy as np
@@ -48,7 +50,20 @@ COMMANDS: dict[str, type[Command]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; the exit code is 0, 1 if part of it failed, 2 for bad input, 130 after Ctrl-C."""
+    """Run the command line; the exit code is 0, 1 if part of it failed, 2 for bad input, 130 after Ctrl-C.
+
+    It is 1 too if nobody reads what is printed, as after `| head`, or when `| tee` has ended with the same Ctrl-C.
+    """
+    try:
+        code = _run(arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _print_to_nobody()
+        return 1
+    return code
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         print(f"dipc-gym {__version__}")
@@ -72,8 +87,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+    except BrokenPipeError:
+        raise
     except np.linalg.LinAlgError:  # a ValueError, but never what the package raises for input
         raise
+    except MemoryError as error:
+        print(f"dipc-gym: there is not enough memory for this ({error or 'none left'})", file=sys.stderr)
+        return 2
     except (ValueError, OSError, ImportError) as error:  # what the package raises for input it cannot use
         print(f"dipc-gym: {error}", file=sys.stderr)
         return 2
+
+
+def _print_to_nobody() -> None:
+    """Let what is still to be printed vanish, so that Python ends without a complaint."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from dipc_gym.cli.options import free
+from dipc_gym.cli.options import ending, free
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,7 @@ class FromModel:
         from dipc_gym import compensators, inverse
 
         free(self.out, self.overwrite)
+        ending(self.out, ".json")
         made, law = inverse.compensator(self.model, self.plant, seed=self.seed)
         compensators.save(made, self.out)
         slow, fast = abs(law.friction[len(law.friction) // 2]), abs(law.friction[-1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -88,6 +89,7 @@ class Diagnose:
         refuse_degrees([*fitted, *judged], model, [*units, *(mapping.get(column, "") for column in units)])
         wishes = Wishes(self.fix, {key: _spread(key, text) for key, text in pairs("prior", self.prior).items()})
         with alone(self.out):
+            folder.check_free(self.out, self.overwrite)  # a run that was at work there may just have ended
             with Progress() as tell:
                 found = diagnose(
                     source,
@@ -99,14 +101,17 @@ class Diagnose:
                     threads=self.jobs,
                     tell=tell,
                 )
-            for note in found.notes:
-                print(f"note: {note}")
             command = shlex.join(["dipc-gym", *sys.argv[1:]])
             try:
                 folder.save(found, self.out, model=self.model.name, command=command, overwrite=self.overwrite)
             except OSError:
-                print(dumps(finite(found.to_dict()), indent=2))  # what took so long is not lost with the disk
+                with suppress(OSError):
+                    print(dumps(finite(found.to_dict()), indent=2))  # what took so long is not lost with the disk
                 raise
+        if self.design is not None and found.design is not None:
+            recording.write(found.design.commands, self.design, overwrite=self.overwrite)
+        for note in found.notes:  # nothing is printed before all is written: nobody may be there to read it
+            print(f"note: {note}")
         print(f"\n{found.verdict.upper()}. {found.sentence}")
         for missing in found.missing:
             share = "?" if isnan(missing.share) else f"{100 * missing.share:.0f}"
@@ -119,7 +124,6 @@ class Diagnose:
         if self.design is not None and found.design is None:
             print(f"{self.design}: not written, for nothing was fitted that a command could tell apart")
         elif self.design is not None and found.design is not None:
-            recording.write(found.design.commands, self.design, overwrite=self.overwrite)
             print(f"{self.design}: {found.design.sentence}")
         print(f"results in {self.out}")
         return 0

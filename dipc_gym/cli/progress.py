@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TextIO
 
 SEARCH = "as given,"  # begins the line that follows the fits of the model itself, before any effect is tried
@@ -22,7 +23,9 @@ class Progress:
     """Prints what a diagnosis tells, and, on a terminal, keeps a line alive that says how long it has to go.
 
     The estimate is a range, for nobody knows how many effects there are to find. Into a log goes one line for each
-    stage, and no line twice.
+    stage, and no line twice. Where
+    nothing can be written any more (a log on a full disk, a pipe whose reader has gone), it is silent: what is found
+    matters more.
 
     Args:
         out: where to.
@@ -56,8 +59,7 @@ class Progress:
         if self._live is not None:
             self._live.join()
             with self._lock:
-                self._out.write("\r\x1b[K")
-                self._out.flush()
+                self._write("\r\x1b[K")
 
     def tell(self, line: str) -> None:
         """Print a line, and what is left if a stage ended with it."""
@@ -86,15 +88,18 @@ class Progress:
 
     def _print(self, now: float, line: str) -> None:
         with self._lock:
-            self._out.write(("\r\x1b[K" if self._live is not None else "") + f"[{now:5.1f} s] {line}\n")
-            self._out.flush()
+            self._write(("\r\x1b[K" if self._live is not None else "") + f"[{now:5.1f} s] {line}\n")
 
     def _beat(self) -> None:
         while not self._stop.wait(1.0):
             now, left = self._clock() - self._began, self.left()
             with self._lock:
-                self._out.write(f"\r\x1b[K[{now:5.1f} s] working{', ' + left if left else ''} (Ctrl-C ends the search)")
-                self._out.flush()
+                self._write(f"\r\x1b[K[{now:5.1f} s] working{', ' + left if left else ''} (Ctrl-C ends the search)")
+
+    def _write(self, text: str) -> None:
+        with suppress(OSError):
+            self._out.write(text)
+            self._out.flush()
 
 
 def _words(seconds: float) -> str:

@@ -62,11 +62,11 @@ class Replay:
             ending(self.plot, ".png", ".pdf", ".svg")
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         done = replay(self.model, self.recording, window=self.window, step=self.step, mapping=mapping, units=units)
-        for note in done.recording.notes:
-            print(f"note: {note}")
-        print(done.table())
         if self.json is not None:
             write_json(self.json, done.to_dict())
         if self.plot is not None:
             done.plot(self.plot)
+        for note in done.recording.notes:
+            print(f"note: {note}")
+        print(done.table())
         return 0

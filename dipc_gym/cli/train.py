@@ -65,12 +65,12 @@ class Train:
             units=pairs("unit", self.unit),
             seed=self.seed,
         )
+        trained = found.fit(self.compensator, seed=self.seed)
+        compensators.save(trained, self.out)
         for note in found.run.notes:
             print(f"note: {note}")
         if self.recording is not None:
             print(found.excitation.report())
-        trained = found.fit(self.compensator, seed=self.seed)
-        compensators.save(trained, self.out)
         print(f"{self.out}: {self.compensator}, {trained.parameters} numbers")
         if trained.figures is not None:
             fit = trained.figures

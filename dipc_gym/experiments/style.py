@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dipc_gym.canvas import settings
 from dipc_gym.files import whole
 
 if TYPE_CHECKING:
@@ -76,10 +77,8 @@ def of(name: str, among: tuple[str, ...] = ()) -> Look:
 @contextmanager
 def text(points: float) -> Iterator[None]:
     """Set type and lines for paper, with fonts that journals take (TrueType, not Type 3)."""
-    from matplotlib import rc_context
-
     look: Any = {"axes.linewidth": 0.6, "lines.linewidth": 1.0, "pdf.fonttype": 42, "grid.linewidth": 0.5}
-    with rc_context(look | {"font.size": points, "axes.titlesize": points, "legend.fontsize": points}):
+    with settings(look | {"font.size": points, "axes.titlesize": points, "legend.fontsize": points}):
         yield
 
 

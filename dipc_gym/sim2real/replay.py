@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym import physics as custom
 from dipc_gym import recording as recordings
+from dipc_gym.canvas import settings
 from dipc_gym.files import whole
 from dipc_gym.provenance import versions
 from dipc_gym.recording import Recording
@@ -165,6 +166,7 @@ class Replay:
     def __len__(self) -> int:
         return len(self.windows)
 
+    @settings({"text.parse_math": False})  # a sensor may be called $x^
     def plot(self, path: str | Path) -> Path:
         """Draw observed against predicted, and their difference below, a pair of axes for each sensor.
 

@@ -12,9 +12,9 @@ static level. A plant is one flat vector of parameters, see `dipc_gym.trials.pla
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from dipc_gym.trials.compiler import numba
 from dipc_gym.trials.plant import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_JOINTS
 
 # Places in the plant vector, and within a joint's part of it.

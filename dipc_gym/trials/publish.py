@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dipc_gym.canvas import settings
 from dipc_gym.files import whole, write_json, write_whole
 
 
@@ -132,6 +133,7 @@ def _sizes(title: str, rows: Sequence[Mapping[str, Any]], scale: float, unit: st
     return lines
 
 
+@settings()
 def figure(scores: Mapping[str, Any], path: Path) -> None:
     """Naming rate against effect size, and the confusion matrix.
 
