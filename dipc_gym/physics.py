@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 LARGEST = 1e9  # of an entry's numbers; of what comes of them, its square
 SHORTEST_LAG, LONGEST_LAG = 1e-9, 1e6  # time constants, s
 TRIED = (-100.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 100.0)  # positions, forces, commands and times
+OUTERMOST = (-1e10, 1e10)  # MuJoCo bounds a state to this; what comes of it need but be a number
 
 
 @dataclass(frozen=True)
@@ -193,6 +194,8 @@ def _entry(table: Array, k: NDArray[np.intp]) -> Array:
 
 MOST_KNOTS = 256  # of a table in a file
 MOST_LEVELS = 4096  # of a surface
+MOST_NUMBERS = 3 * MOST_LEVELS  # of any entry
+HEAD = 16  # numbers of an entry that say more than one level of a table
 
 _TABLES = frozenset({"motor.map"})
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
@@ -448,7 +451,7 @@ def _extras(model: mujoco.MjModel) -> list[Extra]:
         if not _usable(extra):
             entry, rule = f"{mjcf.PREFIX}:{extra.effect}:{extra.at}", (_rules[extra.effect][1].__doc__ or "").strip()
             raise mjcf.MjcfError(
-                f"<custom> entry '{entry}' has the numbers {_shown(extra.data)}, too few or out of range"
+                f"<custom> entry '{entry}' has the numbers {_shown(extra.data)}, too few, too many or out of range"
                 f"{_fault(extra)}; {rule.partition(chr(10))[0]}"
             )
     return extras
@@ -456,14 +459,15 @@ def _extras(model: mujoco.MjModel) -> list[Extra]:
 
 def _shown(numbers: Array) -> str:
     """Numbers of an entry, the first of many."""
-    most = 16
-    more = f", and {len(numbers) - most:,} more" if len(numbers) > most else ""
-    return f"{numbers[:most].tolist()}{more}"
+    more = f", and {len(numbers) - HEAD:,} more" if len(numbers) > HEAD else ""
+    return f"{numbers[:HEAD].tolist()}{more}"
 
 
 def _fault(extra: Extra) -> str:
     """What is wrong with the numbers of an entry, where one thing can be told; begins with a colon."""
     numbers = extra.data
+    if len(numbers) > MOST_NUMBERS:
+        return f": {len(numbers):,} numbers, more than {MOST_NUMBERS:,}"
     wild = np.flatnonzero(~(np.abs(numbers) <= LARGEST))
     if len(wild):
         return f": number {wild[0] + 1} is {numbers[wild[0]]:g}"
@@ -486,7 +490,7 @@ def _fault(extra: Extra) -> str:
 def _usable(extra: Extra) -> bool:
     """Whether an entry's numbers give numbers, wherever a joint is and whenever it is."""
     numbers = extra.data
-    if not (len(numbers) and np.all(np.abs(numbers) <= LARGEST)):
+    if not (0 < len(numbers) <= MOST_NUMBERS and np.all(np.abs(numbers) <= LARGEST)):
         return False
     if extra.stage == "lag" and not SHORTEST_LAG <= numbers[0] <= LONGEST_LAG:
         return False
@@ -496,15 +500,21 @@ def _usable(extra: Extra) -> bool:
             return False
     if extra.effect == RESIDUAL and not _is_surface(extra):
         return False
-    # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on.
-    x = np.unique([*numbers, *TRIED])
-    everywhere = replace(extra, data=np.broadcast_to(numbers, (len(x), len(numbers))))
+    # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on. Levels
+    # of a table are bounded by now, and so is what lies between two of them.
+    usual = np.unique([*numbers[:HEAD], numbers.min(), numbers.max(), *TRIED])
     try:
         with np.errstate(all="ignore"):
-            tried = everywhere(replace(_moment(np.abs(x), x, x, x, x), speed=x, inputs=(x, x)))
-        return bool(np.all(np.abs(tried) <= LARGEST**2))
+            near, far = _alike(extra, usual), _alike(extra, np.array(OUTERMOST))
+        return bool(np.all(np.abs(near) <= LARGEST**2) and np.all(np.isfinite(far)))
     except (IndexError, ValueError):
         return False
+
+
+def _alike(extra: Extra, x: Array) -> Array:
+    """What comes of an entry where position, force, command, time and all else are the same number of x (n,)."""
+    everywhere = replace(extra, data=np.broadcast_to(extra.data, (len(x), len(extra.data))))
+    return everywhere(replace(_moment(np.abs(x), x, x, x, x), speed=x, inputs=(x, x)))
 
 
 def _is_surface(extra: Extra) -> bool:

@@ -246,7 +246,7 @@ def test_a_batch_of_variants_equals_single_simulations_bit_for_bit() -> None:
         (entry("motor.deadzone", "cart", 1.0), "no 'cart' in the model; there are motor"),
         (entry("sensor.bias", "cart", 1.0), "no 'cart' in the model; there are clock, x"),
         (entry("friction.load", "motor", 1.0, 0.1, 0.1), "no 'motor' in the model; there are cart"),
-        (entry("friction.load", "cart", 1.0), "numbers \\[1.0\\], too few .*level, by_drive"),
+        (entry("friction.load", "cart", 1.0), "numbers \\[1.0\\], too few, .*level, by_drive"),
         (entry("friction.position", "cart", 0.0, 1.0, 2.0), "too few"),
         (entry("friction.position", "cart", 1.0, 1.0, 2.0, 2.0), "out of range"),
         (entry("disturbance.pulse", "cart", 1.0, 0.0), "numbers \\[1.0, 0.0\\], too few"),
@@ -348,6 +348,13 @@ def test_no_residual_force_feeds_a_simulation_without_end(seed: int) -> None:
     assert abs(ends[0, 0, 1]) < 4.0 + 2.0  # twice the largest speed of the data, and what commands add
 
 
+def test_an_entry_of_very_many_numbers_is_refused_in_few_words() -> None:
+    """Every number had been tried as a position: minutes for the largest file that is read."""
+    with pytest.raises(mjcf.MjcfError, match="100,002 numbers, more than 12,288") as refused:
+        cart(entry("friction.position", "cart", 0, 1, *range(100_000)))
+    assert len(str(refused.value)) < 500
+
+
 @pytest.mark.parametrize(
     ("numbers", "inputs", "why"),
     [
@@ -359,7 +366,7 @@ def test_no_residual_force_feeds_a_simulation_without_end(seed: int) -> None:
         (
             (1, 100, 100, *range(200), *[0.0] * 10_000),
             ("position cart", "velocity cart"),
-            "and 10,187 more, too few or out of range: a table of 100 x 100 is 10,000 levels, more than 4,096",
+            "and 10,187 more, too few, too many or out of range: a table of 100 x 100 is 10,000 levels, more than 4,096",
         ),
         ((1, 2, 1, 0, 1, 0, 5, 6), ("position card",), "did you mean 'cart'"),
         ((1, 2, 1, 0, 1, 0, 5, 6), ("speed cart",), "position, velocity and command"),

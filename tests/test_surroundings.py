@@ -1,4 +1,4 @@
-"""What lies in the current folder, or about the user, gives no orders: settings of libraries, caches of compiled code."""
+"""What lies in the current folder gives no orders: settings of libraries, caches of compiled code."""
 
 from __future__ import annotations
 

@@ -173,6 +173,7 @@ def test_a_full_disk_leaves_the_last_checkpoint_whole(
         with pytest.raises(OSError, match=r"No space left on device.* after 4,000.*--resume") as caught:
             train.run(short(), out, resume=True)
         assert caught.value.errno == errno.ENOSPC
+        assert str(caught.value.filename).endswith("checkpoint.pt")
     assert (out / "checkpoint.pt").read_bytes() == before
     assert not list(out.glob("*.partial"))
     assert train.run(short(), out, resume=True).steps <= 4_000

@@ -388,8 +388,9 @@ def _run(training: Training, rig: Rig, out: Path, resume: bool, overwrite: bool,
                 look()
             _checkpoint(learner, looks, out)
     except OSError as error:
-        said = f"{error.strerror} after {learner.steps:,} control periods; the last checkpoint is whole"
-        raise OSError(error.errno, f"{said}: make room, then --resume", str(out)) from error
+        why = str(error.strerror).partition(";")[0]
+        said = f"{why} after {learner.steps:,} control periods; the last checkpoint is whole"
+        raise OSError(error.errno, f"{said}: make room, then --resume", error.filename or str(out)) from error
     finally:
         bar.close()
     best = Policy.load(out / "policy.json")
