@@ -1,19 +1,23 @@
-"""Kill real commands at random moments, start them again, and compare with a run that nobody disturbed.
+"""Disturb real commands at random moments, start them again, and compare with a run that nobody disturbed.
 
     python -m benchmarks.kill                         twenty moments of each command
     python -m benchmarks.kill --moments 5 --command compare
-    python -m benchmarks.kill --interrupt             Ctrl-C in the place of kill -9
+    python -m benchmarks.kill --how interrupt         Ctrl-C in the place of kill -9
+    python -m benchmarks.kill --how disk              a disk that is full (by root: it mounts small ones)
 
 Every second time the process alone is killed, so that its workers are orphans while the same command goes on, else all
 of its group. What was whole on disk at that moment must still be there, untouched, when the same command has gone on to
 its end; what the two runs leave must be equal to the byte, but for the seconds that they took. After Ctrl-C there must
-be a sentence and no traceback, and what a diagnosis had found by then is its result.
+be a sentence and no traceback, and what a diagnosis had found by then is its result. A disk has a random share of the
+room that the whole command takes; the command must end with a sentence that names a file or folder there, and with
+room made, the same command must go on.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import json
 import os
 import random
@@ -26,8 +30,13 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
+How = Literal["kill", "interrupt", "disk"]
+PAGE = os.sysconf("SC_PAGE_SIZE")
+"""Bytes, of which a file in memory takes whole ones."""
+ROOM = 50_000_000
+"""Bytes that are made for what a command goes on to write."""
 MODEL = """<mujoco model="cart"><option timestep="0.002" integrator="implicitfast"/>
 <worldbody><body><joint name="cart" type="slide" axis="1 0 0" damping="21.4"/>
 <geom type="box" size="0.1 0.05 0.05" mass="1.26" contype="0" conaffinity="0"/></body></worldbody>
@@ -86,28 +95,28 @@ def _trials(folder: Path) -> dict[str, Any]:
 
 COMMANDS = {
     "compare": Command(
-        ("compare", "--compensator", "none,feedforward,llnf", "--seeds", "2", "--seconds", "10", "--jobs", "2"),
+        ("compare", "--compensator", "none,feedforward", "--seeds", "2", "--seconds", "2", "--jobs", "2"),
         "cells/*.json",
         _compared,
     ),
     "train-policy": Command(
-        ("train-policy", "--compensator", "none", "--steps", "144000", "--rigs", "4"),
+        ("train-policy", "--compensator", "none", "--steps", "16000", "--rigs", "1"),
         "training.json",
         _policy,
         "training.json",
     ),
     "train-policy --seeds": Command(
-        ("train-policy", "--compensator", "none", "--steps", "48000", "--rigs", "4", "--seeds", "3", "--jobs", "2"),
+        ("train-policy", "--compensator", "none", "--steps", "4000", "--rigs", "1", "--seeds", "3", "--jobs", "2"),
         "trainings/*.json",
         _policies,
     ),
-    "trial": Command(("trial", "--count", "2", "--jobs", "2", "--limit", "600"), "results/*/attempt.json", _trials),
+    "trial": Command(("trial", "--seed", "10", "--count", "2", "--jobs", "2"), "results/*/attempt.json", _trials),
     "diagnose": Command(("diagnose", "cart.xml", "run.csv", "--jobs", "1"), "diagnosis.json", _diagnosed),
 }
 
 
-def run(name: str, moments: int, seed: int, place: Path, *, interrupt: bool = False) -> list[str]:
-    """Kill or interrupt a command at so many moments; what went wrong, in words."""
+def run(name: str, moments: int, seed: int, place: Path, how: How) -> list[str]:
+    """Disturb a command at so many moments; what went wrong, in words."""
     command, rng = COMMANDS[name], random.Random(seed)
     begun = time.monotonic()
     calm = _start(command, place / "calm", place)
@@ -116,13 +125,19 @@ def run(name: str, moments: int, seed: int, place: Path, *, interrupt: bool = Fa
     if calm.returncode:
         return [f"undisturbed, it ends with {calm.returncode}: {_said(place)}"]
     expected, wrong = command.content(place / "calm"), []
+    size = sum(_room(path) for path in (place / "calm").rglob("*"))
     for k in range(moments):
-        out, at = place / f"killed-{k:02d}", rng.uniform(0.02, 0.98) * took
+        share = rng.uniform(0.02, 0.98)
+        out, at = place / f"killed-{k:02d}" / "out", share * took
+        out.parent.mkdir()
+        if how == "disk":
+            at = share * size
+            _mount(out.parent, max(PAGE, int(at)))
         killed = _start(command, out, place)
         try:
-            killed.wait(timeout=at)
+            killed.wait(timeout=None if how == "disk" else at)
         except subprocess.TimeoutExpired:
-            if interrupt:
+            if how == "interrupt":
                 os.killpg(killed.pid, signal.SIGINT)
             elif k % 2:
                 os.kill(killed.pid, signal.SIGKILL)
@@ -130,8 +145,11 @@ def run(name: str, moments: int, seed: int, place: Path, *, interrupt: bool = Fa
                 os.killpg(killed.pid, signal.SIGKILL)
         killed.wait()
         faults = []
-        if interrupt and ("Traceback" in _said(place) or killed.returncode not in (0, 130)):
+        if how == "interrupt" and ("Traceback" in _said(place) or killed.returncode not in (0, 130)):
             faults.append(f"interrupted, it ends with {killed.returncode}: {_said(place)}")
+        if how == "disk":
+            faults += _without_room(killed.returncode, _said(place), out)
+            _mount(out.parent, 2 * size + ROOM, "remount")
         if killed.returncode == 0 and (out / "diagnosis.json").exists():
             shutil.rmtree(out)  # interrupted, it wrote what it had found; or it ended before, and does not begin anew
         kept = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in out.glob(command.cells)}
@@ -147,12 +165,43 @@ def run(name: str, moments: int, seed: int, place: Path, *, interrupt: bool = Fa
         lost = [path.name for path, what in kept.items() if (path.stat().st_mtime_ns, path.read_bytes()) != what]
         if lost:
             faults.append(f"did {', '.join(lost)} once more, though whole")
-        print(f"{name:20} killed after {at:5.1f} s of {took:.0f}, {len(kept)} kept: {faults or 'equal'}", flush=True)
-        wrong += [f"{name}, killed after {at:.1f} s: {fault}" for fault in faults]
-        shutil.rmtree(out, ignore_errors=True)
+        when = f"{at / 1024:.0f} KiB of {size / 1024:.0f}" if how == "disk" else f"{at:.1f} s of {took:.0f}"
+        print(f"{name:20} {how} after {when}, {len(kept)} kept: {faults or 'equal'}", flush=True)
+        wrong += [f"{name}, {how} after {when}: {fault}" for fault in faults]
+        if how == "disk":
+            subprocess.run(["umount", "--lazy", out.parent], check=True)
+        shutil.rmtree(out.parent, ignore_errors=True)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(killed.pid, signal.SIGKILL)  # workers that have nobody left to work for
     return wrong
+
+
+def _without_room(code: int, said: str, out: Path) -> list[str]:
+    """What is wrong with how a command ended on a full disk, and with what it left there."""
+    faults = []
+    if "Traceback" in said or code not in (0, 1, 2):
+        faults.append(f"without room, it ends with {code}: {said}")
+    last = said.strip().splitlines()[-1:]
+    if code and not (last and str(out) in last[0] and os.strerror(errno.ENOSPC) in said):
+        faults.append(f"names no file that found no room: {said}")
+    for path in out.rglob("*"):
+        if ".partial" in path.suffix:
+            faults.append(f"leaves {path.name}")
+        elif path.suffix == ".json":
+            try:
+                json.loads(path.read_text())
+            except ValueError:
+                faults.append(f"leaves half of {path.name}")
+    return faults
+
+
+def _mount(folder: Path, size: int, *options: str) -> None:
+    """Put a disk of so many bytes at a folder, or make the one there larger."""
+    subprocess.run(["mount", "-t", "tmpfs", "-o", ",".join([*options, f"size={size}"]), "tmpfs", folder], check=True)
+
+
+def _room(path: Path) -> int:
+    return -(-path.stat().st_size // PAGE) * PAGE if path.is_file() else PAGE
 
 
 def _start(command: Command, out: Path, place: Path) -> subprocess.Popen[bytes]:
@@ -197,14 +246,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--moments", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--interrupt", action="store_true", help="send Ctrl-C instead")
+    parser.add_argument("--how", choices=get_args(How), default="kill", help="what disturbs")
     parser.add_argument("--command", choices=list(COMMANDS), action="append")
     given = parser.parse_args()
     wrong = []
     for name in given.command or COMMANDS:
         with tempfile.TemporaryDirectory(prefix="kill-") as folder:
             _record(Path(folder))
-            wrong += run(name, given.moments, given.seed, Path(folder), interrupt=given.interrupt)
+            wrong += run(name, given.moments, given.seed, Path(folder), given.how)
     print(*wrong, f"{len(wrong)} faults", sep="\n")
     return 1 if wrong else 0
 

@@ -440,3 +440,14 @@ def test_a_joint_without_inertia_of_its_own_is_refused() -> None:
     with pytest.raises(mjcf.MjcfError, match=r"joint '(first|second)' has an inertia of"):
         mjcf.compile(text)
     mjcf.compile(text.replace('mass="1e-14"', 'mass="0.1"'))
+
+
+@pytest.mark.parametrize("name", ["\x9b31m", "a\u202eb", "&#10;note: all is well", "&#155;2J"])
+def test_a_name_that_a_terminal_would_take_orders_from_is_refused(name: str) -> None:
+    text = f'<mujoco><worldbody><body><joint name="{name}"/><geom size="1"/></body></worldbody></mujoco>'
+    with pytest.raises(mjcf.MjcfError, match="<joint>: its name has characters that cannot be printed") as refused:
+        mjcf.compile(text)
+    assert str(refused.value).isprintable()
+    with pytest.raises(mjcf.MjcfError, match="invalid keyword") as refused:
+        mjcf.compile(text.replace("name=", "type="))
+    assert str(refused.value).isprintable()

@@ -19,6 +19,7 @@ MAX_TEXT = 20_000_000  # bytes of XML, everything that is included counted as of
 MAX_FILES = 400_000_000  # bytes of all files that a model pulls in
 MAX_DEPTH = 50  # files that include one another
 MAX_NAME = 200  # characters; messages and reports say names in full
+NAMING = ("name", "prefix", "suffix", "sep", "model")  # attributes that names are made of
 MAX_PATH = 1_000  # characters of a file's name with its folders
 MAX_ELEMENTS = 100_000  # XML elements after replicate, composite and flexcomp are multiplied out
 
@@ -114,6 +115,9 @@ class _Scan:
                 raise MjcfError(f"{where}: not an MJCF file; its outermost element must be <mujoco>")
             if len(attributes.get("name", "")) > MAX_NAME:
                 raise MjcfError(f"{where}: its name has more than {MAX_NAME} characters; give it a shorter one")
+            for key in NAMING:
+                if not attributes.get(key, "").isprintable():  # a terminal may take orders from such characters
+                    raise MjcfError(f"{where}: its {key} has characters that cannot be printed; remove them")
             own = factors[-1] * _multiple(element, attributes, where)
             factors.append(own if element == "replicate" else factors[-1])
             self.elements += own

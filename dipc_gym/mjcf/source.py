@@ -234,5 +234,6 @@ def _library() -> str:
 
 
 def _one_line(message: str) -> str:
-    """MuJoCo's message on one line, of a thousand characters at most: it says a value in full."""
-    return "; ".join(line.strip() for line in message.splitlines() if line.strip())[:1000]
+    """MuJoCo's message on one line, of a thousand characters at most that can be printed: it says a value in full."""
+    line = "; ".join(line.strip() for line in message.splitlines() if line.strip())[:1000]
+    return "".join(character if character.isprintable() else "?" for character in line)

@@ -11,12 +11,14 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import signal
 import sys
 import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from itertools import chain
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -62,29 +64,39 @@ def main() -> int:
 
 
 def _tried(kinds: list[str], count: int, seed: int, jobs: int, notes: Path) -> int:
-    each = -(-count // len(kinds))
-    tasks = [(kind, seed + n, min(CHUNK, each - n), notes) for n in range(0, each, CHUNK) for kind in kinds]
-    outcomes = {kind: Counter[str]() for kind in kinds}
-    slowest = dict.fromkeys(kinds, 0.0)
-    faults, began = [], time.perf_counter()
+    each, total, faults, began = -(-count // len(kinds)), 0, list[tuple[str, str]](), time.perf_counter()
     try:
-        with ProcessPoolExecutor(jobs, max_tasks_per_child=200, mp_context=get_context("spawn")) as pool:
-            for done in pool.map(several, *zip(*tasks, strict=True)):
-                for kind, number, outcome, fault, seconds in done:
-                    outcomes[kind][outcome] += 1
-                    slowest[kind] = max(slowest[kind], seconds)
-                    if fault:
-                        faults.append((kind, number))
-                        print(f"FAULT {kind} {number}: {outcome}\n{fault}", flush=True)
-    except BrokenProcessPool:
-        faults += [tuple(note.read_text().rsplit(" ", 1)) for note in notes.iterdir()]
-        print("FAULT a process died while it tried one of the last of these")
-    for kind, found in outcomes.items():
-        words = ", ".join(f"{name} {count}" for name, count in found.most_common())
-        print(f"{kind:18} {found.total():6}  {words}; slowest {slowest[kind]:.2f} s")
-    total = sum(found.total() for found in outcomes.values())
+        for kind in kinds:
+            done, wrong = _reader(kind, range(seed, seed + each), jobs, notes)
+            total, faults = total + done, faults + wrong
+    except KeyboardInterrupt:
+        print("interrupted; --kind goes on with a reader, --seed with other files")
     print(f"{total} files in {time.perf_counter() - began:.0f} s, {len(faults)} faults: {faults[-20:]}")
     return 1 if faults else 0
+
+
+def _reader(kind: str, numbers: range, jobs: int, notes: Path) -> tuple[int, list[tuple[str, str]]]:
+    """Try one reader, and print what became of its files: how many there were, and the faults.
+
+    Every reader has processes of its own, so that none takes memory from another's limit.
+    """
+    outcomes, slowest, faults = Counter[str](), 0.0, []
+    tasks = [(kind, first, min(CHUNK, numbers.stop - first), notes) for first in numbers[::CHUNK]]
+    try:
+        with ProcessPoolExecutor(jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+            for _, number, outcome, fault, seconds in chain.from_iterable(pool.map(several, *zip(*tasks, strict=True))):
+                outcomes[outcome] += 1
+                slowest = max(slowest, seconds)
+                if fault:
+                    faults.append((kind, str(number)))
+                    print(f"FAULT {kind} {number}: {outcome}\n{fault}", flush=True)
+    except BrokenProcessPool:
+        faults += [tuple(note.read_text().rsplit(" ", 1)) for note in notes.iterdir()]  # type: ignore[misc]
+        print(f"FAULT {kind}: a process died while it tried one of the last of these")
+    finally:
+        words = ", ".join(f"{name} {count}" for name, count in outcomes.most_common())
+        print(f"{kind:20} {outcomes.total():6}  {words}; slowest {slowest:.2f} s", flush=True)
+    return outcomes.total(), faults
 
 
 if __name__ == "__main__":
