@@ -396,7 +396,7 @@ def test_an_entry_of_very_many_numbers_is_refused_in_few_words() -> None:
         (
             (1, 100, 100, *range(200), *[0.0] * 10_000),
             ("position cart", "velocity cart"),
-            "and 10,187 more, too few, too many or out of range: a table of 100 x 100 is 10,000 levels, more than 4,096",
+            "10,187 more, too few, too many or out of range: a table of 100 x 100 is 10,000 levels, more than 4,096",
         ),
         ((1, 2, 1, 0, 1, 0, 5, 6), ("position card",), "did you mean 'cart'"),
         ((1, 2, 1, 0, 1, 0, 5, 6), ("speed cart",), "position, velocity and command"),

@@ -82,6 +82,7 @@ class Diagnose:
             check_format(self.design)
             free(self.design, self.overwrite)
         source = mjcf.read(self.model)
+        folder.check_names(source.files)
         model = mjcf.compile(source)
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         fitted = recording.read_all(self.recordings, model, mapping=mapping, units=units)

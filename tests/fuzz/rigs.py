@@ -191,7 +191,7 @@ def _assembled(folder: Path) -> None:
 
 
 @functools.cache
-def _code() -> str:
+def code_folder() -> str:
     """The folder for compiled code of this process: not the user's own, which damaged models would fill."""
     place = tempfile.mkdtemp(prefix="fuzz-code-")
     atexit.register(shutil.rmtree, place, ignore_errors=True)
@@ -202,7 +202,7 @@ def _replayed(folder: Path) -> None:
     """What `replay` does, and `diagnose` before it searches."""
     from dipc_gym.sim2real.replay import replay
 
-    with mock.patch.dict(os.environ, {"XDG_CACHE_HOME": _code()}):
+    with mock.patch.dict(os.environ, {"XDG_CACHE_HOME": code_folder()}):
         done = replay(folder / "rig.xml", folder / "run.csv", units={"axis": "rad"}, threads=1)
         done.table()
         json.dumps(done.to_dict(), allow_nan=False)
@@ -212,13 +212,13 @@ def _diagnosed(folder: Path) -> None:
     """What `diagnose` does, with one effect to ask for, and whether what it writes can be read."""
     from dipc_gym.sim2real.diagnosis import diagnose
     from dipc_gym.sim2real.effects import catalogue
-    from dipc_gym.sim2real.report import content
+    from dipc_gym.sim2real.report import folder as folder_of
 
-    with mock.patch.dict(os.environ, {"XDG_CACHE_HOME": _code()}):
+    with mock.patch.dict(os.environ, {"XDG_CACHE_HOME": code_folder()}):
         source = mjcf.read(folder / "rig.xml")
         runs_of_it = recording.read_all([folder / "run.csv"], mjcf.compile(source))
         found = diagnose(source, runs_of_it, effects=[catalogue()["friction.coulomb"]], threads=1)
-        content.save(found, folder / "found", model="rig.xml", command="dipc-gym diagnose")
+        folder_of.save(found, folder / "found", model="rig.xml", command="dipc-gym diagnose")
         physics.load(folder / "found" / "improved.xml")
 
 
@@ -229,7 +229,7 @@ def _swing() -> bytes:
 
 
 @functools.cache
-def _stuck() -> bytes:
+def stuck() -> bytes:
     """Eight seconds of that axis with dry friction, which the model lacks."""
     import mujoco
 
@@ -299,7 +299,7 @@ TARGETS: dict[str, Callable[[], Target]] = {
         (MjcfError, RecordingError, Undetermined),
     ),
     "model to diagnose": lambda: Target(
-        {"rig.xml": MODEL.encode(), "run.csv": _stuck()},
+        {"rig.xml": MODEL.encode(), "run.csv": stuck()},
         {"rig.xml": (markup, markup, octets), "run.csv": (octets,)},
         _diagnosed,
         (MjcfError, RecordingError, Undetermined, ValueError),
