@@ -38,7 +38,7 @@ test: .venv/installed
 fuzz: .venv/installed
 	$(BIN)/python tests/fuzz/campaign.py --count 20000 --jobs 2
 
-# kill -9 at twenty random moments of every command that fills a folder; hours. Ctrl-C: -m benchmarks.kill --interrupt
+# kill -9 at twenty random moments of every command that fills a folder, an hour; -m benchmarks.kill --help tells of more
 kill: .venv/installed
 	$(BIN)/python -m benchmarks.kill
 

@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 LARGEST = 1e9  # of an entry's numbers; of what comes of them, its square
 SHORTEST_LAG, LONGEST_LAG = 1e-9, 1e6  # time constants, s
 TRIED = (-100.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 100.0)  # positions, forces, commands and times
+OUTERMOST = (-1e10, 1e10)  # MuJoCo bounds a state to this; what comes of it need but be a number
 
 
 @dataclass(frozen=True)
@@ -456,9 +457,17 @@ def _extras(model: mujoco.MjModel) -> list[Extra]:
     return extras
 
 
+def _shown(numbers: Array) -> str:
+    """Numbers of an entry, the first of many."""
+    more = f", and {len(numbers) - HEAD:,} more" if len(numbers) > HEAD else ""
+    return f"{numbers[:HEAD].tolist()}{more}"
+
+
 def _fault(extra: Extra) -> str:
     """What is wrong with the numbers of an entry, where one thing can be told; begins with a colon."""
     numbers = extra.data
+    if len(numbers) > MOST_NUMBERS:
+        return f": {len(numbers):,} numbers, more than {MOST_NUMBERS:,}"
     wild = np.flatnonzero(~(np.abs(numbers) <= LARGEST))
     if len(wild):
         return f": number {wild[0] + 1} is {numbers[wild[0]]:g}"
@@ -493,20 +502,19 @@ def _usable(extra: Extra) -> bool:
         return False
     # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on. Levels
     # of a table are bounded by now, and so is what lies between two of them.
-    x = np.unique([*numbers[:HEAD], numbers.min(), numbers.max(), *TRIED])
-    everywhere = replace(extra, data=np.broadcast_to(numbers, (len(x), len(numbers))))
+    usual = np.unique([*numbers[:HEAD], numbers.min(), numbers.max(), *TRIED])
     try:
         with np.errstate(all="ignore"):
-            tried = everywhere(replace(_moment(np.abs(x), x, x, x, x), speed=x, inputs=(x, x)))
-        return bool(np.all(np.abs(tried) <= LARGEST**2))
+            near, far = _alike(extra, usual), _alike(extra, np.array(OUTERMOST))
+        return bool(np.all(np.abs(near) <= LARGEST**2) and np.all(np.isfinite(far)))
     except (IndexError, ValueError):
         return False
 
 
-def _shown(numbers: Array) -> str:
-    """The first numbers of an entry, and how many there are."""
-    first = str(numbers[:HEAD].tolist())
-    return first if len(numbers) <= HEAD else f"{first[:-1]}, ... {len(numbers)} in all]"
+def _alike(extra: Extra, x: Array) -> Array:
+    """What comes of an entry where position, force, command, time and all else are the same number of x (n,)."""
+    everywhere = replace(extra, data=np.broadcast_to(extra.data, (len(x), len(extra.data))))
+    return everywhere(replace(_moment(np.abs(x), x, x, x, x), speed=x, inputs=(x, x)))
 
 
 def _is_surface(extra: Extra) -> bool:

@@ -203,6 +203,9 @@ def test_the_command_writes_both(tmp_path: Path, capsys: pytest.CaptureFixture[s
         ),
         ({"inputs": "position"}, "not a law"),
         ({"levels": "many"}, "not a law"),
+        ({"levels": [10**400, 1.0, 2.0, 3.0]}, "not a law (OverflowError"),
+        ({"unit": "N\ud800"}, "can be printed"),
+        ({"unit": "\x9b31m"}, "can be printed"),
         ({"inputs": []}, "one or two inputs"),
     ],
 )
@@ -215,3 +218,15 @@ def test_a_law_that_is_none_is_refused_by_name(change: dict[str, Any], says: str
         laws.read(file)
     assert says in str(refused.value)
     assert str(refused.value).startswith(f"{file}: friction.position@cart: ")
+
+
+@pytest.mark.parametrize("at", ["cart\x9b2J", "y" * 5000, 7, "\ud800"])
+def test_a_law_at_what_is_no_name_is_refused_in_few_words(at: Any, tmp_path: Path) -> None:
+    file = diagnosis(tmp_path, "friction.position@cart")
+    said = json.loads(file.read_text())
+    said["missing"][0]["at"] = at
+    file.write_text(json.dumps(said))
+    with pytest.raises(LawError, match=r"missing\[0\]: effect and at must name the law") as refused:
+        laws.read(file)
+    assert len(str(refused.value)) < 500
+    assert str(refused.value).isprintable()

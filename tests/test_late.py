@@ -249,6 +249,18 @@ def test_a_diagnosis_too(held: Any, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "another run is at work in this folder" in capsys.readouterr().err
 
 
+def test_a_model_whose_part_would_be_written_over_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """improved.xml with a part of that name had included itself."""
+    part = NOMINAL.replace("<worldbody>", '<include file="improved.xml"/><worldbody>')
+    (tmp_path / "cart.xml").write_text(part)
+    (tmp_path / "improved.xml").write_text('<mujocoinclude><statistic extent="2"/></mujocoinclude>')
+    files = [str(tmp_path / "cart.xml"), str(tmp_path / "run.csv")]
+    assert cli.main(["diagnose", *files, "--out", str(tmp_path / "found")]) == 2
+    assert "the model's own file improved.xml" in capsys.readouterr().err
+
+
 def test_a_folder_made_for_nothing_is_removed(tmp_path: Path) -> None:
     with alone(tmp_path / "a"):
         pass

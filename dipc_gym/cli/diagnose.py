@@ -82,6 +82,7 @@ class Diagnose:
             check_format(self.design)
             free(self.design, self.overwrite)
         source = mjcf.read(self.model)
+        folder.check_names(source.files)
         model = mjcf.compile(source)
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         fitted = recording.read_all(self.recordings, model, mapping=mapping, units=units)
@@ -108,6 +109,8 @@ class Diagnose:
                 with suppress(OSError):
                     print(dumps(finite(found.to_dict()), indent=2))  # what took so long is not lost with the disk
                 raise
+        if self.design is not None and found.design is not None:
+            recording.write(found.design.commands, self.design, overwrite=self.overwrite)
         for note in found.notes:  # nothing is printed before all is written: nobody may be there to read it
             print(f"note: {note}")
         print(f"\n{found.verdict.upper()}. {found.sentence}")
@@ -122,7 +125,6 @@ class Diagnose:
         if self.design is not None and found.design is None:
             print(f"{self.design}: not written, for nothing was fitted that a command could tell apart")
         elif self.design is not None and found.design is not None:
-            recording.write(found.design.commands, self.design, overwrite=self.overwrite)
             print(f"{self.design}: {found.design.sentence}")
         print(f"results in {self.out}")
         return 0

@@ -36,9 +36,9 @@ def cache_folder() -> Path:
     elif sys.platform == "darwin":
         base = Path.home() / "Library" / "Caches"
     else:
-        base = os.environ.get("XDG_CACHE_HOME", "")
         # A relative one is to be ignored, says the XDG specification: it could be a stranger's folder.
-        base = base if os.path.isabs(base) else Path.home() / ".cache"  # noqa: PTH117
+        said = Path(os.environ.get("XDG_CACHE_HOME", ""))
+        base = said if said.is_absolute() else Path.home() / ".cache"
     return Path(base) / "dipc-gym" / "engine"
 
 

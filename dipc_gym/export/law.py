@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 import dipc_gym
 from dipc_gym.export.c import literal, plain
 from dipc_gym.naming import suggestion
-from dipc_gym.untrusted import Format
+from dipc_gym.untrusted import Format, first_line, shown
 
 __all__ = ["Law", "LawError", "read"]
 
@@ -32,6 +32,7 @@ class LawError(ValueError):
 FORMAT = Format("diagnosis", "dipc-gym diagnose", "diagnose again", 50_000_000, LawError)
 SCHEMA = "dipc-gym/diagnosis/2"
 MOST = 4096  # levels of a table
+KEY, LABEL = 200, 300  # characters of an effect's or a place's name, and of what speaks of such
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,9 @@ class Law:
         if not np.isfinite(self.levels).all():
             raise LawError(f"{self.key}: a level is not a finite number")
         if self.outside not in ("constant", "parallel") or (self.outside == "parallel" and len(shape) > 1):
-            raise LawError(f"{self.key}: outside is {self.outside!r}; it can be 'constant', or 'parallel' of one input")
+            raise LawError(
+                f"{self.key}: outside is {shown(self.outside)}; it can be 'constant', or 'parallel' of one input"
+            )
         if self.driven_up_to is not None and not 0 < self.driven_up_to < math.inf:
             raise LawError(f"{self.key}: driven_up_to is {self.driven_up_to}; it is a positive speed")
 
@@ -189,9 +192,12 @@ def read(path: str | Path, key: str | None = None) -> Law:
             f"{path}: not a diagnosis of schema {SCHEMA}; give the diagnosis.json that dipc-gym diagnose wrote"
         )
     laws = {}
-    for one in found["missing"]:
+    for i, one in enumerate(found["missing"]):
         if isinstance(one, dict) and isinstance(one.get("law"), dict):
-            laws[f"{one.get('effect')}@{one.get('at')}"] = one["law"]
+            try:
+                laws[f"{_words(one['effect'], KEY)}@{_words(one['at'], KEY)}"] = one["law"]
+            except (KeyError, ValueError) as error:
+                raise LawError(f"{path}: missing[{i}]: effect and at must name the law ({error})") from None
     if not laws:
         raise LawError(f"{path}: it holds no law; only effects whose shape is free have one")
     if key is None and len(laws) > 1:
@@ -201,8 +207,9 @@ def read(path: str | Path, key: str | None = None) -> Law:
     name = key or next(iter(laws))
     try:
         return _law(name, laws[name])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        why = str(error) if isinstance(error, LawError) else f"{name}: not a law ({type(error).__name__}: {error})"
+    except (ArithmeticError, KeyError, TypeError, ValueError, AttributeError) as error:
+        said = f"{name}: not a law ({type(error).__name__}: {first_line(error)})"
+        why = str(error) if isinstance(error, LawError) else said
         raise LawError(f"{path}: {why}") from None
 
 
@@ -218,19 +225,29 @@ def is_diagnosis(path: str | Path) -> bool:
 def _law(key: str, said: dict[str, Any]) -> Law:
     table = said["table"]
     inputs = tuple(
-        Input(str(one["name"])[:80], str(one["unit"])[:20], np.array(one["knots"], dtype=float))
-        for one in table["inputs"]
+        Input(_words(one["name"]), _words(one["unit"]), np.array(one["knots"], dtype=float)) for one in table["inputs"]
     )
     limit = said.get("driven_up_to")
     return Law(
         key,
-        str(said["kind"])[:80],
-        str(table["unit"])[:20],
+        _words(said["kind"]),
+        _words(table["unit"]),
         inputs,
         np.array(table["levels"], dtype=float),
         said["outside"],
         None if limit is None else float(limit),
     )
+
+
+def _words(value: Any, most: int = LABEL) -> str:
+    """Text that can stand in a table's head and on a terminal.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not isinstance(value, str) or len(value) > most or not value.isprintable():
+        raise ValueError(f"{shown(value)} is no text of at most {most} characters that can be printed")
+    return value
 
 
 def _place(knots: Array, x: Array) -> tuple[NDArray[np.intp], Array]:

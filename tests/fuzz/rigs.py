@@ -21,7 +21,7 @@ from mutate import archive, markup, octets, tree
 from PIL import Image
 from target import Target, as_json, finite
 
-from dipc_gym import ENV_ID, mjcf, physics, recording, runs
+from dipc_gym import ENV_ID, compensators, inverse, mjcf, physics, recording, runs
 from dipc_gym.identification import Sweep, cart, cart_model
 from dipc_gym.mjcf import MjcfError
 from dipc_gym.mjcf.edit import Document
@@ -156,6 +156,18 @@ def _plant(folder: Path) -> None:
     _drive(gymnasium.make(ENV_ID, plant=folder / "plant.json"))
 
 
+def _compensated(folder: Path) -> None:
+    """What `compensator` makes of a model, at few speeds and in a short run."""
+    short = functools.partial(runs.identify, sweep=Sweep(duration=8.0))
+    few = {"SPEEDS": np.array([0.05, 0.5]), "PLACES": np.zeros(1), "VOLTAGES": 9, "identify": short}
+    with mock.patch.multiple(inverse, **few):
+        made, law = inverse.compensator(folder / "rig.xml")
+    finite(law.friction, law.force, made.voltage(1.0, 0.01))
+    law.notes()
+    compensators.save(made, folder / "made.json")
+    compensators.load(folder / "made.json")
+
+
 @functools.cache
 def _parts() -> dict[str, bytes]:
     lines = [f"v {x} {y} {z}" for x, y, z in CORNERS] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
@@ -179,7 +191,7 @@ def _assembled(folder: Path) -> None:
 
 
 @functools.cache
-def _code() -> str:
+def code_folder() -> str:
     """The folder for compiled code of this process: not the user's own, which damaged models would fill."""
     place = tempfile.mkdtemp(prefix="fuzz-code-")
     atexit.register(shutil.rmtree, place, ignore_errors=True)
@@ -190,16 +202,46 @@ def _replayed(folder: Path) -> None:
     """What `replay` does, and `diagnose` before it searches."""
     from dipc_gym.sim2real.replay import replay
 
-    with mock.patch.dict(os.environ, {"XDG_CACHE_HOME": _code()}):
+    with mock.patch.dict(os.environ, {"XDG_CACHE_HOME": code_folder()}):
         done = replay(folder / "rig.xml", folder / "run.csv", units={"axis": "rad"}, threads=1)
         done.table()
         json.dumps(done.to_dict(), allow_nan=False)
+
+
+def _diagnosed(folder: Path) -> None:
+    """What `diagnose` does, with one effect to ask for, and whether what it writes can be read."""
+    from dipc_gym.sim2real.diagnosis import diagnose
+    from dipc_gym.sim2real.effects import catalogue
+    from dipc_gym.sim2real.report import folder as folder_of
+
+    with mock.patch.dict(os.environ, {"XDG_CACHE_HOME": code_folder()}):
+        source = mjcf.read(folder / "rig.xml")
+        runs_of_it = recording.read_all([folder / "run.csv"], mjcf.compile(source))
+        found = diagnose(source, runs_of_it, effects=[catalogue()["friction.coulomb"]], threads=1)
+        folder_of.save(found, folder / "found", model="rig.xml", command="dipc-gym diagnose")
+        physics.load(folder / "found" / "improved.xml")
 
 
 @functools.cache
 def _swing() -> bytes:
     t = 0.01 * np.arange(100)
     return _written(".csv", {"time": t, "motor": np.sin(9 * t).round(4), "axis": np.cos(7 * t).round(5)})
+
+
+@functools.cache
+def stuck() -> bytes:
+    """Eight seconds of that axis with dry friction, which the model lacks."""
+    import mujoco
+
+    model = mjcf.compile(MODEL.replace('damping="0.1"', 'damping="0.1" frictionloss="0.05"'))
+    data, rng, sent, read = mujoco.MjData(model), np.random.default_rng(0), [], []
+    for k in range(400):
+        t = 0.02 * k
+        data.ctrl[0] = round(0.5 * np.sin(5 * t + 0.4 * t**2), 4)
+        sent.append(data.ctrl[0])
+        read.append(round(data.qpos[0] + 1e-4 * rng.standard_normal(), 6))
+        mujoco.mj_step(model, data, 10)
+    return _written(".csv", {"time": 0.02 * np.arange(400), "motor": np.array(sent), "axis": np.array(read)})
 
 
 SUM = "define i32 @sum(i32 %a, i32 %b) {\n  %c = add i32 %a, %b\n  ret i32 %c\n}\n"
@@ -255,6 +297,15 @@ TARGETS: dict[str, Callable[[], Target]] = {
         {"rig.xml": (markup, markup, octets), "run.csv": (octets,)},
         _replayed,
         (MjcfError, RecordingError, Undetermined),
+    ),
+    "model to diagnose": lambda: Target(
+        {"rig.xml": MODEL.encode(), "run.csv": stuck()},
+        {"rig.xml": (markup, markup, octets), "run.csv": (octets,)},
+        _diagnosed,
+        (MjcfError, RecordingError, Undetermined, ValueError),
+    ),
+    "model to compensate": lambda: Target(
+        _rig(), {"rig.xml": (markup, markup, octets)}, _compensated, (MjcfError, PlantError, ValueError)
     ),
     "compiled code": lambda: Target(_compiled(), dict.fromkeys(_compiled(), (octets,)), _called, ()),
     "plant": lambda: Target(

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import brains
+import diagnoses
 import folders
 import rigs
 from target import Target
 
-TARGETS: dict[str, Callable[[], Target]] = {**rigs.TARGETS, **brains.TARGETS, **folders.TARGETS}
+TARGETS: dict[str, Callable[[], Target]] = {**rigs.TARGETS, **diagnoses.TARGETS, **brains.TARGETS, **folders.TARGETS}
 """Made when asked for, since some need torch."""

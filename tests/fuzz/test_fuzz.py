@@ -14,7 +14,10 @@ from mutate import tree
 from target import Target
 from targets import TARGETS
 
-COSTLY = {"model": 150, "model's parts": 100, "model to replay": 100, "plant": 150}  # each compiles
+COSTLY = {
+    **{"model": 150, "model's parts": 100, "model to replay": 100, "plant": 150},
+    **dict.fromkeys(("model to diagnose", "model to compensate"), 40),
+}  # each compiles
 JSON = st.recursive(
     st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=20)),
     lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=8), inner, max_size=3)),

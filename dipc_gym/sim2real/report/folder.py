@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from dipc_gym.sim2real.report import page, saved
 from dipc_gym.sim2real.result import Details, Diagnosis, finite
 
 DIAGNOSIS, DETAILS, PAGE = "diagnosis.json", "report.json", "report.html"
+OWN = ("improved.xml", DETAILS, PAGE, DIAGNOSIS)
 DRAFTS = ".diagnosis-"  # what the folder of files that are not in place yet is called, with a few letters more
 
 
@@ -125,6 +126,20 @@ def check_free(folder: Path, overwrite: bool) -> None:
         raise PermissionError(f"{nearest} may not be written; name another folder for the results")
     if folder.is_dir() and any(folder.iterdir()) and not (overwrite or _unfinished(folder)):
         raise FileExistsError(f"{folder} is not empty; name another folder or add --overwrite")
+
+
+def check_names(files: Iterable[str]) -> None:
+    """Refuse a model with a file that is called as one of a diagnosis: both stand in one folder in the end.
+
+    Args:
+        files: that the model names, relative to it.
+
+    Raises:
+        ValueError: naming the file, and what to do.
+    """
+    for name in files:
+        if name in OWN:
+            raise ValueError(f"the model's own file {name} is called as a file of the diagnosis; give it another name")
 
 
 def _unfinished(folder: Path) -> bool:
