@@ -1,7 +1,7 @@
 """A double inverted pendulum on a cart with stick-slip friction.
 
-Importing this package registers `DIPC-Friction-v0` with Gymnasium, which balances, and `DIPC-Friction-SwingUp-v0`, which
-goes from one equilibrium to another.
+Importing this package registers two environments with Gymnasium: `DIPC-Friction-v0`, which is to be balanced, and
+`DIPC-Friction-SwingUp-v0`, which goes from one equilibrium to another.
 """
 
 import gymnasium

@@ -273,6 +273,16 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         return np.array(self._read_state())
 
     @property
+    def measured_state(self) -> Array:
+        """The state as last observed, (6,): cart, absolute angles, which count turns, and their rates."""
+        return np.array(self._observed)
+
+    @staticmethod
+    def observation_of(state: Array) -> Array:
+        """What the environment observes of states (..., 6)."""
+        return state
+
+    @property
     def measured_velocity(self) -> float:
         """Velocity of the cart as last observed, m/s."""
         return self._observed[3]
@@ -427,7 +437,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     def _observation(self) -> Array:
         """What is observed now."""
-        return np.array(self._observed)
+        return self.observation_of(np.array(self._observed))
 
     def _earned(self, state: State, volts: float) -> tuple[float, dict[str, Any]]:
         """The reward of a step that ended in a state, and its terms for `info`."""

@@ -1,7 +1,7 @@
 """The environment's arithmetic, on numbers or on arrays of any shape alike.
 
-Nothing but + - * /, absolute values and rounding down is used, which IEEE 754 defines to the last bit. So one simulation on Python
-floats and a thousand on arrays give the same bits, as long as both call these functions.
+Nothing but + - * /, absolute values and rounding down is used, which IEEE 754 defines to the last bit. So one
+simulation on Python floats and a thousand on arrays give the same bits, as long as both call these functions.
 """
 
 from __future__ import annotations

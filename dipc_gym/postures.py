@@ -1,4 +1,4 @@
-"""The four equilibria of a double pendulum, what being near one is worth, and the tasks of going from one to another."""
+"""The four equilibria of a double pendulum, what being near one is worth, and tasks of going from one to another."""
 
 from __future__ import annotations
 

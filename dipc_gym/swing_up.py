@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from dipc_gym import kernels, postures
@@ -91,9 +90,12 @@ class SwingUpEnv(DoublePendulumEnv):
     | term | share | what it is |
     |---|---|---|
     | `reward_pole1`, `reward_pole2` | 0.2 each | (1 + cos)/2 of the pole's angle from the goal |
-    | `reward_rest` | 0.4 | 1 / (1 + e/0.02 + w/4 + v^2/0.25): e the mean of the poles' (1 - cos)/2 from the goal, w of their squared rates; so passing through the goal earns little of it |
+    | `reward_rest` | 0.4 | 1 / (1 + e/0.02 + w/4 + v^2/0.25) |
     | `reward_cart` | 0.1 | 1 - (x / 0.45 m)^2 |
     | `reward_voltage` | 0.1 | 1 - (u / supply)^2 |
+
+    Here e is the mean of the poles' (1 - cos)/2 from the goal, w that of their squared rates, and v the cart's
+    velocity: to pass through the goal earns little of `reward_rest`.
 
     ## Info
     At every step and at reset: the five terms, `at_goal` (both poles within 0.35 rad of it), `voltage` (V, as applied),
@@ -175,8 +177,10 @@ class SwingUpEnv(DoublePendulumEnv):
     def _start_state(self, start: Any, state: Any) -> State:
         return _start_state(self.np_random, start, state, self.start)
 
-    def _observation(self) -> Array:
-        return observed(np.array(self._observed))
+    @staticmethod
+    def observation_of(state: Array) -> Array:
+        """What is observed of states (..., 6), (..., 8)."""
+        return observed(state)
 
     def _earned(self, state: State, volts: float) -> tuple[float, dict[str, Any]]:
         reward, terms, there = postures.earned(state, volts, self.goal, self._rig.rail, self._rig.plant.supply)
@@ -255,8 +259,10 @@ class SwingUpVectorEnv(DIPCFrictionVectorEnv):
     def _start_state(self, generator: np.random.Generator, start: Any, state: Any) -> State:
         return _start_state(generator, start, state, self.start)
 
-    def _observations(self) -> Array:
-        return observed(self._rigs.observations())
+    @staticmethod
+    def observation_of(state: Array) -> Array:
+        """What is observed of states (..., 6), (..., 8)."""
+        return observed(state)
 
     def _judge(self, period: Period, going: Mask) -> Period:
         infos = dict(period.infos)

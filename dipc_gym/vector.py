@@ -225,6 +225,16 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         return self._rigs.state
 
     @property
+    def measured_state(self) -> Array:
+        """States as last observed, (num_envs, 6): cart, absolute angles, which count turns, and their rates."""
+        return self._rigs.observations()
+
+    @staticmethod
+    def observation_of(state: Array) -> Array:
+        """What the environment observes of states (..., 6)."""
+        return state
+
+    @property
     def measured_velocity(self) -> Array:
         """Velocities of the carts as last observed, (num_envs,) m/s."""
         return self._rigs.observations()[:, 3]
@@ -258,7 +268,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
 
     def _observations(self) -> Array:
         """What is observed now, (num_envs, k), as an array of its own."""
-        return self._rigs.observations()
+        return self.observation_of(self._rigs.observations())
 
     def _judge(self, period: Period, going: Mask) -> Period:
         """What the task makes of a period, in the place of the balancing one's rewards and terms."""
