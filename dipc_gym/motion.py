@@ -1,6 +1,8 @@
 """The whole motion of a cart with two poles, not only near an equilibrium, from its linear model about upright.
 
-    D(q) q'' = [F - viscous v + d2 sin a p^2 + d3 sin b r^2,  d2 g sin a - d5 sin(a-b) r^2,  d3 g sin b + d5 sin(a-b) p^2]
+    D(q) q'' = [F - viscous v + d2 sin a p^2 + d3 sin b r^2,
+                d2 g sin a - d5 sin(a-b) r^2,
+                d3 g sin b + d5 sin(a-b) p^2]
     D(q) = [[d1, d2 cos a, d3 cos b], [d2 cos a, d4, d5 cos(a-b)], [d3 cos b, d5 cos(a-b), d6]]
 
 with q = (cart, a, b), absolute angles from upright, rates (v, p, r). The six numbers and gravity follow from A and B of
@@ -65,7 +67,7 @@ class Motion:
         size = np.abs(A).max(), np.abs(B).max()
         if not (np.abs(again - A).max() <= LOOSE * size[0] and np.abs(other - B).max() <= LOOSE * size[1]):
             raise ValueError(
-                "the linear model is not that of a cart with two poles in a plane that nothing but the cart's drag brakes"
+                "the linear model is not that of a cart with two poles in a plane, with friction on the cart alone"
             )
         return found
 
@@ -105,11 +107,12 @@ class Motion:
         slope[..., 0, 2] = d3 * np.cos(b) * r * r + d3 * sine(b) * bent2
         slope[..., 0, 3], slope[..., 0, 4] = -self.viscous, 2 * d2 * sine(a) * p
         slope[..., 0, 5] = 2 * d3 * sine(b) * r
-        slope[..., 1, 1] = d2 * self.gravity * np.cos(a) - d5 * spread * r * r + d2 * sine(a) * first + d5 * both * bent2
-        slope[..., 1, 2] = d5 * spread * r * r - d5 * both * bent2
+        one, other = d5 * spread * r * r - d5 * both * bent2, d5 * spread * p * p + d5 * both * bent1
+        slope[..., 1, 1] = d2 * self.gravity * np.cos(a) + d2 * sine(a) * first - one
+        slope[..., 1, 2] = one
         slope[..., 1, 5] = -2 * d5 * both * r
-        slope[..., 2, 1] = d5 * spread * p * p + d5 * both * bent1
-        slope[..., 2, 2] = d3 * self.gravity * np.cos(b) - d5 * spread * p * p + d3 * sine(b) * first - d5 * both * bent1
+        slope[..., 2, 1] = other
+        slope[..., 2, 2] = d3 * self.gravity * np.cos(b) + d3 * sine(b) * first - other
         slope[..., 2, 4] = 2 * d5 * both * p
         A, B = np.zeros((*x.shape, 6, 6)), np.zeros((*x.shape, 6))
         A[..., [0, 1, 2], [3, 4, 5]] = 1.0

@@ -22,6 +22,7 @@ POSTURES: Mapping[str, tuple[bool, bool]] = MappingProxyType(
 """The equilibria, first pole first: which of the poles point up."""
 ANYWHERE = "anywhere"
 """A start that is no equilibrium: everywhere on the middle half of the rail, in every posture, moving."""
+Start = str | tuple[tuple[float, ...], ...]
 SPEEDS = (0.5, 5.0, 5.0)  # m/s and rad/s either way, of such a start
 
 NEAR = math.cos(0.35)  # of an angle from the goal, within which a pole is there
@@ -106,12 +107,29 @@ def checked(name: Any, what: str, *, anywhere: bool = False) -> str:
     return name
 
 
-def starting(rng: np.random.Generator, start: str, state: Any = None) -> State:
+def checked_start(start: Any, what: str) -> Start:
+    """Where episodes start, if it is a posture's name, `anywhere`, or states.
+
+    Raises:
+        ValueError: it is neither.
+    """
+    if isinstance(start, str) or np.ndim(start) != 2:
+        return checked(start, what, anywhere=True)
+    try:
+        states = np.array(start, dtype=float)
+    except (TypeError, ValueError):
+        states = np.empty((0, 6))
+    if states.ndim != 2 or states.shape[1] != 6 or not len(states) or not np.isfinite(states).all():
+        raise ValueError(f"{what} must be rows of six finite numbers, as DIPC-Friction-v0 observes them")
+    return tuple(map(tuple, states.tolist()))
+
+
+def starting(rng: np.random.Generator, start: Start, state: Any = None) -> State:
     """The state in which an episode starts: at rest within 0.02 (m, rad) of an equilibrium, anywhere, or as given.
 
     Args:
         rng: of the episode.
-        start: a name of `POSTURES`, or `anywhere`.
+        start: a name of `POSTURES`, `anywhere`, or states, one of which is drawn, within 0.02 (m, rad).
         state: six numbers, which are then taken as they are.
 
     Raises:
@@ -123,6 +141,9 @@ def starting(rng: np.random.Generator, start: str, state: Any = None) -> State:
         a, b, c, v, w1, w2 = rng.uniform(-1.0, 1.0, 6).tolist()
         return 0.225 * a, math.pi * b, math.pi * c, SPEEDS[0] * v, SPEEDS[1] * w1, SPEEDS[2] * w2
     x, theta1, theta2 = rng.uniform(-START_SPREAD, START_SPREAD, 3).tolist()
+    if not isinstance(start, str):
+        a, b, c, v, w1, w2 = start[int(rng.integers(len(start)))]
+        return a + x, b + theta1, c + theta2, v, w1, w2
     first, second = POSTURES[start]
     return x, theta1 + math.pi * (not first), theta2 + math.pi * (not second), 0.0, 0.0, 0.0
 

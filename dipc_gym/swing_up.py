@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +103,8 @@ class SwingUpEnv(DoublePendulumEnv):
 
     ## Starting state
     At rest, cart and angles uniform within 0.02 (m, rad) of the equilibrium `start`. With `anywhere`, which helps to
-    learn, the cart is within 0.225 m, the poles have any angle, and all move, by up to 0.5 m/s and 5 rad/s.
+    learn, the cart is within 0.225 m, the poles have any angle, and all move, by up to 0.5 m/s and 5 rad/s. Where
+    `start` is states, such as those of a planned motion, one is drawn, and positions vary by 0.02 about it.
     `reset(options=...)` takes `start`, `state` (six numbers: cart, absolute angles, rates) and `plant`.
 
     ## Episode end
@@ -115,7 +116,7 @@ class SwingUpEnv(DoublePendulumEnv):
 
     Args:
         goal: equilibrium to reach and hold.
-        start: equilibrium to begin at, or `anywhere`.
+        start: equilibrium to begin at, `anywhere`, or states (k, 6), of which each episode draws one.
         plant: as for `DIPC-Friction-v0`.
         model: the same.
         exact_state: the same.
@@ -150,7 +151,7 @@ class SwingUpEnv(DoublePendulumEnv):
         self,
         *,
         goal: str = "up-up",
-        start: str = "down-down",
+        start: str | Sequence[Sequence[float]] = "down-down",
         plant: PlantLike = None,
         model: str | Path | None = None,
         exact_state: bool = False,
@@ -161,7 +162,7 @@ class SwingUpEnv(DoublePendulumEnv):
         camera: str | None = "side",
     ) -> None:
         self.goal = postures.checked(goal, "goal")
-        self.start = postures.checked(start, "start", anywhere=True)
+        self.start = postures.checked_start(start, "start")
         super().__init__(
             plant=plant,
             model=model,
@@ -198,7 +199,7 @@ class SwingUpVectorEnv(DIPCFrictionVectorEnv):
     Args:
         num_envs: how many.
         goal: equilibrium to reach and hold.
-        start: equilibrium to begin at, or `anywhere`.
+        start: equilibrium to begin at, `anywhere`, or states (k, 6), of which each episode draws one.
         plant: as for the single environment; numbers may be distributions (`PlantFamily`).
         model: path of an MJCF file.
         exact_state: observe the simulation's state instead of encoder readings.
@@ -229,7 +230,7 @@ class SwingUpVectorEnv(DIPCFrictionVectorEnv):
         num_envs: int = 1,
         *,
         goal: str = "up-up",
-        start: str = "down-down",
+        start: str | Sequence[Sequence[float]] = "down-down",
         plant: PlantLike = None,
         model: str | Path | None = None,
         exact_state: bool = False,
@@ -240,7 +241,7 @@ class SwingUpVectorEnv(DIPCFrictionVectorEnv):
         render_mode: str | None = None,
     ) -> None:
         self.goal = postures.checked(goal, "goal")
-        self.start = postures.checked(start, "start", anywhere=True)
+        self.start = postures.checked_start(start, "start")
         super().__init__(
             num_envs,
             plant=plant,
@@ -282,6 +283,6 @@ class SwingUpVectorEnv(DIPCFrictionVectorEnv):
         pass
 
 
-def _start_state(generator: np.random.Generator, start: Any, state: Any, own: str) -> State:
-    name = own if start is None else postures.checked(start, "options['start']", anywhere=True)
-    return postures.starting(generator, name, state)
+def _start_state(generator: np.random.Generator, start: Any, state: Any, own: postures.Start) -> State:
+    begin = own if start is None else postures.checked_start(start, "options['start']")
+    return postures.starting(generator, begin, state)

@@ -1,4 +1,4 @@
-"""A planned motion from one equilibrium to another, feedback that keeps the rig near it, and then the LQR that holds."""
+"""A planned motion from one equilibrium to another, feedback that keeps the rig near it, then the LQR that holds."""
 
 from __future__ import annotations
 
@@ -91,6 +91,23 @@ class Tracking:
     def seconds(self) -> float:
         """Length of the planned motion."""
         return len(self.forces) * self.period
+
+    def require(self, start: str, goal: str, period: float) -> None:
+        """Refuse a task that it was not planned for.
+
+        Raises:
+            ControllerError: it starts or ends elsewhere, or the control period is another.
+        """
+        if (start, goal) != (self.start, self.goal):
+            raise ControllerError(
+                f"{self.name} was planned from {self.start} to {self.goal}, and is to go from {start} to {goal}; say "
+                f"dipc-gym plan --start {start} --goal {goal}"
+            )
+        if abs(period - self.period) > 1e-9:
+            raise ControllerError(
+                f"{self.name} was planned for a control period of {self.period:g} s, and the rig's is {period:g} s; "
+                "plan it for this rig"
+            )
 
     def reset(self) -> None:
         """Begin the plan anew."""

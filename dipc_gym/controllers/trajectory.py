@@ -121,8 +121,12 @@ def _guess(rng: np.random.Generator, begin: Array, end: Array, pieces: int, leng
     """A first guess (pieces + 1, 6): poles go over smoothly, early or late, while the cart swings."""
     time = np.linspace(0.0, 1.0, pieces + 1)
     states = np.zeros((pieces + 1, 6))
+    more = np.cos(end[1:3]).sum() - np.cos(begin[1:3]).sum()
+    late = more > 0.5 or (more > -0.5 and rng.random() < 0.5)  # upright is the last to be had and the first to be lost
     for k in (1, 2):
-        states[:, k] = begin[k] + (end[k] - begin[k]) * time ** rng.uniform(1.0, 3.0)
+        power = rng.uniform(1.0, 3.0)
+        share = time**power if late else 1 - (1 - time) ** power
+        states[:, k] = begin[k] + (end[k] - begin[k]) * share
     states[:, 0] = 0.15 * np.sin(2 * np.pi * rng.uniform(1.0, 4.0) * time)
     states[:-1, 3:] = np.diff(states[:, :3], axis=0) / length
     return states

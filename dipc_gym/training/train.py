@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from dipc_gym import ENV_ID, SWING_UP_ID, compensators, intact
 from dipc_gym.alone import alone
 from dipc_gym.compensators import Compensator, OutOfRangeWarning
+from dipc_gym.controllers.tracking import Tracking
 from dipc_gym.experiments import cells
 from dipc_gym.files import remove_partial, write_whole
 from dipc_gym.naming import suggestion
@@ -131,19 +132,20 @@ class Recipe:
 RECIPES: dict[str, Recipe] = {
     "ppo": Recipe(),
     "ppo swing-up": Recipe(
-        steps=24_000_000,
+        steps=36_000_000,
         rigs=64,
         stage=40_000,
         episode=1_600,
         hold=4,
         engine="compiled",
+        exact_state=True,
         gamma=0.998,
         reward=0.1,
         batch=2_048,
         rollout=128,
         epochs=8,
         trace=0.95,
-        first_spread=-0.5,
+        first_spread=-1.0,
     ),
     "sac": Recipe(
         steps=192_000,
@@ -182,7 +184,8 @@ class Training:
 
     Attributes:
         algorithm: `"ppo"` or `"sac"`.
-        task: `"balance"`, or `"swing-up"` from hanging to upright, which learns from starts anywhere.
+        task: `"balance"`, or `"swing-up"` from hanging to upright, which learns from
+            starts along the motion that the controller `tvlqr` follows.
         compensator: registered name, identified on a simulated run of the rig, or a saved one (`.json`). With `none`
             the policy commands the voltage itself.
         seed: of weights, exploration, starting states and identification.
@@ -270,7 +273,7 @@ class Rig:
 
     def learning(self, recipe: Recipe) -> Any:
         """Those to learn on."""
-        start = {"start": "anywhere"} if self.task == "swing-up" else {}
+        start = {"start": Tracking.shipped().states} if self.task == "swing-up" else {}
         return self.many(recipe.rigs, recipe.episode, exact_state=recipe.exact_state, engine=recipe.engine, **start)
 
     def many(
@@ -280,7 +283,7 @@ class Rig:
         *,
         exact_state: bool = False,
         engine: str = "mujoco",
-        **task: str,
+        **task: Any,
     ) -> Any:
         """So many of them, reset as soon as they end.
 
