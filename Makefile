@@ -62,7 +62,7 @@ bench: .venv/installed
 .venv/for-learning: EXTRAS := rl
 .venv/for-trial: EXTRAS := trial
 .venv/for-rivals: EXTRAS := trial,mlp
-.venv/installed: EXTRAS := rl,film,parquet,trial,ray,onnx,test,docs,dev
+.venv/installed: EXTRAS := rl,film,plan,parquet,trial,ray,onnx,test,docs,dev
 
 .venv/%: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'

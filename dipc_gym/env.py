@@ -21,6 +21,7 @@ from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
 from dipc_gym.rig import DIVERGED, Rig
 from dipc_gym.rigs import ENGINES, unknown_engine
+from dipc_gym.rigs.together import COSTS
 
 __all__ = ["DoublePendulumEnv"]
 
@@ -118,6 +119,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
 
+    _balances = True  # and so ends when a pole that stood has fallen
     _rig: Rig
     _readings: tuple[float, float, float]  # encoders: cart, absolute angles
     _rates: tuple[float, float, float]  # the velocity filter's memory
@@ -176,10 +178,10 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             raise ValueError("give either options['start'] or options['state'], not both")
         family = self._family if plant is None else PlantFamily.of(plant, base=self._home)
         self._set_plant(family.draw(self.np_random))
-        self._begin(start_state(self.np_random, start, state))
+        self._begin(self._start_state(start, state))
         if self.render_mode == "human":
             self.render()
-        return np.array(self._observed), self._info(0.0, False, False, (0.0, 0.0, 0.0, 0.0))
+        return self._observation(), self._info(0.0, False, False, self._nothing_earned(False))
 
     def step(self, action: NDArray[Any]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Hold a voltage for one control period.
@@ -198,17 +200,16 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         state = self._read_state()
         x, theta1, theta2, v, w1, w2 = state
         if not abs(x) + abs(theta1) + abs(theta2) + abs(v) + abs(w1) + abs(w2) < DIVERGED:
-            info = self._info(volts, volts != asked, True, (0.0, 0.0, 0.0, 0.0))
-            return np.array(self._observed), 0.0, True, False, info
-        terms = kernels.costs(x, theta1, theta2, volts, self._rig.rail, supply)
+            info = self._info(volts, volts != asked, True, self._nothing_earned(True))
+            return self._observation(), 0.0, True, False, info
+        reward, terms = self._earned(state, volts)
         terminated = not -self._rig.rail < x < self._rig.rail or (
             self._can_fall and not (-kernels.FALL <= theta1 <= kernels.FALL and -kernels.FALL <= theta2 <= kernels.FALL)
         )
         self._measure(state)
         if self.render_mode == "human":
             self._draw_frame()
-        reward = 1.0 - terms[0] - terms[1] - terms[2] - terms[3]
-        return np.array(self._observed), reward, terminated, False, self._info(volts, volts != asked, False, terms)
+        return self._observation(), reward, terminated, False, self._info(volts, volts != asked, False, terms)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the rig: a picture (height, width, 3) in `rgb_array` mode, the window in `human` mode.
@@ -270,6 +271,16 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     def state(self) -> Array:
         """The simulation's exact state, (6,), as the observation orders it."""
         return np.array(self._read_state())
+
+    @property
+    def measured_state(self) -> Array:
+        """The state as last observed, (6,): cart, absolute angles, which count turns, and their rates."""
+        return np.array(self._observed)
+
+    @staticmethod
+    def observation_of(state: Array) -> Array:
+        """What the environment observes of states (..., 6)."""
+        return state
 
     @property
     def measured_velocity(self) -> float:
@@ -407,7 +418,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         if self._compiled is not None:
             self._compiled.begin(state)
         self._lag = self._rig.physics.sensor_memory(self._data.sensordata)
-        self._can_fall = abs(theta1) <= kernels.FALL and abs(theta2) <= kernels.FALL
+        self._can_fall = self._balances and abs(theta1) <= kernels.FALL and abs(theta2) <= kernels.FALL
         self._steps = 0
         self._readings = self._read_encoders()
         self._rates = (v, w1, w2)
@@ -418,13 +429,30 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
                 "check masses, forces and the numbers under <custom>"
             )
 
-    def _info(self, volts: float, clipped: bool, diverged: bool, costs: tuple[float, ...]) -> dict[str, Any]:
+    # --------------------------------------------------------------------- what makes a task of the rig
+
+    def _start_state(self, start: Any, state: Any) -> State:
+        """The state in which an episode starts, as the reset options `start` and `state` want it."""
+        return start_state(self.np_random, start, state)
+
+    def _observation(self) -> Array:
+        """What is observed now."""
+        return self.observation_of(np.array(self._observed))
+
+    def _earned(self, state: State, volts: float) -> tuple[float, dict[str, Any]]:
+        """The reward of a step that ended in a state, and its terms for `info`."""
+        x, theta1, theta2, *_ = state
+        a, b, c, d = kernels.costs(x, theta1, theta2, volts, self._rig.rail, self._rig.plant.supply)
+        terms = {"reward_survive": 1.0, "cost_cart": a, "cost_pole1": b, "cost_pole2": c, "cost_voltage": d}
+        return 1.0 - a - b - c - d, terms
+
+    def _nothing_earned(self, diverged: bool) -> dict[str, Any]:
+        """The terms at a reset, or of a step in which the simulation diverged."""
+        return {"reward_survive": 0.0 if diverged else 1.0, **dict.fromkeys(COSTS, 0.0)}
+
+    def _info(self, volts: float, clipped: bool, diverged: bool, terms: dict[str, Any]) -> dict[str, Any]:
         return {
-            "reward_survive": 0.0 if diverged else 1.0,
-            "cost_cart": costs[0],
-            "cost_pole1": costs[1],
-            "cost_pole2": costs[2],
-            "cost_voltage": costs[3],
+            **terms,
             "voltage": volts,
             "clipped": clipped,
             "friction": 0.0 if diverged else self.friction,

@@ -1,7 +1,7 @@
 """The environment's arithmetic, on numbers or on arrays of any shape alike.
 
-Nothing but + - * / and rounding down is used, which IEEE 754 defines to the last bit. So one simulation on Python
-floats and a thousand on arrays give the same bits, as long as both call these functions.
+Nothing but + - * /, absolute values and rounding down is used, which IEEE 754 defines to the last bit. So one
+simulation on Python floats and a thousand on arrays give the same bits, as long as both call these functions.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 Number = TypeVar("Number", float, NDArray[np.float64])
 
 TURN = 2 * math.pi
+QUARTER = math.pi / 2
+SERIES = [(-1.0) ** k / math.factorial(2 * k + 1) for k in range(1, 11)]
+"""Of the sine divided by its angle, after the 1: within a quarter of a turn the next term is below 2e-18."""
 RAIL = 0.45  # m, from the middle of the rail to a stop, where the model sets no range
 FALL = 0.35  # rad from upright, beyond which a balancing pole has fallen
 
@@ -27,6 +30,35 @@ def floor(number: Number) -> Number:
         -1.0
     """
     return np.floor(number) if isinstance(number, np.ndarray) else number // 1.0
+
+
+def sine(angle: Number) -> Number:
+    """Sine, within 4e-16 for angles of a few turns; the library's own differs from one to another in the last bit.
+
+    Args:
+        angle: rad.
+
+    Example:
+        >>> round(sine(0.5), 12), round(sine(2.5), 12)
+        (0.479425538604, 0.598472144104)
+    """
+    within = angle - TURN * floor(angle / TURN + 0.5)  # half a turn either way
+    folded = abs(within + QUARTER) - abs(within - QUARTER) - within  # a quarter of a turn, with the same sine
+    square = folded * folded
+    series = SERIES[-1] * square
+    for term in SERIES[-2::-1]:
+        series = (series + term) * square
+    return folded * series + folded
+
+
+def cosine(angle: Number) -> Number:
+    """Cosine, as `sine`.
+
+    Example:
+        >>> round(cosine(0.5), 12), round(cosine(2.5), 12)
+        (0.87758256189, -0.801143615547)
+    """
+    return sine(angle + QUARTER)
 
 
 def quantise(position: Number, step: Number | float) -> Number:

@@ -33,7 +33,15 @@ SCHEMA = "dipc-gym/policy/1"
 UNITS = {"force": "N", "voltage": "V"}
 OBSERVATION = (("cart", "m"), ("pole1", "rad"), ("pole2", "rad"))
 """Positions that are observed, with their units; their rates follow in the same order."""
-INPUTS = (*OBSERVATION, *((f"{name}_rate", f"{unit}/s") for name, unit in OBSERVATION))
+RATES = tuple((f"{name}_rate", f"{unit}/s") for name, unit in OBSERVATION)
+INPUTS = (*OBSERVATION, *RATES)
+SWING_UP_INPUTS = (
+    ("cart", "m"),
+    *((f"{name}_{part}", "1") for name in ("pole1", "pole2") for part in ("cosine", "sine")),
+    *RATES,
+)
+KINDS = {len(INPUTS): INPUTS, len(SWING_UP_INPUTS): SWING_UP_INPUTS}
+"""What a network may be given, by how many numbers that are: what one environment or the other observes."""
 FORMAT = Format("policy file", "train-policy", "copy or train the policy again", 5_000_000, ControllerError)
 """A policy of two layers of 64 takes a tenth of a million bytes."""
 WIDEST = 1024
@@ -49,7 +57,7 @@ class Evaluation:
     Attributes:
         seconds: length of a run, s.
         seeds: of starting states and noise, one for each run.
-        held: time until each run ended, s.
+        held: time until each run ended, or at the goal at the end of a swing-up, s.
         reward: median over the runs of their return, in shares of the largest possible.
     """
 
@@ -78,7 +86,7 @@ class Policy:
         limit: largest command either way, N or V.
         newtons_per_volt: the motor's gain on the rig that it was trained on, N/V.
         compensator: name of the compensator that it was trained with.
-        scales: (6,) what the observation is divided by.
+        scales: (6,) for `DIPC-Friction-v0`, (8,) for `DIPC-Friction-SwingUp-v0`: what the observation is divided by.
         layers: weights (out, in) and biases (out,), from first to last.
         squash: what follows the last layer: `"clip"` to -1..1, or `"tanh"`.
         algorithm: `"ppo"` or `"sac"`.
@@ -120,9 +128,9 @@ class Policy:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} is {value}; it must be a finite number above zero")
-        if self.scales.shape != (6,) or not (np.isfinite(self.scales) & (self.scales > 0)).all():
-            raise ValueError("scales must be six finite numbers above zero")
-        size = 6
+        size = len(self.scales)
+        if self.scales.ndim != 1 or size not in KINDS or not (np.isfinite(self.scales) & (self.scales > 0)).all():
+            raise ValueError("scales must be six finite numbers above zero, or eight for a policy that swings up")
         for i, (weights, biases) in enumerate(self.layers):
             if weights.ndim != 2 or weights.shape[1] != size or biases.shape != weights.shape[:1]:
                 raise ValueError(
@@ -135,12 +143,17 @@ class Policy:
             raise ValueError(f"the last layer must give one number, the command; this one gives {size}")
 
     @property
+    def swings_up(self) -> bool:
+        """Whether it is of `DIPC-Friction-SwingUp-v0`."""
+        return len(self.scales) == len(SWING_UP_INPUTS)
+
+    @property
     def parameters(self) -> int:
         """Number of learned numbers."""
         return sum(weights.size + biases.size for weights, biases in self.layers)
 
     def command(self, observations: Array) -> Array:
-        """The commands (...) for observations (..., 6) of `DIPC-Friction-v0`, N or V as `commands` says."""
+        """The commands (...) for observations (..., k) of its environment, N or V as `commands` says."""
         x = observations / self.scales
         for weights, biases in self.layers[:-1]:
             x = np.tanh(x @ weights.T + biases)
@@ -149,7 +162,7 @@ class Policy:
         return self.limit * (np.tanh(out) if self.squash == "tanh" else np.clip(out, -1.0, 1.0))
 
     def force(self, observation: Array) -> float:
-        """The command for an observation (6,) as a force, N; a voltage counts as what it exerts on the blocked cart."""
+        """The command for an observation (k,) as a force, N; a voltage counts as what it exerts on the blocked cart."""
         command = float(self.command(observation))
         return command if self.commands == "force" else command * self.newtons_per_volt
 
@@ -188,8 +201,9 @@ class Policy:
         text = f"{self.algorithm}, {what}, {self.parameters:,} numbers, chosen after {self.steps:,} control periods"
         if (tried := self.evaluation) is None:
             return text
+        did = "swung up and held" if self.swings_up else "stood"
         return (
-            f"{text}; stood for {tried.seconds:g} s in {tried.standing} of {len(tried.held)} runs, "
+            f"{text}; {did} for {tried.seconds:g} s in {tried.standing} of {len(tried.held)} runs, "
             f"{tried.reward:.3f} of the largest return"
         )
 
@@ -227,7 +241,7 @@ class Policy:
             "newtons_per_volt": self.newtons_per_volt,
             "observation": [
                 {"name": name, "unit": unit, "scale": scale}
-                for (name, unit), scale in zip(INPUTS, self.scales.tolist(), strict=True)
+                for (name, unit), scale in zip(KINDS[len(self.scales)], self.scales.tolist(), strict=True)
             ],
             "evaluation": None
             if self.evaluation is None
@@ -273,7 +287,7 @@ class _Reader(untrusted.Reader):
         self.one_of(commands["unit"], (UNITS[what],), "commands.unit")
         self.one_of(data["activation"], ("tanh",), "activation")
         values: dict[str, Any] = {
-            "layers": self.layers(data["layers"]),
+            "layers": self.layers(data["layers"], data["observation"]),
             "commands": what,
             "limit": self.positive(commands["limit"], "commands.limit"),
             "newtons_per_volt": self.positive(data["newtons_per_volt"], "newtons_per_volt"),
@@ -290,11 +304,14 @@ class _Reader(untrusted.Reader):
         except ValueError as error:
             raise ControllerError(f"{self.source}: {error}; {self.format.mend}") from None
 
+    def inputs(self, entries: Any) -> tuple[tuple[str, str], ...]:
+        known = KINDS.get(len(self.entries(entries, "observation")), INPUTS)
+        self.entries(entries, "observation", len(known))
+        return known
+
     def scales(self, entries: Any) -> Array:
         scales = []
-        for i, (entry, (name, unit)) in enumerate(
-            zip(self.entries(entries, "observation", len(INPUTS)), INPUTS, strict=True)
-        ):
+        for i, (entry, (name, unit)) in enumerate(zip(entries, self.inputs(entries), strict=True)):
             where = f"observation[{i}]"
             self.members(entry, ("name", "unit", "scale"), where)
             self.one_of(entry["name"], (name,), f"{where}.name")
@@ -302,8 +319,8 @@ class _Reader(untrusted.Reader):
             scales.append(self.positive(entry["scale"], f"{where}.scale"))
         return np.array(scales)
 
-    def layers(self, entries: Any) -> tuple[tuple[Array, Array], ...]:
-        size, layers = len(INPUTS), []
+    def layers(self, entries: Any, inputs: Any) -> tuple[tuple[Array, Array], ...]:
+        size, layers = len(self.inputs(inputs)), []
         if len(self.entries(entries, "layers")) > DEEPEST:
             self.fail("layers", f"has {len(entries)} layers; at most {DEEPEST} are read")
         for i, entry in enumerate(entries):

@@ -12,16 +12,28 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, compensators, estimators, recording
+from dipc_gym import ENV_ID, SWING_UP_ID, compensators, estimators, recording
 from dipc_gym.compensators import Compensator, Samples
 from dipc_gym.controllers import Controller, lqr
+from dipc_gym.controllers.tracking import Tracking, equilibrium
 from dipc_gym.estimators import Estimator, RigModel
 from dipc_gym.excitation import Excitation
 from dipc_gym.identification import Cart, Sweep, cart, cart_model, excitation, record, samples
+from dipc_gym.kernels import FALL
 from dipc_gym.plant import Plant
 from dipc_gym.recording import Recording
 
-__all__ = ["Course", "Identification", "Impulse", "balance", "compensator", "estimator", "identify", "recorded"]
+__all__ = [
+    "Course",
+    "Identification",
+    "Impulse",
+    "balance",
+    "compensator",
+    "estimator",
+    "identify",
+    "recorded",
+    "swing_up",
+]
 
 Array = NDArray[np.float64]
 
@@ -211,6 +223,18 @@ class Course:
     clipped: int
     fell: bool
 
+    def held(self, goal: str) -> float:
+        """For how long it stayed at a posture until its end without a break, s; 0 if it ended early.
+
+        Args:
+            goal: a name of `postures.POSTURES`; both poles are within 0.35 rad of it.
+        """
+        if self.fell:
+            return 0.0
+        off = np.abs(np.remainder(self.state[:, 1:3] - equilibrium(goal)[1:3] + math.pi, 2 * math.pi) - math.pi)
+        away = np.flatnonzero((off > FALL).any(axis=1))
+        return self.lasted - (float(self.time[away[-1]] + self.time[1]) if len(away) else 0.0)
+
     @property
     def lasted(self) -> float:
         """How long it lasted, s; if it fell, when."""
@@ -252,11 +276,73 @@ def balance(
         ValueError: `seconds` is not finite, or shorter than a control period; or the compensator needs an estimator
             that observes friction, and this is none.
     """
-    from dipc_gym.wrappers import EstimateState, FaultyMotor, ForceCommand
-
     env: gymnasium.Env[Any, Any] = gymnasium.make(
         ENV_ID, plant=plant, model=model, exact_state=exact_state, max_episode_steps=2**31
     )
+    given = () if impulse is None else (impulse,) if isinstance(impulse, Impulse) else impulse
+    return _course(env, controller, compensator, seconds, seed, given, estimator, fault)
+
+
+def swing_up(
+    controller: Controller,
+    compensator: Compensator,
+    *,
+    seconds: float,
+    seed: int,
+    start: str = "down-down",
+    goal: str = "up-up",
+    plant: Plant | str | None = None,
+    model: str | None = None,
+    exact_state: bool = False,
+    estimator: Estimator | None = None,
+) -> Course:
+    """Take a rig from one equilibrium to another, until it meets the rail's end or time is over.
+
+    Args:
+        controller: commands force for observations of `DIPC-Friction-SwingUp-v0`; one that follows a plan is begun
+            anew.
+        compensator: turns it into voltage.
+        seconds: length of the run, s.
+        seed: of starting state and noise.
+        start: a name of `postures.POSTURES`, or `anywhere`.
+        goal: another.
+        plant: as the environment takes it.
+        model: MJCF file of the rig; None is the package's.
+        exact_state: let controller and compensator see the exact state instead of encoder readings.
+        estimator: what they see the rig through, such as `rigid_body`; None is the environment's own observation.
+
+    Raises:
+        ValueError: no such posture, `seconds` is not finite, or the controller's plan is for another control period or
+            other equilibria; or the compensator needs an estimator that observes friction, and this is none.
+    """
+    env: gymnasium.Env[Any, Any] = gymnasium.make(
+        SWING_UP_ID,
+        start=start,
+        goal=goal,
+        plant=plant,
+        model=model,
+        exact_state=exact_state,
+        max_episode_steps=2**31,
+    )
+    if isinstance(controller, Tracking):
+        controller.require(start, goal, _unwrapped(env).plant.control_period)
+        controller.reset()
+    return _course(env, controller, compensator, seconds, seed, (), estimator, None)
+
+
+def _course(
+    env: gymnasium.Env[Any, Any],
+    controller: Controller,
+    compensator: Compensator,
+    seconds: float,
+    seed: int,
+    given: Sequence[Impulse],
+    estimator: Estimator | None,
+    fault: MotorFault | None,
+) -> Course:
+    """Run an environment; see `balance`."""
+    from dipc_gym.wrappers import EstimateState, FaultyMotor, ForceCommand
+
     inner = _unwrapped(env)
     period = inner.plant.control_period
     if not (math.isfinite(seconds) and seconds >= period):
@@ -271,7 +357,6 @@ def balance(
     state, readings = np.zeros((steps, 6)), np.zeros((steps, 3))
     force, voltage, action = np.zeros(steps), np.zeros(steps), np.zeros(1)
     done, clipped, fell = 0, 0, False
-    given = () if impulse is None else (impulse,) if isinstance(impulse, Impulse) else impulse
     blows = {round(blow.time / period): blow.size for blow in given}
     for k in range(steps):
         if k in blows:

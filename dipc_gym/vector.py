@@ -15,19 +15,20 @@ from numpy.typing import NDArray
 
 from dipc_gym import kernels
 from dipc_gym.actions import many
-from dipc_gym.env import DoublePendulumEnv, start_state
+from dipc_gym.env import DoublePendulumEnv, State, start_state
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
 from dipc_gym.rig import Rig
 from dipc_gym.rigs import ENGINES, unknown_engine
-from dipc_gym.rigs.together import COSTS, Encoders, Rigs
+from dipc_gym.rigs.together import COSTS, Encoders, Period, Rigs
 
 __all__ = ["DIPCFrictionVectorEnv"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-INFO = ("reward_survive", *COSTS, "voltage", "friction", "time")  # and two flags
+TERMS = {"reward_survive": float, **dict.fromkeys(COSTS, float)}
+SHARED = {**dict.fromkeys(("voltage", "friction", "time"), float), "clipped": bool, "diverged": bool}
 
 
 class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]]):
@@ -70,6 +71,9 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
+    _terms: Mapping[str, type] = TERMS  # of the reward, in `info`
+    _balances = True
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -98,12 +102,13 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
                 raise ValueError(f"{name} is {value!r}; it must be a whole number, {least} or more")
         # One environment knows names, numbers and spaces; it is never stepped.
-        one = DoublePendulumEnv(plant=plant, model=model, exact_state=exact_state)
+        one = self._single(plant=plant, model=model, exact_state=exact_state)
         self._family = one.family
         # All rows share one layout, so all keep as much of the past as the longest delay asks for.
         base, delay = self._family.base, self._family.longest_delay
         longest = base if delay == base.delay else dataclasses.replace(base, delay=delay)
         rig = one.rig if longest is base else Rig.of(one.source, longest)
+        self._rail = rig.rail
         self.num_envs, self.exact_state, self.max_episode_steps = int(num_envs), exact_state, max_episode_steps
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**one.metadata, "render_modes": [], "autoreset_mode": self.autoreset_mode}
@@ -149,11 +154,12 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         for i in rows:
             if seeds[i] is not None:
                 self._generators[i], self._seeds[i] = gymnasium.utils.seeding.np_random(seeds[i])
-        infos: dict[str, Any] = {key: np.zeros(self.num_envs) for key in INFO}
-        infos |= {key: np.zeros(self.num_envs, dtype=bool) for key in ("clipped", "diverged")}
+        infos: dict[str, Any] = {
+            key: np.zeros(self.num_envs, dtype=kind) for key, kind in {**self._terms, **SHARED}.items()
+        }
         self._begin(rows, options, infos)
         self.began = mask
-        return self._rigs.observations(), _masked(infos, mask)
+        return self._observations(), _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         """Hold a voltage in every row for one control period.
@@ -184,13 +190,13 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             self.began, self._ended = ended, np.zeros_like(ended)
             if ended.any():
                 rows = np.flatnonzero(ended)
-                final_obs, final_info = _final(self._rigs.observations(), infos, ended)
+                final_obs, final_info = _final(self._observations(), infos, ended)
                 self._begin(rows, {}, infos)
                 infos = _masked(infos, everywhere)
                 infos |= {"final_obs": final_obs, "_final_obs": ended.copy()}
                 infos |= {"final_info": final_info, "_final_info": ended.copy()}
-                return self._rigs.observations(), rewards, terminated, truncated, infos
-        return self._rigs.observations(), rewards, terminated, truncated, _masked(infos, everywhere)
+                return self._observations(), rewards, terminated, truncated, infos
+        return self._observations(), rewards, terminated, truncated, _masked(infos, everywhere)
 
     # ------------------------------------------------------------------------------- what wrappers may ask for
 
@@ -221,6 +227,16 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         return self._rigs.state
 
     @property
+    def measured_state(self) -> Array:
+        """States as last observed, (num_envs, 6): cart, absolute angles, which count turns, and their rates."""
+        return self._rigs.observations()
+
+    @staticmethod
+    def observation_of(state: Array) -> Array:
+        """What the environment observes of states (..., 6)."""
+        return state
+
+    @property
     def measured_velocity(self) -> Array:
         """Velocities of the carts as last observed, (num_envs,) m/s."""
         return self._rigs.observations()[:, 3]
@@ -242,11 +258,33 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         """Dry friction on each cart at the last physics step, (num_envs,) N."""
         return self._rigs.friction
 
+    # --------------------------------------------------------------------- what makes a task of the rigs
+
+    def _single(self, **arguments: Any) -> DoublePendulumEnv:
+        """One environment of the task."""
+        return DoublePendulumEnv(**arguments)
+
+    def _start_state(self, generator: np.random.Generator, start: Any, state: Any) -> State:
+        """The state in which an episode starts, as the reset options `start` and `state` want it."""
+        return start_state(generator, start, state)
+
+    def _observations(self) -> Array:
+        """What is observed now, (num_envs, k), as an array of its own."""
+        return self.observation_of(self._rigs.observations())
+
+    def _judge(self, period: Period, going: Mask) -> Period:
+        """What the task makes of a period, in the place of the balancing one's rewards and terms."""
+        return period
+
+    def _begin_terms(self, rows: NDArray[np.intp], infos: dict[str, Any]) -> None:
+        """Note the terms of rows at a reset; they are zero so far."""
+        infos["reward_survive"][rows] = 1.0
+
     # -------------------------------------------------------------------------------------------- simulation
 
     def _advance(self, asked: Array, going: Mask) -> tuple[Array, Mask, Mask, dict[str, Any]]:
         """Step the rows that are `going`; what comes back for the others means nothing."""
-        period = self._rigs.advance(asked, going, self._noise_of if self._noisy else None)
+        period = self._judge(self._rigs.advance(asked, going, self._noise_of if self._noisy else None), going)
         self._steps += going
         limit = self.max_episode_steps
         truncated = np.zeros_like(going) if limit is None else going & (self._steps >= limit)
@@ -272,14 +310,14 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         for k, i in enumerate(rows.tolist()):
             generator = self._generator(i)
             plants.append(family.draw(generator))
-            states[k] = start_state(generator, start, state)
+            states[k] = self._start_state(generator, start, state)
         self._become(rows, plants)
-        can_fall: Mask = np.all(np.abs(states[:, 1:3]) <= kernels.FALL, axis=1)
+        can_fall: Mask = self._balances & np.all(np.abs(states[:, 1:3]) <= kernels.FALL, axis=1)
         noise = self._encoder_noise(rows) if self._noisy else np.zeros((len(rows), 3))
         self._steps[rows], self._ended[rows] = 0, False
         for value in infos.values():
             value[rows] = 0
-        infos["reward_survive"][rows] = 1.0
+        self._begin_terms(rows, infos)
         infos["friction"][rows] = self._rigs.begin(rows, states, can_fall, noise)
 
     def _encoder_noise(self, rows: NDArray[np.intp]) -> Array:

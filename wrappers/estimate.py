@@ -28,13 +28,14 @@ class EstimateState(
     estimated friction for estimators that observe it, positive where it holds back motion towards +x, N.
 
     Args:
-        env: a `DIPC-Friction-v0`, with wrappers that leave actions and observations alone.
-        estimator: an `Estimator`, the path of its file, or its dictionary.
+        env: a `DIPC-Friction-v0` or `DIPC-Friction-SwingUp-v0`, with wrappers that leave actions and observations
+            alone.
+        estimator: an `Estimator`, the path of its file, or its dictionary. To swing up, it is `rigid_body`.
 
     Raises:
         TypeError: `env` has no encoders to read.
         estimators.EstimatorError: the estimator's file or dictionary is broken.
-        ValueError: the estimator is for another control period.
+        ValueError: the estimator is for another control period, or knows the rig near upright alone.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -58,6 +59,7 @@ class EstimateState(
             raise TypeError(f"{inner} has no encoders; EstimateState goes around DIPC-Friction-v0")
         self.estimator = own_estimator(estimator)
         check_period(self.estimator, inner.plant.control_period)
+        refuse_near(self.estimator, inner)
         gymnasium.utils.RecordConstructorArgs.__init__(self, estimator=self.estimator.to_dict())
         gymnasium.Wrapper.__init__(self, env)
         self._inner = inner
@@ -80,8 +82,8 @@ class EstimateState(
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Reset environment and estimator; at first, the environment's own observation is believed."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        self._state, self._wanted = self.estimator.initial_state(observation[None]), None
+        _, info = self.env.reset(seed=seed, options=options)
+        self._state, self._wanted = self.estimator.initial_state(self._inner.measured_state[None]), None
         return self._observation(), self._noted(info)
 
     def step(self, action: NDArray[Any]) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
@@ -97,7 +99,7 @@ class EstimateState(
         return self._observation(), reward, terminated, truncated, self._noted(info)
 
     def _observation(self) -> Array:
-        return self.estimator.observation(self._state)[0].copy()
+        return self._inner.observation_of(self.estimator.observation(self._state)[0].copy())
 
     def _noted(self, info: dict[str, Any]) -> dict[str, Any]:
         if self.estimator.observes_friction:
@@ -120,6 +122,18 @@ def check_period(estimator: Estimator, period: float) -> None:
         raise ValueError(
             f"the estimator {estimator.name!r} is for a control period of {estimator.rig.period:g} s; the "
             f"environment's is {period:g} s: fit it on this rig"
+        )
+
+
+def refuse_near(estimator: Estimator, env: Any) -> None:
+    """Refuse an estimator that knows the rig near upright alone where poles swing.
+
+    Raises:
+        ValueError: it is one.
+    """
+    if hasattr(env, "goal") and not estimator.everywhere:
+        raise ValueError(
+            f"the estimator {estimator.name!r} knows the rig near upright alone; to swing up, take 'rigid_body'"
         )
 
 

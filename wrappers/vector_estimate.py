@@ -11,8 +11,10 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
 from dipc_gym.estimators import Command, Estimator
+from dipc_gym.kernels import TURN
+from dipc_gym.swing_up import state_of
 from dipc_gym.vector import DIPCFrictionVectorEnv
-from dipc_gym.wrappers.estimate import check_period, own_estimator
+from dipc_gym.wrappers.estimate import check_period, own_estimator, refuse_near
 
 Array = NDArray[np.float64]
 
@@ -21,13 +23,13 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
     """`EstimateState` for many rigs: the estimator observes all of them in one call, and each as if it were alone.
 
     Args:
-        env: a `DIPCFrictionVectorEnv`, with wrappers that leave actions and observations alone.
+        env: a `DIPCFrictionVectorEnv` or `SwingUpVectorEnv`, with wrappers that leave actions and observations alone.
         estimator: an `Estimator`, the path of its file, or its dictionary.
 
     Raises:
         TypeError: `env` is another environment.
         estimators.EstimatorError: the estimator's file or dictionary is broken.
-        ValueError: the estimator is for another control period.
+        ValueError: the estimator is for another control period, or knows the rig near upright alone.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -47,6 +49,7 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         self._inner = inner
         self.estimator = own_estimator(estimator)
         check_period(self.estimator, inner.plant.control_period)
+        refuse_near(self.estimator, inner)
         self._state = self.estimator.initial_state(np.zeros((self.num_envs, 6)))
         self._wanted: tuple[Array, Callable[[Array], Array] | None] | None = None
 
@@ -68,14 +71,14 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Reset environments and the estimator's memory of them."""
-        observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        _, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._wanted = None
-        self._begin(observations)
-        return self.estimator.observation(self._state).copy(), self._noted(infos)
+        self._begin()
+        return self._observations(), self._noted(infos)
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Any, Any, Any, dict[str, Any]]:
         """Hold voltages, read the encoders, and estimate."""
-        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        _, rewards, terminated, truncated, infos = self.env.step(actions)
         rig = self.estimator.rig
         voltage = np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -rig.supply, rig.supply)
         force, friction = self._wanted or (rig.newtons_per_volt * voltage, None)
@@ -84,21 +87,33 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         readings[:, 2] += readings[:, 1]
         ended = infos.get("_final_obs")
         if ended is not None:  # rows that were reset within this step: what their encoders read last is in the last obs
+            known = self.estimator.observation(self._state)
             for i in np.flatnonzero(ended):
-                readings[i] = infos["final_obs"][i][:3]
+                readings[i] = self._last_readings(infos["final_obs"][i], known[i])
         self._state = self.estimator.update(self._state, readings, Command(force, voltage, friction))
         if ended is not None:
-            last = self.estimator.observation(self._state)
+            last = self._observations()
             for i in np.flatnonzero(ended):
                 infos["final_obs"][i] = last[i].copy()
-        self._begin(observations)
-        return self.estimator.observation(self._state).copy(), rewards, terminated, truncated, self._noted(infos)
+        self._begin()
+        return self._observations(), rewards, terminated, truncated, self._noted(infos)
 
-    def _begin(self, observations: Array) -> None:
+    def _observations(self) -> Array:
+        return self._inner.observation_of(self.estimator.observation(self._state).copy())
+
+    def _last_readings(self, observation: Array, known: Array) -> Array:
+        """Cart and absolute angles (3,) of an episode's last observation, in the turn next to the estimate."""
+        if len(observation) == len(known):
+            return observation[:3]
+        readings = state_of(observation)[:3]
+        readings[1:] += TURN * np.round((known[1:3] - readings[1:]) / TURN)
+        return readings
+
+    def _begin(self) -> None:
         """Begin anew where an episode has begun."""
         began = self._inner.began
         if began.any():
-            fresh = self.estimator.initial_state(observations)
+            fresh = self.estimator.initial_state(self._inner.measured_state)
             self._state = np.where(began[:, None], fresh, self._state)
 
     def _noted(self, infos: dict[str, Any]) -> dict[str, Any]:

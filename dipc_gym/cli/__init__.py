@@ -20,6 +20,7 @@ from dipc_gym.cli.compare import Compare
 from dipc_gym.cli.compensator import FromModel
 from dipc_gym.cli.diagnose import Diagnose, Report
 from dipc_gym.cli.export import Export
+from dipc_gym.cli.plan import Plan
 from dipc_gym.cli.record import Record, Render
 from dipc_gym.cli.replay import Replay
 from dipc_gym.cli.train import Train, TrainPolicy
@@ -38,6 +39,7 @@ COMMANDS: dict[str, type[Command]] = {
     "compare": Compare,
     "train": Train,
     "train-policy": TrainPolicy,
+    "plan": Plan,
     "record": Record,
     "replay": Replay,
     "diagnose": Diagnose,

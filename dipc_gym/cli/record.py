@@ -52,7 +52,7 @@ class Record:
         if self.experiment == "identification":
             run = runs.identify(self.plant, model=self.model, seed=self.seed).run
         else:
-            brain = controllers.load(self.controller)
+            brain = controllers.balancing(self.controller)
             compensator = runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed)
             course = runs.balance(
                 brain, compensator, seconds=self.seconds, seed=self.seed, plant=self.plant, model=self.model
@@ -117,7 +117,7 @@ class Render:
             raise ValueError("--map and --unit tell what the columns of a --recording are; name one")
         else:
             course = runs.balance(
-                controllers.load(self.controller),
+                controllers.balancing(self.controller),
                 runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed),
                 seconds=self.seconds,
                 seed=self.seed,

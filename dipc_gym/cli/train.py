@@ -94,6 +94,7 @@ class TrainPolicy:
     Try:
         dipc-gym train-policy --out runs/llnf
         dipc-gym train-policy --out runs/direct --compensator none --seed 3
+        dipc-gym train-policy --out runs/up --task swing-up --compensator none --limit 96
         dipc-gym train-policy --out runs/llnf --resume
         dipc-gym train-policy --out runs/many --seeds 10 --jobs 2
         tensorboard --logdir runs
@@ -101,6 +102,8 @@ class TrainPolicy:
 
     out: Path
     """folder for the results, new or empty"""
+    task: Literal["balance", "swing-up"] = "balance"
+    """hold the poles upright, or swing them up from hanging and hold them"""
     algo: Literal["ppo", "sac"] = "ppo"
     """proximal policy optimisation, or soft actor-critic, which takes fewer but slower steps"""
     compensator: str = "llnf"
@@ -113,8 +116,8 @@ class TrainPolicy:
     """control periods to train for; without it the algorithm's own number"""
     rigs: int | None = None
     """rigs that are simulated side by side; without it the algorithm's own number"""
-    engine: Literal["mujoco", "compiled"] = "mujoco"
-    """what simulates them; compiled is machine code, and the policy is tried on MuJoCo in any case"""
+    engine: Literal["mujoco", "compiled"] | None = None
+    """what simulates them, mujoco or, by default for swing-up, compiled, machine code; it is tried on MuJoCo anyway"""
     limit: float = 60.0
     """largest force, N; for voltage, what exerts it on the blocked cart"""
     plant: str | None = None
@@ -138,12 +141,13 @@ class TrainPolicy:
         changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         training = train.Training(
             algorithm=self.algo,
+            task=self.task,
             compensator=self.compensator,
             seed=self.seed,
             limit=self.limit,
             plant=self.plant,
             model=self.model,
-            recipe=replace(train.RECIPES[self.algo], **changes),
+            recipe=replace(train.recipe_for(self.algo, self.task), **changes),
         )
         if self.seeds is not None:
             return self._sweep(training, self.seeds)

@@ -12,6 +12,7 @@ from dipc_gym.estimators.files import EstimatorError, load, save
 from dipc_gym.estimators.kalman import CompensatedKalman, Disturbance, Kalman
 from dipc_gym.estimators.moving_horizon import MovingHorizon
 from dipc_gym.estimators.registry import fit, kind, names, register
+from dipc_gym.estimators.rigid_body import RigidBody
 
 register("differences", Differences)
 register("kalman", Kalman)
@@ -19,6 +20,7 @@ register("kalman_friction", CompensatedKalman)
 register("disturbance", Disturbance)
 register("ekf", ExtendedKalman)
 register("moving_horizon", MovingHorizon)
+register("rigid_body", RigidBody)
 
 __all__ = [
     "Command",
@@ -32,6 +34,7 @@ __all__ = [
     "Kalman",
     "MovingHorizon",
     "RigModel",
+    "RigidBody",
     "fit",
     "kind",
     "load",

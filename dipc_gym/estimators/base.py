@@ -157,6 +157,8 @@ class Estimator(ABC):
 
     name: ClassVar[str] = ""
     observes_friction: ClassVar[bool] = False
+    everywhere: ClassVar[bool] = False
+    """Whether it holds for poles in any posture; the others know the rig near upright."""
 
     rig: RigModel
     dry: Friction

@@ -188,7 +188,7 @@ class Comparison:
 
     def _partners(self, controller: str) -> tuple[str, ...]:
         """The compensators that a controller is tried with: all; for a policy that commands voltage, `none`."""
-        brain = controllers.load(controller)
+        brain = controllers.balancing(controller)
         if isinstance(brain, Policy) and brain.commands == "voltage":
             return tuple(name for name in self.compensators if name == "none")
         return self.compensators

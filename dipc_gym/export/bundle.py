@@ -75,12 +75,14 @@ def bundle(
         if controller is not None:
             raise ValueError(f"{file} is a policy, so it is the controller; leave out --controller {controller}")
         brain = Policy.load(file)
+        if brain.swings_up:
+            raise ValueError(f"{file}: the policy swings up, and what sees the poles swing has no exported form yet")
         part, source = _behind(brain, compensator)
     else:
         part, source = compensators.load(file), str(file)
         if compensator is not None:
             raise ValueError(f"{file} is a compensator; leave out --compensator {compensator}")
-        brain = controllers.load(controller or "lqr")
+        brain = controllers.balancing(controller or "lqr")
         if isinstance(brain, Policy):
             brain.require(part.name)
     if force_limit is None:

@@ -25,7 +25,10 @@ from dipc_gym.training.train import Rig, Training
 
 Array = NDArray[np.float64]
 
-SCALES = np.array([0.1, 0.05, 0.05, 0.5, 0.5, 0.5])  # m, rad and their rates: what balancing looks like
+SCALES = {
+    "balance": np.array([0.1, 0.05, 0.05, 0.5, 0.5, 0.5]),  # m, rad and their rates: what balancing looks like
+    "swing-up": np.array([0.2, 1.0, 0.3, 1.0, 0.3, 1.0, 3.0, 3.0]),  # m, cosines and sines, rates
+}
 AVERAGED = 160_000  # control periods over which the weights are averaged, if the training is that long
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -35,18 +38,20 @@ class ScaledRigs(VecEnvWrapper):
 
     Args:
         envs: the rigs.
+        scales: (k,) what observations are divided by.
         limit: command that 1 stands for, N or V.
         reward: factor on the reward.
         hold: control periods that a command lasts. The step's reward is their mean. A rig whose episode ends
             meanwhile begins the next, without a command until the step is over.
     """
 
-    def __init__(self, envs: DIPCFrictionVecEnv, limit: float, reward: float, hold: int = 1) -> None:
+    def __init__(self, envs: DIPCFrictionVecEnv, scales: Array, limit: float, reward: float, hold: int = 1) -> None:
         super().__init__(
             envs,
-            observation_space=spaces.Box(-np.inf, np.inf, (6,), np.float32),
+            observation_space=spaces.Box(-np.inf, np.inf, scales.shape, np.float32),
             action_space=spaces.Box(-1.0, 1.0, (1,), np.float32),
         )
+        self._scales = scales
         self._limit, self._reward, self._hold = limit, reward / hold, hold
         self._commands = np.zeros((envs.num_envs, 1))
 
@@ -73,9 +78,8 @@ class ScaledRigs(VecEnvWrapper):
             infos[i]["terminal_observation"] = self._scaled(infos[i]["terminal_observation"])
         return self._scaled(observations), rewards * self._reward, ended, infos
 
-    @staticmethod
-    def _scaled(observations: Any) -> NDArray[np.float32]:
-        return (observations / SCALES).astype(np.float32)
+    def _scaled(self, observations: Any) -> NDArray[np.float32]:
+        return (observations / self._scales).astype(np.float32)
 
 
 class Learner:
@@ -93,10 +97,9 @@ class Learner:
     def __init__(self, training: Training, rig: Rig, folder: Path | None = None) -> None:
         torch.set_num_threads(1)  # networks this small are slower on two
         self.training, self.rig, recipe = training, rig, training.recipe
-        rigs = DIPCFrictionVecEnv(
-            rig.many(recipe.rigs, recipe.stage, exact_state=recipe.exact_state, engine=recipe.engine)
-        )
-        envs = VecMonitor(ScaledRigs(rigs, rig.limit, recipe.reward, recipe.hold))
+        self._scales = SCALES[training.task]
+        rigs = DIPCFrictionVecEnv(rig.learning(recipe))
+        envs = VecMonitor(ScaledRigs(rigs, self._scales, rig.limit, recipe.reward, recipe.hold))
         shape: dict[str, Any] = {"net_arch": [recipe.width] * 2, "activation_fn": torch.nn.Tanh}
         common: dict[str, Any] = {
             "gamma": recipe.gamma**recipe.hold,
@@ -185,7 +188,7 @@ class Learner:
             limit=self.rig.limit,
             compensator=self.rig.name,
             newtons_per_volt=self.rig.newtons_per_volt,
-            scales=SCALES,
+            scales=self._scales,
             squash="clip" if ppo else "tanh",
             algorithm=self.training.algorithm,
             seed=self.training.seed,

@@ -22,9 +22,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, compensators, intact
+from dipc_gym import ENV_ID, SWING_UP_ID, compensators, intact
 from dipc_gym.alone import alone
 from dipc_gym.compensators import Compensator, OutOfRangeWarning
+from dipc_gym.controllers.tracking import Tracking
 from dipc_gym.experiments import cells
 from dipc_gym.files import remove_partial, write_whole
 from dipc_gym.naming import suggestion
@@ -37,11 +38,13 @@ from dipc_gym.untrusted import Format, first_line, shown
 
 Array = NDArray[np.float64]
 Algorithm = Literal["ppo", "sac"]
+Task = Literal["balance", "swing-up"]
 
 SCHEMA = "dipc-gym/training/1"
 WATCHED, REPORTED = 10_000, 20_000  # first seeds of the runs that choose the policy, and of those that judge it
 LOOKS = 8  # how often in a training the policy is tried
 RUNS, SECONDS = 10, 80.0  # of every trial
+HELD, RISE = 60.0, 10.0  # of a swing-up: how long it is to stay up, and how long it may take, s
 FILES = ("training.json", "checkpoint.pt", "policy.json", "compensator.json", "curve.csv")
 
 
@@ -60,6 +63,7 @@ class Recipe:
         steps: control periods of the whole training.
         rigs: environments side by side.
         stage: control periods of one rig between two checkpoints; 12,000 are 60 s.
+        episode: control periods after which an episode is cut off.
         hold: control periods that a command lasts while it learns; the policy then commands anew in each. SAC learns
             from what a single command does to the value; in 5 ms that probably drowns in the error of the value.
         engine: what simulates the rigs that it learns on, `"mujoco"` or `"compiled"`; trials are always MuJoCo's.
@@ -85,6 +89,7 @@ class Recipe:
     steps: int = 768_000
     rigs: int = 32
     stage: int = 12_000
+    episode: int = 12_000
     hold: int = 1
     engine: str = "mujoco"
     exact_state: bool = False
@@ -104,7 +109,19 @@ class Recipe:
     first_entropy: float = 0.01
 
     def __post_init__(self) -> None:
-        for name in ("steps", "rigs", "stage", "hold", "batch", "width", "rollout", "epochs", "buffer", "updates"):
+        for name in (
+            "steps",
+            "rigs",
+            "stage",
+            "episode",
+            "hold",
+            "batch",
+            "width",
+            "rollout",
+            "epochs",
+            "buffer",
+            "updates",
+        ):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise TrainingError(f"{name} is {value!r}; it must be a whole number above zero")
@@ -114,10 +131,27 @@ class Recipe:
 
 RECIPES: dict[str, Recipe] = {
     "ppo": Recipe(),
+    "ppo swing-up": Recipe(
+        steps=36_000_000,
+        rigs=64,
+        stage=40_000,
+        episode=1_600,
+        hold=4,
+        engine="compiled",
+        exact_state=True,
+        gamma=0.998,
+        reward=0.1,
+        batch=2_048,
+        rollout=128,
+        epochs=8,
+        trace=0.95,
+        first_spread=-1.0,
+    ),
     "sac": Recipe(
         steps=192_000,
         rigs=16,
         stage=8_000,
+        episode=8_000,
         hold=8,
         exact_state=True,
         rate=1e-3,
@@ -130,12 +164,28 @@ RECIPES: dict[str, Recipe] = {
 }
 
 
+TASKS = {"balance": ENV_ID, "swing-up": SWING_UP_ID}
+ALGORITHMS = ("ppo", "sac")
+
+
+def recipe_for(algorithm: str, task: str = "balance") -> Recipe:
+    """The recipe of an algorithm for a task; the algorithm's own where there is none.
+
+    Example:
+        >>> recipe_for("ppo", "swing-up").engine
+        'compiled'
+    """
+    return RECIPES.get(f"{algorithm} {task}", RECIPES.get(algorithm, Recipe()))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Training:
     """What is trained, on which rig.
 
     Attributes:
         algorithm: `"ppo"` or `"sac"`.
+        task: `"balance"`, or `"swing-up"` from hanging to upright, which learns from
+            starts along the motion that the controller `tvlqr` follows.
         compensator: registered name, identified on a simulated run of the rig, or a saved one (`.json`). With `none`
             the policy commands the voltage itself.
         seed: of weights, exploration, starting states and identification.
@@ -149,6 +199,7 @@ class Training:
     """
 
     algorithm: Algorithm = "ppo"
+    task: Task = "balance"
     compensator: str = "llnf"
     seed: int = 0
     limit: float = 60.0
@@ -157,9 +208,12 @@ class Training:
     recipe: Recipe = dataclasses.field(default_factory=Recipe)
 
     def __post_init__(self) -> None:
-        if self.algorithm not in RECIPES:
-            near = suggestion(self.algorithm, RECIPES)
-            raise TrainingError(f"there is no algorithm {self.algorithm!r}; there are {', '.join(RECIPES)}{near}")
+        if self.algorithm not in ALGORITHMS:
+            near = suggestion(self.algorithm, ALGORITHMS)
+            raise TrainingError(f"there is no algorithm {self.algorithm!r}; there are {', '.join(ALGORITHMS)}{near}")
+        if self.task not in TASKS:
+            near = suggestion(self.task, TASKS)
+            raise TrainingError(f"there is no task {self.task!r}; there are {', '.join(TASKS)}{near}")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
             raise TrainingError(f"the seed is {self.seed!r}; it must be a whole number, zero or more")
         if not (math.isfinite(self.limit) and self.limit > 0):
@@ -183,6 +237,7 @@ class Rig:
         newtons_per_volt: the motor's gain.
         plant: as the environment takes it.
         model: MJCF file, or None.
+        task: one of `TASKS`.
     """
 
     compensator: Compensator | None
@@ -191,6 +246,7 @@ class Rig:
     newtons_per_volt: float
     plant: str | None = None
     model: str | None = None
+    task: str = "balance"
 
     @classmethod
     def of(cls, training: Training) -> Rig:
@@ -212,14 +268,36 @@ class Rig:
             gain,
             training.plant,
             training.model,
+            training.task,
         )
 
-    def many(self, count: int, steps: int | None, *, exact_state: bool = False, engine: str = "mujoco") -> Any:
-        """So many of them, reset as soon as they end."""
+    def learning(self, recipe: Recipe) -> Any:
+        """Those to learn on."""
+        start = {"start": Tracking.shipped().states} if self.task == "swing-up" else {}
+        return self.many(recipe.rigs, recipe.episode, exact_state=recipe.exact_state, engine=recipe.engine, **start)
+
+    def many(
+        self,
+        count: int,
+        steps: int | None,
+        *,
+        exact_state: bool = False,
+        engine: str = "mujoco",
+        **task: Any,
+    ) -> Any:
+        """So many of them, reset as soon as they end.
+
+        Args:
+            count: how many.
+            steps: of an episode.
+            exact_state: as the environment takes it.
+            engine: as the environment takes it.
+            task: further arguments of its environment.
+        """
         from dipc_gym.wrappers import VectorForceCommand
 
         envs = gymnasium.make_vec(
-            ENV_ID,
+            TASKS[self.task],
             num_envs=count,
             vectorization_mode="vector_entry_point",
             plant=self.plant,
@@ -229,6 +307,7 @@ class Rig:
             autoreset_mode="SameStep",
             engine=engine,
             threads=1,  # the other core is for another training
+            **task,
         )
         return envs if self.compensator is None else VectorForceCommand(envs, self.compensator)
 
@@ -236,7 +315,9 @@ class Rig:
 def evaluate(
     policy: Policy, rig: Rig, *, runs: int = RUNS, seconds: float = SECONDS, first_seed: int = REPORTED
 ) -> Evaluation:
-    """Let a policy balance a rig, all runs side by side.
+    """Let a policy balance a rig, or swing it up, all runs side by side.
+
+    A swing-up has ten seconds to reach its goal and 60 to stay there, whatever `seconds` says.
 
     Args:
         policy: what commands.
@@ -251,19 +332,27 @@ def evaluate(
     policy.require(rig.name)
     envs = rig.many(runs, None)
     period = envs.unwrapped.plant.control_period
-    steps = round(seconds / period)
+    swings = rig.task == "swing-up"
+    seconds = HELD if swings else seconds
+    steps = round((seconds + RISE * swings) / period)
+    away = np.zeros(runs, dtype=int)  # until when it was last not at its goal, control periods
     standing, held, returns = np.ones(runs, dtype=bool), np.full(runs, steps), np.zeros(runs)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OutOfRangeWarning)
         observations, _ = envs.reset(seed=first_seed)
         for k in range(steps):
-            observations, rewards, fell, _, _ = envs.step(policy.command(observations)[:, None])
+            observations, rewards, fell, _, infos = envs.step(policy.command(observations)[:, None])
             returns[standing] += rewards[standing]
             held[standing & fell] = k + 1
+            if swings:
+                away[~infos["at_goal"]] = k + 1
             standing &= ~fell
             if not standing.any():
                 break
     envs.close()
+    if swings:
+        held = np.where(standing, np.minimum(steps - away, round(seconds / period)), 0)
+        standing &= held * period >= seconds
     times = tuple(seconds if up else h * period for up, h in zip(standing, held.tolist(), strict=True))
     seeds = tuple(range(first_seed, first_seed + runs))
     return Evaluation(seconds, seeds, times, float(np.median(returns / steps)))
@@ -446,7 +535,8 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
 
 
 def _flat(training: dict[str, Any]) -> dict[str, Any]:
-    recipe = {"engine": "mujoco", **training["recipe"]}  # notes may be older than the choice
+    recipe = {"engine": "mujoco", "episode": training["recipe"]["stage"], **training["recipe"]}  # notes may be older
+    training = {"task": "balance", **training}
     return {key: value for key, value in training.items() if key not in ("recipe", "files")} | {
         f"recipe.{key}": value for key, value in recipe.items()
     }

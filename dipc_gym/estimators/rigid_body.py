@@ -1,0 +1,77 @@
+"""Extended Kalman filter on the whole motion of cart and poles, for swinging up as for balancing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from dipc_gym.estimators.base import Array, Command, Estimator
+from dipc_gym.estimators.kalman import FLOOR, wander
+from dipc_gym.motion import Motion
+
+SIZE = 7
+"""Six states of the rig, and friction."""
+
+
+@dataclass(frozen=True)
+class RigidBody(Estimator):
+    """Extended Kalman filter of the whole motion, with dry friction as a force that wanders (`rigid_body`).
+
+    What `disturbance` is near upright, everywhere: the poles may turn. The motion follows from the linear model, see
+    `motion.Motion`; a period is one step of Runge and Kutta's fourth order, and the covariance follows the model that
+    is linear about the estimate. Every row follows its own covariance, at ten times the cost of `disturbance`.
+
+    Raises:
+        ValueError: the linear model is not that of a cart with two poles in a plane.
+
+    Source:
+        Simon, "Optimal State Estimation" (2006), chapter 13.
+    """
+
+    observes_friction: ClassVar[bool] = True
+    everywhere: ClassVar[bool] = True
+    motion: Motion = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "motion", Motion.of(np.array(self.rig.A), np.array(self.rig.B)))
+
+    def begin(self, observations: Array) -> Array:
+        """What is observed at first, at rest within a count a period, friction not known."""
+        P = np.zeros((SIZE, SIZE))
+        P[:3, :3] = self.rig.reading_covariance
+        P[3:6, 3:6] = P[:3, :3] / self.rig.period**2
+        P[6, 6] = self.dry.static**2
+        return np.hstack([observations, np.zeros((len(observations), 1)), np.tile(P.ravel(), (len(observations), 1))])
+
+    def advance(self, state: Array, readings: Array, command: Command) -> Array:
+        """Predict with the motor's force, correct with the readings."""
+        x, P = state[:, :SIZE], state[:, SIZE:].reshape(-1, SIZE, SIZE)
+        T, total = self.rig.period, self.rig.newtons_per_volt * command.voltage - x[:, 6]
+        half = self.motion.after(x[:, :6], total, 0.5 * T)
+        A, B = self.motion.linear(half, total)
+        F = np.zeros_like(P)
+        once, power = np.zeros_like(P), np.tile(np.eye(SIZE), (len(x), 1, 1))
+        once[:, :6, :6], once[:, :6, 6] = T * A, -T * B
+        for k in range(1, 5):  # the exponential of the slope over a period
+            F = F + power
+            power = power @ once / k
+        F = F + power
+        x = np.hstack([self.motion.after(x[:, :6], total, T), x[:, 6:]])
+        P = F @ P @ F.transpose(0, 2, 1) + FLOOR * np.eye(SIZE)
+        P[:, 6, 6] += wander(self.dry, self.rig) ** 2
+        S = P[:, :3, :3] + self.rig.reading_covariance
+        gain = P[:, :, :3] @ np.linalg.inv(S)
+        x = x + (gain @ (readings - x[:, :3])[:, :, None])[:, :, 0]
+        P = P - gain @ P[:, :3, :]
+        P = 0.5 * (P + P.transpose(0, 2, 1))
+        return np.hstack([x, P.reshape(len(x), -1)])
+
+    def observation(self, state: Array) -> Array:
+        """The filtered state."""
+        return state[:, :6].copy()
+
+    def friction(self, state: Array) -> Array:
+        """The seventh state, within what the motor can exert."""
+        return np.clip(state[:, 6], -self.rig.largest_force, self.rig.largest_force)
