@@ -11,15 +11,59 @@ the linear model, as the paper's parameters followed from its printed ones.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dipc_gym import kernels
+
 Array = NDArray[np.float64]
+
+POSTURES: Mapping[str, tuple[bool, bool]] = MappingProxyType(
+    {"down-down": (False, False), "down-up": (False, True), "up-down": (True, False), "up-up": (True, True)}
+)
+"""The equilibria, first pole first: which of the poles point up."""
+
+SIZE = 8
+"""Of an observation that has no jump where an angle comes round."""
 
 LOOSE = 1e-4
 """Share by which a linear model may differ from the one that the numbers found in it give."""
+
+
+def observed(state: Array) -> Array:
+    """What `DIPC-Friction-SwingUp-v0` observes of states.
+
+    Args:
+        state: (..., 6) as `DIPC-Friction-v0` observes them.
+
+    Returns:
+        (..., 8) cart, cosine and sine of each absolute angle, and the three rates.
+
+    Example:
+        >>> observed(np.array([0.1, 0.0, np.pi, 0.2, 0.3, 0.4])).round(9).tolist()
+        [0.1, 1.0, 0.0, -1.0, 0.0, 0.2, 0.3, 0.4]
+    """
+    seen = np.empty((*state.shape[:-1], SIZE))
+    seen[..., 0], seen[..., 5:] = state[..., 0], state[..., 3:]
+    angles = state[..., 1:3]
+    seen[..., 1:4:2], seen[..., 2:5:2] = kernels.cosine(angles), kernels.sine(angles)
+    return seen
+
+
+def state_of(observation: Array) -> Array:
+    """The states (..., 6) of observations (..., 8): angles absolute, from upright, within half a turn.
+
+    Example:
+        >>> state_of(observed(np.array([0.1, 0.3, -2.0, 0.2, 0.3, 0.4]))).round(9).tolist()
+        [0.1, 0.3, -2.0, 0.2, 0.3, 0.4]
+    """
+    observation = np.asarray(observation, dtype=np.float64)
+    angles = np.arctan2(observation[..., 2:5:2], observation[..., 1:4:2])
+    return np.concatenate([observation[..., :1], angles, observation[..., 5:]], axis=-1)
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,11 @@ import numpy as np
 
 from dipc_gym.env import START_SPREAD, State, start_state
 from dipc_gym.kernels import Number, cosine
+from dipc_gym.motion import POSTURES
 from dipc_gym.naming import suggestion
 
 __all__ = ["POSTURES", "TASKS", "Task", "tagged"]
 
-POSTURES: Mapping[str, tuple[bool, bool]] = MappingProxyType(
-    {"down-down": (False, False), "down-up": (False, True), "up-down": (True, False), "up-up": (True, True)}
-)
-"""The equilibria, first pole first: which of the poles point up."""
 ANYWHERE = "anywhere"
 """A start that is no equilibrium: everywhere on the middle half of the rail, in every posture, moving."""
 Start = str | tuple[tuple[float, ...], ...]

@@ -12,8 +12,9 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from dipc_gym import kernels, postures
+from dipc_gym import postures
 from dipc_gym.env import DoublePendulumEnv, State
+from dipc_gym.motion import SIZE, observed, state_of
 from dipc_gym.plant import Plant
 from dipc_gym.randomise import PlantFamily
 from dipc_gym.rigs.together import Mask, Period
@@ -23,39 +24,6 @@ __all__ = ["SwingUpEnv", "SwingUpVectorEnv", "observed", "state_of"]
 
 Array = NDArray[np.float64]
 PlantLike = PlantFamily | Plant | Mapping[str, Any] | str | Path | None
-SIZE = 8
-
-
-def observed(state: Array) -> Array:
-    """What `DIPC-Friction-SwingUp-v0` observes of states.
-
-    Args:
-        state: (..., 6) as `DIPC-Friction-v0` observes them.
-
-    Returns:
-        (..., 8) cart, cosine and sine of each absolute angle, and the three rates.
-
-    Example:
-        >>> observed(np.array([0.1, 0.0, np.pi, 0.2, 0.3, 0.4])).round(9).tolist()
-        [0.1, 1.0, 0.0, -1.0, 0.0, 0.2, 0.3, 0.4]
-    """
-    seen = np.empty((*state.shape[:-1], SIZE))
-    seen[..., 0], seen[..., 5:] = state[..., 0], state[..., 3:]
-    angles = state[..., 1:3]
-    seen[..., 1:4:2], seen[..., 2:5:2] = kernels.cosine(angles), kernels.sine(angles)
-    return seen
-
-
-def state_of(observation: Array) -> Array:
-    """The states (..., 6) of observations (..., 8): angles absolute, from upright, within half a turn.
-
-    Example:
-        >>> state_of(observed(np.array([0.1, 0.3, -2.0, 0.2, 0.3, 0.4]))).round(9).tolist()
-        [0.1, 0.3, -2.0, 0.2, 0.3, 0.4]
-    """
-    observation = np.asarray(observation, dtype=np.float64)
-    angles = np.arctan2(observation[..., 2:5:2], observation[..., 1:4:2])
-    return np.concatenate([observation[..., :1], angles, observation[..., 5:]], axis=-1)
 
 
 class SwingUpEnv(DoublePendulumEnv):

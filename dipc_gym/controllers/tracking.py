@@ -17,10 +17,8 @@ from dipc_gym import untrusted
 from dipc_gym.controllers import lqr
 from dipc_gym.files import write_whole
 from dipc_gym.kernels import TURN
-from dipc_gym.motion import Motion
+from dipc_gym.motion import POSTURES, Motion, state_of
 from dipc_gym.policy import ControllerError
-from dipc_gym.postures import POSTURES
-from dipc_gym.swing_up import state_of
 from dipc_gym.untrusted import Format
 
 Array = NDArray[np.float64]

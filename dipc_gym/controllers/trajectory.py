@@ -177,10 +177,15 @@ def _solver(motion: Motion, length: float, pieces: int) -> tuple[Any, Any]:
     X, U = ca.MX.sym("states", 6, pieces + 1), ca.MX.sym("accelerations", 1, pieces)
     gaps = piece.map(pieces)(X[:, :-1], U) - X[:, 1:]
     forces = [force.map(pieces)(X[:, where], U) for where in (slice(0, pieces), slice(1, pieces + 1))]
-    problem = {
+    problem: dict[str, Any] = {
         "x": ca.vertcat(ca.vec(X), ca.vec(U)),
         "f": length * (EFFORT * ca.sumsqr(U) + CENTRE * ca.sumsqr(X[0, :])),
         "g": ca.vertcat(ca.vec(gaps), *(ca.vec(each) for each in forces)),
     }
-    quiet = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.max_iter": ITERATIONS}
+    quiet: dict[str, Any] = {
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "print_time": False,
+        "ipopt.max_iter": ITERATIONS,
+    }
     return ca.nlpsol("plan", "ipopt", problem, quiet), step
