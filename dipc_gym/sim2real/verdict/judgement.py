@@ -27,6 +27,7 @@ from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.details import details, predictions, sensor_fits
 from dipc_gym.sim2real.verdict.late import Late
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
 
@@ -189,7 +190,7 @@ def _best(search: Search, found: Conclusion, others: Sequence[Fit]) -> Conclusio
     Nobody is given a model that predicts worse than what they had. At the noise, all are as good.
     """
     errors = [judge.error_on(search.partition.validation, fitted) for fitted in (found.fitted, *others)]
-    least = max(min(errors), SCORE.at_floor)
+    least = max(VERDICT.worse * min(errors), SCORE.at_floor)
     if not errors[0] > least:  # nor where nothing is known of it
         return found
     k = next(k for k, error in enumerate(errors) if error <= least)

@@ -41,6 +41,7 @@ class VerdictSettings:
             pattern
         pattern: share of the variance of the unexplained force that goes with something, from which it has one
         refuted: times the error on validation data without an effect, from which it is not named after all
+        worse: times the error of a plainer model, from which a model predicts worse; less is how a fit ended
         named: fall of the mean log square error by which an effect must improve predictions to be named
         modelled: share of the error beyond the noise that a law without a name may leave to have modelled it
         elsewhere: times the noise on windows compared on, from which test data at the noise give no all-clear
@@ -62,6 +63,7 @@ class VerdictSettings:
     small: float = 1e-3
     pattern: float = 0.1
     refuted: float = 1.05
+    worse: float = 1.005
     named: float = 0.1
     modelled: float = 0.5
     elsewhere: float = 2.0

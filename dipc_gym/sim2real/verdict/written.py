@@ -61,7 +61,7 @@ def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequ
     Returns:
         One that predicts no worse than the plainer ones, or as well as noise allows.
     """
-    least = max(min(option.error for option in plainer), SCORE.at_floor)
+    least = max(VERDICT.worse * min(option.error for option in plainer), SCORE.at_floor)
     for options in (physical[:1], physical, refitted):
         best = min(options, key=lambda option: option.error, default=None)
         if best is not None and best.error <= min(enough, least):
