@@ -69,7 +69,9 @@ def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> 
         if phase == Phase.NO_KIND and not effect.of_no_kind:
             continue
         # No other recording shares a law of the clock: laws of the state go before it, down to near the noise.
-        if phase >= Phase.SHAPES and effect.leaves < LEAVES and current.error > SEARCH.in_reach:
+        # What happened once is asked for only where all else is quiet.
+        clock = effect.leaves < LEAVES and not effect.once
+        if phase >= Phase.SHAPES and clock and current.error > SEARCH.in_reach:
             continue
         for at in places(effect, current.structure.model, question.joints, scene.recordings[0]):
             if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):

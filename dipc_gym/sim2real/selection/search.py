@@ -76,8 +76,8 @@ class Search:
         self.journal.go_back(formulas[:1])
         found = self._add(most)
         formulas = self.journal.informed(formulas)
-        if not self._done(found) and self.scorer.compare(formulas[-1], found).clear:
-            self.tell("formulas predict better than laws; asking for laws beside them")
+        if not self._done(found) and not self.scorer.compare(found, formulas[-1]).clear:
+            self.tell("laws predict no better than formulas; asking for laws beside these")
             self.journal.go_back(formulas)
             self._without_clocks()
             found = self._add(most)
