@@ -69,7 +69,7 @@ class Search:
     def run(self, most: int = SEARCH.most_effects) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
         found = self._add(most)
-        if self._done(found) or self.scorer.small:
+        if self._done(found) or self.scorer.small or not any(effect.free for effect in self.question.effects):
             return found
         self.tell("no formula comes down to the noise; asking for laws of any shape, from the beginning")
         self.phase, formulas = Phase.SHAPES, self.progress.path
