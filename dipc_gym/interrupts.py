@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 
 
 @contextmanager
@@ -18,6 +19,8 @@ def held_back() -> Iterator[None]:
         ...     signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
         True
     """
+    # Where it starts meanwhile, it lets Ctrl-C through again (Python 3.11), and to the worker that is started next.
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -21,9 +21,9 @@ from dipc_gym.estimators import Command, EstimateWarning, EstimatorError, RigMod
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.wrappers import EstimateState, ForceCommand, VectorEstimateState, VectorForceCommand
 
-NAMES = ("differences", "kalman", "kalman_friction", "disturbance", "ekf", "moving_horizon")
+NAMES = ("differences", "kalman", "kalman_friction", "disturbance", "ekf", "moving_horizon", "rigid_body")
 FILTERS = NAMES[1:]
-OBSERVERS = ("disturbance", "ekf", "moving_horizon")
+OBSERVERS = ("disturbance", "ekf", "moving_horizon", "rigid_body")
 DRY = Friction(viscous=0.0)
 
 

@@ -291,6 +291,25 @@ def test_ctrl_c_ends_in_a_sentence(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*.partial"))
 
 
+def test_no_worker_of_a_sweep_gets_ctrl_c() -> None:
+    """The first one had: what tracks the resources of processes let it through while it started."""
+    code = """
+import signal
+from joblib import Parallel, delayed
+from dipc_gym.interrupts import held_back
+
+def holds():
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+parallel = Parallel(n_jobs=2, batch_size=1, pre_dispatch=2, return_as="generator_unordered")
+with held_back():
+    said = parallel(delayed(holds)() for _ in range(6))
+print(all(said), holds())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "False"], done.stderr
+
+
 # --- nobody reads what is printed ------------------------------------------------------------------------------------
 
 

@@ -98,7 +98,7 @@ def test_the_file_acts_as_the_model_does(algorithm: str) -> None:
     learner.model.policy.load_state_dict(learner.average, strict=False)
     policy = learner.policy()
     observations = np.random.default_rng(1).normal(0.0, [0.2, 0.1, 0.1, 1.0, 1.0, 1.0], (50, 6))
-    theirs, _ = learner.model.predict((observations / SCALES).astype(np.float32), deterministic=True)
+    theirs, _ = learner.model.predict((observations / SCALES["balance"]).astype(np.float32), deterministic=True)
     np.testing.assert_allclose(policy.command(observations), policy.limit * theirs[:, 0], atol=1e-4 * policy.limit)
 
 
@@ -123,7 +123,7 @@ def test_who_learns_from_the_state_is_judged_on_readings(tmp_path: Path, monkeyp
 
 def test_a_held_command_is_one_given_again_and_again() -> None:
     rig = Rig.of(short())
-    one, held = (ScaledRigs(DIPCFrictionVecEnv(rig.many(3, 150)), 24.0, 0.5, hold) for hold in (1, 6))
+    one, held = (ScaledRigs(DIPCFrictionVecEnv(rig.many(3, 150)), SCALES["balance"], 24.0, 0.5, hold) for hold in (1, 6))
     for rigs in (one, held):
         rigs.seed(3)
     np.testing.assert_array_equal(one.reset(), held.reset())
