@@ -123,7 +123,8 @@ def test_who_learns_from_the_state_is_judged_on_readings(tmp_path: Path, monkeyp
 
 def test_a_held_command_is_one_given_again_and_again() -> None:
     rig = Rig.of(short())
-    one, held = (ScaledRigs(DIPCFrictionVecEnv(rig.many(3, 150)), SCALES["balance"], 24.0, 0.5, hold) for hold in (1, 6))
+    scales = SCALES["balance"]
+    one, held = (ScaledRigs(DIPCFrictionVecEnv(rig.many(3, 150)), scales, 24.0, 0.5, hold) for hold in (1, 6))
     for rigs in (one, held):
         rigs.seed(3)
     np.testing.assert_array_equal(one.reset(), held.reset())
