@@ -19,6 +19,7 @@ from dipc_gym.sim2real.effects.coupling import inertia_at
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.states import unexplained_force
 from dipc_gym.sim2real.simulation.motion import Motion
+from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
 
@@ -163,6 +164,30 @@ def force_errors(
             kept.append(values[low : low + count * mean].reshape(count, mean, values.shape[1]).mean(axis=1))
     size = np.linalg.norm(np.concatenate(transmitted), axis=0)
     return np.asarray(np.linalg.norm(np.concatenate(lacking), axis=0) / np.where(size > 0, size, np.nan))
+
+
+def force_in_windows(physics: Physics, windows: Windows) -> Array:
+    """Mean square of the unexplained force in each window and at each base joint, (n, nb), N^2 or (N m)^2.
+
+    Averaged over stretches of 25 ms first, see `force_errors`.
+
+    Args:
+        physics: the model.
+        windows: with the motions of their recordings.
+    """
+    found = np.zeros((len(windows), windows.motions[0].position.shape[1]))
+    for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
+        own = np.flatnonzero(windows.source == i)
+        if not len(own):
+            continue
+        force, _ = unexplained_force(physics, recording, motion)
+        mean = max(1, round(ESTIMATION.averaged / recording.period))
+        firsts = np.searchsorted(recording.time, windows.start[own] - 1e-9)
+        for k, first, samples in zip(own, firsts, windows.valid[own].sum(axis=1), strict=True):
+            each = min(mean, samples)
+            kept = force[first : first + samples // each * each].reshape(-1, each, force.shape[1])
+            found[k] = np.mean(kept.mean(axis=1) ** 2, axis=0)
+    return found
 
 
 def places(effect: Effect, model: mujoco.MjModel, joints: Sequence[str], recording: Recording) -> list[str]:

@@ -17,6 +17,8 @@ from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.scorer import Scorer, earned
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Fitter:
@@ -65,12 +67,17 @@ class Fitter:
         if asked in self._begun:
             return self._begun[asked][1]
         try:
-            sketch = fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
+            sketch = self._rough(structure, z, initial)
+            if _stuck(sketch, base, self.subset):
+                sketch = min(sketch, self._rough(structure, _from_nothing(structure, z), initial), key=_left)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             sketch = None
         if not base.structure.terms:
             self._begun[asked] = base, sketch
         return sketch
+
+    def _rough(self, structure: Structure, z: Array, initial: Array) -> Fit:
+        return fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
 
     def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.
@@ -142,3 +149,23 @@ class Fitter:
     def _called(self, structure: Structure) -> tuple[frozenset[str], bytes]:
         windows = self.problem.windows
         return frozenset(names(structure.terms)), windows.source.tobytes() + windows.start.tobytes()
+
+
+def _left(fitted: Fit) -> float:
+    return mean_loss(fitted.mse, 1.0)
+
+
+def _stuck(sketch: Fit, base: Fit, subset: NDArray[np.intp]) -> bool:
+    """Whether a law predicts worse than nothing: its first shape, told by forces, was too far off for a few steps."""
+    effect = sketch.structure.terms[-1].effect
+    return effect.free and bool(effect.linear) and _left(sketch) > mean_loss(base.mse[subset], 1.0)
+
+
+def _from_nothing(structure: Structure, z: Array) -> Array:
+    """Mapped parameters with those of the last effect that it grows by at zero."""
+    begin, term = z.copy(), structure.terms[-1]
+    grown = {f"{term.key}.{name}" for name in term.effect.linear}
+    for i, slot in enumerate(structure.slots):
+        if slot.key in grown and not slot.log:
+            begin[i] = slot.mapped(0.0)
+    return begin

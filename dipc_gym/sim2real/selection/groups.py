@@ -27,15 +27,15 @@ def sketched(fitter: Fitter, ranked: Sequence[Start], current: Fit) -> Fit | Non
         ranked: hypotheses and what they were laid over, the largest predicted gain first.
         current: the present fit.
     """
-    kinds = _kinds(fitter, ranked)
-    found: list[Fit] = []
-    for chosen in [[one] for one in kinds] + [[a, b] for i, a in enumerate(kinds) for b in kinds[i + 1 :]]:
-        structure = _with(current.structure, [tried for kind in chosen for tried in kind])
-        sketch = None if len(_added(structure, current)) < 2 else fitter.sketch(current, structure)
-        if sketch is not None:
-            found.append(sketch)
-    losses = ranking.losses([one.mse for one in found])
-    return found[int(np.argmin(losses))] if found else None
+    kinds, best = _kinds(fitter, ranked), list[Fit]()
+    for _ in range(SEARCH.kinds):
+        begun = best[0].structure if best else current.structure
+        wider = [_with(begun, kind) for kind in kinds]
+        asked = [one for one in wider if len(one.terms) > len(begun.terms) and len(_added(one, current)) > 1]
+        best += [sketch for structure in asked if (sketch := fitter.sketch(current, structure)) is not None]
+        losses = ranking.losses([one.mse for one in best])
+        best = [best[int(np.argmin(losses))]] if best else []
+    return best[0] if best else None
 
 
 def fitted(fitter: Fitter, sketch: Fit, current: Fit) -> tuple[Fit, list[Tried]] | None:
@@ -63,7 +63,11 @@ def _added(structure: Structure, current: Fit) -> list[Term]:
 
 
 def _kinds(fitter: Fitter, ranked: Sequence[Start]) -> list[list[Tried]]:
-    """Plain effects that may act at several joints, each with its hypotheses, the most promising kinds first."""
+    """Plain effects that may act at several joints, each with its hypotheses.
+
+    All of them: a kind that gains little alone, in whose place other masses and gears do nearly as well, may be what
+    another kind lacks.
+    """
     by_id: dict[str, list[Tried]] = {}
     for tried, _ in ranked:
         effect = tried.term.effect
@@ -71,8 +75,7 @@ def _kinds(fitter: Fitter, ranked: Sequence[Start]) -> list[list[Tried]]:
         usual = usual and not effect.contains
         if usual and not fitter.slow(tried.term):
             by_id.setdefault(effect.id, []).append(tried)
-    several = [group for group in by_id.values() if len(group) > 1]
-    return sorted(several, key=lambda group: -sum(max(tried.predicted_gain, 0.0) for tried in group))[: SEARCH.kinds]
+    return [group for group in by_id.values() if len(group) > 1]
 
 
 def _with(structure: Structure, hypotheses: Sequence[Tried]) -> Structure:
@@ -85,16 +88,20 @@ def _with(structure: Structure, hypotheses: Sequence[Tried]) -> Structure:
 
 
 def _needed(fitter: Fitter, sketch: Fit, current: Fit) -> Fit:
-    """A sketch without members that its quadratics say the others make idle, refitted."""
-    structure = sketch.structure
-    idle = [
-        term
-        for term in _added(structure, current)
-        if ranking.foretold_loss(sketch, term, fitter.problem.counts[fitter.subset]) < SCORE.worth
-    ]
+    """A sketch without members that its quadratics say are not missed, one after another, refitted."""
+    counts, structure, idle = fitter.problem.counts[fitter.subset], sketch.structure, list[Term]()
+    asked = _added(structure, current)
+    while asked:
+        losses = [ranking.foretold_loss(sketch, [*idle, term], counts) for term in asked]
+        if not min(losses) < SCORE.worth:
+            break
+        idle.append(asked.pop(int(np.argmin(losses))))
     if not idle:
         return sketch
     for term in idle:
         structure = structure.without(term.key)
     begin = carry(sketch.structure, sketch.z, structure)
-    return fit(fitter.problem.pick(fitter.subset), structure, begin, sketch.initial, most=5)
+    less = fit(fitter.problem.pick(fitter.subset), structure, begin, sketch.initial, most=5)
+    # Quadratics of so many that make up for each other may foretell badly; then pruning asks one after another.
+    with_all, without = ranking.losses([sketch.mse, less.mse])
+    return less if without - with_all < SCORE.worth else sketch

@@ -27,7 +27,7 @@ def prune(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str]
     """
     for term in current.structure.terms:
         plain = term.effect.linear and not (term.effect.contains or term.effect.once or term.effect.free)
-        if plain and ranking.foretold_loss(current, term, fitter.problem.counts) > SCORE.large:
+        if plain and ranking.foretold_loss(current, [term], fitter.problem.counts) > SCORE.large:
             continue  # needed beyond doubt, without a refit
         idle = next(_as_good(question, fitter, current, term), None)
         if idle is not None:
@@ -53,6 +53,9 @@ def _missed(scorer: Scorer, term: Term, current: Fit, less: Fit) -> bool:
     if term.effect.once:
         return scorer.stands_out(term, current, less)
     lost = scorer.compare(current, less)
+    # Of a kind that acts at several joints each one takes little of what all of them leave.
+    if sum(other.effect.id == term.effect.id for other in current.structure.terms) > 1:
+        return lost.gain > max(SCORE.worth, lost.error)
     return (not lost.alike and scorer.earns(current, less)) or scorer.settles(current, less)
 
 

@@ -60,17 +60,18 @@ def losses(errors: Sequence[Array]) -> list[float]:
     return [mean_loss(mse, usual) for mse in errors]
 
 
-def foretold_loss(fitted: Fit, term: Term, counts: Array) -> float:
-    """Rise of what fits lower, error and priors' penalty, without an effect that grows from nothing, by quadratics.
+def foretold_loss(fitted: Fit, terms: Sequence[Term], counts: Array) -> float:
+    """Rise of what fits lower, error and priors' penalty, without effects that grow from nothing, by quadratics.
 
     Args:
-        fitted: with the effect.
-        term: the effect; its parameters are set to zero, all others may make up for it as far as their priors let
+        fitted: with the effects.
+        terms: the effects; their parameters are set to zero, all others may make up for it as far as their priors let
             them: without these masses, gears and friction of an arm scale together, and nothing is ever missed.
         counts: readings in each window, (n,).
     """
     slots, z, q = fitted.structure.slots, fitted.z, fitted.quadratics
-    gone = [i for i, slot in enumerate(slots) if slot.key.startswith(f"{term.key}.") and not slot.log]
+    keys = tuple(f"{term.key}." for term in terms)
+    gone = [i for i, slot in enumerate(slots) if slot.key.startswith(keys) and not slot.log]
     others = [i for i in range(len(z)) if i not in gone]
     weight = 1.0 / (1.0 + fitted.mse) / counts
     prior = 1 / np.array([slot.sigma for slot in slots]) ** 2 / counts.mean()

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.selection import choice, groups, pairs, ranking, sketches
 from dipc_gym.sim2real.selection.fitter import Fitter
@@ -66,9 +68,10 @@ def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal)
 
 def _ahead(fitter: Fitter, group: Fit, sketched: Sequence[Start], current: Fit) -> bool:
     """Whether a sketch of several effects is clearly better than any of a single one."""
-    singles = [one.sketch.mse for one, _ in sketched if one.sketch]
-    losses = ranking.losses([group.mse, current.mse[fitter.subset], *singles])
-    return min(losses[1:]) - losses[0] >= SCORE.large
+    singles = [one.sketch for one, _ in sketched if one.sketch]
+    losses = ranking.losses([current.mse[fitter.subset], *(one.mse for one in singles)])
+    best = [current, *singles][int(np.argmin(losses))]
+    return fitter.scorer.compare_sketches(group, best).gain >= SCORE.large
 
 
 def _fitted(fitter: Fitter, sketched: Sequence[Start], current: Fit, journal: Journal) -> list[Tried]:

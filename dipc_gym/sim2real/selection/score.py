@@ -20,7 +20,8 @@ class Improvement:
     """How much better one fit predicts than another.
 
     Attributes:
-        gain: mean fall of the log square error over the windows compared on; 0.7 is a factor of two.
+        gain: mean fall of the log square error over the windows compared on; 0.7 is a factor of two. Far from the
+            noise that of the forces is added.
         error: standard error of it, over blocks of a second.
         shows: whether it shows at the noise in a few blocks, far beyond it, and in none the other way: an effect that
             acts in three of eighty windows is there, though its gain is as uncertain as it is uneven.
@@ -48,10 +49,21 @@ class Improvement:
         return not self.shows and self.gain < max(SCORE.worth / 2, SCORE.alike * self.error)
 
 
-def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Improvement:
-    """Paired comparison of mean square errors (n,) of windows, by blocks."""
+def compare(new: Array, old: Array, blocks: NDArray[np.intp], forces: tuple[Array, Array] | None = None) -> Improvement:
+    """Paired comparison of windows, by blocks.
+
+    Args:
+        new: mean square errors of the windows, in units of noise, (n,).
+        old: of the other fit.
+        blocks: a number for each window, (n,); windows of one block share it.
+        forces: mean squares of the force that either fit leaves unexplained, (n, nb) each: what explains motion has to
+            explain forces as well. The joints' mean counts as much as the motion does.
+    """
     usual = min(typical(new), typical(old))
     difference = loss(old, usual) - loss(new, usual)
+    if forces is not None:
+        joints = zip(forces[0].T, forces[1].T, strict=True)
+        difference = difference + np.mean([_fall(after, before) for after, before in joints], axis=0)
     sums = np.bincount(blocks, difference)
     sizes = np.bincount(blocks)
     sums, sizes = sums[sizes > 0], sizes[sizes > 0]
@@ -62,6 +74,12 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp]) -> Improvement:
     shows = usual < SCORE.quiet and int(np.sum(each > SCORE.large)) >= SCORE.telling and not np.any(each < -SCORE.large)
     spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
     return Improvement(mean, float(spread) * _few_blocks(len(sums)), shows)
+
+
+def _fall(after: Array, before: Array) -> Array:
+    """By how much the logarithms of mean squares (n,) fell; what is far below the usual hardly counts."""
+    usual = min(np.quantile(after, 0.8), np.quantile(before, 0.8)) or 1.0
+    return loss(before, usual) - loss(after, usual)
 
 
 def _few_blocks(count: int) -> float:

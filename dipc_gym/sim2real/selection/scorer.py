@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
-from dipc_gym.sim2real.estimation.shooting import common_error
+from dipc_gym.sim2real.estimation.shooting import common_error, typical
+from dipc_gym.sim2real.estimation.unexplained import force_in_windows
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import data, ranking
 from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
 
@@ -32,6 +34,7 @@ class Scorer:
     partition: Partition
     small: bool = False
     _known: dict[int, tuple[weakref.ref[Fit], Array]] = field(default_factory=dict, repr=False)
+    _forces: dict[int, tuple[weakref.ref[Fit], Array]] = field(default_factory=dict, repr=False)
 
     def over(self, partition: Partition) -> Scorer:
         """The same on other windows; what is known of those compared on stays, if they are the same."""
@@ -60,9 +63,32 @@ class Scorer:
         """How much better `new` predicts than `old`, over fitted and comparison windows together.
 
         There are far fewer parameters than windows, so what fitting flatters is little; three times as many windows
-        tell more. `compare_apart` asks the comparison windows alone.
+        tell more. `compare_apart` asks the comparison windows alone. Far from the noise the balance of forces counts
+        too: a short recording of a large machine holds few windows, and other masses move it nearly as its friction
+        does, but they do not balance its motors.
         """
-        return compare(self.mse(new), self.mse(old), self.partition.blocks)
+        after, before = self.mse(new), self.mse(old)
+        forces = (self._force(new), self._force(old)) if far(after, before) else None
+        return compare(after, before, self.partition.blocks, forces)
+
+    def compare_sketches(self, new: Fit, old: Fit) -> Improvement:
+        """The same on the windows that are sketched on; either may be a full fit."""
+        subset, problem = self.partition.subset, self.partition.problem
+        after, before = (one.mse[subset] if len(one.mse) == len(problem.windows) else one.mse for one in (new, old))
+        forces = None
+        if far(after, before):
+            windows = problem.windows.pick(subset)
+            forces = (unexplained_force(new, windows), unexplained_force(old, windows))
+        return compare(after, before, problem.blocks[subset], forces)
+
+    def _force(self, fitted: Fit) -> Array:
+        """Mean square of the force that a fit leaves unexplained in each window, fitted ones first, (n, nb)."""
+        of, known = self._forces.get(id(fitted), (lambda: None, np.zeros(0)))
+        if of() is not fitted:
+            partition = self.partition
+            known = unexplained_force(fitted, partition.problem.windows.join(partition.comparison.windows))
+            self._forces[id(fitted)] = (weakref.ref(fitted), known)
+        return known
 
     def compare_apart(self, new: Fit, old: Fit) -> Improvement:
         """How much better `new` predicts the comparison windows, which neither was fitted to."""
@@ -97,6 +123,16 @@ class Scorer:
     def earns(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit comes down to the noise, or takes a good part of what is left."""
         return earned(self.mse(fitted), self.mse(current), small=self.small)
+
+
+def unexplained_force(fitted: Fit, windows: Windows) -> Array:
+    """Mean square of the force that a fit leaves unexplained in each window and at each joint, (n, nb)."""
+    return force_in_windows(fitted.structure.physics(fitted.z), windows)
+
+
+def far(after: Array, before: Array) -> bool:
+    """Whether two fits leave so much of most windows, mean squares (n,) each, that forces count as well."""
+    return min(typical(after), typical(before)) > SEARCH.in_reach**2
 
 
 def earned(after: Array, before: Array, *, small: bool) -> bool:

@@ -89,7 +89,7 @@ class SearchSettings:
         earns: share of the excess error that an effect must remove where it does not come down to the noise
         most_anew: steps of a fit that is begun anew, from guesses that may be far off
         laws: share of what effects brought, that their laws may leave
-        kinds: of effects that are tried at all joints in a round, and all pairs of them
+        kinds: of effects at all joints that are tried together in a round, the second beside the best one
         pairs: pairs that predict alike and are fitted to all windows
         short: share of the predicted gain of a pair that its sketch must bring
     """
@@ -110,7 +110,7 @@ class SearchSettings:
     earns: float = 0.1
     most_anew: int = 30
     laws: float = 0.02
-    kinds: int = 3
+    kinds: int = 2
     pairs: int = 2
     short: float = 0.5
 

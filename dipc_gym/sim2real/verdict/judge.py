@@ -16,6 +16,7 @@ from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.model.structure import Structure, Term, names
 from dipc_gym.sim2real.result import Located
+from dipc_gym.sim2real.selection import scorer
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.search import Search
@@ -233,12 +234,18 @@ def error_on(problem: Problem, fitted: Fit) -> float:
 
 def apart(search: Search, new: Fit, old: Fit) -> Improvement:
     """How much better one fit predicts than another on windows that no fit has touched, validation among them."""
-    after, before = (
-        np.append(search.scorer.comparison_mse(one), evaluate(search.partition.validation, one.structure, one.z)[0])
-        for one in (new, old)
-    )
-    blocks = search.partition.comparison.blocks
-    return compare(after, before, np.append(blocks, search.partition.validation.blocks + blocks.max(initial=0) + 1))
+    untouched, validation = search.partition.comparison, search.partition.validation
+    after, before = search.scorer.comparison_mse(new), search.scorer.comparison_mse(old)
+    if validation is not untouched:
+        untouched = untouched.join(validation)
+        after, before = (
+            np.append(known, evaluate(validation, one.structure, one.z)[0])
+            for known, one in ((after, new), (before, old))
+        )
+    forces = None
+    if scorer.far(after, before):
+        forces = (scorer.unexplained_force(new, untouched.windows), scorer.unexplained_force(old, untouched.windows))
+    return compare(after, before, untouched.blocks, forces)
 
 
 def verdict(
