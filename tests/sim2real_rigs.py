@@ -151,3 +151,39 @@ def prepared(
     source = mjcf.from_text(text)
     stepping = stepping or Stepping(0.001, RK4)
     return segments.prepare(source, physics.load(source), recordings, stepping, length=length, span=span)
+
+
+class Hysteresis:
+    """A wire rope under the cart (Bouc-Wen): a force with a memory, which no effect of those asked for has."""
+
+    def __init__(self, size: float, reach: float) -> None:
+        self.size, self.reach, self.z = size, reach, 0.0
+
+    def force(self, x: float, v: float, h: float) -> float:
+        self.z += h * (v - abs(v) * self.z * abs(self.z) / self.reach**2) if self.reach else 0.0
+        return -self.size * self.z / self.reach
+
+
+class StiffSpot:
+    """Dry friction with one stiff spot two centimetres wide, on half a metre of rail."""
+
+    def force(self, x: float, v: float, h: float) -> float:
+        return -(2.0 + 6.0 * np.exp(-(((x - 0.05) / 0.01) ** 2))) * np.tanh(v / 1e-3)
+
+
+def rail(law: Hysteresis | StiffSpot, seed: int, seconds: float = 24.0) -> Recording:
+    """A cart with a law of its own, integrated here at 50 microseconds."""
+    rng, h, hold = np.random.default_rng(seed), 5e-5, 40
+    time = h * hold * np.arange(round(seconds / (h * hold)))
+    rates, phases = rng.uniform(0.1, 1.2, 5), rng.uniform(0, 6, 5)
+    volts = 3.0 * np.sum(np.sin(2 * np.pi * rates * time[:, None] + phases), axis=1)
+    x = v = 0.0
+    out = np.empty(len(time))
+    for k, u in enumerate(volts):
+        out[k] = x
+        for _ in range(hold):
+            v += h * (4.0 * u - 40.0 * v - 8.0 * x + law.force(x, v, h)) / 1.26
+            x += h * v
+    return Recording(
+        f"rail {seed}", time, volts[:, None], (out + 1e-5 * rng.normal(size=len(out)))[:, None], ("motor",), ("cart",)
+    )

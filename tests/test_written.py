@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import sim2real_rigs
 from hypothesis import given
 from hypothesis import strategies as st
 from sim2real_rigs import CART, TORQUE
@@ -210,53 +211,21 @@ def test_a_form_is_the_same_friction_at_speed(name: str, form: Effect) -> None:
 # --- nobody is given a model that predicts worse than what they had ------------------------------------------------
 
 
-class Hysteresis:
-    """A wire rope under the cart (Bouc-Wen): a force with a memory, which no effect of those asked for has."""
-
-    def __init__(self, size: float, reach: float) -> None:
-        self.size, self.reach, self.z = size, reach, 0.0
-
-    def force(self, x: float, v: float, h: float) -> float:
-        self.z += h * (v - abs(v) * self.z * abs(self.z) / self.reach**2) if self.reach else 0.0
-        return -self.size * self.z / self.reach
-
-
-class StiffSpot:
-    """Dry friction with one stiff spot two centimetres wide, on half a metre of rail."""
-
-    def force(self, x: float, v: float, h: float) -> float:
-        return -(2.0 + 6.0 * np.exp(-(((x - 0.05) / 0.01) ** 2))) * np.tanh(v / 1e-3)
-
-
-def rail(law: Hysteresis | StiffSpot, seed: int, seconds: float = 24.0) -> Recording:
-    """A cart with a law of its own, integrated here at 50 microseconds."""
-    rng, h, hold = np.random.default_rng(seed), 5e-5, 40
-    time = h * hold * np.arange(round(seconds / (h * hold)))
-    rates, phases = rng.uniform(0.1, 1.2, 5), rng.uniform(0, 6, 5)
-    volts = 3.0 * np.sum(np.sin(2 * np.pi * rates * time[:, None] + phases), axis=1)
-    x = v = 0.0
-    out = np.empty(len(time))
-    for k, u in enumerate(volts):
-        out[k] = x
-        for _ in range(hold):
-            v += h * (4.0 * u - 40.0 * v - 8.0 * x + law.force(x, v, h)) / 1.26
-            x += h * v
-    return Recording(
-        f"rail {seed}", time, volts[:, None], (out + 1e-5 * rng.normal(size=len(out)))[:, None], ("motor",), ("cart",)
-    )
-
-
 NOT_ENOUGH = ("friction.coulomb", "friction.position", "friction.stribeck", "load.position", "motor.deadzone")
 
 
-@pytest.mark.parametrize("law", [Hysteresis(6.0, 4e-3), StiffSpot()], ids=lambda law: type(law).__name__)
-def test_no_diagnosis_predicts_worse_than_refitted_numbers(law: Hysteresis | StiffSpot) -> None:
+@pytest.mark.parametrize(
+    "law", [sim2real_rigs.Hysteresis(6.0, 4e-3), sim2real_rigs.StiffSpot()], ids=lambda law: type(law).__name__
+)
+def test_no_diagnosis_predicts_worse_than_refitted_numbers(
+    law: sim2real_rigs.Hysteresis | sim2real_rigs.StiffSpot,
+) -> None:
     text = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="cart">
       <inertial pos="0 0 0" mass="1.26" diaginertia="1e-3 1e-3 1e-3"/>
       <joint name="cart" type="slide" axis="1 0 0" damping="40" stiffness="8"/></body></worldbody>
       <actuator><motor name="motor" joint="cart" gear="4"/></actuator>
       <sensor><jointpos name="cart" joint="cart"/></sensor></mujoco>"""
-    runs = [rail(law, seed) for seed in (1, 2)]
+    runs = [sim2real_rigs.rail(law, seed) for seed in (1, 2)]
     found = diagnose(mjcf.from_text(text), runs, effects=[catalogue()[name] for name in NOT_ENOUGH])
     assert found.verdict not in ("consistent", "cannot tell"), found.sentence
     validation, written = found.validation, found.written

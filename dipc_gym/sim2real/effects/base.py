@@ -192,6 +192,17 @@ class Effect(ABC):
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """First guesses, small enough that the response is nearly linear; each is tried."""
 
+    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
+        """The same law with more parameters, which begins as this one with these values; each is tried.
+
+        Forces are known too roughly for where its knots lie; how many there are, fits in simulation tell.
+
+        Args:
+            values: of the parameters.
+            told: which of them data moved from where they began, (p,): beside those it is made finer; None is all.
+        """
+        return ()
+
     def forms(self) -> Sequence[Form]:
         """The same effect in other elements of MJCF: parameters of the same names, some of them fixed, another edit.
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.operators import play
-from dipc_gym.sim2real.effects.base import Evidence, Values
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Values
 from dipc_gym.sim2real.effects.law import Array, Law
 from dipc_gym.sim2real.effects.tables import BLOCK, spared
 
 WIDTHS = np.geomspace(2e-3, 1.0, 28)  # over which an element is bent, in ranges of the joint's motion
-MOST = 6  # elements
+MOST, MOST_ELEMENTS = 6, 12  # elements that forces tell of, and that simulation may
 TELLING = 1e-3  # share of the force that an element must give
 
 
@@ -59,6 +60,18 @@ class Hysteresis(Law):
         if not strong.any():
             return None
         return widths[kept][strong], forces[strong]
+
+    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
+        """Elements between those that are there, and on either side of them, that bear nothing yet."""
+        old = np.array(self.knots)
+        between = np.sqrt(np.append(old[0] / 2, old) * np.append(old, 2 * old[-1]))
+        knots = np.sort(np.append(old, between))
+        if len(knots) > MOST_ELEMENTS:
+            return []
+        new = np.isin(knots, between)
+        forces = np.zeros(len(knots))
+        forces[~new] = self.values(values)
+        return [self._begun(knots, forces, new)]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A tendon for each element."""

@@ -13,6 +13,8 @@ from dipc_gym.sim2real.effects.tables import grow, odd_force_of_speed
 
 SLOW = 0.05  # of the usual speed, below which an estimated velocity does not tell the direction of motion
 
+AT_REST = 1e-3  # share of its speeds to which the law may be told apart near rest
+
 
 class FrictionOfSpeed(Law):
     """Friction against motion whose size depends on speed alone, in whatever way; at rest it holds.
@@ -43,6 +45,12 @@ class FrictionOfSpeed(Law):
         knots[0] = 0.0
         level = 0.0 if evidence.level is None else evidence.level
         return knots, np.maximum(level + more, 0.05 * evidence.dry_level)
+
+    @property
+    def narrowest(self) -> Array:
+        """Near rest finer, for that is where a law of speed is steep (Stribeck)."""
+        knots = np.array(self.knots)
+        return np.minimum(super().narrowest, np.maximum(0.5 * knots[1:], knots[-1] * AT_REST))
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Dry friction of the level at rest, and what speed adds to it or takes away."""

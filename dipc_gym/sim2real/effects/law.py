@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,8 @@ Array = NDArray[np.float64]
 Outside = Literal["constant", "parallel"]
 
 LOOSE = 5.0  # standard deviation of a value's prior, in sizes of the whole law
+NEW = 0.3  # of a knot that is put between two others: where no data are, the law stays as it was
+NARROWEST = 256  # of a table's length: no stretch is bisected to less
 
 
 def described(
@@ -49,6 +52,14 @@ def described(
         "driven_up_to": driven_up_to,
         "passive": passive,
     }
+
+
+def bisected(knots: Array, narrowest: Array | float, told: NDArray[np.bool_] | None = None) -> Array:
+    """Knots, and the middles of stretches that end at a told one and are twice as long as the narrowest may be."""
+    wide = np.diff(knots) > 1.9 * narrowest
+    if told is not None:
+        wide &= told[1:] | told[:-1]
+    return np.sort(np.append(knots, (0.5 * (knots[1:] + knots[:-1]))[wide]))
 
 
 class Law(Effect):
@@ -96,6 +107,27 @@ class Law(Effect):
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, the values it was given."""
         return [self.guess] if self.knots else []
+
+    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
+        """A knot more in each stretch, there where the law was."""
+        old = np.array(self.knots)
+        knots = bisected(old, self.narrowest, told)
+        if len(knots) == len(old):
+            return []
+        return [self._begun(knots, np.interp(knots, old, self.values(values)), ~np.isin(knots, old))]
+
+    @property
+    def narrowest(self) -> Array:
+        """To what the stretches may be bisected, one less than there are knots."""
+        return np.full(len(self.knots) - 1, (self.knots[-1] - self.knots[0]) / NARROWEST)
+
+    def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
+        """The same law with these knots, of which some are new."""
+        shaped = type(self)(knots.tolist(), values.tolist())
+        shaped.parameters = tuple(
+            replace(p, sigma=NEW / 0.3) if added else p for p, added in zip(shaped.parameters, new, strict=True)
+        )
+        return shaped, shaped.guess
 
     @property
     def guess(self) -> dict[str, float]:

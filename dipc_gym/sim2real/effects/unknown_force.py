@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import LOOSE, described
+from dipc_gym.sim2real.effects.law import LOOSE, NARROWEST, NEW, bisected, described
 from dipc_gym.sim2real.effects.surfaces import Surface, surface
+
+MOST_LEVELS = 288  # of a table
 
 WORDS = {"position": "the position of {}", "velocity": "the velocity of {}", "command": "the command to {}"}
 
@@ -60,6 +64,29 @@ class UnknownForce(Effect):
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, the values it was given."""
         return [self.first] if self.shape is not None else []
+
+    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
+        """A knot more in each stretch, along one input or the other."""
+        if self.shape is None:
+            return []
+        levels = np.reshape([values[name] for name in self.first], self.shape.levels.shape)
+        found: list[tuple[Effect, Values]] = []
+        for axis, old in enumerate(self.shape.knots):
+            others = tuple(k for k in range(levels.ndim) if k != axis)
+            here = None if told is None else told.reshape(levels.shape).any(axis=others)
+            knots = bisected(old, (old[-1] - old[0]) / NARROWEST, here)
+            if len(knots) == len(old) or levels.size // len(old) * len(knots) > MOST_LEVELS:
+                continue
+            more = np.apply_along_axis(lambda row, at=knots, of=old: np.interp(at, of, row), axis, levels)
+            axes = (*self.shape.knots[:axis], knots, *self.shape.knots[axis + 1 :])
+            shaped = UnknownForce(Surface(self.shape.inputs, axes, more), self.speed, self.units, self.at)
+            new = np.broadcast_to(np.expand_dims(~np.isin(knots, old), tuple(range(1, levels.ndim - axis))), more.shape)
+            shaped.parameters = tuple(
+                replace(p, sigma=NEW / 0.3) if added else p
+                for p, added in zip(shaped.parameters, new.ravel(), strict=True)
+            )
+            found.append((shaped, shaped.first))
+        return found
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader; stock MuJoCo leaves it out."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from dipc_gym.sim2real.effects.base import joint_of
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import common_error
+from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.scorer import Scorer
 from dipc_gym.sim2real.selection.screen import Tried
@@ -22,10 +24,28 @@ def scored(scorer: Scorer, done: Sequence[Tried]) -> list[Tried]:
 
 def choose(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Fit | None:
     """The simplest of the hypotheses that predict best, if it is clearly better than `current`."""
-    clear = [t for t in done if t.fitted is not None and scorer.stands_out(t.term, t.fitted, current)]
+    clear = [
+        t
+        for t in done
+        if t.fitted is not None and scorer.stands_out(t.term, t.fitted, current) and _tells(t.term, t.fitted, current)
+    ]
     if not clear:
         return None
     return _core(_named(_simplest(scorer, clear, current), clear, current), clear, current).fitted
+
+
+def _tells(term: Term, fitted: Fit, current: Fit) -> bool:
+    """Whether an effect brings most of what is left, if a law of any shape acts on its joint.
+
+    What a law of no kind leaves is what its table cannot hold, and near the noise that holds for any law; whatever
+    depends on the same takes up some of that.
+    """
+    near = current.error < SEARCH.in_reach
+    laws = [t.at for t in current.structure.terms if t.effect.of_no_kind or (t.effect.free and near)]
+    joint = joint_of(current.structure.model, term.at) if term.effect.place == "actuator" else term.at
+    if term.effect.of_no_kind or joint not in laws:
+        return True
+    return fitted.error - 1 < SEARCH.most * (current.error - 1)
 
 
 def _named(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:

@@ -63,8 +63,10 @@ def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> 
     friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in question.joints}
     levels = {joint: level for joint, level in friction.items() if level > 0}
     terms, found = current.structure.terms, []
+    # Where few data are, a law of any shape is off, and windows stand out in which nothing happened.
+    events = ranking.quiet(current) and not any(term.effect.free for term in terms)
     for effect in question.effects:
-        if (effect.once and not ranking.quiet(current)) or (effect.free and phase < Phase.SHAPES):
+        if (effect.once and not events) or (effect.free and phase < Phase.SHAPES):
             continue
         if phase == Phase.NO_KIND and not effect.of_no_kind:
             continue

@@ -58,6 +58,16 @@ class Partition:
         """The same windows in half the steps, fitted and compared on."""
         return replace(self, problem=replace(self.problem, finer=2), comparison=replace(self.comparison, finer=2))
 
+    @property
+    def spare(self) -> NDArray[np.bool_]:
+        """Which of the windows left aside do not validate."""
+        windows = self.aside.windows
+        return np.asarray(windows.start < self.borders[windows.source])
+
+    def whole(self) -> Partition:
+        """All windows fitted; those compared on, and those that validate, among them."""
+        return replace(self, problem=self.problem.join(self.comparison).join(self.aside))
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -100,6 +110,12 @@ class Progress:
                 for hypotheses in self.rounds
             ),
         )
+
+    def with_spare(self) -> Progress:
+        """With all windows to fit that neither compare nor validate: a table of dozens of values needs them."""
+        spare, aside = self.partition.spare, self.partition.aside
+        left = replace(self, partition=replace(self.partition, aside=aside.pick(~spare)))
+        return left.taking_in(aside.pick(spare))
 
     def keeping(self, keep: NDArray[np.bool_]) -> Progress:
         """With some of the windows only, of the fitted and then of the comparison windows."""

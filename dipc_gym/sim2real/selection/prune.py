@@ -25,7 +25,11 @@ def prune(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str]
         current: the fit to prune.
         tell: called with a line about each effect that goes.
     """
+    unnamed = [term.at for term in current.structure.terms if term.effect.of_no_kind]
     for term in current.structure.terms:
+        # A law of no kind takes over whatever depends on the same. It was asked beside the name, not in its place.
+        if term.at in unnamed and not term.effect.of_no_kind:
+            continue
         plain = term.effect.linear and not (term.effect.contains or term.effect.once or term.effect.free)
         if plain and ranking.foretold_loss(current, [term], fitter.problem.counts) > SCORE.large:
             continue  # needed beyond doubt, without a refit

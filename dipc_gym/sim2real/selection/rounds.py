@@ -13,6 +13,7 @@ from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question, screened, starts
 from dipc_gym.sim2real.selection.progress import Journal
 from dipc_gym.sim2real.selection.ranking import Start
+from dipc_gym.sim2real.selection.resolution import refined
 from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
@@ -81,7 +82,8 @@ def _fitted(fitter: Fitter, sketched: Sequence[Start], current: Fit, journal: Jo
         assert tried.sketch is not None
         fitted = fitter.full(base, tried.sketch, None if tried.term.effect.once else current)
         if fitted is not None:
-            done.append(replace(tried, fitted=fitted))
+            fitted = refined(fitter, fitted, tried.key)
+            done.append(replace(tried, term=ranking.as_fitted(fitted), fitted=fitted))
             journal.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
     return done
 

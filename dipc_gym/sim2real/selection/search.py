@@ -20,6 +20,7 @@ from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
 from dipc_gym.sim2real.selection.progress import Journal, Partition, Progress
 from dipc_gym.sim2real.selection.prune import prune
+from dipc_gym.sim2real.selection.resolution import refined
 from dipc_gym.sim2real.selection.scorer import Scorer, enough
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
@@ -74,6 +75,7 @@ class Search:
         self.tell("no formula comes down to the noise; asking for laws of any shape, from the beginning")
         self.phase, formulas = Phase.SHAPES, self.progress.path
         self.journal.go_back(formulas[:1])
+        self._go_on(self.progress.with_spare())
         found = self._add(most)
         formulas = self.journal.informed(formulas)
         if not self._done(found) and not self.scorer.compare(found, formulas[-1]).clear:
@@ -100,6 +102,12 @@ class Search:
         self._go_on(replace(self.progress, partition=self.partition.finer()))
         return fit(self.partition.problem, fitted.structure, fitted.z, fitted.initial, most=20)
 
+    def fit_all(self, fitted: Fit) -> Fit:
+        """Fit a structure once more, to all windows, from here on: a table of dozens of values lacks none of them."""
+        self._go_on(replace(self.progress, partition=self.partition.whole()))
+        begin = self.partition.problem.initial
+        return fit(self.partition.problem, fitted.structure, fitted.z, begin, most=20)
+
     def _add(self, most: int) -> Fit:
         try:
             for _ in range(most):
@@ -123,6 +131,8 @@ class Search:
         added = better.structure.terms[-1].key
         self.tell(f"added {', '.join(names(better.structure.terms[len(before.structure.terms) :])) or added}")
         pruned = prune(self.question, self.fitter, better, self.tell)
+        for key in names(pruned.structure.terms):
+            pruned = refined(self.fitter, pruned, key, self.tell)
         self.journal.correct(pruned)
         return added in names(pruned.structure.terms) or self.scorer.compare(pruned, before).clear
 

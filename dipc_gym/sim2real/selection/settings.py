@@ -91,6 +91,8 @@ class SearchSettings:
         laws: share of what effects brought, that their laws may leave
         kinds: of effects at all joints that are tried together in a round, the second beside the best one
         pairs: pairs that predict alike and are fitted to all windows
+        halvings: of the stretches between the knots of a law, at most
+        ahead: halvings that are tried before a law is as fine as it may be
         short: share of the predicted gain of a pair that its sketch must bring
     """
 
@@ -113,6 +115,8 @@ class SearchSettings:
     kinds: int = 2
     pairs: int = 2
     short: float = 0.5
+    halvings: int = 6
+    ahead: int = 2
 
 
 SEARCH = SearchSettings()

@@ -111,6 +111,8 @@ def keeping_up(fitter: Fitter, sketched: Sequence[Start], current: Fit) -> list[
 def plain_first(sketched: Sequence[Start], error: float) -> list[Start]:
     """Without those far from the noise that elaborate one which would go before them (`choice.core`).
 
+    A law of any shape does not wait: how near it comes shows when it is as fine as it may be.
+
     Args:
         sketched: hypotheses with sketches, and what they were laid over.
         error: of the present fit on the same windows, in units of noise.
@@ -123,6 +125,7 @@ def plain_first(sketched: Sequence[Start], error: float) -> list[Start]:
             (left.get(f"{inner}@{tried.term.at}", error) for inner in tried.term.effect.contains), default=error
         )
         most = error - plain > SEARCH.most * (error - own)
-        return own > SEARCH.in_reach and most and own > SEARCH.far_better * plain
+        waits = own > SEARCH.in_reach and most and own > SEARCH.far_better * plain
+        return waits and not tried.term.effect.free
 
     return [start for start in sketched if not waits(start[0])]

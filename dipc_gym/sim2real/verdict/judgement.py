@@ -63,11 +63,20 @@ def judgement(
         final = late("A fit at half the step", lambda: search.refine(coarse), lambda: coarse)
         test = test if final is coarse else replace(test, finer=2)
         concluded = replace(found, fitted=final)
-    found = late(
+    best = found = late(
         "Which model predicts best",
         lambda: _best(search, concluded, search.journal.informed((coarse, recalibrated, nominal))),
         lambda: concluded,
     )
+    validation = late(
+        "The error on validation data",
+        lambda: Errors(
+            *(judge.error_on(search.partition.validation, f) for f in (nominal, recalibrated, found.fitted))
+        ),
+        lambda: None,
+    )
+    if any(term.effect.free for term in found.fitted.structure.terms):  # nothing chooses any more
+        found = late("A fit to all windows", lambda: replace(best, fitted=search.fit_all(best.fitted)), lambda: best)
     notes, final = [*found.notes], found.fitted
     open_choice = late(
         "Whether other parameters would do",
@@ -135,11 +144,6 @@ def judgement(
             lambda: findings.with_unknown(named, errors, search, final, joints),
             lambda: named,
         )
-    validation = late(
-        "The error on validation data",
-        lambda: Errors(*(judge.error_on(search.partition.validation, f) for f in three)),
-        lambda: None,
-    )
     improved, written = source.text, None
     if verdict != "consistent":
         improved, written, step_note = late(

@@ -1,0 +1,87 @@
+"""Laws as fine as predictions ask for: forces tell roughly where their knots lie, fits how many there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
+from dipc_gym.sim2real.model.structure import Term, carry
+from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+
+
+def refined(fitter: Fitter, current: Fit, key: str, tell: Callable[[str], None] = lambda line: None) -> Fit:
+    """A fit with one of its effects, if it has a free shape, made finer for as long as that predicts clearly better.
+
+    Args:
+        fitter: fits.
+        current: a fit.
+        key: of the effect.
+        tell: called with a line about each time that it is made finer.
+    """
+    for _ in range(SEARCH.halvings):
+        finer = _finer(fitter, current, key)
+        if finer is None:
+            break
+        tell(f"{key} made finer: error {finer.error:.3g} x noise (was {current.error:.3g})")
+        current = finer
+    return current
+
+
+def _finer(fitter: Fitter, current: Fit, key: str) -> Fit | None:
+    """A fit with one law made finer that predicts clearly better; None where there is none.
+
+    Halves of a stretch may gain nothing where its quarters do: a narrow spot begins to show when knots are as near.
+    """
+    tried: Fit | None = current
+    for _ in range(SEARCH.ahead):
+        term = next(term for term in current.structure.terms if term.key == key)
+        if tried is None or not term.effect.free or current.error <= SCORE.at_noise:
+            return None
+        tried = _with_more(fitter, tried, key)
+        if tried is not None and _better(fitter, tried, current):
+            return tried
+    return None
+
+
+def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
+    """The best fit with more parameters of one law; None where it has none."""
+    term = next(term for term in current.structure.terms if term.key == key)
+    others = current.structure.without(key)
+    kept = carry(current.structure, current.z, others)
+    found: list[Fit] = []
+    values = current.structure.term_values(current.z, term)
+    for effect, guess in term.effect.finer(values, _told(current, key)):
+        structure = others.with_term(Term(effect, term.at, dict(guess)))
+        begin = carry(others, kept, structure)
+        try:
+            found.append(fit(fitter.problem, structure, begin, current.initial, most=12))
+        except (mjcf.MjcfError, np.linalg.LinAlgError):
+            continue
+    losses = ranking.losses([one.mse for one in found])
+    return found[int(np.argmin(losses))] if found else None
+
+
+def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
+    """Which of a law's youngest parameters data moved from where they began, by twice their standard error, (p,); None
+    where all are as old.
+    """
+    own = [i for i, slot in enumerate(fitted.structure.slots) if slot.key.startswith(f"{key}.")]
+    sigma = np.array([fitted.structure.slots[i].sigma for i in own])
+    if sigma.min() == sigma.max():
+        return None
+    weight = weights(fitted.mse)
+    curvature = np.einsum("n,nij->ij", weight, fitted.quadratics.A) + weight.mean() * np.diag(
+        fitted.structure.precision
+    )
+    error = np.sqrt(np.diag(np.linalg.pinv(curvature, hermitian=True))[own])
+    return np.asarray((sigma < sigma.max()) & (np.abs(fitted.z[own]) > 2 * error))
+
+
+def _better(fitter: Fitter, finer: Fit, current: Fit) -> bool:
+    return fitter.scorer.compare(finer, current).clear and fitter.scorer.confirmed(finer, current)
