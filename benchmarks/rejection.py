@@ -1,6 +1,7 @@
-"""How well pairs of estimator and compensator hold many rigs, all rigs of a pair at once in the vector environment.
+r"""How well pairs of estimator and compensator hold many rigs, all rigs of a pair at once in the vector environment.
 
-    dipc-gym compare --out runs/rejection --seeds 20 --estimator disturbance --compensator llnf,observed --seconds 1
+    dipc-gym compare --out runs/rejection --seeds 20 --estimator disturbance --seconds 1 \
+        --compensator llnf,observed,llnf_adaptive,history,history_adapted
     python -m benchmarks.rejection runs/rejection
 
 The first command identifies twenty rigs and trains on each; the second balances them for 80 s under every pair below,
@@ -26,19 +27,23 @@ from dipc_gym.experiments.compare import Comparison
 from dipc_gym.experiments.robustness import AXES
 from dipc_gym.experiments.tables import against_first
 from dipc_gym.plant import Plant
+from dipc_gym.policy import Policy
 from dipc_gym.vector import DIPCFrictionVectorEnv
 
+POLICY = "dipc_gym/policies/ppo-llnf.json"
 PAIRS = (
     *(("lqr", "differences", "none"), ("lqr", "differences", "llnf")),
     *(("lqr", "kalman", "none"), ("lqr", "kalman", "ideal"), ("lqr", "disturbance", "observed")),
     *(("lqr_cart", "disturbance", "observed"), ("lqr_quiet", "disturbance", "observed")),
     *(("lqr", "kalman", "lugre"), ("lqr_cart", "kalman", "lugre"), ("lqr", "kalman", "llnf")),
+    *(("lqr", "kalman", "llnf_adaptive"), ("lqr", "kalman", "history"), ("lqr", "kalman", "history_adapted")),
+    *((POLICY, "differences", "llnf"), (POLICY, "kalman", "llnf")),
 )
 SETTLED = 20.0
 
 
 def balance(
-    plants: list[Plant], brain: LQR, seeing: list[Estimator], inverse: list[Compensator], seconds: float
+    plants: list[Plant], brain: LQR | Policy, seeing: list[Estimator], inverse: list[Compensator], seconds: float
 ) -> list[dict[str, float | bool]]:
     """Balance every plant with its own estimator and compensator; what has fallen is not looked at any more."""
     n, period = len(plants), plants[0].control_period
@@ -59,7 +64,8 @@ def balance(
     for k in range(round(seconds / period)):
         truth, friction = envs.state, -envs.friction
         seen = eyes.observation(states)
-        force = np.clip(-seen @ brain.gain, -largest, largest)
+        wanted = brain.command(seen) if isinstance(brain, Policy) else -seen @ brain.gain
+        force = np.clip(wanted, -largest, largest)
         volts = np.zeros(n)
         for i, (hand, rows) in enumerate(hands):
             known = {}
@@ -139,7 +145,7 @@ def main() -> None:
             if given.axis == "encoder":  # its owner knows what encoder is on the rig
                 parts = [(_counting(e, p), c) for (e, c), p in zip(parts, plants, strict=True)]
             rows = balance(plants, brain, [e for e, _ in parts], [c for _, c in parts], given.seconds)
-            name = f"{controller}+{estimator}"
+            name = f"{brain.name}+{estimator}"
             cells += [{**r, "controller": name, "compensator": compensator, "seed": s} for s, r in enumerate(rows)]
             stood = [r for r in rows if r["survived"]]
             line = f"{name:24s} {compensator:10s} stood {len(stood):2d}/{len(rows)}"
@@ -147,7 +153,8 @@ def main() -> None:
                 low, mid, high = np.percentile([scale * r[key] for r in stood] or [np.nan], [10, 50, 100])
                 line += f"  {key} {mid:{form}} ({low:{form}} to {high:{form}})"
             print(line, flush=True)
-        for row in against_first(cells, [(f"{a}+{b}", c) for a, b, c in pairs]):
+        named = [(f"{controllers.load(a).name}+{b}", c) for a, b, c in pairs]
+        for row in against_first(cells, named):
             print(
                 f"  {row['controller']}, {row['compensator']}: {row['cost_ratio']:.3g} times the first "
                 f"({row['low']:.3g} to {row['high']:.3g}), less on {row['less_on']} of {row['rigs']}"

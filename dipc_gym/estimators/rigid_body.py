@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dipc_gym.estimators.base import Array, Command, Estimator
+from dipc_gym.estimators.base import LARGEST, Array, Command, Estimator
 from dipc_gym.estimators.kalman import FLOOR, wander, with_friction
 from dipc_gym.estimators.late import Late
 from dipc_gym.motion import Motion
@@ -72,6 +72,8 @@ class RigidBody(Estimator):
         P = F @ P @ F.transpose(0, 2, 1) + FLOOR * np.eye(SIZE)
         P[:, 6, 6] += wander(self.dry, self.rig) ** 2
         S = P[:, :3, :3] + self.rig.reading_covariance
+        lost = ~(np.abs(S) < LARGEST).all(axis=(1, 2))  # a row that is as unsure begins anew, as `update` sees to
+        S[lost], x[lost] = np.eye(3), np.nan
         gain = P[:, :, :3] @ np.linalg.inv(S)
         x = x + (gain @ (readings - x[:, :3])[:, :, None])[:, :, 0]
         P = P - gain @ P[:, :3, :]
