@@ -168,8 +168,8 @@ def _windows(torch: Any, samples: Samples, scale: Array, output: float) -> tuple
     index = starts[:, None] + np.arange(length)
     inputs = np.column_stack([samples.force, samples.velocity]) / scale
     outputs = samples.voltage / output
-    arrays = inputs[index], outputs[index][:, warm:], samples.train[index][:, warm:]
-    return tuple(map(torch.from_numpy, arrays))  # type: ignore[return-value]
+    tensor = torch.from_numpy
+    return tensor(inputs[index]), tensor(outputs[index][:, warm:]), tensor(samples.train[index][:, warm:])
 
 
 def _train(torch: Any, cell: Any, last: Any, windows: tuple[Any, Any, Any], *, rate: float, epochs: int) -> Array:

@@ -60,7 +60,7 @@ def held(balancing: Balancing, runs: Sequence[tuple[Plant, MotorFault | None]], 
         brains = [copy.deepcopy(brain) for _ in range(n)]
         standing, lasted, force = np.ones(n, dtype=bool), np.zeros(n), np.zeros(n)
         for k in range(round(seconds / period)):
-            for i in np.flatnonzero(standing):
+            for i in np.flatnonzero(standing).tolist():
                 force[i] = brains[i].force(observations[i])
             observations, _, ended, _, _ = envs.step(np.where(standing, force, 0.0)[:, None])
             lasted[standing] = k + 1
