@@ -6,12 +6,15 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.memory import Remembering, given
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 HIDDEN = 8
 LENGTH = 100
@@ -99,6 +102,19 @@ class History(Remembering):
         for out, state in zip(self.outs, memory.T, strict=True):
             volts = volts + out * state
         return volts, memory
+
+    def express(self, program: Program, force: Value, velocity: Value) -> Value:
+        """Write the network into a program that can be exported."""
+        h, memory = HIDDEN, program.state("hidden", np.zeros(HIDDEN))
+        inward, inner = np.array(self.inward), np.array(self.inner)
+        driven = program.join(force, velocity).affine(inward[:, :2], inward[:, 2])
+        held = memory.affine(inner[:, :h], inner[:, h])
+        r = (driven.part(0, h) + held.part(0, h)).sigmoid()
+        z = (driven.part(h, h) + held.part(h, h)).sigmoid()
+        n = (driven.part(2 * h, h) + r * held.part(2 * h, h)).tanh()
+        memory_ahead = (1 - z) * n + z * memory
+        program.update(memory, memory_ahead)
+        return program.join(force, velocity, memory_ahead).affine([(*self.direct[:2], *self.outs)], self.direct[2])
 
 
 def _sigmoid(x: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy import linalg
@@ -12,6 +12,9 @@ from dipc_gym.controllers import lqr
 from dipc_gym.estimators.base import Array, Command, Estimator, RigModel
 from dipc_gym.estimators.late import Late
 from dipc_gym.plant import Friction
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 FLOOR = 1e-16
 """Added to the process noise of every state: the Riccati equation wants each to be moved by something."""
@@ -69,6 +72,10 @@ class Kalman(Estimator):
         """The filtered state, when the next command will act."""
         return self._late.predicted(state, 6)
 
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
+        """The same, written into a program that can be exported."""
+        return self._late.express(program, self._next, readings, force)[1]
+
 
 @dataclass(frozen=True)
 class CompensatedKalman(Kalman):
@@ -87,6 +94,16 @@ class CompensatedKalman(Kalman):
         before = state[:, 3]
         after = before + self.rig.period * (state[:, :6] @ np.array(self.rig.A[3]) + self.rig.B[3] * command.force)
         return motor - 0.5 * (command.friction(before) + command.friction(after))
+
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
+        """Nothing: what it asks of the compensator, a program does not know.
+
+        Raises:
+            dipc_gym.export.program.NoForm: always.
+        """
+        from dipc_gym.export.program import NoForm
+
+        raise NoForm("it asks the compensator for the friction at two velocities; `kalman` has a form")
 
 
 @dataclass(frozen=True)
@@ -130,6 +147,12 @@ class Disturbance(Estimator):
     def friction(self, state: Array) -> Array:
         """The seventh state, within what the motor can exert."""
         return np.clip(state[:, 6], -self.rig.largest_force, self.rig.largest_force)
+
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
+        """The same with friction, written into a program that can be exported."""
+        motor, most = voltage * self.rig.newtons_per_volt, self.rig.largest_force
+        state, ahead = self._late.express(program, self._next, readings, motor)
+        return program.join(ahead.part(0, 6), state.part(6).clip(-most, most))
 
 
 def disturbed(estimator: Estimator) -> tuple[Array, Array, Array]:

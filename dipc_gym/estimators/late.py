@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dipc_gym.controllers import lqr
-from dipc_gym.estimators.base import Array
+from dipc_gym.estimators.base import LARGEST, Array
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,3 +86,27 @@ class Late:
         if not self.columns:
             return state[:, :size].copy()
         return (self.ahead @ state[:, : size + self.columns, None])[:, :, 0]
+
+    def express(self, program: Program, matrix: Array, readings: Value, command: Value) -> tuple[Value, Value]:
+        """Write a filter of constant gain: its state (k,) after the readings, and that when the next command acts.
+
+        Args:
+            program: what is written.
+            matrix: (k, k + 4) as `kalman.filter_matrix` gives it.
+            readings: (3,).
+            command: what was commanded in the last period; 0 in the first.
+        """
+        size = len(matrix)
+        begun = program.join(readings, program.constant(np.zeros(size - 3)))
+        kept, acting, past = program.state("filtered", np.zeros(size)), command, None
+        if self.columns:
+            past = program.state("commands", np.zeros(self.columns))
+            queue = program.join(command, past)
+            acting = queue.part(self.whole) * (1 - self.share) + queue.part(self.whole + 1) * self.share
+            program.update(past, queue.part(0, self.columns))
+            past = queue.part(0, self.columns)
+        after = program.join(kept, acting, readings).affine(matrix)
+        lost = program.constant(1.0) - after.part(0, 6).within(LARGEST).least()
+        after = program.first().maximum(lost).choose(begun, after)
+        program.update(kept, after)
+        return after, after if past is None else program.join(after, past).affine(self.ahead)
