@@ -22,7 +22,7 @@ from dipc_gym.compensators.feedforward import Feedforward
 from dipc_gym.compensators.files import CompensatorError, load, save
 from dipc_gym.compensators.friedland import Friedland
 from dipc_gym.compensators.hilomot import HILOMOT
-from dipc_gym.compensators.history import History
+from dipc_gym.compensators.history import AdaptedHistory, History
 from dipc_gym.compensators.llnf import LLNF
 from dipc_gym.compensators.llnf_adaptive import AdaptiveLLNF
 from dipc_gym.compensators.llnf_lagged import LaggedLLNF
@@ -51,6 +51,7 @@ register("disturbance_observer", DisturbanceObserver)
 register("llnf_lagged", LaggedLLNF)
 register("llnf_adaptive", AdaptiveLLNF)
 register("history", History)
+register("history_adapted", AdaptedHistory)
 register("observed", Observed)
 
 __all__ = [
@@ -58,6 +59,7 @@ __all__ = [
     "LLNF",
     "LOLIMOT",
     "MLP",
+    "AdaptedHistory",
     "AdaptiveLLNF",
     "Compensator",
     "CompensatorError",

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from importlib import resources
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.memory import Remembering, given
 
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
+
 HIDDEN = 8
 LENGTH = 100
 WARM = 20
 EPOCHS = 150
 PATIENCE = 30
+PRIOR = "history.json"
+UNITS, VOLTS = np.array([10.0, 0.2]), 3.0  # N and m/s, V: what the network of many rigs counts in
 
 
 @dataclass(frozen=True)
@@ -50,25 +58,22 @@ class History(Remembering):
         Raises:
             ImportError: Torch is not installed; running a trained network does without it.
         """
-        try:
-            import torch
-        except ImportError as missing:
-            raise ImportError("training the history network needs torch: pip install -e '.[rl]' in the checkout") from (
-                missing
-            )
+        torch = _torch()
         train = samples.train
         scale = np.array([np.std(samples.force[train]), np.std(samples.velocity[train])])
         scale[scale == 0] = 1.0
         output = float(np.std(samples.voltage[train])) or 1.0
-        x = np.column_stack([samples.force, samples.velocity]) / scale
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            cell = torch.nn.GRU(2, HIDDEN, batch_first=True, dtype=torch.float64)
-            last = torch.nn.Linear(HIDDEN + 2, 1, dtype=torch.float64)
-            weight = _train(torch, cell, last, x, samples.voltage / output, train)
+            cell, last = _network(torch)
+            weight = _train(torch, cell, last, _windows(torch, samples, scale, output), rate=0.02, epochs=EPOCHS)
+        return cls._of(rig, cell, weight, scale, output)
+
+    @classmethod
+    def _of(cls, rig: RigConstants, cell: Any, weight: Array, scale: Array, output: float) -> Self:
+        """The network in units of the rig, from one whose inputs are in units of `scale`, the output of `output`."""
         w, u, b, c = (p.detach().numpy() for p in cell.parameters())
-        inward = np.column_stack([w / scale, b])
-        inner = np.column_stack([u, c])
+        inward, inner = np.column_stack([w / scale, b]), np.column_stack([u, c])
         direct = weight[HIDDEN:] / np.append(scale, 1.0) * output
         return cls(
             *given(rig),
@@ -98,27 +103,103 @@ class History(Remembering):
             volts = volts + out * state
         return volts, memory
 
+    def express(self, program: Program, force: Value, velocity: Value) -> Value:
+        """Write the network into a program that can be exported."""
+        h, memory = HIDDEN, program.state("hidden", np.zeros(HIDDEN))
+        inward, inner = np.array(self.inward), np.array(self.inner)
+        driven = program.join(force, velocity).affine(inward[:, :2], inward[:, 2])
+        held = memory.affine(inner[:, :h], inner[:, h])
+        r = (driven.part(0, h) + held.part(0, h)).sigmoid()
+        z = (driven.part(h, h) + held.part(h, h)).sigmoid()
+        n = (driven.part(2 * h, h) + r * held.part(2 * h, h)).tanh()
+        memory_ahead = (1 - z) * n + z * memory
+        program.update(memory, memory_ahead)
+        return program.join(force, velocity, memory_ahead).affine([(*self.direct[:2], *self.outs)], self.direct[2])
+
 
 def _sigmoid(x: Array) -> Array:
     return np.asarray(0.5 + 0.5 * np.tanh(0.5 * x))
 
 
-def _train(torch: Any, cell: Any, last: Any, inputs: Array, outputs: Array, train: np.ndarray) -> Array:
+@dataclass(frozen=True)
+class AdaptedHistory(History):
+    """The same network, trained on many rigs beforehand and then on this one's run (`history_adapted`).
+
+    What comes along was trained on the identification runs of 24 rigs, whose friction is a quarter to four times the
+    paper's, with other bristles, drag and masses (`python -m benchmarks.pretrain`). A run of the rig goes on from
+    there, with a tenth of the rate, and no more than 60 times through it.
+    """
+
+    @classmethod
+    def fit(cls, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Self:
+        """Go on from the network of many rigs; `seed` changes nothing.
+
+        Raises:
+            ImportError: Torch is not installed; running a trained network does without it.
+        """
+        torch = _torch()
+        cell, last = _network(torch)
+        kept = json.loads(resources.files("dipc_gym.compensators").joinpath(PRIOR).read_text(encoding="utf-8"))
+        with torch.no_grad():
+            for parameter, numbers_ in zip([*cell.parameters(), *last.parameters()], kept["weights"], strict=True):
+                parameter.copy_(torch.tensor(numbers_, dtype=torch.float64))
+        windows = _windows(torch, samples, UNITS, VOLTS)
+        weight = _train(torch, cell, last, windows, rate=0.002, epochs=60)
+        return cls._of(rig, cell, weight, UNITS, VOLTS)
+
+
+def pretrained(runs: Sequence[Samples], *, seed: int = 0, epochs: int = 2 * EPOCHS) -> dict[str, Any]:
+    """What `AdaptedHistory` begins with, as its file has it, from the runs of many rigs."""
+    torch = _torch()
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        cell, last = _network(torch)
+        parts = [_windows(torch, samples, UNITS, VOLTS) for samples in runs]
+        windows = tuple(torch.cat(part) for part in zip(*parts, strict=True))
+        _train(torch, cell, last, windows, rate=0.02, epochs=epochs)
+    weights = [p.detach().numpy() for p in (*cell.parameters(), *last.parameters())]
+    return {"runs": len(runs), "seed": seed, "weights": [np.round(w, 9).tolist() for w in weights]}
+
+
+def _torch() -> Any:
+    try:
+        import torch
+    except ImportError as missing:
+        raise ImportError("training the history network needs torch: pip install -e '.[rl]' in the checkout") from (
+            missing
+        )
+    return torch
+
+
+def _network(torch: Any) -> tuple[Any, Any]:
+    cell = torch.nn.GRU(2, HIDDEN, batch_first=True, dtype=torch.float64)
+    return cell, torch.nn.Linear(HIDDEN + 2, 1, dtype=torch.float64)
+
+
+def _windows(torch: Any, samples: Samples, scale: Array, output: float) -> tuple[Any, Any, Any]:
+    """Stretches of a run: inputs (n, length, 2), outputs and whether to learn from them (n, length - warm)."""
+    length = min(LENGTH, len(samples.force))
+    warm = min(WARM, length - 1)
+    starts = np.arange(0, len(samples.force) - length + 1, max(length - warm, 1))
+    index = starts[:, None] + np.arange(length)
+    inputs = np.column_stack([samples.force, samples.velocity]) / scale
+    outputs = samples.voltage / output
+    tensor = torch.from_numpy
+    return tensor(inputs[index]), tensor(outputs[index][:, warm:]), tensor(samples.train[index][:, warm:])
+
+
+def _train(torch: Any, cell: Any, last: Any, windows: tuple[Any, Any, Any], *, rate: float, epochs: int) -> Array:
     """Train the cell in place to the lowest test error; return weights (11,) of states, inputs and 1 in the output.
 
     Given the states, the output's weights are a linear problem, which least squares then solves exactly.
     """
-    length = min(LENGTH, len(outputs))
-    warm = min(WARM, length - 1)
-    starts = np.arange(0, len(outputs) - length + 1, max(length - warm, 1))
-    index = starts[:, None] + np.arange(length)
-    x, y = torch.from_numpy(inputs[index]), torch.from_numpy(outputs[index][:, warm:])
-    learn = torch.from_numpy(train[index][:, warm:])
+    x, y, learn = windows
+    warm = x.shape[1] - y.shape[1]
     weights = [*cell.parameters(), *last.parameters()]
-    optimiser = torch.optim.Adam(weights, lr=0.02)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, EPOCHS)
+    optimiser = torch.optim.Adam(weights, lr=rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, epochs)
     lowest, best, waited = np.inf, [p.detach().clone() for p in weights], 0
-    for _ in range(EPOCHS):
+    for _ in range(epochs):
         hidden, _ = cell(x)
         error = (last(torch.cat([hidden, x], dim=2))[:, warm:, 0] - y) ** 2
         loss = error[learn].mean()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from scipy import optimize
@@ -12,6 +12,9 @@ from scipy import optimize
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.memory import Remembering, Track, given
 from dipc_gym.plant import Friction
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 STEP = 0.001
 """Longest step of the bristle's integration, s."""
@@ -103,16 +106,25 @@ class LuGre(Remembering):
         _, friction = self.period_of(velocity, velocity, bent)
         return (force + friction) / self.newtons_per_volt, np.stack([bent, velocity], axis=1)
 
-    def period_of(self, before: Array, after: Array, bristle: Array) -> tuple[Array, Array]:
+    def express(self, program: Program, force: Value, velocity: Value) -> Value:
+        """Write it into a program that can be exported: the same formula, on values of the program."""
+        bristle, before = program.state("bristle", 0.0), program.state("velocity_before", 0.0)
+        bent, _ = self.period_of(before, velocity, bristle)
+        _, friction = self.period_of(velocity, velocity, bent)
+        program.update(bristle, bent)
+        program.update(before, velocity)
+        return (force + friction) / self.newtons_per_volt
+
+    def period_of(self, before: Any, after: Any, bristle: Any) -> tuple[Any, Any]:
         """Bristle (n,) at the end of a period whose velocity goes from one value to another, and mean friction (n,)."""
         steps = max(1, math.ceil(self.period / STEP - 1e-9))
-        h, total = self.period / steps, np.zeros(len(bristle))
+        h, total = self.period / steps, 0.0 * bristle
         for i in range(steps):
             v = before + (after - before) * ((i + 0.5) / steps)
             share = v / self.stribeck_velocity
             level = self.coulomb + self.excess * np.exp(-(share * share))
             bent = (bristle + h * v) / (1 + h * self.stiffness * np.abs(v) / level)
-            total += self.stiffness * bent + self.damping * (bent - bristle) / h
+            total = total + (self.stiffness * bent + self.damping * (bent - bristle) / h)
             bristle = bent
         return bristle, total / steps
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from dipc_gym.compensators.static import Ideal
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 
 @dataclass(frozen=True)
@@ -21,3 +24,9 @@ class Observed(Ideal):
     """
 
     observed_friction: ClassVar[bool] = True
+
+    def express(self, program: Program, force: Value, velocity: Value, friction: Value | None = None) -> Value:
+        """Write it into a program that can be exported, with the friction that the estimator there observes, N."""
+        if friction is None:
+            raise TypeError("it wants the friction that an estimator observes")
+        return (force + friction) / self.newtons_per_volt

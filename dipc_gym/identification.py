@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import kernels, mjcf
 from dipc_gym.compensators import RigConstants, Samples
+from dipc_gym.compensators.memory import smooth as smoothed_force
 from dipc_gym.excitation import Excitation, examine, force_noise
 from dipc_gym.physics import from_model
 from dipc_gym.plant import Encoders, Plant, physics_steps
@@ -23,6 +24,9 @@ from dipc_gym.smoothing import smooth
 __all__ = ["Cart", "Sweep"]
 
 Array = NDArray[np.float64]
+
+FAST = 0.2  # of the largest speed, above which dry friction is Coulomb's
+LONGEST_DELAY = 0.06  # s, that is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,6 +249,47 @@ def excitation(
         period=period,
     )
     return examine(data, cart.constants, force_noise=noise)
+
+
+def delayed(voltage: Array, period: float, delay: float) -> Array:
+    """The mean voltages (n,) that arrive in each period when commands (n,) act `delay` seconds late.
+
+    Example:
+        >>> delayed(np.array([0.0, 2.0, 2.0, 2.0]), 0.005, 0.0075).tolist()
+        [0.0, 0.0, 1.0, 2.0]
+    """
+    whole = int(delay / period + 1e-9)
+    share = delay / period - whole
+    now = np.concatenate([np.full(whole, voltage[0]), voltage])[: len(voltage)]
+    before = np.concatenate([voltage[:1], now])[: len(voltage)]
+    return (1 - share) * now + share * before
+
+
+def delay(data: Samples, constants: RigConstants) -> float:
+    """By how much the motor is late in an identification run, s; 0 if that is less than half a period.
+
+    Tried are delays of up to 60 ms, in steps of a quarter of a period: with the right one the force that is lost while
+    the cart moves fast is best explained by a constant against the motion and one in proportion to it. A delay that
+    does not halve what is left over without one is none. Where dry friction holds the cart for the most part it comes
+    out too short.
+
+    Args:
+        data: samples with positions.
+        constants: of the cart.
+    """
+    if data.position is None:
+        return 0.0
+    period, speed = constants.period, np.gradient(data.position, constants.period)
+    moving = np.abs(speed) > FAST * np.abs(speed).max()
+    columns = np.column_stack([np.sign(speed), speed])[moving]
+    tried = np.arange(0.0, LONGEST_DELAY, 0.25 * period)
+    left = np.empty(len(tried))
+    for i, late in enumerate(tried.tolist()):
+        lost = constants.newtons_per_volt * smoothed_force(delayed(data.voltage, period, late)) - data.force
+        shares = np.linalg.lstsq(columns, lost[moving])[0]
+        left[i] = np.mean((lost[moving] - columns @ shares) ** 2)
+    best = int(np.argmin(left))
+    return float(tried[best]) if tried[best] > 0.5 * period and left[best] < 0.5 * left[0] else 0.0
 
 
 def _on_grid(recording: Recording, period: float) -> tuple[Array, Array, Array]:

@@ -305,7 +305,7 @@ class _Reader(untrusted.Reader):
             raise ControllerError(f"{self.source}: {error}; {self.format.mend}") from None
 
     def inputs(self, entries: Any) -> tuple[tuple[str, str], ...]:
-        known = KINDS.get(len(self.entries(entries, "observation")), INPUTS)
+        known = SWING_UP_INPUTS if isinstance(entries, list) and len(entries) == len(SWING_UP_INPUTS) else INPUTS
         self.entries(entries, "observation", len(known))
         return known
 

@@ -23,7 +23,7 @@ Start = str | tuple[tuple[float, ...], ...]
 SPEEDS = (0.5, 5.0, 5.0)  # m/s and rad/s either way, of such a start
 
 NEAR = math.cos(0.35)  # of an angle from the goal, within which a pole is there
-SHARES = {"pole1": 0.2, "pole2": 0.2, "rest": 0.4, "cart": 0.1, "voltage": 0.1}
+SHARES = {"poles": 0.4, "rest": 0.4, "cart": 0.1, "voltage": 0.1}
 """Of the reward, which is 1 at rest at the goal with the cart in the middle and no voltage."""
 HALF_REST = (0.02, 4.0, 0.25)
 """Where `rest` has lost half: mean of the poles' (1 - cos)/2, of their squared rates, square of the cart's velocity."""
@@ -167,15 +167,14 @@ def earned(
     off, angles, rates, speed = 0.25 * (2.0 - a - b), *HALF_REST
     out, share = x / rail, volts / supply
     worth: dict[str, Any] = {
-        "pole1": 0.5 + 0.5 * a,
-        "pole2": 0.5 + 0.5 * b,
+        "poles": (0.5 + 0.5 * a) * (0.5 + 0.5 * b),
         "rest": 1.0 / (1.0 + off / angles + 0.5 * (w1 * w1 + w2 * w2) / rates + v * v / speed),
         "cart": 1.0 - out * out,
         "voltage": 1.0 - share * share,
     }
     terms = {f"reward_{name}": SHARES[name] * value for name, value in worth.items()}
-    p, q, rest, cart, voltage = terms.values()
-    return p + q + rest + cart + voltage, terms, (a > NEAR) & (b > NEAR)
+    poles, rest, cart, voltage = terms.values()
+    return poles + rest + cart + voltage, terms, (a > NEAR) & (b > NEAR)
 
 
 NOTHING: dict[str, float | bool] = {**{f"reward_{name}": 0.0 for name in SHARES}, "at_goal": False}

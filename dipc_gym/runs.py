@@ -18,7 +18,7 @@ from dipc_gym.controllers import Controller, lqr
 from dipc_gym.controllers.tracking import Tracking, equilibrium
 from dipc_gym.estimators import Estimator, RigModel
 from dipc_gym.excitation import Excitation
-from dipc_gym.identification import Cart, Sweep, cart, cart_model, excitation, record, samples
+from dipc_gym.identification import Cart, Sweep, cart, cart_model, delay, delayed, excitation, record, samples
 from dipc_gym.kernels import FALL
 from dipc_gym.plant import Plant
 from dipc_gym.recording import Recording
@@ -50,7 +50,8 @@ class Identification:
         plant: the rig that made it, or that it is taken to be of.
         samples: what compensators are fitted to.
         excitation: what of force and velocity the run covers.
-        rig: linear model and sensors of the whole rig.
+        rig: linear model, sensors and delay of the whole rig. The delay is the plant's, if it says one, else what the
+            run shows; samples have the voltages when they arrived.
     """
 
     run: Recording
@@ -122,7 +123,10 @@ def identify(
         _check_locked(run, env, from_recording, mapping, units)
         if found.refusal is not None:
             raise ValueError(f"{from_recording}: no compensator can be trained from this: {found.refusal}")
-    rig = RigModel.of(*lqr.linear_model(env.model), env.plant, linear.constants.newtons_per_volt)
+    late = env.plant.delay or delay(data, linear.constants)
+    if late:
+        data = dataclasses.replace(data, voltage=delayed(data.voltage, period, late))
+    rig = RigModel.of(*lqr.linear_model(env.model), env.plant, linear.constants.newtons_per_volt, late)
     return Identification(run, linear, env.plant, data, found, rig)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dipc_gym
-from dipc_gym import compensators, recording
+from dipc_gym import compensators, estimators, recording
 from dipc_gym.cli import COMMANDS, main
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.runs import identify
@@ -56,6 +56,15 @@ def test_train_record_render_go_together(tmp_path: Path, capsys: pytest.CaptureF
     assert main(["record", "--out", run, "--compensator", llnf, "--plant", plant, "--seconds", "2"]) == 0
     assert "400 samples" in capsys.readouterr().out
     assert len(Path(run).read_text().splitlines()) == 401
+    # An estimator of the same run, saved beside.
+    saved = str(tmp_path / "mine.json")
+    fit = ["train", "--out", saved, "--compensator", "observed", "--estimator", "disturbance", "--recording", sweep]
+    assert main([*fit, "--plant", plant]) == 0
+    assert estimators.load(tmp_path / "mine_disturbance.json").dry.coulomb == pytest.approx(6.0, rel=0.05)
+    assert main([*fit, "--plant", plant, "--overwrite"]) == 0
+    Path(saved).unlink()
+    assert main([*fit, "--plant", plant]) == 2
+    assert "mine_disturbance.json exists" in capsys.readouterr().err
     # The simulated run, identified directly, trains nearly the same network as its recording, which is smoothed.
     assert main(["train", "--out", str(tmp_path / "direct.json"), "--plant", plant]) == 0
     direct = compensators.load(tmp_path / "direct.json")
@@ -107,6 +116,7 @@ def test_notes_of_the_recording_that_is_trained_from_are_told(
         (["compare", "--out", "new", "--compensator", "x,y"], "there is no compensator 'x'"),
         (["train", "--out", "full/file"], "exists"),
         (["train", "--out", "new.json", "--compensator", "x"], "there is no compensator 'x'"),
+        (["train", "--out", "new.json", "--estimator", "x"], "there is no estimator 'x'"),
         (["train", "--out", "no/new.json"], "there is no folder"),
         (["train", "--out", "new.json", "--recording", "none.csv"], "none.csv"),
         (["record", "--out", "new.csv", "--plant", "full/file"], "not JSON"),

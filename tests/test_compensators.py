@@ -42,9 +42,10 @@ RIG = RigConstants(newtons_per_volt=4.0, viscous=40.0, supply_voltage=24.0, mass
 PAPER = ("none", "feedforward", "mlp", "llnf", "ideal")
 REMEMBERING = (
     *("lugre", "maxwell_slip", "friedland", "disturbance_observer", "llnf_lagged", "llnf_adaptive", "history"),
+    "history_adapted",
 )
 KINDS = (*PAPER, "curve", "hilomot", "stribeck", *REMEMBERING, "observed")
-SLOW = ("llnf_lagged", "history", "lugre")  # to fit
+SLOW = ("llnf_lagged", "history", "history_adapted", "lugre")  # to fit
 
 
 def stribeck(velocity):

@@ -61,6 +61,57 @@ def course(estimator, rig, steps=200, push=0.0, counts=True):
 # What they see
 
 
+LATE = ("kalman", "disturbance", "rigid_body")
+
+
+@pytest.mark.parametrize("name", LATE)
+@pytest.mark.parametrize("delay", [0.002, 0.01, 0.0225])
+def test_a_known_delay_is_counted_with(rig, name, delay):
+    """Told of it, a filter sees the state when the next command acts; untold, it is as wrong as a motion of `delay`."""
+    told, untold = (estimators.kind(name)(replace(rig, delay=d), DRY) for d in (delay, 0.0))
+    A, B, fine = np.array(rig.A), np.array(rig.B)[:, None], 0.00025
+    F, G = lqr.sampled(A, B, fine)
+    steps, late = round(rig.period / fine), round(delay / fine)
+    truth, issued = np.array([0.005, 0.004, -0.003, 0.0, 0.0, 0.0]), [0.0] * late
+    states = {est: est.initial_state(truth[None]) for est in (told, untold)}
+    errors, then = {told: [], untold: []}, []
+    path = []
+    for k in range(150):
+        wanted = 8.0 * math.sin(0.15 * k)
+        issued += [wanted] * steps
+        for _ in range(steps):
+            path.append(truth)
+            truth = F @ truth + G[:, 0] * issued[len(path) - 1]
+        for est in states:
+            command = Command(np.array([wanted]), np.array([wanted / rig.newtons_per_volt]))
+            states[est] = est.update(states[est], truth[None, :3], command)
+            then.append((est, len(path) + late, est.observation(states[est])[0]))
+    for est, at, seen in then:
+        if 400 < at < len(path):
+            errors[est].append(np.abs(seen - path[at])[:4])
+    worst = {est: np.max(errors[est], axis=0) for est in errors}
+    assert worst[told][3] < 0.25 * worst[untold][3]
+
+
+def test_a_late_loop_stands_with_the_delay_told_and_falls_without():
+    plant = Plant(delay=0.025)
+    found = runs.identify(plant, seed=0)
+    assert found.rig.delay == 0.025
+    told = found.fit_estimator("disturbance")
+    untold = replace(told, rig=replace(told.rig, delay=0.0))
+    courses = [
+        runs.balance(LQR(), found.fit("observed"), seconds=8.0, seed=1, plant=plant, estimator=each)
+        for each in (told, untold)
+    ]
+    assert [course.fell for course in courses] == [False, True]
+
+
+def test_a_file_without_a_delay_has_none(made):
+    written = made["disturbance"].to_dict()
+    del written["rig"]["delay"]
+    assert estimators.load(written).rig.delay == 0.0
+
+
 def test_names_come_in_the_order_of_the_table():
     assert tuple(estimators.names()) == NAMES
 

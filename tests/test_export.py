@@ -11,13 +11,29 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from dipc_gym import cli, compensators, kernels, policy
-from dipc_gym.compensators import LLNF, MLP, Compensator, Feedforward, Ideal, RigConstants, Samples, StaticGain
-from dipc_gym.controllers import LQR, SB3Policy
+from dipc_gym import cli, compensators, controllers, estimators, kernels, policy
+from dipc_gym.compensators import (
+    LLNF,
+    MLP,
+    Compensator,
+    Feedforward,
+    History,
+    Ideal,
+    LuGre,
+    Observed,
+    RigConstants,
+    Samples,
+    StaticGain,
+)
+from dipc_gym.controllers import LQR, SB3Policy, lqr
+from dipc_gym.env import DoublePendulumEnv
+from dipc_gym.estimators import RigModel
 from dipc_gym.export import bundle, c, onnx
 from dipc_gym.export.parts import READINGS, FilteredDifference, Loop
 from dipc_gym.export.program import NoForm, Program, Value
-from dipc_gym.plant import Plant
+from dipc_gym.plant import Friction, Plant
+from dipc_gym.vector import DIPCFrictionVectorEnv
+from dipc_gym.wrappers import VectorEstimateState, VectorForceCommand
 
 GCC = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -186,7 +202,7 @@ def test_a_reading_that_is_wild_but_possible_is_soon_forgotten(tmp_path: Path) -
 class Overflowing:
     """An estimator whose memory leaves all bounds within a few periods."""
 
-    def express(self, program: Program, readings: Value, voltage: Value) -> Value:
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
         grown = program.state("grown", 1.0)
         program.update(grown, grown * 1e9)
         return program.join(readings, readings + grown - grown)
@@ -335,6 +351,111 @@ def test_values_that_do_not_belong_together_are_refused() -> None:
         one.constant([1.0, 2.0]).affine(np.eye(3))
     with pytest.raises(ValueError, match="no state of 1"):
         one.update(one.state("s", [1.0, 2.0]), one.constant(1.0))
+
+
+# ------------------------------------------------------------------------------------------------ what else sees
+
+
+def seeing(name: str, delay: float = 0.0) -> estimators.Estimator:
+    env = DoublePendulumEnv()
+    rig = RigModel.of(*lqr.linear_model(env.model), env.plant, 4.0, delay)
+    return estimators.kind(name)(rig, Friction(viscous=0.0))
+
+
+def lugre() -> LuGre:
+    return LuGre(4.0, SUPPLY, PERIOD, 2e4, 60.0, 8.0, 3.0, 0.02)
+
+
+def history() -> History:
+    rng = np.random.default_rng(3)
+    inward = rng.normal(0, [0.03, 2.0, 0.3], (24, 3))
+    direct, outs = (0.25, 10.0, 0.0), rng.normal(0, 0.5, 8)
+    return History(4.0, SUPPLY, PERIOD, _rows(inward), _rows(rng.normal(0, 0.3, (24, 9))), tuple(outs.tolist()), direct)
+
+
+LATE = 0.0075
+SEEN = {
+    "kalman, lugre": ("kalman", "lqr", lugre, 0.0),
+    "disturbance, observed": ("disturbance", "lqr_cart", lambda: Observed(4.0), 0.0),
+    "kalman of a late rig, history": ("kalman", "lqr", history, LATE),
+    "disturbance of a late rig, observed": ("disturbance", "lqr", lambda: Observed(4.0), LATE),
+    "differences, lugre": ("differences", "lqr", lugre, 0.0),
+}
+
+
+def on_rigs(estimator: estimators.Estimator, brain: LQR, compensator: Compensator, plant: Plant) -> Any:
+    """Readings (periods, runs, 3) of rigs that the parts balance, as they run in the vector environment, and volts."""
+    envs: Any = DIPCFrictionVectorEnv(RUNS, plant=plant, threads=1)
+    inner, envs = envs, VectorForceCommand(VectorEstimateState(envs, estimator), compensator, force_limit=LIMIT)
+    seen, _ = envs.reset(seed=0)
+    rows, volts, stood = np.zeros((PERIODS, RUNS, 3)), np.zeros((PERIODS, RUNS)), np.ones(RUNS, dtype=bool)
+    for k in range(PERIODS):
+        rows[k] = inner.encoders
+        seen, _, ended, _, infos = envs.step(-(seen @ brain.gain)[:, None])
+        volts[k], stood = infos["voltage"], stood & ~ended
+    envs.close()
+    return rows[:, stood], volts[:, stood]
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", SEEN)
+def test_c_gives_the_voltages_of_python_where_a_filter_sees(tmp_path: Path, name: str) -> None:
+    kind, controller, make, delay = SEEN[name]
+    estimator, brain, compensator = seeing(kind, delay), controllers.balancing(controller), make()
+    program = Loop(estimator, brain, compensator, LIMIT, SUPPLY).program()
+    rows, expected = on_rigs(estimator, brain, compensator, Plant(delay=delay))
+    assert rows.shape[1] > 0.9 * RUNS
+    volts = in_c(compiled(tmp_path, program), rows)
+    # Friction is what the voltage does not explain, so the memory adds up voltages, and with them their rounding.
+    np.testing.assert_allclose(volts, expected, rtol=0, atol=1e-8)
+    wild = readings()
+    for single, dtype in ((False, np.float64), (True, np.float32)):
+        given = in_c(compiled(tmp_path, program, single=single), wild)
+        assert (np.abs(given) <= SUPPLY).all()  # also that there is no NaN among them
+        if not single:
+            np.testing.assert_allclose(given, in_numpy(program, wild, dtype), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", SEEN)
+def test_single_precision_balances_as_well(name: str) -> None:
+    """What rounding gathers in the memory, the rig's own motion takes away: only in the closed loop can one see it."""
+    kind, controller, make, delay = SEEN[name]
+    program = Loop(seeing(kind, delay), controllers.balancing(controller), make(), LIMIT, SUPPLY).program()
+    strayed = {}
+    for dtype in (np.float64, np.float32):
+        env, memory, cart = DoublePendulumEnv(plant=Plant(delay=delay)), program.memory(dtype=dtype), []
+        env.reset(seed=0)
+        for _ in range(2000):
+            given = {name: np.array([x], dtype) for name, x in zip(READINGS, env.encoders, strict=True)}
+            outputs, memory = program.run(given, memory, dtype)
+            ended = env.step(outputs["voltage"][0].astype(np.float64))[2]
+            assert not ended
+            cart.append(env.state[0])
+        strayed[dtype] = np.sqrt(np.mean(np.square(cart[400:])))
+    assert strayed[np.float32] == pytest.approx(strayed[np.float64], rel=0.5)
+
+
+@needs_compiler
+def test_an_estimator_goes_along_from_its_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    estimators.save(seeing("disturbance"), "sees.json")
+    compensators.save(Observed(4.0), "observed.json")
+    arguments = ["export", "observed.json", "--estimator", "sees.json", "--controller", "lqr_cart", "--to", "c"]
+    assert cli.main([*arguments, "--out", "rig.h"]) == 0
+    assert "Estimator: disturbance of sees.json" in Path("rig.h").read_text()
+    for define in ([], ["-DRIG_FLOAT"]):
+        subprocess.run([str(GCC), *STRICT, *define, "rig_test.c", "-o", "check", "-lm"], check=True)
+        assert subprocess.run(["./check"], capture_output=True).returncode == 0
+    capsys.readouterr()
+    assert cli.main(["export", "observed.json", "--to", "c", "--out", "blind.h"]) == 2
+    assert "feeds forward the friction that an estimator observes" in capsys.readouterr().err
+    Path("slow.json").write_text('{"control_period": 0.01}')
+    assert cli.main([*arguments, "--plant", "slow.json", "--out", "slow.h"]) == 2
+    assert "is for a control period of 5 ms, and the plant's is 10 ms" in capsys.readouterr().err
+    estimators.save(seeing("ekf"), "ekf.json")
+    arguments[3] = "ekf.json"
+    assert cli.main([*arguments, "--out", "ekf.h"]) == 2
+    assert "the estimator 'ekf' (ExtendedKalman) has no form" in capsys.readouterr().err
+    assert not any(Path(name).exists() for name in ("blind.h", "slow.h", "ekf.h"))
 
 
 # ------------------------------------------------------------------------------------------------ ONNX

@@ -7,7 +7,7 @@ import pytest
 
 from dipc_gym import compensators, mjcf
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.identification import Sweep, cart, cart_model, locked, record, samples
+from dipc_gym.identification import Sweep, cart, cart_model, delay, delayed, locked, record, samples
 from dipc_gym.plant import Encoders, Friction, Plant
 from dipc_gym.recording import Recording
 
@@ -182,3 +182,16 @@ def test_a_run_that_diverges_is_not_started_again() -> None:
     model = cart_model(SOURCE.edited(text), Plant())
     with pytest.raises(ValueError, match=r"diverges at 0\.\d+ s; give the model a smaller <option timestep>"):
         record(model, Plant(), Sweep(duration=1.0))
+
+
+@pytest.mark.parametrize("late", [0.0, 0.004, 0.01, 0.03])
+def test_a_delay_is_found_in_the_run(late: float) -> None:
+    plant = Plant(delay=late)
+    fixed = cart_model(DoublePendulumEnv().source, plant)
+    linear = cart(fixed)
+    data = samples(record(fixed, plant, Sweep(), seed=0), linear, plant.encoders, plant.control_period)
+    found = delay(data, linear.constants)
+    assert found == pytest.approx(late, abs=0.0013)
+    arrived = delayed(data.voltage, plant.control_period, found)
+    lost = linear.constants.newtons_per_volt * arrived - data.force
+    assert np.median(np.abs(lost[np.abs(data.velocity) > 0.2])) == pytest.approx(8.0, abs=0.5)  # Coulomb's level

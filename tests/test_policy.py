@@ -146,7 +146,7 @@ def edit(data: Any, where: str, value: Any) -> Any:
         ("commands.limit", "40", r"commands\.limit: is '40'; it must be a finite number"),
         ("commands", 40, r"commands: is 40; it must be an object with name, unit, limit"),
         ("newtons_per_volt", 10**400, r"newtons_per_volt: is a number of very many digits; it must be a finite number"),
-        ("observation", [], r"observation: has 0 entries; it must have at least one"),
+        ("observation", [], r"observation: has 0 entries; it must have 6"),
         ("observation", [{}] * 5, r"observation: has 5 entries; it must have 6"),
         ("observation.2.name", "pole1", r"observation\[2\]\.name: is 'pole1'; it must be 'pole2'"),
         ("observation.2.unit", "deg", r"observation\[2\]\.unit: is 'deg'; it must be 'rad'"),

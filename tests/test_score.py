@@ -77,6 +77,17 @@ def test_a_scoring_cell_balances_under_its_troubles():
     assert late["what"] == "40 ms"
 
 
+@pytest.mark.parametrize("test", ["velocity noise", "force noise", "motor response", "delay"])
+def test_runs_at_once_are_runs_one_by_one(test, monkeypatch):
+    comparison = Comparison(controllers=("lqr",), compensators=("none",), seeds=1)
+    trained = {(0, "none"): compensators.StaticGain(4.0).to_dict()}
+    cell = score.Scoring(balancing=comparison.balancings(trained)[0], test=test, masses=comparison.masses(), values=3)
+    monkeypatch.setattr(score, "SECONDS", 2.0)
+    at_once = cell.run()
+    monkeypatch.setattr(score.Scoring, "_batched", False)
+    assert cell.run() == at_once
+
+
 @pytest.mark.parametrize(("response", "applied"), [(0.5, [2.0, 3.0, 3.5]), (1.5, [6.0, 3.0, 4.5])])
 def test_a_motor_lags_or_overshoots(response, applied):
     env = FaultyMotor(gymnasium.make("DIPC-Friction-v0"), response=response)

@@ -1,7 +1,7 @@
 """Gymnasium wrappers for the rig."""
 
 from dipc_gym.wrappers.estimate import EstimateState
-from dipc_gym.wrappers.faulty_motor import FaultyMotor
+from dipc_gym.wrappers.faulty_motor import FaultyMotor, VectorFaultyMotor
 from dipc_gym.wrappers.force_command import ForceCommand
 from dipc_gym.wrappers.record import RecordRun
 from dipc_gym.wrappers.vector import VectorForceCommand, VectorRecordRun
@@ -13,6 +13,7 @@ __all__ = [
     "ForceCommand",
     "RecordRun",
     "VectorEstimateState",
+    "VectorFaultyMotor",
     "VectorForceCommand",
     "VectorRecordRun",
 ]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -62,3 +64,54 @@ class FaultyMotor(
         if self.noise:
             volts += self.noise * self.env.unwrapped.np_random.standard_normal()
         return self.env.step(np.array((volts,)))
+
+
+class VectorFaultyMotor(VectorWrapper[Any, Any, Any, Any, Any]):
+    """`FaultyMotor` for many rigs, each with a motor of its own.
+
+    Args:
+        env: a `DIPCFrictionVectorEnv`; no wrapper that turns the action into something else may stand inside.
+        noise: standard deviation of each motor's noise, (num_envs,) or one for all, V.
+        response: share of a change that arrives, (num_envs,) or one for all.
+
+    Raises:
+        ValueError: a `noise` is negative, a `response` not above 0, or one is not finite.
+
+    Example:
+        >>> import gymnasium, dipc_gym
+        >>> envs = gymnasium.make_vec("DIPC-Friction-v0", num_envs=2, vectorization_mode="vector_entry_point")
+        >>> envs = VectorFaultyMotor(envs, response=np.array([0.5, 1.0]))
+        >>> observations, infos = envs.reset(seed=1)
+        >>> envs.step(np.array([[4.0], [4.0]]))[4]["voltage"].tolist()
+        [2.0, 4.0]
+    """
+
+    def __init__(
+        self, env: VectorEnv[Any, Any, Any], *, noise: Array | float = 0.0, response: Array | float = 1.0
+    ) -> None:
+        super().__init__(env)
+        self.noise, self.response = (np.broadcast_to(x, env.num_envs).astype(float) for x in (noise, response))
+        if not (np.isfinite(self.noise) & (self.noise >= 0)).all():
+            raise ValueError(f"noise is {noise}; it must be finite numbers of volts, 0 or more")
+        if not (np.isfinite(self.response) & (self.response > 0)).all():
+            raise ValueError(f"response is {response}; it must be finite and above 0")
+        self._applied = np.zeros(env.num_envs)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Reset the environments; their motors are without voltage."""
+        found = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        self._applied[self.env.unwrapped.began] = 0.0  # type: ignore[attr-defined]
+        return found
+
+    def step(self, actions: NDArray[Any]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Apply what becomes of the voltages (num_envs, 1), V."""
+        asked = np.asarray(actions, dtype=np.float64)[:, 0]
+        self._applied = self.response * asked + (1 - self.response) * self._applied
+        volts = self._applied.copy()
+        for i in np.flatnonzero(self.noise):
+            volts[i] += self.noise[i] * self.env.unwrapped.np_random[i].standard_normal()  # type: ignore[index]
+        found = self.env.step(volts[:, None])
+        self._applied[self.env.unwrapped.began] = 0.0  # type: ignore[attr-defined]
+        return found

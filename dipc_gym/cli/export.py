@@ -19,12 +19,14 @@ class Export:
     and nothing of the C library beyond the exponential, in float or double. Beside it stands a C file that checks the
     header on known voltages. Or as an ONNX graph with the same inputs and its memory as a vector.
 
-    FILE is a compensator, and the controller the paper's LQR unless --controller says a policy; or FILE is a policy.
+    FILE is a compensator, and the controller the paper's LQR unless --controller says another; or FILE is a policy.
+    The state is estimated by filtered differences, unless --estimator has the file of another estimator.
     Or FILE is the diagnosis.json of `diagnose`, and what is written one law of it: a table, or a C function.
 
     Try:
         dipc-gym export llnf.json --to c --out rig.h
         dipc-gym export llnf.json --to c --out rig.h --controller policy.json --plant rig.json
+        dipc-gym export mine.json --estimator mine_disturbance.json --controller lqr_cart --to c --out rig.h
         dipc-gym export runs/llnf/policy.json --compensator runs/llnf/compensator.json --to onnx --out rig.onnx
         dipc-gym export diagnosis/diagnosis.json --law friction.position@cart --to c --out friction.h
         dipc-gym export diagnosis/diagnosis.json --to csv --out law.csv
@@ -39,9 +41,11 @@ class Export:
     law: str | None = None
     """with a diagnosis that holds several laws: which, as friction.position@cart"""
     controller: str | None = None
-    """with a compensator: lqr, or a policy (.json); without it lqr"""
+    """with a compensator: lqr, lqr_sampled, lqr_cart, lqr_quiet, or a policy (.json); without it lqr"""
     compensator: str | None = None
     """with a policy that commands force: the compensator's file"""
+    estimator: str | None = None
+    """file of an estimator that `train --estimator` wrote; without it, filtered differences"""
     plant: str | None = None
     """JSON file of the plant: encoders, control period, motor, supply"""
     model: str | None = None
@@ -71,6 +75,8 @@ class Export:
             plant,
             controller=self.controller,
             compensator=self.compensator,
+            model=self.model,
+            estimator=self.estimator,
             force_limit=self.force_limit,
         )
         if self.to == "onnx":
@@ -93,6 +99,7 @@ class Export:
         others = {
             "--controller": self.controller,
             "--compensator": self.compensator,
+            "--estimator": self.estimator,
             "--plant": self.plant,
             "--model": self.model,
             "--force-limit": self.force_limit,

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
 from dipc_gym.cli.options import ending, free, pairs
+
+if TYPE_CHECKING:
+    from dipc_gym.runs import Course
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,7 @@ class Render:
     Try:
         dipc-gym render --out rig.gif --compensator llnf
         dipc-gym render --out run.mp4 --recording balance.csv
+        dipc-gym render --out up.gif --controller tvlqr --compensator observed --seconds 5
         dipc-gym render --out run.gif --recording log.csv --map pos_cart=cart --unit pole1=deg
         dipc-gym render
     """
@@ -87,7 +91,7 @@ class Render:
     unit: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """name=unit: unit of a column, such as deg, mm or ms; may be repeated"""
     controller: str = "lqr"
-    """lqr, or a policy: our own (.json), or one of stable-baselines3 (.zip)"""
+    """lqr, or a policy, our own (.json) or of stable-baselines3 (.zip); tvlqr, or a plan (.json), which swings up"""
     compensator: str = "none"
     """a name, trained for this on a simulated run, or a saved compensator (.json)"""
     seconds: float = 10.0
@@ -105,7 +109,7 @@ class Render:
 
     def run(self) -> int:
         """Draw."""
-        from dipc_gym import controllers, runs
+        from dipc_gym import runs
         from dipc_gym.experiments import film
 
         if self.out is not None:
@@ -116,14 +120,7 @@ class Render:
         elif mapping or units:
             raise ValueError("--map and --unit tell what the columns of a --recording are; name one")
         else:
-            course = runs.balance(
-                controllers.balancing(self.controller),
-                runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed),
-                seconds=self.seconds,
-                seed=self.seed,
-                plant=self.plant,
-                model=self.model,
-            )
+            course = self._simulated()
         if course.fell:
             print(f"fell after {course.lasted:.2f} s")
         if self.out is None:
@@ -133,3 +130,30 @@ class Render:
             film.shoot({caption: course}, self.out, model=self.model, seconds=self.seconds, magnify=self.magnify)
             print(f"{self.out}: {min(self.seconds, course.time[-1]):.1f} s")
         return 0
+
+    def _simulated(self) -> Course:
+        from dipc_gym import controllers, runs
+        from dipc_gym.controllers import Tracking
+
+        brain = controllers.load(self.controller)
+        if not isinstance(brain, Tracking):
+            return runs.balance(
+                controllers.balancing(self.controller),
+                runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed),
+                seconds=self.seconds,
+                seed=self.seed,
+                plant=self.plant,
+                model=self.model,
+            )
+        found = runs.identify(self.plant, model=self.model, seed=self.seed)
+        return runs.swing_up(
+            brain,
+            found.fit(self.compensator, seed=self.seed),
+            seconds=self.seconds,
+            seed=self.seed,
+            start=brain.start,
+            goal=brain.goal,
+            plant=self.plant,
+            model=self.model,
+            estimator=found.fit_estimator("rigid_body", seed=self.seed),
+        )

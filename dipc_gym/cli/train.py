@@ -27,13 +27,16 @@ class Train:
         dipc-gym train --out llnf.json
         dipc-gym train --out mine.json --compensator mlp --recording sweep.csv --plant rig.json
         dipc-gym train --out mine.json --recording sweep.csv --model diagnosis/improved.xml
+        dipc-gym train --out mine.json --recording sweep.csv --compensator observed --estimator disturbance
         dipc-gym train --out mine.json --recording log.csv --map pos_cart=cart --map u=motor --unit cart=mm
     """
 
     out: Path
     """file for the compensator"""
     compensator: str = "llnf"
-    """none, feedforward, mlp (needs torch), llnf or ideal"""
+    """llnf, mlp (needs torch), feedforward, lugre, observed or another; an unknown name lists them all"""
+    estimator: str | None = None
+    """fit this one to the same run, such as disturbance or kalman, and save it beside: mine_disturbance.json"""
     recording: str | None = None
     """recording with columns time, motor (V) and cart (m), or as --map and --unit say"""
     map: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -51,12 +54,16 @@ class Train:
 
     def run(self) -> int:
         """Train and save."""
-        from dipc_gym import compensators
+        from dipc_gym import compensators, estimators
         from dipc_gym.runs import identify
 
         free(self.out, self.overwrite)
         ending(self.out, ".json")
         compensators.registry.kind(self.compensator)  # refuse an unknown name before anything is simulated
+        beside = self.out.with_name(f"{self.out.stem}_{self.estimator}.json")
+        if self.estimator is not None:
+            estimators.kind(self.estimator)
+            free(beside, self.overwrite)
         found = identify(
             self.plant,
             model=self.model,
@@ -67,11 +74,15 @@ class Train:
         )
         trained = found.fit(self.compensator, seed=self.seed)
         compensators.save(trained, self.out)
+        if self.estimator is not None:
+            estimators.save(found.fit_estimator(self.estimator, seed=self.seed), beside)
         for note in found.run.notes:
             print(f"note: {note}")
         if self.recording is not None:
             print(found.excitation.report())
         print(f"{self.out}: {self.compensator}, {trained.parameters} numbers")
+        if self.estimator is not None:
+            print(f"{beside}: {self.estimator}")
         if trained.figures is not None:
             fit = trained.figures
             print(f"mean square error: training {fit.train_mse:.4g} V^2, test {fit.test_mse:.4g} V^2")

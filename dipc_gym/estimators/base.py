@@ -32,6 +32,7 @@ PHYSICAL = {
     "cart_step": RANGES["encoders.cart"],
     "pole_step": RANGES["encoders.pole"],
     "velocity_filter": RANGES["encoders.velocity_filter"],
+    "delay": (0.0, 0.1, "s"),
 }
 """Least and largest of what a rig model says of motor and encoders, and its unit, as of a plant."""
 
@@ -53,6 +54,7 @@ class RigModel:
         cart_step: metres per count.
         pole_step: radians per count, of both angle encoders; the second measures from the first pole.
         velocity_filter: time constant of the filtered differences, s.
+        delay: from a command to the motor, s; `kalman`, `disturbance` and `rigid_body` count with it.
 
     Raises:
         ValueError: a number is outside of its range, see `PHYSICAL`, or a matrix has the wrong shape.
@@ -66,6 +68,7 @@ class RigModel:
     cart_step: float
     pole_step: float
     velocity_filter: float
+    delay: float = 0.0
 
     def __post_init__(self) -> None:
         for name, shape in (("A", (6, 6)), ("B", (6,))):
@@ -81,8 +84,8 @@ class RigModel:
             raise ValueError(f"RigModel.A is too fast for a control period of {self.period:g} s; check both")
 
     @classmethod
-    def of(cls, A: Array, B: Array, plant: Plant, newtons_per_volt: float) -> RigModel:
-        """The linear model and the sensors of a plant."""
+    def of(cls, A: Array, B: Array, plant: Plant, newtons_per_volt: float, delay: float = 0.0) -> RigModel:
+        """The linear model and the sensors of a plant, and the delay of its commands."""
         return cls(
             A=tuple(tuple(row) for row in A.tolist()),
             B=tuple(B[:, 0].tolist()),
@@ -92,6 +95,7 @@ class RigModel:
             cart_step=plant.encoders.cart,
             pole_step=plant.encoders.pole,
             velocity_filter=plant.encoders.velocity_filter,
+            delay=delay,
         )
 
     @property

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dipc_gym import kernels
 from dipc_gym.estimators.base import Array, Command, Estimator
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 
 @dataclass(frozen=True)
@@ -30,3 +34,9 @@ class Differences(Estimator):
     def observation(self, state: Array) -> Array:
         """Readings and their filtered differences."""
         return state.copy()
+
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
+        """The same, written into a program that can be exported."""
+        from dipc_gym.export.parts import FilteredDifference
+
+        return FilteredDifference(self.rig.velocity_filter, self.rig.period).express(program, readings, voltage, force)

@@ -50,7 +50,10 @@ class _Reader(untrusted.Reader):
         name = data["kind"]
         if not isinstance(name, str) or name not in names():
             self.fail("kind", f"is {shown(name)}; there are {', '.join(names())}")
-        rig = self.members(data["rig"], [f.name for f in dataclasses.fields(RigModel)], "rig")
+        described = data["rig"]
+        if isinstance(described, dict):  # files may be older than the delay
+            described = {"delay": 0.0, **described}
+        rig = self.members(described, [f.name for f in dataclasses.fields(RigModel)], "rig")
         dry = self.members(data["friction"], [f.name for f in dataclasses.fields(Friction)], "friction")
         rows = [self.row(row, 6, f"rig.A[{i}]") for i, row in enumerate(self.entries(rig["A"], "rig.A", 6))]
         plain = {key: self.number(value, f"rig.{key}") for key, value in rig.items() if key not in "AB"}

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy import linalg
 
 from dipc_gym.controllers import lqr
 from dipc_gym.estimators.base import Array, Command, Estimator, RigModel
+from dipc_gym.estimators.late import Late
 from dipc_gym.plant import Friction
+
+if TYPE_CHECKING:
+    from dipc_gym.export.program import Program, Value
 
 FLOOR = 1e-16
 """Added to the process noise of every state: the Riccati equation wants each to be moved by something."""
@@ -37,28 +41,40 @@ class Kalman(Estimator):
     left: ClassVar[float] = 0.1
     """Share of the dry friction by which the force is uncertain."""
     _next: Array = field(init=False, repr=False, compare=False)
+    _late: Late = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        F, G = lqr.sampled(np.array(self.rig.A), np.array(self.rig.B)[:, None], self.rig.period)
+        A, B = np.array(self.rig.A), np.array(self.rig.B)[:, None]
+        object.__setattr__(self, "_late", Late.of(A, B, period=self.rig.period, delay=self._delay))
+        F, G = lqr.sampled(A, B, self.rig.period)
         moved = self.left * max(self.dry.coulomb, 1e-3) * G
         gain = steady_gain(F, moved @ moved.T, self.rig.reading_covariance)
         object.__setattr__(self, "_next", filter_matrix(F, G, gain))
 
+    @property
+    def _delay(self) -> float:
+        return self.rig.delay
+
     def begin(self, observations: Array) -> Array:
-        """What is observed at first."""
-        return observations.copy()
+        """What is observed at first, and no commands under way."""
+        return np.hstack([observations, np.zeros((len(observations), self._late.columns))])
 
     def advance(self, state: Array, readings: Array, command: Command) -> Array:
         """Predict with the force, correct with the readings."""
-        return apply(self._next, state, self.force(state, command), readings)
+        force, past = self._late.arrived(state[:, 6:], self.force(state, command))
+        return np.hstack([apply(self._next, state[:, :6], force, readings), past])
 
     def force(self, state: Array, command: Command) -> Array:
         """Mean force (n,) on the cart in the period, N."""
         return command.force
 
     def observation(self, state: Array) -> Array:
-        """The filtered state."""
-        return state[:, :6].copy()
+        """The filtered state, when the next command will act."""
+        return self._late.predicted(state, 6)
+
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
+        """The same, written into a program that can be exported."""
+        return self._late.express(program, self._next, readings, force)[1]
 
 
 @dataclass(frozen=True)
@@ -76,8 +92,18 @@ class CompensatedKalman(Kalman):
         if command.friction is None:
             return motor
         before = state[:, 3]
-        after = before + self.rig.period * (state @ np.array(self.rig.A[3]) + self.rig.B[3] * command.force)
+        after = before + self.rig.period * (state[:, :6] @ np.array(self.rig.A[3]) + self.rig.B[3] * command.force)
         return motor - 0.5 * (command.friction(before) + command.friction(after))
+
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
+        """Nothing: what it asks of the compensator, a program does not know.
+
+        Raises:
+            dipc_gym.export.program.NoForm: always.
+        """
+        from dipc_gym.export.program import NoForm
+
+        raise NoForm("it asks the compensator for the friction at two velocities; `kalman` has a form")
 
 
 @dataclass(frozen=True)
@@ -97,40 +123,61 @@ class Disturbance(Estimator):
 
     observes_friction: ClassVar[bool] = True
     _next: Array = field(init=False, repr=False, compare=False)
+    _late: Late = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        A, B = with_friction(self.rig)
+        object.__setattr__(self, "_late", Late.of(A, B, period=self.rig.period, delay=self.rig.delay))
         F, G, noise = disturbed(self)
         object.__setattr__(self, "_next", filter_matrix(F, G, steady_gain(F, noise, self.rig.reading_covariance)))
 
     def begin(self, observations: Array) -> Array:
-        """What is observed at first, and no friction."""
-        return np.hstack([observations, np.zeros((len(observations), 1))])
+        """What is observed at first, no friction, and no commands under way."""
+        return np.hstack([observations, np.zeros((len(observations), 1 + self._late.columns))])
 
     def advance(self, state: Array, readings: Array, command: Command) -> Array:
         """Predict with the motor's force, correct with the readings."""
-        return apply(self._next, state, self.rig.newtons_per_volt * command.voltage, readings)
+        force, past = self._late.arrived(state[:, 7:], self.rig.newtons_per_volt * command.voltage)
+        return np.hstack([apply(self._next, state[:, :7], force, readings), past])
 
     def observation(self, state: Array) -> Array:
-        """The filtered state."""
-        return state[:, :6].copy()
+        """The filtered state, when the next command will act."""
+        return self._late.predicted(state, 7)[:, :6].copy()
 
     def friction(self, state: Array) -> Array:
         """The seventh state, within what the motor can exert."""
         return np.clip(state[:, 6], -self.rig.largest_force, self.rig.largest_force)
 
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
+        """The same with friction, written into a program that can be exported."""
+        motor, most = voltage * self.rig.newtons_per_volt, self.rig.largest_force
+        state, ahead = self._late.express(program, self._next, readings, motor)
+        return program.join(ahead.part(0, 6), state.part(6).clip(-most, most))
+
 
 def disturbed(estimator: Estimator) -> tuple[Array, Array, Array]:
     """The sampled model whose seventh state, friction, is a random walk: F (7, 7), G (7, 1), process noise (7, 7)."""
-    rig = estimator.rig
-    A, B, noise = np.zeros((7, 7)), np.zeros((7, 1)), np.zeros((7, 7))
-    A[:6, :6], A[:6, 6], B[:6, 0] = np.array(rig.A), -np.array(rig.B), np.array(rig.B)
+    rig, noise = estimator.rig, np.zeros((7, 7))
     noise[6, 6] = wander(estimator.dry, rig) ** 2
-    return *lqr.sampled(A, B, rig.period), noise
+    return *lqr.sampled(*with_friction(rig), rig.period), noise
+
+
+def with_friction(rig: RigModel) -> tuple[Array, Array]:
+    """A (7, 7) and B (7, 1) of the linear model with friction, a force that stays, as its seventh state."""
+    A, B = np.zeros((7, 7)), np.zeros((7, 1))
+    A[:6, :6], A[:6, 6], B[:6, 0] = np.array(rig.A), -np.array(rig.B), np.array(rig.B)
+    return A, B
 
 
 def wander(dry: Friction, rig: RigModel) -> float:
-    """Step of a random walk that reverses Coulomb friction `pace` times a second, N per period."""
-    return 2 * max(dry.coulomb, 1e-3) * float(np.sqrt(rig.pace * rig.period))
+    """Step of a random walk that reverses Coulomb friction `pace` times a second, N per period.
+
+    Friction that turns with the cart and is fed forward late drives the cart meanwhile, so the filter may follow it the
+    less fast the later commands act. A filter that tells a force from positions follows it the faster as the cube root
+    of the walk's step, so the step goes down with the cube of the time until a command has acted.
+    """
+    prompt = rig.period / (rig.period + rig.delay)
+    return 2 * max(dry.coulomb, 1e-3) * float(np.sqrt(rig.pace * rig.period)) * prompt**3
 
 
 def steady_gain(F: Array, noise: Array, R: Array) -> Array:

@@ -7,12 +7,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from dipc_gym.estimators.base import Array, Command, Estimator
-from dipc_gym.estimators.kalman import FLOOR, wander
+from dipc_gym.estimators.base import LARGEST, Array, Command, Estimator
+from dipc_gym.estimators.kalman import FLOOR, wander, with_friction
+from dipc_gym.estimators.late import Late
 from dipc_gym.motion import Motion
 
 SIZE = 7
 """Six states of the rig, and friction."""
+PAST = SIZE + SIZE * SIZE
+"""Where past commands begin, after state and covariance."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,11 @@ class RigidBody(Estimator):
     observes_friction: ClassVar[bool] = True
     everywhere: ClassVar[bool] = True
     motion: Motion = field(init=False, repr=False, compare=False)
+    _late: Late = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        A, B = with_friction(self.rig)
+        object.__setattr__(self, "_late", Late.of(A, B, period=self.rig.period, delay=self.rig.delay))
         object.__setattr__(self, "motion", Motion.of(np.array(self.rig.A), np.array(self.rig.B)))
 
     def begin(self, observations: Array) -> Array:
@@ -43,12 +49,16 @@ class RigidBody(Estimator):
         P[:3, :3] = self.rig.reading_covariance
         P[3:6, 3:6] = P[:3, :3] / self.rig.period**2
         P[6, 6] = self.dry.static**2
-        return np.hstack([observations, np.zeros((len(observations), 1)), np.tile(P.ravel(), (len(observations), 1))])
+        n = len(observations)
+        return np.hstack(
+            [observations, np.zeros((n, 1)), np.tile(P.ravel(), (n, 1)), np.zeros((n, self._late.columns))]
+        )
 
     def advance(self, state: Array, readings: Array, command: Command) -> Array:
         """Predict with the motor's force, correct with the readings."""
-        x, P = state[:, :SIZE], state[:, SIZE:].reshape(-1, SIZE, SIZE)
-        T, total = self.rig.period, self.rig.newtons_per_volt * command.voltage - x[:, 6]
+        x, P = state[:, :SIZE], state[:, SIZE:PAST].reshape(-1, SIZE, SIZE)
+        motor, past = self._late.arrived(state[:, PAST:], self.rig.newtons_per_volt * command.voltage)
+        T, total = self.rig.period, motor - x[:, 6]
         half = self.motion.after(x[:, :6], total, 0.5 * T)
         A, B = self.motion.linear(half, total)
         F = np.zeros_like(P)
@@ -62,15 +72,21 @@ class RigidBody(Estimator):
         P = F @ P @ F.transpose(0, 2, 1) + FLOOR * np.eye(SIZE)
         P[:, 6, 6] += wander(self.dry, self.rig) ** 2
         S = P[:, :3, :3] + self.rig.reading_covariance
+        lost = ~(np.abs(S) < LARGEST).all(axis=(1, 2))  # a row that is as unsure begins anew, as `update` sees to
+        S[lost], x[lost] = np.eye(3), np.nan
         gain = P[:, :, :3] @ np.linalg.inv(S)
         x = x + (gain @ (readings - x[:, :3])[:, :, None])[:, :, 0]
         P = P - gain @ P[:, :3, :]
         P = 0.5 * (P + P.transpose(0, 2, 1))
-        return np.hstack([x, P.reshape(len(x), -1)])
+        return np.hstack([x, P.reshape(len(x), -1), past])
 
     def observation(self, state: Array) -> Array:
-        """The filtered state."""
-        return state[:, :6].copy()
+        """The filtered state, when the next command will act."""
+        x, past, late = state[:, :6].copy(), state[:, PAST:], self._late
+        for column in range(late.columns - 1, -1, -1):
+            length = self.rig.period * (late.share if column == late.whole else 1.0)
+            x = self.motion.after(x, past[:, column] - state[:, 6], length)
+        return x
 
     def friction(self, state: Array) -> Array:
         """The seventh state, within what the motor can exert."""

@@ -6,16 +6,18 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 import dipc_gym
-from dipc_gym import compensators, controllers
+from dipc_gym import compensators, controllers, estimators
 from dipc_gym.compensators import Compensator, StaticGain
 from dipc_gym.controllers import Controller
+from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.export import c, onnx
-from dipc_gym.export.parts import READINGS, FilteredDifference, Loop
+from dipc_gym.export.parts import READINGS, Estimator, FilteredDifference, Loop
 from dipc_gym.export.program import Program
 from dipc_gym.files import write_whole
 from dipc_gym.plant import Plant
@@ -41,11 +43,13 @@ class Bundle:
         loop: what is exported.
         plant: rig that it is made for.
         about: what it consists of, in lines.
+        model: MJCF file of the rig; None is the package's.
     """
 
     loop: Loop
     plant: Plant
     about: tuple[str, ...]
+    model: str | None = None
 
 
 def bundle(
@@ -54,6 +58,8 @@ def bundle(
     *,
     controller: str | None = None,
     compensator: str | None = None,
+    model: str | None = None,
+    estimator: str | None = None,
     force_limit: float | None = None,
 ) -> Bundle:
     """The loop around a saved compensator or policy.
@@ -61,8 +67,10 @@ def bundle(
     Args:
         file: of a compensator, or of a policy (`.json`).
         plant: encoders, control period, motor and supply.
-        controller: with a compensator: `lqr`, which is the default, or the file of a policy.
+        controller: with a compensator: `lqr`, which is the default, a design by name, or the file of a policy.
         compensator: with a policy that commands force: the file of the compensator that it was trained with.
+        model: MJCF file of the rig; None is the package's.
+        estimator: the file of an estimator; by default it is filtered differences, as the environment has them.
         force_limit: largest force either way, N; by default what the blocked motor exerts at full supply.
 
     Raises:
@@ -92,10 +100,14 @@ def bundle(
     if not 0 < force_limit < np.inf:
         raise ValueError(f"--force-limit {force_limit:g}: give a positive number of newtons")
     filtered = FilteredDifference(plant.encoders.velocity_filter, plant.control_period)
+    seeing: Estimator = filtered
+    sight = f"differences of the readings through a low-pass of {1000 * filtered.time_constant:g} ms"
+    if estimator is not None:
+        seeing, sight = _seeing(estimator, plant)
     about = (
         f"Call it every {1000 * plant.control_period:g} ms.",
         "",
-        f"Estimator: differences of the readings through a low-pass of {1000 * filtered.time_constant:g} ms.",
+        f"Estimator: {sight}.",
         f"Controller: {_brain(brain)}.",
         f"Compensator: {part.name}{f' of {source}' if source else ''}{_trained(part)}.",
         f"Limits: {force_limit:g} N, {plant.supply:g} V.",
@@ -105,7 +117,7 @@ def bundle(
         "",
         f"Written by dipc-gym {dipc_gym.__version__}.",
     )
-    return Bundle(Loop(filtered, brain, part, force_limit, plant.supply), plant, about)
+    return Bundle(Loop(seeing, brain, part, force_limit, plant.supply), plant, about, model)
 
 
 def write_c(found: Bundle, path: Path) -> tuple[Program, Path]:
@@ -123,7 +135,7 @@ def write_c(found: Bundle, path: Path) -> tuple[Program, Path]:
                      "the motor voltage, V.")  # fmt: skip
     beside = checker(path)
     text = c.header(program, words)
-    rows = vectors(program, found.plant)
+    rows = vectors(program, found.plant, found.model)
     test = c.check(program, words, header_name=path.name, file_name=beside.name, vectors=rows, tolerance=TOLERANCE)
     write_whole(path, text.encode())
     write_whole(beside, test.encode())
@@ -164,25 +176,43 @@ def checker(path: Path) -> Path:
     return path.with_name(f"{path.stem}_test.c")
 
 
-def vectors(program: Program, plant: Plant) -> Array:
-    """Readings as on a rig that sways, some of them broken, and the voltages that belong to them.
+def vectors(program: Program, plant: Plant, model: str | None = None) -> Array:
+    """Readings of a rig under the program's voltages, some of them broken, and those voltages.
+
+    The loop is closed: to a filter that knows the rig, readings that its voltages did not cause are a huge disturbance,
+    and nearly all that one would see are the limits.
 
     Returns:
         (periods, 5): 1 to reset first, three readings, the voltage.
     """
-    time = plant.control_period * np.arange(PERIODS)
-    counts = np.array([plant.encoders.cart, plant.encoders.pole, plant.encoders.pole])
-    sway = np.stack([size * np.sin(2 * np.pi * f * time) for size, f in ((0.04, 0.7), (0.012, 1.1), (0.006, 1.9))], 1)
-    readings = np.round(sway / counts) * counts
-    readings[PERIODS // 4, 0], readings[PERIODS // 3, 1], readings[PERIODS // 2 + 3, 2] = 1e30, -1e30, 2e3
-    resets = np.zeros(PERIODS)
-    resets[[0, PERIODS // 2]] = 1.0
-    memory, volts = program.memory(), np.zeros(PERIODS)
-    for k, row in enumerate(readings):
-        memory = program.memory() if resets[k] else memory
-        outputs, memory = program.run({name: row[i : i + 1] for i, name in enumerate(READINGS)}, memory)
-        volts[k] = outputs["voltage"][0, 0]
-    return np.column_stack([resets, readings, volts])
+    env = DoublePendulumEnv(plant=plant, model=model)
+    broken = {PERIODS // 4: (1, 1e30), PERIODS // 3: (2, -1e30), PERIODS // 2 + 3: (3, 2e3)}
+    table, ended = np.zeros((PERIODS, 5)), True
+    for k, row in enumerate(table):
+        if ended:
+            env.reset(seed=k)
+        if ended or k == PERIODS // 2:
+            row[0], memory = 1.0, program.memory()
+        row[1:4] = env.encoders
+        if k in broken:
+            place, value = broken[k]
+            row[place] = value
+        outputs, memory = program.run({name: row[i + 1 : i + 2] for i, name in enumerate(READINGS)}, memory)
+        row[4] = outputs["voltage"][0, 0]
+        ended = env.step(row[4:])[2]
+    env.close()
+    return table
+
+
+def _seeing(file: str, plant: Plant) -> tuple[Estimator, str]:
+    """An estimator from its file, for a loop of this period, and what it is called."""
+    estimator = estimators.load(file)
+    if not np.isclose(estimator.rig.period, plant.control_period, rtol=1e-9, atol=0.0):
+        raise ValueError(
+            f"{file}: the estimator is for a control period of {1000 * estimator.rig.period:g} ms, and the plant's is "
+            f"{1000 * plant.control_period:g} ms; fit it again with --plant"
+        )
+    return cast(Estimator, estimator), f"{estimator.name} of {file}"  # `Loop` refuses those that have no form
 
 
 def _behind(policy: Policy, compensator: str | None) -> tuple[Compensator, str]:

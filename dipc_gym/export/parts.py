@@ -20,18 +20,27 @@ LARGEST_READING = 1e3
 LARGEST_NUMBER = 1e36
 """In the memory and of a voltage before it is limited; beyond it, single precision is at its end."""
 READINGS = ("cart", "pole1", "pole2")
+STATE = 6
+"""Entries of an observation."""
 
 
 class Estimator(Protocol):
     """What the export asks of an estimator.
 
     Controllers have `express(program, observation)`, which returns the force in N for an observation (6,);
-    compensators have `express(program, force, velocity)`, which returns the voltage. What a part remembers, it keeps in
-    states of the program.
+    compensators have `express(program, force, velocity)`, which returns the voltage, and `friction` besides where they
+    feed forward what an estimator observes. What a part remembers, it keeps in states of the program.
     """
 
-    def express(self, program: Program, readings: Value, voltage: Value) -> Value:
-        """The observation (6,), from readings (3,) with absolute angles and the voltage of the last period."""
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
+        """What is seen now: the observation (6,), and friction in N as a seventh entry where it is observed.
+
+        Args:
+            program: what is written.
+            readings: (3,) of cart and absolute angles.
+            voltage: of the last period, V; 0 in the first.
+            force: that was wanted then, N.
+        """
 
 
 @dataclass(frozen=True)
@@ -45,7 +54,8 @@ class FilteredDifference:
     Example:
         >>> program = Program()
         >>> readings = program.join(*(program.input(name) for name in READINGS))
-        >>> program.output("seen", FilteredDifference(0.0, 0.01).express(program, readings, program.constant(0.0)))
+        >>> none = program.constant(0.0)
+        >>> program.output("seen", FilteredDifference(0.0, 0.01).express(program, readings, none, none))
         >>> memory = program.memory()
         >>> for x in (0.0, 0.02):
         ...     seen, memory = program.run({"cart": [x], "pole1": [0.0], "pole2": [0.0]}, memory)
@@ -56,7 +66,7 @@ class FilteredDifference:
     time_constant: float
     period: float
 
-    def express(self, program: Program, readings: Value, voltage: Value) -> Value:
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
         """Readings and their filtered rates; zero in the first period."""
         keep, gain = kernels.velocity_gains(self.time_constant, self.period)
         last, rates = program.previous("last_readings", readings), program.state("rates", np.zeros(3))
@@ -99,22 +109,30 @@ class Loop:
         program = Program()
         cart, pole1, pole2 = (program.input(name) for name in READINGS)
         usable = cart.within(LARGEST_READING) * pole1.within(LARGEST_READING) * pole2.within(LARGEST_READING)
-        voltage = program.state("voltage", 0.0)
+        voltage, wanted = program.state("voltage", 0.0), program.state("force", 0.0)
 
         program.comment("estimator")
         readings = program.join(cart, pole1, pole1 + pole2)
-        observation = _expressed("estimator", self.estimator, program, readings, voltage)
+        seen = _expressed("estimator", self.estimator, program, readings, voltage, wanted)
+        observation = seen.part(0, STATE)
         program.comment("controller")
         force = _expressed("controller", self.controller, program, observation)
         sound = usable * force.within(LARGEST_NUMBER)
         force = force.clip(-self.force_limit, self.force_limit)
         program.comment("compensator")
-        volts = _expressed("compensator", self.compensator, program, force, observation.part(3))
+        known = {}
+        if self.compensator.observed_friction:
+            if seen.size == STATE:
+                raise NoForm(f"the compensator {self.compensator.name!r} feeds forward the friction that an estimator "
+                             "observes, and this one observes none: export it with --estimator")  # fmt: skip
+            known["friction"] = seen.part(STATE)
+        volts = _expressed("compensator", self.compensator, program, force, observation.part(3), **known)
 
         program.comment("supply, and readings that cannot be")
         sound = sound * volts.within(LARGEST_NUMBER)
         limited = sound.choose(volts.clip(-self.supply, self.supply), 0.0)
         program.update(voltage, limited)
+        program.update(wanted, sound.choose(force, 0.0))
         self._guard(program, usable)
         program.output("voltage", limited)
         return program
@@ -130,7 +148,7 @@ class Loop:
             program.update(state, usable.choose(finite.choose(value, reset), state))
 
 
-def _expressed(role: str, part: Any, program: Program, *arguments: Value) -> Value:
+def _expressed(role: str, part: Any, program: Program, *arguments: Value, **known: Value) -> Value:
     """What a part writes into the program.
 
     Raises:
@@ -141,7 +159,7 @@ def _expressed(role: str, part: Any, program: Program, *arguments: Value) -> Val
     if express is None:
         raise NoForm(f"the {role} {name!r} ({type(part).__name__}) has no form that can be exported")
     try:
-        value = express(program, *arguments)
+        value = express(program, *arguments, **known)
     except (NoForm, TypeError, AttributeError) as problem:  # the latter where NumPy finds no such function
         raise NoForm(f"the {role} {name!r} has no form that can be exported: {problem}") from None
     if not isinstance(value, Value):
