@@ -61,7 +61,7 @@ def other_parameters(search: Search, fitted: Fit, fewest: Fit) -> list[Fit]:
     Args:
         search: that has run.
         fitted: with all model parameters free.
-        fewest: what `fewest_numbers` made of it; nothing is asked of one that leaves more than noise.
+        fewest: what `fewest_parameters` made of it; nothing is asked of one that leaves more than noise.
     """
     keys = [parameter.key for parameter in fitted.structure.model_parameters]
     chosen = {parameter.key for parameter in fewest.structure.model_parameters}
