@@ -100,13 +100,13 @@ COMMANDS = {
         _compared,
     ),
     "train-policy": Command(
-        ("train-policy", "--compensator", "none", "--steps", "16000", "--rigs", "1"),
+        ("train-policy", "--compensator", "none", "--steps", "16000", "--num-envs", "1"),
         "training.json",
         _policy,
         "training.json",
     ),
     "train-policy --seeds": Command(
-        ("train-policy", "--compensator", "none", "--steps", "4000", "--rigs", "1", "--seeds", "3", "--jobs", "2"),
+        ("train-policy", "--compensator", "none", "--steps", "4000", "--num-envs", "1", "--seeds", "3", "--jobs", "2"),
         "trainings/*.json",
         _policies,
     ),

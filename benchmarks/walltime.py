@@ -1,6 +1,6 @@
 """Wall time until PPO reaches a return: our batch of environments against stable-baselines3's `make_vec_env`.
 
-    python -m benchmarks.walltime [--rigs 32] [--goal 1000] [--seed 0]
+    python -m benchmarks.walltime [--num-envs 32] [--goal 1000] [--seed 0]
 
 Both learn with the settings of `dipc-gym train-policy`, from the same seed, on episodes of 10 s in which the policy
 commands the voltage, until the mean return of the last 100 episodes reaches the goal (of at most 2,000). The batch
@@ -67,17 +67,17 @@ class UntilGoal(BaseCallback):
 
 
 def seconds_to_goal(make, options):
-    envs = make(options.rigs)
+    envs = make(options.num_envs)
     model = PPO(
         "MlpPolicy",
         envs,
         n_steps=RECIPE.rollout,
-        batch_size=RECIPE.batch,
+        batch_size=RECIPE.batch_size,
         n_epochs=RECIPE.epochs,
-        gae_lambda=RECIPE.trace,
+        gae_lambda=RECIPE.gae_lambda,
         gamma=RECIPE.gamma,
-        learning_rate=RECIPE.rate,
-        policy_kwargs={"net_arch": [RECIPE.width] * 2, "log_std_init": RECIPE.first_spread},
+        learning_rate=RECIPE.learning_rate,
+        policy_kwargs={"net_arch": [RECIPE.width] * 2, "log_std_init": RECIPE.log_std_init},
         seed=options.seed,
         device="cpu",
     )
@@ -91,13 +91,13 @@ def seconds_to_goal(make, options):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rigs", type=int, default=RECIPE.rigs)
+    parser.add_argument("--num-envs", type=int, default=RECIPE.num_envs)
     parser.add_argument("--goal", type=float, default=1_000.0, help="mean return of the last 100 episodes")
     parser.add_argument("--most", type=int, default=2_000_000, help="control periods to give up after")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    if min(options.rigs, options.most) < 1:
-        parser.error("--rigs and --most must be above zero")
+    if min(options.num_envs, options.most) < 1:
+        parser.error("--num-envs and --most must be above zero")
     torch.set_num_threads(1)
     print(f"{'':32s}{'wall time / s':>15s}{'processor / s':>15s}{'control periods':>17s}{'return':>8s}")
     found = {}

@@ -28,7 +28,7 @@ class Arguments:
     """of weights, exploration and starting states"""
     steps: int = 768_000
     """control periods to learn from"""
-    rigs: int = 32
+    num_envs: int = 32
     """simulated side by side"""
     rollout: int = 250
     """control periods of each rig between two updates"""
@@ -36,11 +36,11 @@ class Arguments:
     """passes over a rollout"""
     batches: int = 8
     """minibatches a pass"""
-    rate: float = 5e-4
-    """learning rate at the start; it falls linearly"""
+    learning_rate: float = 5e-4
+    """at the start; it falls linearly"""
     gamma: float = 0.995
     """discount of a control period"""
-    trace: float = 0.98
+    gae_lambda: float = 0.98
     """lambda of the advantage estimate"""
     clip: float = 0.2
     """how far the probability of a command may change in an update"""
@@ -86,19 +86,21 @@ if __name__ == "__main__":
         )
         return VectorForceCommand(envs, compensator, force_limit=arguments.limit)
 
-    envs = make(arguments.rigs, 12_000)  # 60 s: in shorter episodes it never sees the cart drift to the end of its rail
+    envs = make(
+        arguments.num_envs, 12_000
+    )  # 60 s: in shorter episodes it never sees the cart drift to the end of its rail
     actor, critic = network(1, 0.01), network(1, 1.0)
     spread = torch.nn.Parameter(torch.full((1,), -1.0))  # logarithm of the standard deviation of commands
     weights = [*actor.parameters(), *critic.parameters(), spread]
-    optimiser = torch.optim.Adam(weights, lr=arguments.rate, eps=1e-5)
+    optimiser = torch.optim.Adam(weights, lr=arguments.learning_rate, eps=1e-5)
     average = torch.optim.swa_utils.AveragedModel(actor, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.95))
 
-    n, m = arguments.rollout, arguments.rigs
+    n, m = arguments.rollout, arguments.num_envs
     updates, began = max(arguments.steps // (n * m), 1), time.perf_counter()
     observations, _ = envs.reset(seed=arguments.seed)
     lengths, running = [], np.zeros(m)
     for update in range(updates):
-        optimiser.param_groups[0]["lr"] = arguments.rate * (1 - update / updates)
+        optimiser.param_groups[0]["lr"] = arguments.learning_rate * (1 - update / updates)
         seen, done = torch.zeros(n, m, 6), torch.zeros(n, m)
         actions, chances, rewards = torch.zeros(n, m, 1), torch.zeros(n, m), torch.zeros(n, m)
         for k in range(n):
@@ -125,7 +127,7 @@ if __name__ == "__main__":
         for k in reversed(range(n)):
             going = 1 - done[k]
             surprise = rewards[k] + arguments.gamma * going * values[k + 1] - values[k]
-            trace = surprise + arguments.gamma * arguments.trace * going * trace
+            trace = surprise + arguments.gamma * arguments.gae_lambda * going * trace
             advantages[k] = trace
         batch = [x.flatten(0, 1) for x in (seen, actions, chances, advantages, advantages + values[:-1])]
 

@@ -22,7 +22,7 @@ from dipc_gym.sim2real.estimation.segments import prepare
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
-from dipc_gym.sim2real.result import Diagnosis, Errors, Located
+from dipc_gym.sim2real.result import Diagnosis, Errors, Located, SensorFit
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict import judge, sentences
@@ -486,6 +486,14 @@ def test_a_sentence_on_numbers_says_whether_others_would_do(others: bool, said: 
     assert said in sentences.in_one_sentence("recalibrated", [], changed, errors, others=others)
     assert ("weigh or measure" in sentences.next_experiment("recalibrated", [], others=others)) == others
     assert ("Nothing is open" in sentences.next_experiment("recalibrated", [], others=others)) != others
+
+
+def test_a_sentence_says_that_a_model_diverges() -> None:
+    wild = SensorFit("arm", "rad", 1e-3, 0.5, Errors(math.nan, math.inf, 0.001))
+    tame = SensorFit("cart", "m", 1e-5, 0.5, Errors(0.02, 0.01, 0.001))
+    said = sentences.in_one_sentence("explained", [], [], Errors(9e5, 9e5, 1.0), sensors=[wild, tame])
+    assert "the model's predictions diverge at arm. On held-out data the error falls from 20 to 1 mm at cart" in said
+    assert not re.search(r"\b(nan|inf)\b", said)
 
 
 def test_a_number_further_off_than_plausible_is_told_and_can_be_allowed() -> None:

@@ -15,7 +15,7 @@ from dipc_gym.wrappers import VectorForceCommand
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 QUICKLY = {"balance.py": ["--seconds", "1"], "worn_rig.py": ["--seconds", "1"]}
-QUICKLY["train_policy.py"] = ["--steps", "2000", "--rollout", "125", "--rigs", "8", "--seconds", "1"]
+QUICKLY["train_policy.py"] = ["--steps", "2000", "--rollout", "125", "--num-envs", "8", "--seconds", "1"]
 
 
 def test_what_falls_as_time_ends_is_worth_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -30,7 +30,7 @@ def test_what_falls_as_time_ends_is_worth_nothing_more(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(VectorForceCommand, "step", both)
     monkeypatch.setattr(
-        sys, "argv", ["train_policy.py", "--rigs", "8", "--rollout", "4", "--steps", "32", "--seconds", "0.01"]
+        sys, "argv", ["train_policy.py", "--num-envs", "8", "--rollout", "4", "--steps", "32", "--seconds", "0.01"]
     )
     runpy.run_path(str(EXAMPLES / "train_policy.py"), run_name="__main__")
 

@@ -20,6 +20,8 @@ from hypothesis import strategies as st
 from dipc_gym import cli, physics
 from dipc_gym.export import law as laws
 from dipc_gym.export.law import Input, Law, LawError
+from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
@@ -44,11 +46,25 @@ def surface() -> UnknownForce:
 
 FOUND = {
     "friction.position@cart": FrictionOfPosition([-0.2, -0.05, 0.0, 0.3], [2.0, 1.5, 6.0, 2.5]),
+    "friction.hysteresis@cart": Hysteresis([0.001, 0.004], [2.0, 1.0]),
     "friction.speed@cart": FrictionOfSpeed([0.0, 0.02, 0.4], [3.0, 2.0, 2.6]),
     "load.position@cart": ForceOfPosition([-0.2, 0.2], [1.0, -1.0]),
     "motor.map@motor": CommandMap([-10.0, 0.0, 10.0], [-7.0, 0.5, 9.0]),
     "unknown@cart": surface(),
 }
+
+
+def test_every_law_of_free_shape_is_tried() -> None:
+    assert {type(effect) for effect in FOUND.values()} == {type(one) for one in catalogue().values() if one.free}
+
+
+def test_friction_with_memory_builds_up_as_its_elements_slip() -> None:
+    """Two springs, of 2 N that slips at 1 mm and 1 N that slips at 4 mm."""
+    found = FOUND["friction.hysteresis@cart"]
+    law = found.law_of(found.guess, {p.name: "N" for p in found.parameters})
+    (along,) = law["table"]["inputs"]
+    assert along["knots"] == [0.0, 0.001, 0.004]
+    assert law["table"]["levels"] == pytest.approx([0.0, 2.25, 3.0])
 
 
 def diagnosis(folder: Path, *keys: str) -> Path:

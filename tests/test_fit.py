@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import replace
 
 import mujoco
@@ -10,13 +11,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
 from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.estimation.fit import Fit, _stepped, correct_initial, evaluate, fit, weights
+from dipc_gym.sim2real.estimation.fit import Fit, _stepped, correct_initial, evaluate, fit, holding, weights
 from dipc_gym.sim2real.estimation.problem import normalised_residual, predict
 from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.estimation.shooting import Shooting, typical
@@ -163,6 +165,26 @@ def test_a_prior_holds_what_the_data_does_not_say() -> None:
     constant, resistance = values["motor.motorconst"], values["motor.resistance"]
     assert constant / resistance == pytest.approx(1.1 * 0.06 / 1.2, rel=2e-2)
     assert fitted.error == pytest.approx(1.0, abs=0.05)
+
+
+def test_what_is_held_moves_the_others_as_their_priors_have_it() -> None:
+    """Four parameters, of which the recording tells two ratios, to first order: a mass that is held leaves one open."""
+    P, mass = ready(run()), math.log(1.1)
+    parameters = {n.key: n for n in model_parameters(P.structure.document, P.structure.model)}
+    wanted = [parameters[key] for key in ("cart.mass", "cart.damping", "motor.resistance", "motor.motorconst")]
+    structure = replace(P.structure, model_parameters=tuple(wanted))
+    drag, back_emf = 21.4, (78.7 * 0.06) ** 2 / 1.2
+
+    def others(resistance: float) -> np.ndarray:
+        """Logarithms that leave constant / resistance / mass as it is, and (drag + constant^2 / resistance) / mass."""
+        constant = resistance + mass
+        damping = mass + back_emf / drag * (mass - 2 * constant + resistance)
+        return np.array([damping, resistance, constant])
+
+    spread = np.array([parameter.sigma for parameter in wanted[1:]])
+    likeliest = minimize_scalar(lambda resistance: np.sum((others(resistance) / spread) ** 2)).x
+    found = holding(fit(P.problem, structure), P.problem, {0: mass})
+    assert found == pytest.approx([mass, *others(likeliest)], abs=3e-3)
 
 
 # Noise stays noise

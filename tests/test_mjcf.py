@@ -451,3 +451,11 @@ def test_a_name_that_a_terminal_would_take_orders_from_is_refused(name: str) -> 
     with pytest.raises(mjcf.MjcfError, match="invalid keyword") as refused:
         mjcf.compile(text.replace("name=", "type="))
     assert str(refused.value).isprintable()
+
+
+def test_custom_text_without_a_name_is_left_out() -> None:
+    named = '<custom><text name="note" data="a"/><text name="" data="b"/></custom>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco>{named}<worldbody/></mujoco>")
+    assert model.ntext == 2
+    assert mjcf.texts(model) == {"note": "a"}
+    assert mjcf.controls(model) == []

@@ -5,8 +5,11 @@ from __future__ import annotations
 import ast
 import doctest
 import importlib
+import os
 import pkgutil
 import re
+import subprocess
+import sys
 import tomllib
 from importlib import metadata, resources
 from pathlib import Path
@@ -93,3 +96,35 @@ def test_imports_are_absolute(top: str) -> None:
             if isinstance(node, ast.ImportFrom):
                 assert node.level == 0, path
                 assert (node.module or "").split(".")[0] not in ("wrappers", "compensators"), path
+
+
+def test_every_extra_for_users_is_in_the_documentation() -> None:
+    page = (ROOT / "docs" / "start.md").read_text()
+    named = set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE))
+    assert named == set(PROJECT["project"]["optional-dependencies"]) - {"test", "dev"}
+
+
+@pytest.mark.parametrize(
+    ("missing", "extra", "arguments"),
+    [
+        ("numba", "trial", ["trial", "--count", "1"]),
+        ("stable_baselines3", "rl", ["train-policy", "--compensator", "none"]),
+        ("ray", "ray", ["compare", "--compensator", "none", "--backend", "ray"]),
+        ("casadi", "plan", ["plan"]),
+    ],
+)
+def test_a_package_that_is_not_installed_is_named_with_its_extra(
+    missing: str, extra: str, arguments: list[str], tmp_path: Path
+) -> None:
+    gone, work = tmp_path / "gone", tmp_path / "work"
+    gone.mkdir()
+    work.mkdir()
+    error = f"raise ModuleNotFoundError({f'No module named {missing!r}'!r}, name={missing!r})"
+    (gone / f"{missing}.py").write_text(error)
+    command = [sys.executable, "-P", "-m", "dipc_gym", *arguments, "--out", str(work / "out.json")]
+    environment = os.environ | {"PYTHONPATH": f"{gone}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    done = subprocess.run(command, cwd=work, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2, done.stderr
+    assert missing in done.stderr
+    assert f"'.[{extra}]'" in done.stderr
+    assert not list(work.iterdir())

@@ -77,7 +77,9 @@ def test_a_planted_link_does_not_lead_a_whole_file_elsewhere(tmp_path: Path, mon
     assert (tmp_path / "f" / "note").read_text() == "theirs"
 
 
-TINY = Training(compensator="none", seed=5, recipe=Recipe(steps=1_000, rigs=4, stage=250, rollout=125, batch=250))
+TINY = Training(
+    compensator="none", seed=5, recipe=Recipe(steps=1_000, num_envs=4, stage=250, rollout=125, batch_size=250)
+)
 
 
 @pytest.mark.parametrize("name", ["../../elsewhere", "ABSOLUTE", "notes.txt"])

@@ -573,7 +573,8 @@ def test_nothing_half_written_and_no_unknown_words(tmp_path: Path) -> None:
         Trace("x", "m", "a.csv", np.zeros(4), np.zeros(4), np.zeros(3))
 
 
-def test_sparse_and_broken_numbers_still_make_a_page(browser: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("nominal", [None, 1.0])
+def test_sparse_and_broken_numbers_still_make_a_page(browser: Any, tmp_path: Path, nominal: float | None) -> None:
     gone = np.full(50, np.nan)
     huge = np.linspace(-1e300, 1e300, 50)
     time = np.arange(50.0)
@@ -582,7 +583,19 @@ def test_sparse_and_broken_numbers_still_make_a_page(browser: Any, tmp_path: Pat
         {
             "verdict": "cannot tell",
             "sentence": "Nothing moved.",
-            "fit": {"held_out": {"nominal": None, "recalibrated": float("inf")}, "noise_floor": None},
+            "fit": {
+                "held_out": {"nominal": nominal, "recalibrated": float("inf")},
+                "noise_floor": None,
+                "held_out_by_sensor": {  # of a model whose predictions diverge, and a sensor that never changes
+                    "x": {
+                        "unit": "rad",
+                        "noise": None,
+                        "motion": 0.0,
+                        "error": {"nominal": None, "recalibrated": float("inf"), "improved": 0.01},
+                        "share_of_motion": {"nominal": None, "recalibrated": None, "improved": None},
+                    }
+                },
+            },
         },
         Details(
             traces=(Trace("x", "m", "a.csv", time, gone, gone), Trace("x", "m", "a.csv", time, time, huge, gone, huge)),
@@ -594,5 +607,6 @@ def test_sparse_and_broken_numbers_still_make_a_page(browser: Any, tmp_path: Pat
     visit = Visit(browser, data, tmp_path)
     visit.looks()
     assert "nan" not in visit.page.locator("main").inner_text().lower()
+    assert ("0.573 degrees" in visit.page.locator("main").inner_text()) == (nominal is not None)
     assert not re.search(r"\b(nan|inf)\b", "".join(re.findall(r'(?: d|style)="([^"]*)"', visit.file.read_text())))
     visit.page.close()

@@ -251,7 +251,7 @@ def test_a_comparison_on_ray_is_the_one_made_here(cluster: Any, tmp_path: Path) 
 @pytest.mark.filterwarnings("default")
 def test_a_training_on_ray_is_the_one_made_here(cluster: Any, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    recipe = Recipe(steps=1_000, rigs=4, stage=250, rollout=125, batch=250, width=4)
+    recipe = Recipe(steps=1_000, num_envs=4, stage=250, rollout=125, batch_size=250, width=4)
     training = Training(compensator="feedforward", seed=5, recipe=recipe)
     train.run(training, tmp_path / "here", quiet=True)
     (outcome,) = seeds.run([training], tmp_path / "there", backend="ray")

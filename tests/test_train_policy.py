@@ -27,8 +27,17 @@ from dipc_gym.training.learner import SCALES, Learner, ScaledRigs
 
 # Two stages each; SAC learns from step 200 on.
 SHORT = {
-    "ppo": Recipe(steps=4_000, rigs=8, stage=250, rollout=125, batch=250, width=8),
-    "sac": Recipe(steps=4_000, rigs=4, stage=500, hold=4, warm_up=200, batch=32, width=8, buffer=1_000),
+    "ppo": Recipe(steps=4_000, num_envs=8, stage=250, rollout=125, batch_size=250, width=8),
+    "sac": Recipe(
+        steps=4_000,
+        num_envs=4,
+        stage=500,
+        action_repeat=4,
+        learning_starts=200,
+        batch_size=32,
+        width=8,
+        buffer_size=1_000,
+    ),
 }
 
 
@@ -79,7 +88,7 @@ def test_a_killed_training_goes_on_to_the_same_policy(
 
 
 def test_learning_makes_it_stand_longer() -> None:
-    recipe = dataclasses.replace(RECIPES["ppo"], steps=64_000, rigs=16, stage=4_000, rate=1e-3)
+    recipe = dataclasses.replace(RECIPES["ppo"], steps=64_000, num_envs=16, stage=4_000, learning_rate=1e-3)
     training = short(recipe=recipe, seed=101)
     rig = Rig.of(training)
     learner = Learner(training, rig)
@@ -238,7 +247,7 @@ def test_nothing_in_a_checkpoint_is_executed(tmp_path: Path, monkeypatch: pytest
     ("options", "says"),
     [
         (["--steps", "0"], "steps is 0"),
-        (["--rigs", "-4"], "rigs is -4"),
+        (["--num-envs", "-4"], "num_envs is -4"),
         (["--seed", "-1"], "the seed is -1"),
         (["--limit", "0"], "the limit is 0"),
         (["--limit", "nan"], "the limit is nan"),
@@ -258,7 +267,7 @@ def test_bad_options_are_refused_before_anything_is_written(
 
 def test_command_line_trains_and_says_how_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "run"
-    command = ["train-policy", "--out", str(out), "--compensator", "ideal", "--steps", "8000", "--rigs", "8"]
+    command = ["train-policy", "--out", str(out), "--compensator", "ideal", "--steps", "8000", "--num-envs", "8"]
     assert cli.main(command) == 0
     said = capsys.readouterr().out
     assert "policy.json: ppo, force through ideal" in said

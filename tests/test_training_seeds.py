@@ -20,7 +20,7 @@ from dipc_gym.training.train import Recipe, Training
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
-TINY = Recipe(steps=1_000, rigs=4, stage=250, rollout=125, batch=250, width=4)
+TINY = Recipe(steps=1_000, num_envs=4, stage=250, rollout=125, batch_size=250, width=4)
 
 
 def tiny(**changes: Any) -> Training:
@@ -69,7 +69,7 @@ def test_a_sweep_trains_the_policies_of_single_trainings_and_goes_on(alone: dict
 
 def test_a_training_that_fails_leaves_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # A rollout of one period in one rig has no spread to normalise by, which PPO refuses.
-    broken = tiny(seed=7, recipe=dataclasses.replace(TINY, rigs=1, rollout=1))
+    broken = tiny(seed=7, recipe=dataclasses.replace(TINY, num_envs=1, rollout=1))
     outcomes = seeds.run([broken, tiny()], tmp_path / "sweep", jobs=1)
     assert "AssertionError" in str(outcomes[0].failure)
     assert outcomes[1].failure is None

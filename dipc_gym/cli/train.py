@@ -125,7 +125,7 @@ class TrainPolicy:
     """train a sweep of so many seeds; without it, one policy"""
     steps: int | None = None
     """control periods to train for; without it the algorithm's own number"""
-    rigs: int | None = None
+    num_envs: int | None = None
     """rigs that are simulated side by side; without it the algorithm's own number"""
     engine: Literal["mujoco", "compiled"] | None = None
     """what simulates them, mujoco or, by default for swing-up, compiled, machine code; it is tried on MuJoCo anyway"""
@@ -148,7 +148,7 @@ class TrainPolicy:
         """Train, try, and say how it did."""
         from dipc_gym.training import train
 
-        given = {"steps": self.steps, "rigs": self.rigs, "engine": self.engine}
+        given = {"steps": self.steps, "num_envs": self.num_envs, "engine": self.engine}
         changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         training = train.Training(
             algorithm=self.algo,

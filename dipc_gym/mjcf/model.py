@@ -112,10 +112,12 @@ def _ties(model: mujoco.MjModel) -> tuple[list[str], dict[str, str]]:
 
 
 def texts(model: mujoco.MjModel) -> dict[str, str]:
-    """The `<text>` entries of `<custom>`, by name."""
+    """The `<text>` entries of `<custom>`, by name; those without one are left out."""
     found = {}
     for i in range(model.ntext):
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, i)
+        if not name:
+            continue
         start, size = int(model.text_adr[i]), int(model.text_size[i])
         found[name] = bytes(model.text_data[start : start + size]).rstrip(b"\0").decode(errors="replace")
     return found

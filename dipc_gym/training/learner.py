@@ -41,18 +41,20 @@ class ScaledRigs(VecEnvWrapper):
         scales: (k,) what observations are divided by.
         limit: command that 1 stands for, N or V.
         reward: factor on the reward.
-        hold: control periods that a command lasts. The step's reward is their mean. A rig whose episode ends
+        action_repeat: control periods that a command lasts. The step's reward is their mean. A rig whose episode ends
             meanwhile begins the next, without a command until the step is over.
     """
 
-    def __init__(self, envs: DIPCFrictionVecEnv, scales: Array, limit: float, reward: float, hold: int = 1) -> None:
+    def __init__(
+        self, envs: DIPCFrictionVecEnv, scales: Array, limit: float, reward: float, action_repeat: int = 1
+    ) -> None:
         super().__init__(
             envs,
             observation_space=spaces.Box(-np.inf, np.inf, scales.shape, np.float32),
             action_space=spaces.Box(-1.0, 1.0, (1,), np.float32),
         )
         self._scales = scales
-        self._limit, self._reward, self._hold = limit, reward / hold, hold
+        self._limit, self._reward, self._repeat = limit, reward / action_repeat, action_repeat
         self._commands = np.zeros((envs.num_envs, 1))
 
     def reset(self) -> NDArray[np.float32]:
@@ -67,7 +69,7 @@ class ScaledRigs(VecEnvWrapper):
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Take the step."""
         observations, rewards, ended, infos = self.venv.step_wait()
-        for _ in range(self._hold - 1):
+        for _ in range(self._repeat - 1):
             self._commands = np.where(ended[:, None], 0.0, self._commands)
             observations, later, over, final = self.venv.step(self._commands)
             rewards = rewards + np.where(ended, 0.0, later).astype(np.float32)
@@ -99,12 +101,12 @@ class Learner:
         self.training, self.rig, recipe = training, rig, training.recipe
         self._scales = SCALES[training.task]
         rigs = DIPCFrictionVecEnv(rig.learning(recipe))
-        envs = VecMonitor(ScaledRigs(rigs, self._scales, rig.limit, recipe.reward, recipe.hold))
+        envs = VecMonitor(ScaledRigs(rigs, self._scales, rig.limit, recipe.reward, recipe.action_repeat))
         shape: dict[str, Any] = {"net_arch": [recipe.width] * 2, "activation_fn": torch.nn.Tanh}
         common: dict[str, Any] = {
-            "gamma": recipe.gamma**recipe.hold,
+            "gamma": recipe.gamma**recipe.action_repeat,
             "learning_rate": self._rate,
-            "batch_size": recipe.batch,
+            "batch_size": recipe.batch_size,
             "device": "cpu",
         }
         common |= {"seed": training.seed}
@@ -115,20 +117,20 @@ class Learner:
                 envs,
                 n_steps=recipe.rollout,
                 n_epochs=recipe.epochs,
-                gae_lambda=recipe.trace,
-                policy_kwargs=shape | {"log_std_init": recipe.first_spread},
+                gae_lambda=recipe.gae_lambda,
+                policy_kwargs=shape | {"log_std_init": recipe.log_std_init},
                 **common,
             )
         else:
             self.model = SAC(
                 "MlpPolicy",
                 envs,
-                buffer_size=recipe.buffer,
-                learning_starts=recipe.warm_up,
+                buffer_size=recipe.buffer_size,
+                learning_starts=recipe.learning_starts,
                 train_freq=1,
-                gradient_steps=recipe.updates,
-                tau=recipe.follow,
-                ent_coef=f"auto_{recipe.first_entropy}",
+                gradient_steps=recipe.gradient_steps,
+                tau=recipe.tau,
+                ent_coef=f"auto_{recipe.ent_coef_init}",
                 policy_kwargs=shape | {"optimizer_kwargs": {"fused": True}},  # a tenth faster
                 **common,
             )
@@ -141,7 +143,7 @@ class Learner:
     @property
     def steps(self) -> int:
         """Control periods so far."""
-        return 0 if self.model is None else int(self.model.num_timesteps) * self.training.recipe.hold
+        return 0 if self.model is None else int(self.model.num_timesteps) * self.training.recipe.action_repeat
 
     def learn(self, stage: int, each_step: Callable[[], None]) -> None:
         """Learn for one stage.
@@ -156,7 +158,7 @@ class Learner:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OutOfRangeWarning)  # exploring leaves the identified range on purpose
             self.model.learn(
-                math.ceil(min(recipe.stage * recipe.rigs, recipe.steps - self.steps) / recipe.hold),
+                math.ceil(min(recipe.stage * recipe.num_envs, recipe.steps - self.steps) / recipe.action_repeat),
                 callback=_Watch(self.keep_average, each_step),
                 reset_num_timesteps=False,
                 log_interval=None if self.training.algorithm == "sac" else 1,
@@ -215,7 +217,7 @@ class Learner:
         """
         fit(state, {"steps": int, "updates": int})
         self.model.set_parameters(state["model"])
-        self.model.num_timesteps = state["steps"] // self.training.recipe.hold
+        self.model.num_timesteps = state["steps"] // self.training.recipe.action_repeat
         self.model._n_updates = state["updates"]
         for key, value in self.average.items():
             value[:] = state["average"][key].reshape(value.shape)
@@ -239,7 +241,7 @@ class Learner:
     def _rate(self, _: float) -> float:
         """The learning rate now; stable-baselines3's own progress would start again with every stage."""
         recipe = self.training.recipe
-        return recipe.rate * max(1.0 - self.steps / recipe.steps, 0.05)
+        return recipe.learning_rate * max(1.0 - self.steps / recipe.steps, 0.05)
 
 
 class _Watch(BaseCallback):

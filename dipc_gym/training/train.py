@@ -61,66 +61,66 @@ class Recipe:
 
     Attributes:
         steps: control periods of the whole training.
-        rigs: environments side by side.
+        num_envs: environments side by side.
         stage: control periods of one rig between two checkpoints; 12,000 are 60 s.
         episode: control periods after which an episode is cut off.
-        hold: control periods that a command lasts while it learns; the policy then commands anew in each. SAC learns
-            from what a single command does to the value; in 5 ms that probably drowns in the error of the value.
+        action_repeat: control periods that a command lasts while it learns; the policy then commands anew in each. SAC
+            learns from what a single command does to the value; in 5 ms that probably drowns in the error of the value.
         engine: what simulates the rigs that it learns on, `"mujoco"` or `"compiled"`; trials are always MuJoCo's.
         exact_state: learn from the simulation's state instead of encoder readings, on which the policy then acts. A
             command that lasts has nothing to average the steps of an encoder, and the rates worked out from these are
             mostly steps.
-        rate: learning rate at the start; it falls linearly to a twentieth.
+        learning_rate: at the start; it falls linearly to a twentieth.
         gamma: discount of a control period.
         reward: factor on the environment's reward, which keeps the value near 1.
-        batch: size of a minibatch.
+        batch_size: size of a minibatch.
         width: of the two hidden layers.
         rollout: PPO: periods of each rig before an update.
         epochs: PPO: passes over a rollout.
-        trace: PPO: lambda of the advantage estimate.
-        first_spread: PPO: logarithm of the first standard deviation of the commands, in shares of the limit.
-        buffer: SAC: commands that are remembered, with what came of them.
-        warm_up: SAC: random commands at the start.
-        updates: SAC: gradient steps for one command to each rig.
-        follow: SAC: share by which the target networks approach the critics at every gradient step.
-        first_entropy: SAC: first weight of entropy beside the scaled reward.
+        gae_lambda: PPO: lambda of the advantage estimate.
+        log_std_init: PPO: logarithm of the first standard deviation of the commands, in shares of the limit.
+        buffer_size: SAC: commands that are remembered, with what came of them.
+        learning_starts: SAC: random commands at the start.
+        gradient_steps: SAC: gradient steps for one command to each rig.
+        tau: SAC: share by which the target networks approach the critics at every gradient step.
+        ent_coef_init: SAC: first weight of entropy beside the scaled reward.
     """
 
     steps: int = 768_000
-    rigs: int = 32
+    num_envs: int = 32
     stage: int = 12_000
     episode: int = 12_000
-    hold: int = 1
+    action_repeat: int = 1
     engine: str = "mujoco"
     exact_state: bool = False
-    rate: float = 5e-4
+    learning_rate: float = 5e-4
     gamma: float = 0.995
     reward: float = 0.02
-    batch: int = 1_000
+    batch_size: int = 1_000
     width: int = 64
     rollout: int = 250
     epochs: int = 10
-    trace: float = 0.98
-    first_spread: float = -1.0
-    buffer: int = 300_000
-    warm_up: int = 5_000
-    updates: int = 1
-    follow: float = 0.01
-    first_entropy: float = 0.01
+    gae_lambda: float = 0.98
+    log_std_init: float = -1.0
+    buffer_size: int = 300_000
+    learning_starts: int = 5_000
+    gradient_steps: int = 1
+    tau: float = 0.01
+    ent_coef_init: float = 0.01
 
     def __post_init__(self) -> None:
         for name in (
             "steps",
-            "rigs",
+            "num_envs",
             "stage",
             "episode",
-            "hold",
-            "batch",
+            "action_repeat",
+            "batch_size",
             "width",
             "rollout",
             "epochs",
-            "buffer",
-            "updates",
+            "buffer_size",
+            "gradient_steps",
         ):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
@@ -133,33 +133,33 @@ RECIPES: dict[str, Recipe] = {
     "ppo": Recipe(),
     "ppo swing-up": Recipe(
         steps=36_000_000,
-        rigs=64,
+        num_envs=64,
         stage=40_000,
         episode=1_600,
-        hold=4,
+        action_repeat=4,
         engine="compiled",
         exact_state=True,
         gamma=0.998,
         reward=0.1,
-        batch=2_048,
+        batch_size=2_048,
         rollout=128,
         epochs=8,
-        trace=0.95,
-        first_spread=-1.0,
+        gae_lambda=0.95,
+        log_std_init=-1.0,
     ),
     "sac": Recipe(
         steps=192_000,
-        rigs=16,
+        num_envs=16,
         stage=8_000,
         episode=8_000,
-        hold=8,
+        action_repeat=8,
         exact_state=True,
-        rate=1e-3,
+        learning_rate=1e-3,
         gamma=0.9975,
         reward=0.05,
-        batch=256,
-        warm_up=2_000,
-        updates=16,
+        batch_size=256,
+        learning_starts=2_000,
+        gradient_steps=16,
     ),
 }
 
@@ -274,7 +274,7 @@ class Rig:
     def learning(self, recipe: Recipe) -> Any:
         """Those to learn on."""
         start = {"start": Tracking.shipped().states} if self.task == "swing-up" else {}
-        return self.many(recipe.rigs, recipe.episode, exact_state=recipe.exact_state, engine=recipe.engine, **start)
+        return self.many(recipe.num_envs, recipe.episode, exact_state=recipe.exact_state, engine=recipe.engine, **start)
 
     def many(
         self,
@@ -472,7 +472,7 @@ def _run(training: Training, rig: Rig, out: Path, resume: bool, overwrite: bool,
 
     try:
         while learner.steps < recipe.steps:
-            learner.learn(learner.steps // (recipe.stage * recipe.rigs), watch)
+            learner.learn(learner.steps // (recipe.stage * recipe.num_envs), watch)
             if learner.steps >= recipe.steps:
                 look()
             _checkpoint(learner, looks, out)

@@ -15,6 +15,9 @@ if _SETTINGS.exists():
         "trial from another folder, or remove it"
     )
 
-import numba  # noqa: E402
+try:
+    import numba
+except ImportError as missing:
+    raise ImportError("the blind trial needs numba: pip install -e '.[trial]' in the checkout") from missing
 
 __all__ = ["numba"]

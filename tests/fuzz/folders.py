@@ -111,7 +111,7 @@ def _comparison(folder: Path) -> None:
 # --- trainings --------------------------------------------------------------------------------------------------------
 
 TINY = Training(
-    compensator="none", seed=5, recipe=Recipe(steps=1_000, rigs=4, stage=250, rollout=125, batch=250, width=4)
+    compensator="none", seed=5, recipe=Recipe(steps=1_000, num_envs=4, stage=250, rollout=125, batch_size=250, width=4)
 )
 
 

@@ -10,11 +10,17 @@ import importlib
 import inspect
 import pkgutil
 
+from dipc_gym.naming import suggestion
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values
 
 __all__ = ["Effect", "Evidence", "Parameter", "Values", "catalogue", "register"]
 
 _effects: dict[str, Effect] = {}
+
+
+class _ById(dict[str, Effect]):
+    def __missing__(self, unknown: str) -> Effect:
+        raise KeyError(f"the catalogue has no effect {unknown!r}{suggestion(unknown, self)}")
 
 
 def register(effect: Effect) -> None:
@@ -29,7 +35,13 @@ def register(effect: Effect) -> None:
 
 
 def catalogue() -> dict[str, Effect]:
-    """Every effect by id, in alphabetical order."""
+    """Every effect by id, in alphabetical order.
+
+    Example:
+        >>> catalogue()["friction.coulom"]
+        Traceback (most recent call last):
+        KeyError: "the catalogue has no effect 'friction.coulom'; did you mean 'friction.coulomb'?"
+    """
     if not _effects:
         for info in pkgutil.iter_modules(__path__):
             module = importlib.import_module(f"{__name__}.{info.name}")
@@ -38,4 +50,4 @@ def catalogue() -> dict[str, Effect]:
                     continue
                 if found.__module__ == module.__name__:
                     _effects[found.id] = found()
-    return dict(sorted(_effects.items()))
+    return _ById(sorted(_effects.items()))

@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.operators import play
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Values
-from dipc_gym.sim2real.effects.law import Array, Law
+from dipc_gym.sim2real.effects.law import Array, Law, described
 from dipc_gym.sim2real.effects.tables import BLOCK, spared
 
 WIDTHS = np.geomspace(2e-3, 1.0, 28)  # over which an element is bent, in ranges of the joint's motion
@@ -30,9 +30,10 @@ class Hysteresis(Law):
     id = "friction.hysteresis"
     place = "joint"
     law = "hysteresis"
-    of, slide = "distance since the last reversal", "m"
+    of, slide = "distance from rest", "m"
     unit = "N"
     lowest = 0.0
+    kind = "friction with memory"
     rivals = ("friction.stribeck", "friction.coulomb", "load.position:law", "load.swinging")
 
     def table(self, evidence: Evidence) -> tuple[Array, Array] | None:
@@ -93,11 +94,11 @@ class Hysteresis(Law):
         along = np.append(0.0, knots)
         return along, np.minimum(along[:, None] / knots, 1.0) @ forces
 
-    def table_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """The curve along which the force builds up from rest."""
         along, force = self.curve(values)
         inputs = [{"name": self.of, "unit": self.per(unit), "knots": along.tolist()}]
-        return {"inputs": inputs, "levels": force.tolist(), "unit": unit[self.parameters[0].name]}
+        return described(self.kind, inputs, force.tolist(), unit[self.parameters[0].name], passive=self.passive)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -6,6 +6,7 @@ intervals work on these quadratics without simulating again.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -127,6 +128,31 @@ def prior_curvature(structure: Structure, problem: Problem, weight: Array) -> Ar
     return np.asarray(np.diag(structure.precision) / problem.counts.mean() * weight.sum())
 
 
+def holding(fitted: Fit, problem: Problem, held: Mapping[int, float]) -> Array:
+    """Mapped parameters (p,) where some are held and the others are where the quadratics and their priors have them.
+
+    Along a null space the priors alone say where that is, as they do in `fit`.
+
+    Args:
+        fitted: to these windows.
+        problem: the windows.
+        held: values by the number of the mapped parameter.
+    """
+    structure, z, q = fitted.structure, fitted.z, fitted.quadratics
+    w = weights(fitted.mse) / problem.counts
+    prior = len(w) * structure.precision / problem.counts.mean()
+    A = np.einsum("n,nij->ij", w, q.A) + np.diag(prior)
+    b = w @ q.b - prior * (z - structure.centre)
+    gone, open_ = list(held), [i for i in range(len(z)) if i not in held]
+    step = np.zeros(len(z))
+    step[gone] = list(held.values()) - z[gone]
+    if open_:
+        rhs = b[open_] - A[np.ix_(open_, gone)] @ step[gone]
+        step[open_] = np.linalg.lstsq(A[np.ix_(open_, open_)], rhs, rcond=1e-10)[0]
+        step[open_] = (structure.clip(z + step) - z)[open_]
+    return np.asarray(z + step)
+
+
 def fit(
     problem: Problem,
     structure: Structure,
@@ -149,7 +175,7 @@ def fit(
     shooting = Shooting(problem, structure)
     z = structure.clip(structure.first if z is None else z)
     prior = structure.precision / problem.counts.mean()
-    centre = np.array([slot.centre for slot in structure.slots])
+    centre = structure.centre
     logs = np.array([slot.log for slot in structure.slots], dtype=bool)
     damping, steps, converged, exact = 1e-3, 0, False, True
 

@@ -136,6 +136,11 @@ class Structure:
         """Of the prior of each mapped parameter, one over its variance, (p,)."""
         return np.array([1 / slot.sigma**2 for slot in self.slots])
 
+    @functools.cached_property
+    def centre(self) -> Array:
+        """Mean of the prior of each mapped parameter, (p,)."""
+        return np.array([slot.centre for slot in self.slots])
+
     def clip(self, z: Array) -> Array:
         """The nearest mapped parameters within bounds."""
         out = z.copy()

@@ -158,7 +158,7 @@ def _fit(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
                 "name": name,
                 "unit": scaled(0.0, one["unit"])[1],
                 "rows": _sensor(one),
-                "noise": scaled(one["noise"], one["unit"])[0],
+                "noise": _as_measured(one["noise"], one["unit"]),
             }
             for name, one in (fit.get("held_out_by_sensor") or {}).items()
         ],
@@ -169,9 +169,14 @@ def _sensor(one: Mapping[str, Any]) -> list[tuple[str, float | None, float | Non
     """Column, error in the unit people measure by, and its share of the motion, of each model."""
     columns = (("As given", "nominal"), ("Refitted", "recalibrated"), ("Improved", "improved"))
     return [
-        (column, scaled(one["error"].get(key), one["unit"])[0], one["share_of_motion"].get(key))
+        (column, _as_measured(one["error"].get(key), one["unit"]), one["share_of_motion"].get(key))
         for column, key in columns
     ]
+
+
+def _as_measured(value: float | None, unit: str) -> float | None:
+    """In the unit that people measure by; None of a prediction that diverged, or of a sensor that never changes."""
+    return None if value is None else scaled(value, unit)[0]
 
 
 def _candidates(rows: Sequence[Candidate]) -> tuple[list[tuple[Candidate, dict[str, float]]], int, list[Candidate]]:

@@ -43,7 +43,9 @@ def in_one_sentence(
     goes = "falls" if errors.improved < errors.nominal else "goes"
     times = f"from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
     told = in_units(sensors)
-    fall = f"On held-out data the error {goes} {f'{told}: ' if told else ''}{times}"
+    diverging = " and ".join(one.name for one in sensors if not math.isfinite(one.errors.nominal))
+    fall = f"As given, the model's predictions diverge at {diverging}. " if diverging else ""
+    fall += f"On held-out data the error {goes} {f'{told}: ' if told else ''}{times}"
     if written is not None:
         at = f"improved.xml at its own step of {1e3 * written.timestep:g} ms"
         fall += f" ({at}: {written.held_out.improved:.3g})"
@@ -88,8 +90,10 @@ def in_units(sensors: Sequence[SensorFit]) -> str:
 
 
 def _telling(sensors: Sequence[SensorFit]) -> list[SensorFit]:
-    """The two sensors whose errors are largest beside their noise."""
-    known = [one for one in sensors if math.isfinite(one.noise) and one.noise > 0]
+    """The two sensors whose errors are largest beside their noise, of those whose predictions stay finite."""
+    known = [
+        one for one in sensors if 0 < one.noise < math.inf and math.isfinite(one.errors.nominal + one.errors.improved)
+    ]
     return sorted(known, key=lambda one: -one.errors.nominal / one.noise)[:2]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
+from dipc_gym.sim2real.estimation.fit import Fit, fit, holding
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
@@ -27,9 +27,13 @@ Array = NDArray[np.float64]
 
 
 def fewest_parameters(search: Search, fitted: Fit) -> Fit:
-    """Put back to nominal every model parameter whose change was not needed, and refit the rest."""
+    """Put back to nominal every model parameter whose change was not needed, and refit the rest.
+
+    Parameters of which the owner knows that they are not nominal stay free.
+    """
     reduced, k = _Reduced(search, fitted), len(fitted.structure.model_parameters)
-    order: list[int] = []
+    order = _not_nominal(fitted)
+    known = len(order)
     while len(order) < k:
         order.append(min((i for i in range(k) if i not in order), key=lambda i: reduced.foretold([*order, i])[0]))
 
@@ -43,7 +47,7 @@ def fewest_parameters(search: Search, fitted: Fit) -> Fit:
         return reduced.suffices(with_first(count))
 
     # Mostly none had to change, or few.
-    low, high = 0, 0
+    low = high = known
     while high < k and not suffices(high):
         low, high = high + 1, max(2 * high, 1)
     fewest = bisect.bisect_left(range(k), True, lo=low, hi=min(high, k), key=suffices)
@@ -57,7 +61,7 @@ def other_parameters(search: Search, fitted: Fit, fewest: Fit) -> list[Fit]:
     Args:
         search: that has run.
         fitted: with all model parameters free.
-        fewest: what `fewest_numbers` made of it; nothing is asked of one that leaves more than noise.
+        fewest: what `fewest_parameters` made of it; nothing is asked of one that leaves more than noise.
     """
     keys = [parameter.key for parameter in fitted.structure.model_parameters]
     chosen = {parameter.key for parameter in fewest.structure.model_parameters}
@@ -65,12 +69,25 @@ def other_parameters(search: Search, fitted: Fit, fewest: Fit) -> list[Fit]:
         return []
     # They are told and counted, not written to the model: a third of the windows says that as well.
     reduced = _Reduced(search, fitted, search.partition.subset)
+    known = set(_not_nominal(fitted))
     choices = (
-        free for free in itertools.combinations(range(len(keys)), len(chosen)) if {keys[i] for i in free} != chosen
+        free
+        for free in itertools.combinations(range(len(keys)), len(chosen))
+        if {keys[i] for i in free} != chosen and known <= set(free)
     )
     likely = heapq.nsmallest(VERDICT.others, choices, key=lambda free: reduced.foretold(free)[0])
     others = [reduced.refitted(free) for free in likely]
     return [other for other in others if other is not None and reduced.suffices(other)]
+
+
+def _not_nominal(fitted: Fit) -> list[int]:
+    """Numbers of the model parameters whose nominal value is out of reach of what the owner knows of them."""
+    parameters = fitted.structure.model_parameters
+    return [
+        i
+        for i, (parameter, slot) in enumerate(zip(parameters, fitted.structure.slots, strict=False))
+        if not slot.low <= parameter.value <= slot.high
+    ]
 
 
 class _Reduced:
@@ -84,24 +101,15 @@ class _Reduced:
 
     def __init__(self, search: Search, fitted: Fit, which: NDArray[np.intp] | None = None) -> None:
         self.search, self.fitted, self.count = search, fitted, len(fitted.structure.model_parameters)
-        self.windows = search.partition.problem.counts
         self.some = np.arange(len(fitted.mse)) if which is None else which
         self.problem = search.partition.problem.pick(self.some)
-        w = weights(fitted.mse) / self.windows
-        self.A, self.b = np.einsum("n,nij->ij", w, fitted.quadratics.A), w @ fitted.quadratics.b
 
     def foretold(self, free: Sequence[int]) -> tuple[float, Array]:
         """Mean loss with these parameters free, and all mapped parameters then, (p,)."""
-        z, p = self.fitted.z, len(self.fitted.z)
-        held = [i for i in range(self.count) if i not in free]
-        open_ = [i for i in range(p) if i not in held]
-        step = np.zeros(p)
-        step[held] = -z[held]
-        if open_:
-            rhs = self.b[open_] - self.A[np.ix_(open_, held)] @ step[held]
-            step[open_] = np.linalg.lstsq(self.A[np.ix_(open_, open_)], rhs, rcond=1e-10)[0]
-        after = np.maximum(self.fitted.quadratics.after(step), 0)
-        return float(np.mean(np.log1p(after / self.windows))), z + step
+        whole = self.search.partition.problem
+        z = holding(self.fitted, whole, dict.fromkeys((i for i in range(self.count) if i not in free), 0.0))
+        after = np.maximum(self.fitted.quadratics.after(z - self.fitted.z), 0)
+        return float(np.mean(np.log1p(after / whole.counts))), z
 
     def refitted(self, free: Sequence[int]) -> Fit | None:
         """A fit with these parameters free; None where it cannot be simulated."""
