@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
 from dipc_gym.sim2real.model.structure import Term, carry
 from dipc_gym.sim2real.selection import ranking
@@ -68,19 +69,28 @@ def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
 
 
 def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
-    """Which of a law's youngest parameters data moved from where they began, by twice their standard error, (p,); None
-    where all are as old.
+    """Which knots of a law data moved off the line between their neighbours, by twice the standard error of that, (p,).
+
+    Only those can be that were put there last; None where none was, and of a law of two inputs. All values of a law
+    together are known worse, for masses and gears scale with them.
     """
     own = [i for i, slot in enumerate(fitted.structure.slots) if slot.key.startswith(f"{key}.")]
     sigma = np.array([fitted.structure.slots[i].sigma for i in own])
-    if sigma.min() == sigma.max():
+    new = np.flatnonzero(sigma < sigma.max())
+    effect = next(term.effect for term in fitted.structure.terms if term.key == key)
+    if not isinstance(effect, Law) or not len(new):
         return None
+    off = np.zeros((len(new), len(fitted.z)))
+    for row, k in enumerate(new):
+        off[row, [own[k - 1], own[k], own[k + 1]]] = -0.5, 1.0, -0.5
     weight = weights(fitted.mse)
     curvature = np.einsum("n,nij->ij", weight, fitted.quadratics.A) + weight.mean() * np.diag(
         fitted.structure.precision
     )
-    error = np.sqrt(np.diag(np.linalg.pinv(curvature, hermitian=True))[own])
-    return np.asarray((sigma < sigma.max()) & (np.abs(fitted.z[own]) > 2 * error))
+    error = np.sqrt(np.einsum("ki,ij,kj->k", off, np.linalg.pinv(curvature, hermitian=True), off))
+    told = np.zeros(len(own), dtype=bool)
+    told[new] = np.abs(off @ fitted.z) > 2 * error
+    return told
 
 
 def _better(fitter: Fitter, finer: Fit, current: Fit) -> bool:

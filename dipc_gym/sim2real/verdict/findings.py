@@ -12,14 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.estimation.fit import Fit, fit, prior_curvature
+from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
+from dipc_gym.sim2real.effects.law import Law
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit, prior_curvature, weights
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
 from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import Errors, Missing
+from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import improve, judge, sentences
+from dipc_gym.sim2real.verdict.closed_form import Formula, closed_form
 from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -130,6 +134,11 @@ def missing_effects(
             continue
         units = improve.place_units(final.structure, term)
         sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
+        law = _law(final, term, units, wide)
+        if law is not None and (formula := _formula(search, final, term)) is not None:
+            unit, per = law["table"]["unit"], law["table"]["inputs"][0]["unit"]
+            law["formula"] = formula.to_dict(unit, per)
+            sentence += f" Its shape is that of a formula: {formula.text(unit, per)}."
         # With structure left, an interval would tell how sure a wrong model is of its parameter; what happened once
         # leaves no blocks to resample.
         known = wide if verdict == "explained" and not term.effect.once else np.full(len(final.z), np.inf)
@@ -145,7 +154,7 @@ def missing_effects(
                 tuple(_each_once([_name(rival.term) for rival in rivals if rival.same])),
                 tuple(_each_once(tried)),
                 term.effect.needs_loader,
-                _law(final, term, units, wide),
+                law,
             )
         )
     return sorted(missing, key=lambda one: -one.share)
@@ -197,6 +206,27 @@ def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[
         for name, end in zip(("low", "high"), np.sort(ends, axis=0), strict=True):
             law["table"][name] = np.reshape(end, shape).tolist()
     return law
+
+
+def _formula(search: Search, final: Fit, term: Term) -> Formula | None:
+    """The formula that a law of one input may be said by: one that predicts all windows as well as its table does."""
+    effect = term.effect
+    if not isinstance(effect, Law) or isinstance(effect, Hysteresis):
+        return None
+    slots, problem = final.structure.slots, search.partition.problem
+    own = [i for i, slot in enumerate(slots) if slot.key.startswith(f"{term.key}.")]
+    curvature = np.einsum("n,nij->ij", weights(final.mse), final.quadratics.A) + np.diag(final.structure.precision)
+    scale = np.array([slots[i].scale for i in own])
+    covariance = np.linalg.pinv(curvature, hermitian=True)[np.ix_(own, own)] * np.outer(scale, scale)
+    knots, values = np.array(effect.knots), np.array([slots[i].value(final.z[i]) for i in own])
+    found = closed_form(knots, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows))
+    if found is None:
+        return None
+    z = final.z.copy()
+    z[own] = [slots[i].mapped(value) for i, value in zip(own, found(knots), strict=True)]
+    z = final.structure.clip(z)
+    with_formula, _ = evaluate(problem, final.structure, z, final.initial)
+    return found if compare(final.mse, with_formula, problem.blocks).alike else None
 
 
 def _rival(rival: judge.Rival, test: Problem, errors: Errors) -> dict[str, Any]:

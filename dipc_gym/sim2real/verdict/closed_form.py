@@ -1,0 +1,204 @@
+"""The simplest formula that says what a table says, from a small grammar; none where the data ask for more.
+
+A table is known as well as the fit's quadratics tell: what its values may be off, each and together, costs in
+likelihood what it costs in predictions. A formula is a constant and one or two terms; it has to pay for its parameters
+as the table for its values (Schwarz 1978), so the formula that is kept predicts as well to within that.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+Array = NDArray[np.float64]
+
+PLACES = 7  # starts along the input, of what sits somewhere
+WIDTHS = (0.02, 0.07, 0.25)  # starts, in lengths of the table
+SINGULAR = 1e-10  # share of the largest, below which a direction of the table is not known at all
+
+
+@dataclass(frozen=True)
+class Term:
+    """A kind of term: how it looks at nonlinear parameters, and which starts these have.
+
+    Attributes:
+        kind: in words.
+        names: of its nonlinear parameters.
+        columns: of an input (m,) and these: (m, k), each with a factor of its own.
+        starts: of a length and the ends of a table.
+        one_sided: whether it is a function of the size of the input alone, so that it needs one that begins at zero.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    columns: Callable[[Array, Sequence[float]], Array]
+    starts: Callable[[float, float], list[tuple[float, ...]]]
+    one_sided: bool = False
+
+
+def _spots(low: float, high: float) -> list[tuple[float, ...]]:
+    places = np.linspace(low, high, PLACES + 2)[1:-1].tolist()
+    return [(place, width * (high - low)) for place in places for width in WIDTHS]
+
+
+def _column(x: Array) -> Array:
+    return np.asarray(x)[:, None]
+
+
+GRAMMAR = (
+    Term("line", (), lambda x, _: _column(x), lambda low, high: [()]),
+    Term("Gaussian", ("at", "width"), lambda x, p: _column(np.exp(-0.5 * ((x - p[0]) / p[1]) ** 2)), _spots),
+    Term("step", ("at", "width"), lambda x, p: _column(np.tanh((x - p[0]) / p[1])), _spots),
+    Term(
+        "sine",
+        ("wavelength",),
+        lambda x, p: np.stack([np.sin(2 * np.pi * x / p[0]), np.cos(2 * np.pi * x / p[0])], axis=1),
+        lambda low, high: [((high - low) / count,) for count in (0.7, 1, 1.5, 2, 3, 4, 6, 8)],
+    ),
+    Term(
+        "power",
+        ("power",),
+        lambda x, p: _column(np.abs(x) ** min(max(p[0], 0.05), 8.0)),
+        lambda low, high: [(0.5,), (1.5,), (2.0,), (3.0,)],
+        one_sided=True,
+    ),
+    Term(
+        "exponential",
+        ("scale",),
+        lambda x, p: _column(np.exp(-np.abs(x) / max(abs(p[0]), 1e-12))),
+        lambda low, high: [(width * high,) for width in WIDTHS],
+        one_sided=True,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A constant and terms.
+
+    Attributes:
+        constant: in the unit of the values.
+        terms: kind, factors, and nonlinear parameters by name.
+    """
+
+    constant: float
+    terms: tuple[tuple[str, tuple[float, ...], dict[str, float]], ...]
+
+    def __call__(self, x: Array) -> Array:
+        """Values at inputs (m,)."""
+        out = np.full(len(x), self.constant)
+        for kind, factors, parameters in self.terms:
+            term = next(term for term in GRAMMAR if term.kind == kind)
+            out = out + term.columns(x, list(parameters.values())) @ np.array(factors)
+        return out
+
+    def text(self, unit: str, per: str) -> str:
+        """In words.
+
+        Args:
+            unit: of the values.
+            per: of the input.
+        """
+        said = [f"{self.constant:.3g} {unit}".strip(), *(_said(*term, unit, per) for term in self.terms)]
+        return f"{', '.join(said[:-1])} and {said[-1]}" if len(said) > 1 else said[0]
+
+    def to_dict(self, unit: str, per: str) -> dict[str, Any]:
+        """As diagnosis.json holds it."""
+        terms = [{"kind": kind, "factors": list(factors), **parameters} for kind, factors, parameters in self.terms]
+        return {"text": self.text(unit, per), "constant": self.constant, "terms": terms}
+
+
+def _said(kind: str, factors: Sequence[float], p: dict[str, float], unit: str, per: str) -> str:
+    size = f"{factors[0]:.3g} {unit}".strip()
+    if kind == "line":
+        return f"{factors[0]:.3g} {unit} for each {per or 'unit'}".replace("  ", " ")
+    if kind == "sine":
+        return f"a sine of {math.hypot(*factors):.3g} {unit}, {abs(p['wavelength']):.3g} {per} long"
+    if kind == "power":
+        return f"{size} times the {p['power']:.3g}th power of the input in {per or 'units'}"
+    if kind == "exponential":
+        return f"an exponential of {size} that falls over {abs(p['scale']):.3g} {per}"
+    if kind == "step":
+        return f"a step of {2 * factors[0]:.3g} {unit}, {abs(p['width']):.3g} {per} wide, at {p['at']:.3g} {per}"
+    return f"a Gaussian of {size}, {abs(p['width']):.3g} {per} wide, at {p['at']:.3g} {per}"
+
+
+def closed_form(x: Array, values: Array, precision: Array, samples: int) -> Formula | None:
+    """The formula in the place of a table; None where no formula says as much for fewer parameters.
+
+    Args:
+        x: knots, (m,), increasing.
+        values: at the knots, (m,).
+        precision: inverse covariance of the values, (m, m).
+        samples: that told them: windows, or readings.
+
+    Example:
+        >>> x = np.linspace(-1, 1, 21)
+        >>> found = closed_form(x, 2 + 3 * np.exp(-0.5 * ((x - 0.3) / 0.2) ** 2), 1e4 * np.eye(21), 100)
+        >>> found.text("N", "m")
+        '2 N and a Gaussian of 3 N, 0.2 m wide, at 0.3 m'
+    """
+    size, axes = np.linalg.eigh(0.5 * (precision + precision.T))
+    known = size > SINGULAR * max(float(size.max()), 1e-300)
+    root = np.sqrt(size[known])[:, None] * axes[:, known].T
+    price = math.log(max(samples, 2))
+    allowed = [term for term in GRAMMAR if not term.one_sided or x[0] >= 0]
+    nothing = _fitted((), x, values, root)
+    found = [nothing]
+    singles = [_fitted((term,), x, values, root) for term in allowed]
+    found += singles
+    best = min(singles, key=lambda one: one[1] + one[2] * price)
+    if best[1] + best[2] * price < nothing[1] + nothing[2] * price:
+        first = next(term for term in allowed if term.kind == best[0].terms[0][0])
+        found += [_fitted((first, term), x, values, root) for term in allowed]
+    chosen, left, parameters = min(found, key=lambda one: one[1] + one[2] * price)
+    return chosen if left + parameters * price < int(known.sum()) * price else None
+
+
+def _fitted(terms: Sequence[Term], x: Array, values: Array, root: Array) -> tuple[Formula, float, int]:
+    """A formula of these terms, the squares that it leaves, and how many parameters it has."""
+    low, high = float(x[0]), float(x[-1])
+    target, best = root @ values, (math.inf, np.zeros(0), np.zeros(0))
+    count = sum(len(term.names) for term in terms)
+
+    def columns(p: Array) -> Array:
+        parts, given = [np.ones((len(x), 1))], p.tolist()
+        for term in terms:
+            own, given = given[: len(term.names)], given[len(term.names) :]
+            parts.append(term.columns(x, own))
+        return np.concatenate(parts, axis=1)
+
+    def factors(p: Array) -> Array:
+        return np.asarray(np.linalg.lstsq(root @ columns(p), target, rcond=1e-10)[0])
+
+    def left(p: Array) -> Array:
+        with np.errstate(all="ignore"):
+            seen = root @ columns(p)
+        if not np.isfinite(seen).all():
+            return np.full(len(target), 1e6)
+        return np.asarray(target - seen @ np.linalg.lstsq(seen, target, rcond=1e-10)[0])
+
+    starts = [np.array(sum(one, ())) for one in itertools.product(*(term.starts(low, high) for term in terms))]
+    # A table is short, but two terms have hundreds of starts: those that begin best are followed.
+    ahead = sorted(starts, key=lambda p: float(np.sum(left(p) ** 2)))[:6]
+    for start in ahead:
+        p = start if not count else least_squares(left, start, x_scale=np.maximum(np.abs(start), 1e-3), max_nfev=60).x
+        squares = float(np.sum(left(p) ** 2))
+        if squares < best[0]:
+            best = squares, p, factors(p)
+    squares, p, weights = best
+    at, said = 1, []
+    given = p.tolist()
+    for term in terms:
+        own, given = given[: len(term.names)], given[len(term.names) :]
+        width = term.columns(x[:1], own).shape[1]
+        said.append((term.kind, tuple(weights[at : at + width].tolist()), dict(zip(term.names, own, strict=True))))
+        at += width
+    return Formula(float(weights[0]), tuple(said)), squares, count + len(weights)
