@@ -18,7 +18,7 @@ from dipc_gym.compensators import Samples, StaticGain
 from dipc_gym.controllers import LQR, lqr
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.estimators import Command, EstimateWarning, EstimatorError, RigModel
-from dipc_gym.plant import Friction, Plant
+from dipc_gym.plant import Encoders, Friction, Plant
 from dipc_gym.wrappers import EstimateState, ForceCommand, VectorEstimateState, VectorForceCommand
 
 NAMES = ("differences", "kalman", "kalman_friction", "disturbance", "ekf", "moving_horizon", "rigid_body")
@@ -104,6 +104,25 @@ def test_a_late_loop_stands_with_the_delay_told_and_falls_without():
         for each in (told, untold)
     ]
     assert [course.fell for course in courses] == [False, True]
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        Plant(),
+        Plant(encoders=Encoders(cart=Plant().encoders.cart / 8)),
+        Plant(control_period=0.01),
+    ],
+    ids=["paper's", "fine cart encoder", "long period"],
+)
+def test_a_filter_is_no_faster_than_what_it_observes_can_be_fed_forward(plant):
+    """Without a limit, a finer encoder or a longer period makes it shake at the supply's limits, or fall."""
+    found = runs.identify(plant, seed=0)
+    sees, friction = found.fit_estimator("disturbance"), found.fit("observed")
+    course = runs.balance(LQR(), friction, seconds=8.0, seed=1, plant=plant, estimator=sees)
+    assert not course.fell
+    assert course.force[200:].std() < 2.0
+    assert course.clipped == 0
 
 
 def test_a_file_without_a_delay_has_none(made):
