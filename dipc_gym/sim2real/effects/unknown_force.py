@@ -17,7 +17,7 @@ from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, V
 from dipc_gym.sim2real.effects.law import LOOSE, NARROWEST, NEW, bisected, described
 from dipc_gym.sim2real.effects.surfaces import Surface, surface
 
-MOST_LEVELS = 288  # of a table
+MOST_LEVELS = 144  # of a table
 
 WORDS = {"position": "the position of {}", "velocity": "the velocity of {}", "command": "the command to {}"}
 
