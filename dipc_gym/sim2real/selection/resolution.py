@@ -76,7 +76,7 @@ def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
     """
     own = [i for i, slot in enumerate(fitted.structure.slots) if slot.key.startswith(f"{key}.")]
     sigma = np.array([fitted.structure.slots[i].sigma for i in own])
-    new = np.flatnonzero(sigma < sigma.max())
+    new = np.flatnonzero(sigma[1:-1] < sigma.max()) + 1  # elements of hysteresis are added on either side as well
     effect = next(term.effect for term in fitted.structure.terms if term.key == key)
     if not isinstance(effect, Law) or not len(new):
         return None
