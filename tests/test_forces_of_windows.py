@@ -60,3 +60,22 @@ def test_what_moves_a_machine_right_by_wrong_forces_is_no_clear_gain() -> None:
     assert compare(after, before, np.arange(24)).clear
     assert not compare(after, before, np.arange(24), (16 * force, force)).clear
     assert compare(after, before, np.arange(24), (0.5 * force, force)).clear
+
+
+def test_springs_that_yield_pull_as_the_motion_before_bent_them() -> None:
+    """Inverse dynamics knows no yielding: a spring of the distance from zero would pull without end."""
+    text = CART.format(dry=0.0).replace(
+        "</worldbody>",
+        '</worldbody><tendon><fixed stiffness="400" springlength="0" springyield="0.005"><joint joint="cart" coef="1"/>'
+        "</fixed></tendon>",
+    )
+    rig = physics.load(mjcf.from_text(text))
+    recording = sim2real_rigs.record(rig, sim2real_rigs.sweep(10.0), 6.0, noise=1e-6)
+    windows = sim2real_rigs.prepared(CART.format(dry=0.0), [recording]).problem.windows
+    without, within = (
+        np.sqrt(force_in_windows(physics.load(mjcf.from_text(one)), windows)[:, 0])
+        for one in (CART.format(dry=0.0), text)
+    )
+    assert np.median(without) == pytest.approx(2.0, rel=0.2)
+    assert np.median(within) < 0.1 * np.median(without)
+    assert rig.model.tendon_stiffness[0] == 400

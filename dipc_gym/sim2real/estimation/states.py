@@ -21,6 +21,7 @@ from dipc_gym import mjcf
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_at
+from dipc_gym.sim2real.simulation.memory import along, bends, yielding
 from dipc_gym.sim2real.simulation.motion import Motion
 
 Array = NDArray[np.float64]
@@ -190,10 +191,12 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     """
     model, out = physics.model, mjcf.spread_out(physics.model)
     data = mujoco.MjData(model)
-    level, delay = model.dof_frictionloss.copy(), model.actuator_delay.copy()
+    level, delay, stiffness = model.dof_frictionloss.copy(), model.actuator_delay.copy(), model.tendon_stiffness.copy()
     n = len(motion.time)
     commands = physics.command(_delayed(model, recording), recording.time)
     model.actuator_delay[:] = 0
+    slips = yielding(model)
+    model.tendon_stiffness[slips] = 0.0  # how far these are bent, the motion before says
     gaps = np.diff(motion.time, prepend=motion.time[0])
     needed, driven, biased = np.empty((3, n, model.nv))
     time, sent = motion.time.tolist(), data.ctrl[: recording.commands.shape[1]]
@@ -221,12 +224,16 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     levels, pushed = np.tile(level, (n, 1)), np.zeros((n, model.nv))
     side_by_side = [replace(x, data=np.broadcast_to(x.data, (n, len(x.data)))) for x in physics.extras]
     replace(physics, extras=tuple(side_by_side)).act(moments, levels, pushed)
+    for tendon in slips:
+        bent = bends([physics], tendon, motion, motion.time)[0]
+        for at, coefficient in along(model, tendon):
+            pushed[:, at] -= stiffness[tendon] * coefficient * bent
     for k in range(n if dry else 0):
         data.time, qpos[:], qvel[:], qacc[:] = time[k], position[k], velocity[k], acceleration[k]
         model.dof_frictionloss[:] = levels[k]
         mujoco.mj_inverse(model, data)
         needed[k] = inverse
-    model.dof_frictionloss[:], model.actuator_delay[:] = level, delay
+    model.dof_frictionloss[:], model.actuator_delay[:], model.tendon_stiffness[:] = level, delay, stiffness
     return (needed - driven - pushed) @ out, (driven + biased) @ out
 
 

@@ -17,6 +17,7 @@ from dipc_gym.sim2real.selection import data, ranking
 from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+from dipc_gym.sim2real.simulation.memory import loads
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -68,7 +69,8 @@ class Scorer:
         does, but they do not balance its motors.
         """
         after, before = self.mse(new), self.mse(old)
-        forces = (self._force(new), self._force(old)) if far(after, before) else None
+        told = far(after, before) and told_by_motion(new) and told_by_motion(old)
+        forces = (self._force(new), self._force(old)) if told else None
         return compare(after, before, self.partition.blocks, forces)
 
     def compare_sketches(self, new: Fit, old: Fit) -> Improvement:
@@ -76,7 +78,7 @@ class Scorer:
         subset, problem = self.partition.subset, self.partition.problem
         after, before = (one.mse[subset] if len(one.mse) == len(problem.windows) else one.mse for one in (new, old))
         forces = None
-        if far(after, before):
+        if far(after, before) and told_by_motion(new) and told_by_motion(old):
             windows = problem.windows.pick(subset)
             forces = (unexplained_force(new, windows), unexplained_force(old, windows))
         return compare(after, before, problem.blocks[subset], forces)
@@ -128,6 +130,11 @@ class Scorer:
 def unexplained_force(fitted: Fit, windows: Windows) -> Array:
     """Mean square of the force that a fit leaves unexplained in each window and at each joint, (n, nb)."""
     return force_in_windows(fitted.structure.physics(fitted.z), windows)
+
+
+def told_by_motion(fitted: Fit) -> bool:
+    """Whether the motion of the joints says all of a model's forces: nothing in it hides, lags or warms up."""
+    return fitted.structure.warm == 0 and not loads(fitted.structure.physics(fitted.z).model)
 
 
 def far(after: Array, before: Array) -> bool:

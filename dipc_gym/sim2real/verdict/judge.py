@@ -243,7 +243,7 @@ def apart(search: Search, new: Fit, old: Fit) -> Improvement:
             for known, one in ((after, new), (before, old))
         )
     forces = None
-    if scorer.far(after, before):
+    if scorer.far(after, before) and scorer.told_by_motion(new) and scorer.told_by_motion(old):
         forces = (scorer.unexplained_force(new, untouched.windows), scorer.unexplained_force(old, untouched.windows))
     return compare(after, before, untouched.blocks, forces)
 
