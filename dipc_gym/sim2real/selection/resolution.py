@@ -41,8 +41,10 @@ def _finer(fitter: Fitter, current: Fit, key: str) -> Fit | None:
     """
     tried: Fit | None = current
     for _ in range(SEARCH.ahead):
-        term = next(term for term in current.structure.terms if term.key == key)
-        if tried is None or not term.effect.free or current.error <= SCORE.at_noise:
+        if tried is None or current.error <= SCORE.at_noise:
+            return None
+        effect = next(term.effect for term in tried.structure.terms if term.key == key)
+        if not effect.free or (tried is not current and len(effect.parameters) > SEARCH.fine):
             return None
         tried = _with_more(fitter, tried, key)
         if tried is not None and _better(fitter, tried, current):
@@ -61,7 +63,7 @@ def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
         structure = others.with_term(Term(effect, term.at, dict(guess)))
         begin = carry(others, kept, structure)
         try:
-            found.append(fit(fitter.problem, structure, begin, current.initial, most=12))
+            found.append(fit(fitter.problem, structure, begin, current.initial, most=8, tolerance=SEARCH.rough))
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             continue
     losses = ranking.losses([one.mse for one in found])

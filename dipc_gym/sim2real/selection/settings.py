@@ -93,6 +93,7 @@ class SearchSettings:
         pairs: pairs that predict alike and are fitted to all windows
         halvings: of the stretches between the knots of a law, at most
         ahead: halvings that are tried before a law is as fine as it may be
+        fine: parameters of a law, from which on only one more is
         short: share of the predicted gain of a pair that its sketch must bring
     """
 
@@ -117,6 +118,7 @@ class SearchSettings:
     short: float = 0.5
     halvings: int = 6
     ahead: int = 2
+    fine: int = 32
 
 
 SEARCH = SearchSettings()
