@@ -73,11 +73,12 @@ class UnknownForce(Effect):
         found: list[tuple[Effect, Values]] = []
         for axis, old in enumerate(self.shape.knots):
             others = tuple(k for k in range(levels.ndim) if k != axis)
-            here = None if told is None else told.reshape(levels.shape).any(axis=others)
+            here = None if told is None else np.asarray(told.reshape(levels.shape).any(axis=others))
             knots = bisected(old, (old[-1] - old[0]) / NARROWEST, here)
             if len(knots) == len(old) or levels.size // len(old) * len(knots) > MOST_LEVELS:
                 continue
-            more = np.apply_along_axis(lambda row, at=knots, of=old: np.interp(at, of, row), axis, levels)
+            hats = np.stack([np.interp(knots, old, unit) for unit in np.eye(len(old))], axis=1)
+            more = np.moveaxis(np.tensordot(hats, levels, axes=(1, axis)), 0, axis)
             axes = (*self.shape.knots[:axis], knots, *self.shape.knots[axis + 1 :])
             shaped = UnknownForce(Surface(self.shape.inputs, axes, more), self.speed, self.units, self.at)
             new = np.broadcast_to(np.expand_dims(~np.isin(knots, old), tuple(range(1, levels.ndim - axis))), more.shape)
