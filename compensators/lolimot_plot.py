@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
+__all__ = ["boxes", "plot_partition"]
+
 
 def boxes(model: LOLIMOT) -> tuple[Array, Array]:
     """Lower and upper corners of the boxes, (models, inputs) each, in units of X.

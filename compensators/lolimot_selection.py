@@ -12,6 +12,8 @@ from dipc_gym.compensators.tables import checked_inputs, checked_outputs
 
 Array = npt.NDArray[np.float64]
 
+__all__ = ["Selection", "select"]
+
 
 @dataclass(frozen=True, eq=False)
 class Selection:

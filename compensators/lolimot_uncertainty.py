@@ -13,6 +13,8 @@ from dipc_gym.compensators.tables import checked_inputs, checked_outputs, checke
 
 Array = npt.NDArray[np.float64]
 
+__all__ = ["Uncertainty", "uncertainty"]
+
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:

@@ -101,12 +101,19 @@ class Scorer:
         return self.compare_apart(new, old).gain > SCORE.worth / 2
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
-        """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain."""
-        return ranking.alike(self.compare(best, other), self.compare(best, current).gain)
+        """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain.
+
+        Motion alone: of two that balance forces, which of them does so more closely names neither.
+        """
+        blocks, mse = self.partition.blocks, self.mse(best)
+        gained = compare(mse, self.mse(current), blocks).gain
+        return ranking.alike(compare(mse, self.mse(other), blocks), gained)
 
     def better(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit with more effects is clearly better, by enough to earn their place."""
-        return self.earns(fitted, current) and self.compare(fitted, current).clear and self.confirmed(fitted, current)
+        motion = compare(self.mse(fitted), self.mse(current), self.partition.blocks)
+        clear = motion.clear or self.compare(fitted, current).clear
+        return self.earns(fitted, current) and clear and self.confirmed(fitted, current)
 
     def stands_out(self, term: Term, fitted: Fit, current: Fit) -> bool:
         """Whether a fit with one more effect is clearly better.
@@ -133,8 +140,15 @@ def unexplained_force(fitted: Fit, windows: Windows) -> Array:
 
 
 def told_by_motion(fitted: Fit) -> bool:
-    """Whether the motion of the joints says all of a model's forces: nothing in it hides, lags or warms up."""
-    return fitted.structure.warm == 0 and not loads(fitted.structure.physics(fitted.z).model)
+    """Whether forces tell more than motion does, and motion says all of them: several joints, nothing hidden or late.
+
+    Of a single joint, motion and force say the same, and the force is told more roughly.
+    """
+    return (
+        len(fitted.structure.base) > 1
+        and fitted.structure.warm == 0
+        and not loads(fitted.structure.physics(fitted.z).model)
+    )
 
 
 def far(after: Array, before: Array) -> bool:
