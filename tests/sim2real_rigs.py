@@ -153,6 +153,13 @@ def prepared(
     return segments.prepare(source, physics.load(source), recordings, stepping, length=length, span=span)
 
 
+RAIL = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="cart">
+  <inertial pos="0 0 0" mass="1.26" diaginertia="1e-3 1e-3 1e-3"/>
+  <joint name="cart" type="slide" axis="1 0 0" damping="40" stiffness="8"/></body></worldbody>
+  <actuator><motor name="motor" joint="cart" gear="4"/></actuator>
+  <sensor><jointpos name="cart" joint="cart"/></sensor></mujoco>"""
+
+
 class Hysteresis:
     """A wire rope under the cart (Bouc-Wen): a force with a memory, which no effect of those asked for has."""
 

@@ -84,13 +84,8 @@ def test_what_has_no_shape_has_no_finer_one() -> None:
 
 def test_a_stiff_spot_two_centimetres_wide_is_named_and_modelled() -> None:
     """Forces from an encoder show it far wider; the windows do not."""
-    text = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="cart">
-      <inertial pos="0 0 0" mass="1.26" diaginertia="1e-3 1e-3 1e-3"/>
-      <joint name="cart" type="slide" axis="1 0 0" damping="40" stiffness="8"/></body></worldbody>
-      <actuator><motor name="motor" joint="cart" gear="4"/></actuator>
-      <sensor><jointpos name="cart" joint="cart"/></sensor></mujoco>"""
     runs = [sim2real_rigs.rail(sim2real_rigs.StiffSpot(), seed) for seed in (1, 2)]
-    found = diagnose(mjcf.from_text(text), runs)
+    found = diagnose(mjcf.from_text(sim2real_rigs.RAIL), runs)
     named = [(effect.effect, effect.at) for effect in found.missing if effect.effect != "unknown"]
     assert named == [("friction.position", "cart")], found.sentence
     assert found.held_out is not None
@@ -106,13 +101,8 @@ def test_a_stiff_spot_two_centimetres_wide_is_named_and_modelled() -> None:
 
 def test_friction_with_memory_is_made_finer_where_it_is_hidden() -> None:
     """Bouc and Wen's operator, of which elements that slip are an approximation: more of them, a better one."""
-    text = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="cart">
-      <inertial pos="0 0 0" mass="1.26" diaginertia="1e-3 1e-3 1e-3"/>
-      <joint name="cart" type="slide" axis="1 0 0" damping="40" stiffness="8"/></body></worldbody>
-      <actuator><motor name="motor" joint="cart" gear="4"/></actuator>
-      <sensor><jointpos name="cart" joint="cart"/></sensor></mujoco>"""
     runs = [sim2real_rigs.rail(sim2real_rigs.Hysteresis(6.0, 4e-3), seed) for seed in (1, 2)]
-    found = diagnose(mjcf.from_text(text), runs, effects=[catalogue()["friction.hysteresis"]])
+    found = diagnose(mjcf.from_text(sim2real_rigs.RAIL), runs, effects=[catalogue()["friction.hysteresis"]])
     assert [effect.effect for effect in found.missing if effect.effect != "unknown"] == ["friction.hysteresis"]
     assert not any("could not be worked out" in note for note in found.notes), found.notes
     assert found.held_out is not None

@@ -220,13 +220,8 @@ NOT_ENOUGH = ("friction.coulomb", "friction.position", "friction.stribeck", "loa
 def test_no_diagnosis_predicts_worse_than_refitted_numbers(
     law: sim2real_rigs.Hysteresis | sim2real_rigs.StiffSpot,
 ) -> None:
-    text = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="cart">
-      <inertial pos="0 0 0" mass="1.26" diaginertia="1e-3 1e-3 1e-3"/>
-      <joint name="cart" type="slide" axis="1 0 0" damping="40" stiffness="8"/></body></worldbody>
-      <actuator><motor name="motor" joint="cart" gear="4"/></actuator>
-      <sensor><jointpos name="cart" joint="cart"/></sensor></mujoco>"""
     runs = [sim2real_rigs.rail(law, seed) for seed in (1, 2)]
-    found = diagnose(mjcf.from_text(text), runs, effects=[catalogue()[name] for name in NOT_ENOUGH])
+    found = diagnose(mjcf.from_text(sim2real_rigs.RAIL), runs, effects=[catalogue()[name] for name in NOT_ENOUGH])
     assert found.verdict not in ("consistent", "cannot tell"), found.sentence
     validation, written = found.validation, found.written
     assert validation is not None

@@ -12,7 +12,6 @@ from dipc_gym.sim2real.effects.law import Array, Law
 from dipc_gym.sim2real.effects.tables import grow, odd_force_of_speed
 
 SLOW = 0.05  # of the usual speed, below which an estimated velocity does not tell the direction of motion
-
 AT_REST = 1e-3  # share of its speeds to which the law may be told apart near rest
 
 

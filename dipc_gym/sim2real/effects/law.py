@@ -62,6 +62,11 @@ def bisected(knots: Array, narrowest: Array | float, told: NDArray[np.bool_] | N
     return np.sort(np.append(knots, (0.5 * (knots[1:] + knots[:-1]))[wide]))
 
 
+def holding_new(parameters: Sequence[Parameter], new: NDArray[np.bool_]) -> tuple[Parameter, ...]:
+    """Values of a law, of which those that are new hold on to where they begin."""
+    return tuple(replace(p, sigma=NEW / 0.3) if added else p for p, added in zip(parameters, new, strict=True))
+
+
 class Law(Effect):
     """An effect with a free shape.
 
@@ -124,9 +129,7 @@ class Law(Effect):
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         """The same law with these knots, of which some are new."""
         shaped = type(self)(knots.tolist(), values.tolist())
-        shaped.parameters = tuple(
-            replace(p, sigma=NEW / 0.3) if added else p for p, added in zip(shaped.parameters, new, strict=True)
-        )
+        shaped.parameters = holding_new(shaped.parameters, new)
         return shaped, shaped.guess
 
     @property

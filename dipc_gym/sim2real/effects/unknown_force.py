@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -14,7 +13,7 @@ from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import LOOSE, NARROWEST, NEW, bisected, described
+from dipc_gym.sim2real.effects.law import LOOSE, NARROWEST, bisected, described, holding_new
 from dipc_gym.sim2real.effects.surfaces import Surface, surface
 
 MOST_LEVELS = 144  # of a table
@@ -82,10 +81,7 @@ class UnknownForce(Effect):
             axes = (*self.shape.knots[:axis], knots, *self.shape.knots[axis + 1 :])
             shaped = UnknownForce(Surface(self.shape.inputs, axes, more), self.speed, self.units, self.at)
             new = np.broadcast_to(np.expand_dims(~np.isin(knots, old), tuple(range(1, levels.ndim - axis))), more.shape)
-            shaped.parameters = tuple(
-                replace(p, sigma=NEW / 0.3) if added else p
-                for p, added in zip(shaped.parameters, new.ravel(), strict=True)
-            )
+            shaped.parameters = holding_new(shaped.parameters, new.ravel())
             found.append((shaped, shaped.first))
         return found
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
+from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.shooting import common_error, typical
 from dipc_gym.sim2real.estimation.unexplained import force_in_windows
 from dipc_gym.sim2real.model.structure import Term
@@ -69,19 +70,18 @@ class Scorer:
         does, but they do not balance its motors.
         """
         after, before = self.mse(new), self.mse(old)
-        told = far(after, before) and told_by_motion(new) and told_by_motion(old)
-        forces = (self._force(new), self._force(old)) if told else None
+        forces = (self._force(new), self._force(old)) if forces_count(new, old, after, before) else None
         return compare(after, before, self.partition.blocks, forces)
+
+    def _by_motion(self, new: Fit, old: Fit) -> Improvement:
+        """The same by motion alone."""
+        return compare(self.mse(new), self.mse(old), self.partition.blocks)
 
     def compare_sketches(self, new: Fit, old: Fit) -> Improvement:
         """The same on the windows that are sketched on; either may be a full fit."""
         subset, problem = self.partition.subset, self.partition.problem
         after, before = (one.mse[subset] if len(one.mse) == len(problem.windows) else one.mse for one in (new, old))
-        forces = None
-        if far(after, before) and told_by_motion(new) and told_by_motion(old):
-            windows = problem.windows.pick(subset)
-            forces = (unexplained_force(new, windows), unexplained_force(old, windows))
-        return compare(after, before, problem.blocks[subset], forces)
+        return compare_on(problem.pick(subset), new, old, after, before, problem.blocks[subset])
 
     def _force(self, fitted: Fit) -> Array:
         """Mean square of the force that a fit leaves unexplained in each window, fitted ones first, (n, nb)."""
@@ -105,14 +105,11 @@ class Scorer:
 
         Motion alone: of two that balance forces, which of them does so more closely names neither.
         """
-        blocks, mse = self.partition.blocks, self.mse(best)
-        gained = compare(mse, self.mse(current), blocks).gain
-        return ranking.alike(compare(mse, self.mse(other), blocks), gained)
+        return ranking.alike(self._by_motion(best, other), self._by_motion(best, current).gain)
 
     def better(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit with more effects is clearly better, by enough to earn their place."""
-        motion = compare(self.mse(fitted), self.mse(current), self.partition.blocks)
-        clear = motion.clear or self.compare(fitted, current).clear
+        clear = self._by_motion(fitted, current).clear or self.compare(fitted, current).clear
         return self.earns(fitted, current) and clear and self.confirmed(fitted, current)
 
     def stands_out(self, term: Term, fitted: Fit, current: Fit) -> bool:
@@ -151,9 +148,20 @@ def told_by_motion(fitted: Fit) -> bool:
     )
 
 
-def far(after: Array, before: Array) -> bool:
-    """Whether two fits leave so much of most windows, mean squares (n,) each, that forces count as well."""
-    return min(typical(after), typical(before)) > SEARCH.in_reach**2
+def forces_count(new: Fit, old: Fit, after: Array, before: Array) -> bool:
+    """Whether two fits leave so much of most windows, mean squares (n,) each, that what forces tell counts as well."""
+    far = min(typical(after), typical(before)) > SEARCH.in_reach**2
+    return far and told_by_motion(new) and told_by_motion(old)
+
+
+def compare_on(
+    problem: Problem, new: Fit, old: Fit, after: Array, before: Array, blocks: NDArray[np.intp]
+) -> Improvement:
+    """How much better a fit predicts these windows than another, from mean square errors (n,) that are known."""
+    forces = None
+    if forces_count(new, old, after, before):
+        forces = (unexplained_force(new, problem.windows), unexplained_force(old, problem.windows))
+    return compare(after, before, blocks, forces)
 
 
 def earned(after: Array, before: Array, *, small: bool) -> bool:

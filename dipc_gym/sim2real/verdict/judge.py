@@ -16,8 +16,8 @@ from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.model.structure import Structure, Term, names
 from dipc_gym.sim2real.result import Located
-from dipc_gym.sim2real.selection import scorer
-from dipc_gym.sim2real.selection.score import Improvement, compare
+from dipc_gym.sim2real.selection.score import Improvement
+from dipc_gym.sim2real.selection.scorer import compare_on
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.selection.settings import SCORE
@@ -242,10 +242,7 @@ def apart(search: Search, new: Fit, old: Fit) -> Improvement:
             np.append(known, evaluate(validation, one.structure, one.z)[0])
             for known, one in ((after, new), (before, old))
         )
-    forces = None
-    if scorer.far(after, before) and scorer.told_by_motion(new) and scorer.told_by_motion(old):
-        forces = (scorer.unexplained_force(new, untouched.windows), scorer.unexplained_force(old, untouched.windows))
-    return compare(after, before, untouched.blocks, forces)
+    return compare_on(untouched, new, old, after, before, untouched.blocks)
 
 
 def verdict(
