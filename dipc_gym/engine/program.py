@@ -88,6 +88,7 @@ class _Writer:
         self.tree, numbers = rigid.tree_of(model)
         self.numbers: list[float] = numbers.tolist()
         self.ints: list[int] = [0] * int(Head.SIZE)
+        self.controls = mjcf.commanded(model)  # what comes after them nobody commands; it stays at zero
         self.yielding = 0  # springs, whose rests are hidden states behind MuJoCo's activations
         self._joints()
         elements = [*self._tendons(), *self._actuators()]
@@ -96,6 +97,7 @@ class _Writer:
         for i in range(model.nactuator):
             first = int(model.actuator_ctrladr[i])
             delays[first : first + int(model.actuator_ctrlnum[i])] = model.actuator_delay[i]
+        delays = delays[: self.controls]
         # Seen from the sensor that reads latest, commands act later by as much.
         self.numbers += (delays + mjcf.sensor_delays(model).max(initial=0.0)).tolist()
         lags = self._sensors()
@@ -103,14 +105,14 @@ class _Writer:
         self.ints[Head.ELEMENT_AT], self.ints[Head.ELEMENTS] = len(self.ints), len(elements)
         self.ints += [number for element in elements for number in element]
         self.ints[Head.JOINTS] = model.nv
-        self.ints[Head.CONTROLS] = model.nu
+        self.ints[Head.CONTROLS] = self.controls
         self.hidden = model.na + self.yielding
         self.ints[Head.STATES] = 2 * model.nv + self.hidden + lags
         self.ints[Head.PARAMETERS] = len(self.numbers)
         for what, most, count in (
             ("joints", layout.JOINTS, model.nv),
             ("states", layout.STATES, self.ints[Head.STATES]),
-            ("controls", layout.CONTROLS, model.nu),
+            ("controls", layout.CONTROLS, self.controls),
             ("sensors", layout.SENSORS, self.ints[Head.SENSORS]),
             ("tendons with limits", layout.STOPS, self.ints[Head.STOPS]),
         ):
@@ -258,15 +260,15 @@ class _Writer:
         return self._element(found, dofs, coefficients, numbers, control=control, state=self._state(i))
 
     def _control(self, i: int, where: str, numbers: list[float]) -> int:
-        """Index of an actuator's control, or -1; its limits go into `numbers`."""
+        """Index of an actuator's control, -1 if nobody commands it; its limits go into `numbers`."""
         model = self.model
         numbers[Force.LOWEST_COMMAND], numbers[Force.HIGHEST_COMMAND] = -_LIMITLESS, _LIMITLESS
         count = int(model.actuator_ctrlnum[i])
         if count > 1:
             raise Uncovered(f"{where} takes {count} commands")
-        if not count:
-            return -1
         control = int(model.actuator_ctrladr[i])
+        if not count or control >= self.controls:
+            return -1
         if model.actuator_ctrllimited[control]:
             limits = model.actuator_ctrlrange[control]
             numbers[Force.LOWEST_COMMAND], numbers[Force.HIGHEST_COMMAND] = (float(x) for x in limits)

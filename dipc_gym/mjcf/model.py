@@ -56,6 +56,20 @@ def controls(model: mujoco.MjModel) -> list[str]:
     return names[:commanded]
 
 
+def commanded(model: mujoco.MjModel) -> int:
+    """How many controls there are up to the last that somebody commands; what only passive elements have comes after.
+
+    Names do not matter here, other than for `controls`.
+    """
+    passive = {name.removeprefix(PASSIVE) for name in texts(model) if name.startswith(PASSIVE)}
+    ends = [
+        int(model.actuator_ctrladr[i] + model.actuator_ctrlnum[i])
+        for i in range(model.nactuator)
+        if model.actuator_ctrlnum[i] and model.actuator(i).name not in passive
+    ]
+    return max(ends, default=0)
+
+
 def is_hinge(model: mujoco.MjModel, joint: str | int) -> bool:
     """Whether a joint turns, and is measured in rad and N m; else it slides, in m and N."""
     return bool(model.jnt_type[model.joint(joint).id] == mujoco.mjtJoint.mjJNT_HINGE)

@@ -52,13 +52,20 @@ class UnknownForce(Effect):
         self.linear = tuple(self.first)
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
-        """A table of what tells most of the unexplained force."""
-        found = surface(evidence.inputs, evidence.force, evidence.time)
-        if found is None or found.inputs == (f"position {evidence.at}",):  # that is a law of a kind, asked as such
-            return []
-        units = [_unit(evidence.model, one) for one in found.inputs]
-        shaped = UnknownForce(found, 1.2 * float(np.max(np.abs(evidence.velocity))) or 1.0, units, evidence.at)
-        return [(shaped, shaped.first)]
+        """A table of what tells most of the unexplained force, and one of the joint's own motion.
+
+        Under feedback all joints and the command move together; which of them a force follows only a fit tells.
+        """
+        at, speed = evidence.at, 1.2 * float(np.max(np.abs(evidence.velocity))) or 1.0
+        own = {name: x for name, x in evidence.inputs.items() if name in (f"position {at}", f"velocity {at}")}
+        found: dict[tuple[str, ...], tuple[Effect, Values]] = {}
+        for inputs in (evidence.inputs, own):
+            shape = surface(inputs, evidence.force, evidence.time)
+            if shape is not None and shape.inputs != (f"position {at}",):  # that is a law of a kind, asked as such
+                units = [_unit(evidence.model, one) for one in shape.inputs]
+                shaped = UnknownForce(shape, speed, units, at)
+                found[shape.inputs] = shaped, shaped.first
+        return list(found.values())
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, the values it was given."""

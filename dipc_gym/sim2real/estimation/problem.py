@@ -133,28 +133,34 @@ def _with_changes(
     """What the engine simulates at z and at the probes, and how its parameters change with z, (p, k); at z alone where
     that is known.
     """
-    here, values = structure.physics(z), np.array([*structure.values(z).values()])
+    here, values = structure.physics(z), structure.numbers(z)
     known, maps = structure.worked_out.get(Slopes), maps_of(here)
-    apart = [np.array([*structure.values(probe).values()]) - values for probe in probes]
+    apart = [structure.numbers(probe) - values for probe in probes]
     by_step = np.array([moved[i] / steps[i] for i, moved in enumerate(apart)])
+    held, by_value = np.zeros(len(probes), dtype=bool), None
     if isinstance(known, Slopes) and len(probes):
         parameters = parameters_of(known.program, here)
-        if parameters is not None and known.hold(values, np.append(parameters, maps)):
-            change = by_step[:, None] * known.by_value
-            moved_maps = change[:, len(parameters) :] * steps[:, None] if len(maps) else ()
-            variants = (here, *(with_maps(here, maps + moved) for moved in moved_maps))
-            of = Compiled(variants, windows, structure.base, step, known.program, parameters[None])
-            return of, change[:, : len(parameters)]
-    variants = (here, *(structure.physics(probe) for probe in probes))
+        if parameters is not None:
+            held, by_value = known.told(values, np.append(parameters, maps)), known.by_value
+    asked = np.flatnonzero(~held)
+    variants = (here, *(structure.physics(probes[i]) for i in asked))
     of = compiled(variants, windows, structure.base, step)
-    change = changes(of, steps)
+    of_maps = np.array([maps_of(variant) - maps for variant in variants[1:]]).reshape(len(asked), len(maps))
+    change = np.append(changes(of, steps[asked]), of_maps / steps[asked, None], axis=1)
+    if by_value is not None:
+        found, change = change / by_step[asked, None], by_step[:, None] * by_value
+        change[asked] = by_step[asked, None] * found
     alone = all(np.count_nonzero(moved) == 1 and moved[i] for i, moved in enumerate(apart))
-    if len(probes) and alone and begins_alike(here):
-        of_maps = np.array([maps_of(variant) - maps for variant in variants[1:]]) / steps[:, None]
-        by_value = np.append(change, of_maps, axis=1) / by_step[:, None]
-        there = np.append(of.parameters[0], maps)
-        structure.worked_out[Slopes] = Slopes(of.program, values, there, by_value, by_step * steps)
-    return of, change
+    if len(asked) and alone and begins_alike(here):
+        there, beside = np.append(of.parameters[0], maps), by_step * steps
+        structure.worked_out[Slopes] = Slopes(
+            of.program, values, there, change / by_step[:, None], beside, structure.tables
+        )
+    if len(asked) < len(probes):
+        moved_maps = change[:, of.parameters.shape[1] :] * steps[:, None] if len(maps) else ()
+        variants = (here, *(with_maps(here, maps + moved) for moved in moved_maps))
+        of = replace(of, variants=variants, parameters=of.parameters[:1])
+    return of, change[:, : of.parameters.shape[1]]
 
 
 def normalised_residual(problem: Problem, readings: Array) -> Array:

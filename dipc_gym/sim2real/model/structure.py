@@ -141,6 +141,14 @@ class Structure:
         """Mean of the prior of each mapped parameter, (p,)."""
         return np.array([slot.centre for slot in self.slots])
 
+    @functools.cached_property
+    def tables(self) -> NDArray[np.intp]:
+        """Which term each parameter is a value in the table of, -1 for those that are in none, (p,)."""
+        out = [-1] * len(self.model_parameters)
+        for k, term in enumerate(self.terms):
+            out += [k if term.effect.free else -1] * len(_free(term.effect))
+        return np.array(out, dtype=np.intp)
+
     def clip(self, z: Array) -> Array:
         """The nearest mapped parameters within bounds."""
         out = z.copy()
@@ -174,7 +182,22 @@ class Structure:
 
     def values(self, z: Array) -> dict[str, float]:
         """Every free parameter by key."""
-        return {slot.key: slot.value(x) for slot, x in zip(self.slots, z, strict=True)}
+        return dict(zip((slot.key for slot in self.slots), self.numbers(z).tolist(), strict=True))
+
+    def numbers(self, z: Array) -> Array:
+        """Every free parameter, (p,)."""
+        low, high, logs, scale, fine, origin = self._mapping
+        grown = scale * np.exp(np.minimum(z * fine, 50.0), where=logs, out=np.ones_like(scale))
+        return np.asarray(np.clip(np.where(logs, grown, origin + scale * z), low, high))
+
+    @functools.cached_property
+    def _mapping(self) -> tuple[Array, Array, NDArray[np.bool_], Array, Array, Array]:
+        """What `Slot.value` needs of each slot, (p,) each."""
+        low, high, scale, fine, origin = (
+            np.array([getattr(slot, name) for slot in self.slots], dtype=float)
+            for name in ("low", "high", "scale", "fine", "origin")
+        )
+        return low, high, np.array([slot.log for slot in self.slots], dtype=bool), scale, fine, origin
 
     def term_values(self, z: Array, term: Term) -> dict[str, float]:
         """Parameters of one effect."""

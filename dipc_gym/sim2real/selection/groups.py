@@ -12,27 +12,38 @@ import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
-from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection import ranking, screen
 from dipc_gym.sim2real.selection.fitter import Fitter
-from dipc_gym.sim2real.selection.ranking import Start
+from dipc_gym.sim2real.selection.hypotheses import Screened
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 
-def sketched(fitter: Fitter, ranked: Sequence[Start], current: Fit) -> Fit | None:
+def sketched(fitter: Fitter, screened: Screened, current: Fit) -> Fit | None:
     """The best sketch with one or two kinds of effect at several joints; None where there are no two such.
+
+    A kind that gains little alone, in whose place other masses and gears do nearly as well, may be what another kind
+    lacks: so two kinds are asked whatever either gains. None as well where a straight line through first guesses
+    foretells that all joints gain no more than one does.
 
     Args:
         fitter: fits it.
-        ranked: hypotheses and what they were laid over, the largest predicted gain first.
+        screened: hypotheses on top of the present fit.
         current: the present fit.
     """
-    kinds, best = _kinds(fitter, ranked), list[Fit]()
+    by_key = {tried.key: tried for tried in screened.tried}
+    kinds, best = _kinds(fitter, screened.tried), list[Fit]()
+    alone = max((tried.predicted_gain for tried in screened.tried), default=0.0)
     for _ in range(SEARCH.kinds):
         begun = best[0].structure if best else current.structure
-        wider = [_with(begun, kind) for kind in kinds]
-        asked = [one for one in wider if len(one.terms) > len(begun.terms) and len(_added(one, current)) > 1]
-        best += [sketch for structure in asked if (sketch := fitter.sketch(current, structure)) is not None]
+        asked: list[tuple[float, Structure]] = []
+        for structure in (_with(begun, kind) for kind in kinds):
+            members = [by_key[term.key] for term in _added(structure, current)]
+            if len(structure.terms) > len(begun.terms) and len(members) > 1:
+                gain = screen.together(fitter.problem, current, members, fitter.subset)
+                asked += [(gain, structure)] if gain > alone + SCORE.worth else []
+        asked = sorted(asked, key=lambda each: -each[0])[: SEARCH.kinds]
+        best += [sketch for _, structure in asked if (sketch := fitter.sketch(current, structure)) is not None]
         losses = ranking.losses([one.mse for one in best])
         best = [best[int(np.argmin(losses))]] if best else []
     return best[0] if best else None
@@ -62,14 +73,10 @@ def _added(structure: Structure, current: Fit) -> list[Term]:
     return [term for term in structure.terms if term.key not in there]
 
 
-def _kinds(fitter: Fitter, ranked: Sequence[Start]) -> list[list[Tried]]:
-    """Plain effects that may act at several joints, each with its hypotheses.
-
-    All of them: a kind that gains little alone, in whose place other masses and gears do nearly as well, may be what
-    another kind lacks.
-    """
+def _kinds(fitter: Fitter, hypotheses: Sequence[Tried]) -> list[list[Tried]]:
+    """Plain effects that may act at several joints, each with its hypotheses."""
     by_id: dict[str, list[Tried]] = {}
-    for tried, _ in ranked:
+    for tried in hypotheses:
         effect = tried.term.effect
         usual = effect.place == "joint" and effect.linear and not (effect.of_the_clock or effect.free)
         usual = usual and not effect.contains

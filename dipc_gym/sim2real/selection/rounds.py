@@ -33,7 +33,7 @@ def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal)
     ranked = sorted(
         (max(tries, key=ranking.predicted_gain) for tries in by_key.values()), key=ranking.predicted_gain, reverse=True
     )
-    group = groups.sketched(fitter, ranked, current) if len(question.joints) > 1 else None
+    group = groups.sketched(fitter, laid[0], current) if len(question.joints) > 1 else None
     # What a machine lacks at all its joints shows at once; one joint after the other it takes as many rounds.
     if group is not None and group.error < SEARCH.in_reach < current.error:
         together = groups.fitted(fitter, group, current)

@@ -63,7 +63,7 @@ class Tried:
 
 
 def screen(problem: Problem, current: Fit, terms: Sequence[Term], subset: NDArray[np.intp]) -> list[Tried]:
-    """Rank hypotheses by their predicted gains; the best guess of each, the largest predicted gain first.
+    """Rank hypotheses by their predicted gains; the best guess of each shape, the largest predicted gain first.
 
     Args:
         problem: windows to predict.
@@ -71,9 +71,9 @@ def screen(problem: Problem, current: Fit, terms: Sequence[Term], subset: NDArra
         terms: hypotheses, several guesses of one among them.
         subset: windows that have to do for what must be simulated in finer steps; responses are kept for them.
     """
-    guesses: dict[str, list[Term]] = {}
+    guesses: dict[tuple[str, int], list[Term]] = {}
     for term in terms:
-        guesses.setdefault(term.key, []).append(term)
+        guesses.setdefault((term.key, id(term.effect)), []).append(term)
     some, currently = problem.pick(subset), current.pick(subset)
     luck = _luck(problem, current, subset)
     found = []
@@ -164,6 +164,20 @@ def pairs(
             structure = structure.with_term(_scaled(term, size))
         found.append((predicted_gain - luck, structure))
     return sorted(found, key=lambda pair: -pair[0])
+
+
+def together(problem: Problem, current: Fit, tried: Sequence[Tried], subset: NDArray[np.intp]) -> float:
+    """Predicted gain of several hypotheses at once, each at its best size.
+
+    Args:
+        problem: windows to predict.
+        current: fit that the hypotheses were laid over.
+        tried: what screening made of them.
+        subset: the windows for which their responses are known.
+    """
+    overlay = _Overlay(problem.pick(subset), current.pick(subset), [one.response for one in tried])
+    effects = [one.term.effect for one in tried]
+    return overlay.predicted_gain(range(len(tried)), effects, beside=True)[0] - _luck(problem, current, subset)
 
 
 def _distinct(tried: Sequence[Tried]) -> list[Tried]:

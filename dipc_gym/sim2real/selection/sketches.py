@@ -72,7 +72,7 @@ def _sketched(fitter: Fitter, tries: Sequence[Start], current: Fit) -> list[Star
     """The best sketch of one hypothesis, if any, from the largest predicted gain on.
 
     A fit that brings less than screening foretold is stuck, unless it leaves nothing; then the next start is tried as
-    well.
+    well. So is the next shape of a law of no kind: which inputs are the right ones screening hardly tells.
     """
     sketches: list[Start] = []
     before = current.mse[fitter.subset]
@@ -82,7 +82,8 @@ def _sketched(fitter: Fitter, tries: Sequence[Start], current: Fit) -> list[Star
             continue
         sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch), base))
         foretold = max(tried.predicted_gain, SCORE.worth / 2)
-        if ranking.complete(sketch) or ranking.brought(sketch, before) > foretold:
+        enough = ranking.brought(sketch, before) > foretold and not tried.term.effect.of_no_kind
+        if ranking.complete(sketch) or enough:
             break
     losses = ranking.losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
     return [sketches[int(np.argmin(losses))]] if sketches else []

@@ -85,9 +85,7 @@ class Compiled:
     def commands(self) -> Commands:
         """Recorded commands as the model sees them; one set if no variant changes them."""
         recordings = self.windows.recordings
-        nu = self.model.nu
-        padded = [np.pad(r.commands, ((0, 0), (0, nu - r.commands.shape[1]))) for r in recordings]
-        whole = np.concatenate(padded)
+        whole = np.concatenate([r.commands for r in recordings])
         if not self.variants[0].stage("command"):
             return Commands(np.concatenate([r.time for r in recordings]), whole[None])
         made: dict[bytes, Array] = {}
@@ -110,7 +108,7 @@ class Compiled:
         """
         windows, codes = self.windows, self.program.codes
         clock = windows.start + at
-        delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + self.model.nu]
+        delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + codes[Head.CONTROLS]]
         most = float(delays.max(initial=0.0))
         first, count = np.zeros((2, len(windows)), dtype=np.int64)
         begin = 0
@@ -165,7 +163,7 @@ class Compiled:
         codes = self.program.codes
         for motor in heating_motors(self.model):
             state = 2 * self.model.nv + int(self.model.actuator_actadr[motor])
-            delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + self.model.nu]
+            delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + codes[Head.CONTROLS]]
             for mine, recording, motion, begin in self._passes(at, f"how hot {self.model.actuator(motor).name} is"):
                 args = (self.variants, delays, motor, recording, motion, begin)
                 states[:, mine, state] = winding_temperatures(*args)
@@ -235,8 +233,7 @@ def _read_and_checked(variants: Sequence[Physics]) -> tuple[program.Program, Arr
     """A program that MuJoCo agrees with, and its parameters; each program is compared once."""
     what, parameters = program.read(variants)
     key = repr(what.tree).encode() + what.codes.tobytes()
-    if key not in _checked:
-        check(what, parameters[0], variants[0])
+    if key not in _checked and check(what, parameters[0], variants[0]):
         _checked.add(key)
     return what, parameters
 

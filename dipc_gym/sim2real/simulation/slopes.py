@@ -2,7 +2,8 @@
 
 The slopes of that map are found by moving one number at a time, which writes and compiles a model for each. Mostly the
 map is affine: a friction level, a damping, a mass or a knot of a table is a number of the program, or several are in
-proportion to it. So as long as a program's parameters come to where the slopes foretold, the slopes are kept.
+proportion to it. So as long as a program's parameters come to where the slopes foretold, the slopes are kept. Values of
+a law's table move parameters of their own, whose slopes stay whatever masses do.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ class Slopes:
         parameters: of the program there, then `maps_of` the model, (k,).
         by_value: their change per unit of each number, (p, k).
         apart: what the numbers differed by to tell it, (p,).
+        tables: which law's table each number is a value of, -1 for none, (p,).
     """
 
     program: program.Program
@@ -41,20 +43,28 @@ class Slopes:
     parameters: Array
     by_value: Array
     apart: Array
+    tables: NDArray[np.intp]
 
-    def hold(self, values: Array, parameters: Array) -> bool:
-        """Whether the map is affine as far as other numbers (p,), at which parameters (k,) are these.
+    def told(self, values: Array, parameters: Array) -> NDArray[np.bool_]:
+        """Whose slopes hold at other numbers (p,), at which parameters (k,) are these, (p,).
 
-        Only a step in which every number moves tells: a product of two is affine along one of them.
+        Only a step in which every number moves tells: a product of two is affine along one of them. Values of a table
+        multiply nothing.
         """
-        moved = values - self.values
+        moved, held = values - self.values, np.ones(len(values), dtype=bool)
         if not moved.any():
-            return True
-        if np.any(np.abs(moved) <= _MOVED * np.abs(values)):
-            return False
+            return held
         rounding = _ROUNDING * (1 + np.sum(np.abs(moved / self.apart)))
         allowed = _FORETOLD * np.abs(moved) @ np.abs(self.by_value) + rounding * np.abs(parameters)
-        return bool(np.all(np.abs(self.parameters + moved @ self.by_value - parameters) <= allowed))
+        astray = np.abs(self.parameters + moved @ self.by_value - parameters) > allowed
+        if np.any(astray & ~self.by_value.any(axis=0)):
+            return ~held
+        still = np.abs(moved) <= _MOVED * np.abs(values)
+        for table in np.unique(self.tables):
+            mine = self.tables == table
+            wrong = np.any(astray & self.by_value[mine].any(axis=0))
+            held[mine] = not (wrong or (table < 0 and np.any(still[mine])))
+        return held
 
 
 def begins_alike(physics: Physics) -> bool:
