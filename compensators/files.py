@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from dipc_gym import untrusted
 from dipc_gym.compensators.base import (
     INPUTS,
     SCHEMA,
@@ -18,8 +17,9 @@ from dipc_gym.compensators.base import (
     number_fields,
 )
 from dipc_gym.compensators.registry import kind, names
-from dipc_gym.files import write_json
-from dipc_gym.untrusted import Format, shown
+from dipc_gym.safety import untrusted
+from dipc_gym.safety.files import write_json
+from dipc_gym.safety.untrusted import Format, shown
 
 
 class CompensatorError(ValueError):

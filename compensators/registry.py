@@ -13,7 +13,7 @@ from dipc_gym.compensators.base import (
     RigConstants,
     Samples,
 )
-from dipc_gym.naming import suggestion
+from dipc_gym.safety.naming import suggestion
 
 _KINDS: dict[str, type[Compensator]] = {}
 

@@ -15,13 +15,15 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dipc_gym import actions, drawing, kernels, mjcf
+from dipc_gym import kernels, mjcf
+from dipc_gym.drawing.viewer import viewer
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
-from dipc_gym.rig import DIVERGED, Rig
 from dipc_gym.rigs import ENGINES, unknown_engine
+from dipc_gym.rigs.rig import DIVERGED, Rig
 from dipc_gym.rigs.together import COSTS
+from dipc_gym.safety import actions
 
 __all__ = ["DoublePendulumEnv"]
 
@@ -225,7 +227,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             )
             return None
         if self._viewer is None:
-            self._viewer = drawing.viewer(self.model, self._data, *self._picture)
+            self._viewer = viewer(self.model, self._data, *self._picture)
         return self._viewer.render(self.render_mode)
 
     def _draw_frame(self) -> None:

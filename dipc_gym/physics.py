@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.naming import suggestion
+from dipc_gym.safety.naming import suggestion
 
 __all__ = ["Extra", "Moment", "Physics", "from_model", "load", "register"]
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dipc_gym.files import write_whole
 from dipc_gym.mjcf.defaults import effective
-from dipc_gym.naming import suggestion
-from dipc_gym.untrusted import Format, shown
+from dipc_gym.safety.files import write_whole
+from dipc_gym.safety.naming import suggestion
+from dipc_gym.safety.untrusted import Format, shown
 
 __all__ = ["Encoders", "Friction", "Masses", "Motor", "Plant", "PlantError"]
 

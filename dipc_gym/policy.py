@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import untrusted
-from dipc_gym.files import write_whole
-from dipc_gym.untrusted import Format
+from dipc_gym.safety import untrusted
+from dipc_gym.safety.files import write_whole
+from dipc_gym.safety.untrusted import Format
 
 if TYPE_CHECKING:
     from dipc_gym.export.program import Program, Value

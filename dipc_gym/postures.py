@@ -12,8 +12,8 @@ import numpy as np
 
 from dipc_gym.env import START_SPREAD, State, start_state
 from dipc_gym.kernels import Number, cosine
-from dipc_gym.motion import POSTURES
-from dipc_gym.naming import suggestion
+from dipc_gym.mechanics.motion import POSTURES
+from dipc_gym.safety.naming import suggestion
 
 __all__ = ["POSTURES", "TASKS", "Task", "tagged"]
 

@@ -17,8 +17,8 @@ from dipc_gym.compensators import Compensator, Samples
 from dipc_gym.controllers import Controller, lqr
 from dipc_gym.controllers.tracking import Tracking, equilibrium
 from dipc_gym.estimators import Estimator, RigModel
-from dipc_gym.excitation import Excitation
-from dipc_gym.identification import Cart, Sweep, cart, cart_model, delay, delayed, excitation, record, samples
+from dipc_gym.identification.excitation import Excitation
+from dipc_gym.identification.run import Cart, Sweep, cart, cart_model, delay, delayed, excitation, record, samples
 from dipc_gym.kernels import FALL
 from dipc_gym.plant import Plant
 from dipc_gym.recording import Recording

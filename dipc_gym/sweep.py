@@ -17,11 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 
-from dipc_gym import __version__, intact
-from dipc_gym.files import remove_partial
-from dipc_gym.intact import DamagedError
-from dipc_gym.interrupts import held_back
-from dipc_gym.places import inside
+from dipc_gym import __version__
+from dipc_gym.safety import intact
+from dipc_gym.safety.files import remove_partial
+from dipc_gym.safety.intact import DamagedError
+from dipc_gym.safety.interrupts import held_back
+from dipc_gym.safety.places import inside
 
 __all__ = ["Backend", "Cell", "Outcome", "SweepError", "finished", "run"]
 

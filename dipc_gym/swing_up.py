@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import postures
 from dipc_gym.env import DoublePendulumEnv, State
-from dipc_gym.motion import SIZE, observed, state_of
+from dipc_gym.mechanics.motion import SIZE, observed, state_of
 from dipc_gym.plant import Plant
 from dipc_gym.randomise import PlantFamily
 from dipc_gym.rigs.together import Mask, Period

@@ -14,13 +14,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from dipc_gym import kernels
-from dipc_gym.actions import many
 from dipc_gym.env import DoublePendulumEnv, State, start_state
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
-from dipc_gym.rig import Rig
 from dipc_gym.rigs import ENGINES, unknown_engine
+from dipc_gym.rigs.rig import Rig
 from dipc_gym.rigs.together import COSTS, Encoders, Period, Rigs
+from dipc_gym.safety.actions import many
 
 __all__ = ["DIPCFrictionVectorEnv"]
 

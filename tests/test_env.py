@@ -459,7 +459,8 @@ def _has_library(name: str) -> bool:
 
 def test_users_choice_of_renderer_is_kept() -> None:
     code = (
-        "import os; from dipc_gym.drawing import choose_renderer; choose_renderer(); print(os.environ.get('MUJOCO_GL'))"
+        "import os; from dipc_gym.drawing.viewer import choose_renderer; "
+        "choose_renderer(); print(os.environ.get('MUJOCO_GL'))"
     )
     for given_variables, kept in (({"MUJOCO_GL": "disabled"}, "disabled"), ({"DISPLAY": ":7"}, "None")):
         environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")}

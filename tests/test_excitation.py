@@ -17,12 +17,12 @@ from dipc_gym import compensators, recording
 from dipc_gym.cli import main
 from dipc_gym.compensators import RigConstants, Samples
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.excitation import COLUMNS, ROWS, examine, force_noise
-from dipc_gym.identification import Sweep, cart, cart_model, record, samples
+from dipc_gym.identification.excitation import COLUMNS, ROWS, examine, force_noise
+from dipc_gym.identification.run import Sweep, cart, cart_model, record, samples
+from dipc_gym.identification.smoothing import smooth
 from dipc_gym.plant import Encoders, Plant
 from dipc_gym.recording import Recording
 from dipc_gym.runs import identify
-from dipc_gym.smoothing import smooth
 
 RIG = RigConstants(newtons_per_volt=4.0, viscous=40.0, supply_voltage=24.0)
 

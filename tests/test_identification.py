@@ -7,7 +7,7 @@ import pytest
 
 from dipc_gym import compensators, mjcf
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.identification import Sweep, cart, cart_model, delay, delayed, locked, record, samples
+from dipc_gym.identification.run import Sweep, cart, cart_model, delay, delayed, locked, record, samples
 from dipc_gym.plant import Encoders, Friction, Plant
 from dipc_gym.recording import Recording
 

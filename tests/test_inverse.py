@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dipc_gym import compensators, inverse
+from dipc_gym import compensators
 from dipc_gym.cli import main
 from dipc_gym.compensators import CompensatorError, Curve, RigConstants, Samples
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.export.program import Program
-from dipc_gym.identification import cart_model
+from dipc_gym.identification.run import cart_model
 from dipc_gym.plant import Friction, Plant
+from dipc_gym.training import inverse
 
 SOURCE = DoublePendulumEnv().source
 FRICTIONLESS = Plant(friction=Friction(coulomb=0.0, static=0.0))

@@ -19,8 +19,8 @@ import pytest
 from test_diagnose import NOMINAL, run
 
 from dipc_gym import cli, mjcf, recording
-from dipc_gym.alone import BusyError, alone
-from dipc_gym.files import whole, write_json, write_whole
+from dipc_gym.safety.alone import BusyError, alone
+from dipc_gym.safety.files import whole, write_json, write_whole
 from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
@@ -110,7 +110,7 @@ def small_disk(command: list[str], size: int, place: Path) -> subprocess.Complet
 
 def test_a_full_disk_is_told_with_file_and_what_is_whole(tmp_path: Path) -> None:
     write_whole(tmp_path / "note.json", b"old")
-    body = "from dipc_gym.files import write_json; write_json('note.json', list(range(10_000)))"
+    body = "from dipc_gym.safety.files import write_json; write_json('note.json', list(range(10_000)))"
     done = small_disk([sys.executable, "-c", body], 4096, tmp_path)
     assert "make room and try again; what had this name before, if anything, is untouched: 'note.json'" in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["note.json"]
@@ -192,7 +192,10 @@ def test_an_interrupted_writing_leaves_the_old_file(tmp_path: Path) -> None:
 
 # --- two of one command --------------------------------------------------------------------------------------------
 
-HOLD = "from dipc_gym.alone import alone\nimport time\nwith alone({!r}):\n    print('held', flush=True); time.sleep(60)"
+HOLD = (
+    "from dipc_gym.safety.alone import alone\nimport time\nwith alone({!r}):\n"
+    "    print('held', flush=True); time.sleep(60)"
+)
 
 
 @pytest.fixture
@@ -296,7 +299,7 @@ def test_no_worker_of_a_sweep_gets_ctrl_c() -> None:
     code = """
 import signal
 from joblib import Parallel, delayed
-from dipc_gym.interrupts import held_back
+from dipc_gym.safety.interrupts import held_back
 
 def holds():
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())

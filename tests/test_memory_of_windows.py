@@ -11,13 +11,13 @@ from sim2real_rigs import CART, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.operators import play, swing
 from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.simulation.operators import play, swing
 
 ELEMENTS = ((0.004, 0.02), (1.5, 2.5))  # m and N
 SWINGING = {"mass": 0.3, "frequency": 2.2, "damping_ratio": 0.04}

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from dipc_gym.controllers import lqr
 from dipc_gym.controllers.designs import paper_model
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.motion import Motion
-from dipc_gym.rigid import Rigid
+from dipc_gym.mechanics.motion import Motion
+from dipc_gym.mechanics.rigid import Rigid
 
 PAPER = (1.259984, 0.176948, 0.035200, 0.073354, 0.014080, 0.013195)
 ABSOLUTE = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]])

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dipc_gym import files, sweep
+from dipc_gym import sweep
 from dipc_gym.experiments import compare
-from dipc_gym.places import PlaceError, inside
+from dipc_gym.safety import files
+from dipc_gym.safety.places import PlaceError, inside
 from dipc_gym.training import seeds, train
 from dipc_gym.training.train import Recipe, Training
 

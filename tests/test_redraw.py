@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from test_report import RIGS, example
 
 from dipc_gym import cli, mjcf, recording
-from dipc_gym.places import PlaceError
+from dipc_gym.safety.places import PlaceError
 from dipc_gym.sim2real import SavedError, Trace, catalogue, diagnose, redraw
 from dipc_gym.sim2real.effects.law import described
 from dipc_gym.sim2real.report import page, saved

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.controllers.lqr import linear_model
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.identification import cart_model
+from dipc_gym.identification.run import cart_model
 from dipc_gym.plant import Friction, Plant
 
 Array = NDArray[np.float64]

@@ -9,10 +9,10 @@ import pytest
 
 from dipc_gym import mjcf
 from dipc_gym.controllers import lqr
-from dipc_gym.identification import Cart, cart, cart_model
+from dipc_gym.identification.run import Cart, cart, cart_model
+from dipc_gym.mechanics.rigid import Rigid
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.plant import Plant
-from dipc_gym.rigid import Rigid
 from dipc_gym.sim2real.effects import catalogue
 
 RIG = mjcf.from_text((resources.files("dipc_gym") / "rig.xml").read_text())

@@ -25,8 +25,8 @@ from dipc_gym.engine.ensemble import WIDTH
 from dipc_gym.engine.values import POINTER, exp, sin_cos
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.randomise import PlantFamily
-from dipc_gym.rig import Rig
 from dipc_gym.rigs.numbers import PlantNumbers
+from dipc_gym.rigs.rig import Rig
 from dipc_gym.vector import DIPCFrictionVectorEnv
 
 DRAWN = {

@@ -19,9 +19,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from dipc_gym import intact, sweep
+from dipc_gym import sweep
 from dipc_gym.experiments import compare
 from dipc_gym.experiments.compare import Comparison
+from dipc_gym.safety import intact
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sweep import Outcome, SweepError
 from dipc_gym.training import seeds, train

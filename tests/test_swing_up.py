@@ -19,7 +19,7 @@ from test_vector import RANDOM, WILD, drive, same
 
 import dipc_gym
 from dipc_gym import kernels, postures
-from dipc_gym.rigid import Rigid
+from dipc_gym.mechanics.rigid import Rigid
 from dipc_gym.swing_up import SwingUpEnv, SwingUpVectorEnv, observed, state_of
 
 ENGINES = ("mujoco", "compiled")

@@ -19,7 +19,7 @@ from dipc_gym.controllers.designs import paper_model
 from dipc_gym.controllers.tracking import equilibrium, feedback
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.estimators import RigidBody
-from dipc_gym.motion import Motion
+from dipc_gym.mechanics.motion import Motion
 from dipc_gym.postures import POSTURES
 from dipc_gym.runs import Identification
 from dipc_gym.swing_up import observed

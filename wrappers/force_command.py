@@ -14,10 +14,11 @@ from gymnasium import spaces
 from gymnasium.vector import VectorWrapper
 from numpy.typing import NDArray
 
-from dipc_gym import actions, compensators
+from dipc_gym import compensators
 from dipc_gym.compensators import Compensator, CompensatorError
-from dipc_gym.naming import suggestion
 from dipc_gym.plant import Plant
+from dipc_gym.safety import actions
+from dipc_gym.safety.naming import suggestion
 from dipc_gym.wrappers.estimate import EstimateState, refuse_blind
 from dipc_gym.wrappers.vector_estimate import VectorEstimateState
 

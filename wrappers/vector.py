@@ -11,8 +11,8 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from dipc_gym.actions import many
 from dipc_gym.compensators import Compensator
+from dipc_gym.safety.actions import many
 from dipc_gym.vector import DIPCFrictionVectorEnv
 from dipc_gym.wrappers.estimate import refuse_blind
 from dipc_gym.wrappers.force_command import check_volts, estimating, force_range, frozen_compensator

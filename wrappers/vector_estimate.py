@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.estimators import Command, Estimator
 from dipc_gym.kernels import TURN
-from dipc_gym.motion import state_of
+from dipc_gym.mechanics.motion import state_of
 from dipc_gym.vector import DIPCFrictionVectorEnv
 from dipc_gym.wrappers.estimate import check_period, own_estimator, refuse_near
 

@@ -25,7 +25,7 @@ from dipc_gym.cli.record import Record, Render
 from dipc_gym.cli.replay import Replay
 from dipc_gym.cli.train import Train, TrainPolicy
 from dipc_gym.cli.trial import Trial
-from dipc_gym.naming import suggestion
+from dipc_gym.safety.naming import suggestion
 
 
 class Command(Protocol):

@@ -37,7 +37,8 @@ class FromModel:
 
     def run(self) -> int:
         """Make and save it."""
-        from dipc_gym import compensators, inverse
+        from dipc_gym import compensators
+        from dipc_gym.training import inverse
 
         free(self.out, self.overwrite)
         ending(self.out, ".json")

@@ -65,9 +65,9 @@ class Diagnose:
         from math import isnan
 
         from dipc_gym import mjcf, recording
-        from dipc_gym.alone import alone
         from dipc_gym.recording.degrees import refuse_degrees
         from dipc_gym.recording.tables import check_format
+        from dipc_gym.safety.alone import alone
         from dipc_gym.sim2real.diagnosis import diagnose
         from dipc_gym.sim2real.model.parameters import Wishes
         from dipc_gym.sim2real.report import folder
@@ -156,7 +156,7 @@ class Report:
 
     def run(self) -> int:
         """Draw it."""
-        from dipc_gym.alone import alone
+        from dipc_gym.safety.alone import alone
         from dipc_gym.sim2real.report.folder import redraw
 
         if not self.folder.is_dir():

@@ -94,7 +94,7 @@ class Export:
         """Write a law of a diagnosis."""
         from dipc_gym.export import bundle
         from dipc_gym.export import law as laws
-        from dipc_gym.files import write_whole
+        from dipc_gym.safety.files import write_whole
 
         others = {
             "--controller": self.controller,

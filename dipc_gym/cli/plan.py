@@ -48,7 +48,7 @@ class Plan:
         from dipc_gym import SWING_UP_ID, runs
         from dipc_gym.controllers import lqr, trajectory
         from dipc_gym.controllers.tracking import Tracking
-        from dipc_gym.motion import Motion
+        from dipc_gym.mechanics.motion import Motion
 
         free(self.out, self.overwrite)
         ending(self.out, ".json")

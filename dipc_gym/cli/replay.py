@@ -50,7 +50,7 @@ class Replay:
 
     def run(self) -> int:
         """Replay, print the table, write what was asked for."""
-        from dipc_gym.files import write_json
+        from dipc_gym.safety.files import write_json
         from dipc_gym.sim2real.replay import replay
 
         for path in (self.json, self.plot):

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from dipc_gym import mjcf
-from dipc_gym.rigid import Rigid
+from dipc_gym.mechanics.rigid import Rigid
 
 if TYPE_CHECKING:
     from dipc_gym.export.program import Program, Value

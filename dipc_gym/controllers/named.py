@@ -8,8 +8,8 @@ from dipc_gym.controllers.designs import DESIGNS
 from dipc_gym.controllers.lqr import LQR
 from dipc_gym.controllers.sb3_files import read_policy
 from dipc_gym.controllers.tracking import SCHEMA, Tracking
-from dipc_gym.naming import suggestion
 from dipc_gym.policy import ControllerError
+from dipc_gym.safety.naming import suggestion
 
 
 def load(name: str) -> Controller:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import untrusted
-from dipc_gym.files import write_json
 from dipc_gym.policy import ControllerError
+from dipc_gym.safety import untrusted
+from dipc_gym.safety.files import write_json
 
 Array = NDArray[np.float64]
 

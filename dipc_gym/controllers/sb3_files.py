@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.controllers import normalisation
 from dipc_gym.policy import ControllerError
-from dipc_gym.untrusted import first_line
+from dipc_gym.safety.untrusted import first_line
 
 if TYPE_CHECKING:
     pass

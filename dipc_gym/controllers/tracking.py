@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from dipc_gym import untrusted
 from dipc_gym.controllers import lqr
-from dipc_gym.files import write_whole
 from dipc_gym.kernels import TURN
-from dipc_gym.motion import POSTURES, Motion, state_of
+from dipc_gym.mechanics.motion import POSTURES, Motion, state_of
 from dipc_gym.policy import ControllerError
-from dipc_gym.untrusted import Format
+from dipc_gym.safety import untrusted
+from dipc_gym.safety.files import write_whole
+from dipc_gym.safety.untrusted import Format
 
 Array = NDArray[np.float64]
 

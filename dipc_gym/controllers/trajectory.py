@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.controllers.tracking import Tracking, equilibrium, feedback
-from dipc_gym.motion import Motion
+from dipc_gym.mechanics.motion import Motion
 
 Array = NDArray[np.float64]
 

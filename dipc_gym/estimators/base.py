@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.plant import RANGES, Friction, Plant
-from dipc_gym.untrusted import shown
+from dipc_gym.safety.untrusted import shown
 
 Array = NDArray[np.float64]
 Rows = tuple[tuple[float, ...], ...]

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dipc_gym import untrusted
 from dipc_gym.estimators.base import SCHEMA, Estimator, RigModel
 from dipc_gym.estimators.registry import kind, names
-from dipc_gym.files import write_json
 from dipc_gym.plant import Friction
-from dipc_gym.untrusted import Format, shown
+from dipc_gym.safety import untrusted
+from dipc_gym.safety.files import write_json
+from dipc_gym.safety.untrusted import Format, shown
 
 
 class EstimatorError(ValueError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dipc_gym.compensators import LuGre, RigConstants, Samples
 from dipc_gym.estimators.base import Estimator, RigModel
-from dipc_gym.naming import suggestion
+from dipc_gym.safety.naming import suggestion
 
 _KINDS: dict[str, type[Estimator]] = {}
 

@@ -10,7 +10,7 @@ import numpy as np
 from dipc_gym.estimators.base import LARGEST, Array, Command, Estimator
 from dipc_gym.estimators.kalman import FLOOR, wander, with_friction
 from dipc_gym.estimators.late import Late
-from dipc_gym.motion import Motion
+from dipc_gym.mechanics.motion import Motion
 
 SIZE = 7
 """Six states of the rig, and friction."""

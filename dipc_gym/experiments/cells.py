@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import compensators, controllers, estimators, intact, mjcf, runs
+from dipc_gym import compensators, controllers, estimators, mjcf, runs
 from dipc_gym.compensators import FallbackWarning, OutOfRangeWarning
 from dipc_gym.controllers import lqr, normalisation
 from dipc_gym.estimators import EstimateWarning
@@ -21,6 +21,7 @@ from dipc_gym.identification import Sweep
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Policy
 from dipc_gym.runs import Course, Identification, Impulse, MotorFault, identify
+from dipc_gym.safety import intact
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,6 @@ import gymnasium
 import numpy as np
 
 from dipc_gym import ENV_ID, compensators, controllers, estimators, recording, sweep
-from dipc_gym.alone import alone
 from dipc_gym.experiments import cells, robustness, score
 from dipc_gym.experiments.cells import (
     OWN,
@@ -29,14 +28,15 @@ from dipc_gym.experiments.cells import (
     with_estimator,
 )
 from dipc_gym.experiments.tables import summarise, table
-from dipc_gym.files import remove_partial, write_json, write_whole
 from dipc_gym.identification import Sweep
-from dipc_gym.naming import suggestion
-from dipc_gym.places import inside
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.policy import Policy
 from dipc_gym.randomise import PlantFamily
 from dipc_gym.runs import Course
+from dipc_gym.safety.alone import alone
+from dipc_gym.safety.files import remove_partial, write_json, write_whole
+from dipc_gym.safety.naming import suggestion
+from dipc_gym.safety.places import inside
 from dipc_gym.sweep import Backend, Cell, Outcome
 
 SCORE = "score"  # what asks for one number, among the axes of robustness

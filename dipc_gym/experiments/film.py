@@ -25,8 +25,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dipc_gym import ENV_ID
 from dipc_gym.experiments import style
-from dipc_gym.files import partial_of, whole
 from dipc_gym.runs import Course
+from dipc_gym.safety.files import partial_of, whole
 
 Array = NDArray[np.float64]
 

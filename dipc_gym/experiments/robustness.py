@@ -11,12 +11,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dipc_gym import intact
 from dipc_gym.experiments import cells
 from dipc_gym.experiments.cells import Balancing
-from dipc_gym.naming import suggestion
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.runs import Impulse
+from dipc_gym.safety import intact
+from dipc_gym.safety.naming import suggestion
 from dipc_gym.sweep import Outcome
 
 SCHEMA = "dipc-gym/robustness/1"

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from dipc_gym import intact
 from dipc_gym.experiments import together
 from dipc_gym.experiments.cells import Balancing, label
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.runs import Impulse, MotorFault
+from dipc_gym.safety import intact
 from dipc_gym.sweep import Outcome
 
 SCHEMA = "dipc-gym/robustness-score/1"

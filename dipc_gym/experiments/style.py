@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dipc_gym.canvas import settings
-from dipc_gym.files import whole
+from dipc_gym.drawing.canvas import settings
+from dipc_gym.safety.files import whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

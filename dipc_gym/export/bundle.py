@@ -19,9 +19,9 @@ from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.export import c, onnx
 from dipc_gym.export.parts import READINGS, Estimator, FilteredDifference, Loop
 from dipc_gym.export.program import Program
-from dipc_gym.files import write_whole
 from dipc_gym.plant import Plant
 from dipc_gym.policy import FORMAT, SCHEMA, Policy
+from dipc_gym.safety.files import write_whole
 
 Array = NDArray[np.float64]
 

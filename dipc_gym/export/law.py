@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 import dipc_gym
 from dipc_gym.export.c import literal, plain
-from dipc_gym.naming import suggestion
-from dipc_gym.untrusted import Format, first_line, shown
+from dipc_gym.safety.naming import suggestion
+from dipc_gym.safety.untrusted import Format, first_line, shown
 
 __all__ = ["Law", "LawError", "read"]
 

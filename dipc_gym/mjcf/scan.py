@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
-from dipc_gym.places import PlaceError, inside
+from dipc_gym.safety.places import PlaceError, inside
 
 MAX_TEXT = 20_000_000  # bytes of XML, everything that is included counted as often as it is
 MAX_FILES = 400_000_000  # bytes of all files that a model pulls in

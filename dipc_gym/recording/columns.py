@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from dipc_gym.naming import suggestion
 from dipc_gym.recording.tables import RecordingError
 from dipc_gym.recording.units import factor
+from dipc_gym.safety.naming import suggestion
 
 COMMAND, SENSOR = "ctrl:", "sensor:"  # prefixes that tell an actuator and a sensor of one name apart
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from dipc_gym import files
-from dipc_gym.untrusted import first_line
+from dipc_gym.safety import files
+from dipc_gym.safety.untrusted import first_line
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

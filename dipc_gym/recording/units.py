@@ -7,7 +7,7 @@ import math
 import mujoco
 
 from dipc_gym.mjcf import is_hinge
-from dipc_gym.naming import suggestion
+from dipc_gym.safety.naming import suggestion
 
 _TURN = 2 * math.pi
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from dipc_gym.naming import suggestion
 from dipc_gym.rigs.together import Rigs
+from dipc_gym.safety.naming import suggestion
 
 
 def _mujoco(*args: Any, **kwargs: Any) -> Rigs:

@@ -13,7 +13,7 @@ from mujoco import batch as mjbatch
 from dipc_gym import kernels, mjcf
 from dipc_gym.physics import stack
 from dipc_gym.plant import Masses, Plant
-from dipc_gym.rig import DIVERGED, NAMES, Rig
+from dipc_gym.rigs.rig import DIVERGED, NAMES, Rig
 from dipc_gym.rigs.together import COSTS, Array, Encoders, Mask, Period, Rows, absolute, readings
 
 

@@ -19,7 +19,7 @@ from dipc_gym.engine.ensemble import WIDTH, Ensemble, Stepper
 from dipc_gym.engine.layout import JOINTS, Head
 from dipc_gym.engine.rigid import Tree
 from dipc_gym.engine.values import INT, POINTER, REAL, Value, where
-from dipc_gym.rig import DIVERGED
+from dipc_gym.rigs.rig import DIVERGED
 
 CHUNK = 16  # groups of rigs that a thread takes at once
 

@@ -20,10 +20,10 @@ from dipc_gym.engine.layout import JOINTS, Head
 from dipc_gym.engine.program import Program
 from dipc_gym.engine.run import pool
 from dipc_gym.plant import Plant
-from dipc_gym.rig import DIVERGED, Rig
 from dipc_gym.rigs.batch import free_at_rest
 from dipc_gym.rigs.code import CHUNK, At, Flag, Kept, Own, Places, Run, Term, write
 from dipc_gym.rigs.numbers import PlantNumbers
+from dipc_gym.rigs.rig import DIVERGED, Rig
 from dipc_gym.rigs.together import COSTS, Array, Encoders, Mask, Period, Rows, absolute, readings
 
 _STATES = int(Kept.SIZE)  # where a rig's states begin in what it remembers

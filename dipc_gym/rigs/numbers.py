@@ -13,7 +13,7 @@ from dipc_gym.engine import rigid
 from dipc_gym.engine.layout import Element, Force, Head, Joint
 from dipc_gym.engine.program import Program
 from dipc_gym.plant import Masses, Plant
-from dipc_gym.rig import NAMES, Rig
+from dipc_gym.rigs.rig import NAMES, Rig
 from dipc_gym.rigs.together import Array
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from dipc_gym.rig import Rig
 from dipc_gym.rigs.compiled import CompiledRigs
+from dipc_gym.rigs.rig import Rig
 from dipc_gym.rigs.together import Encoders
 
 _ROW = np.zeros(1, dtype=np.intp)

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym import physics as custom
 from dipc_gym import recording as recordings
-from dipc_gym.canvas import settings
-from dipc_gym.files import whole
+from dipc_gym.drawing.canvas import settings
 from dipc_gym.provenance import versions
 from dipc_gym.recording import Recording
 from dipc_gym.recording import units as si
+from dipc_gym.safety.files import whole
 from dipc_gym.sim2real.estimation.fit import correct_initial, fit
 from dipc_gym.sim2real.estimation.segments import joined, prepare
 from dipc_gym.sim2real.selection.data import from_zero

@@ -18,8 +18,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor
 
 from dipc_gym.compensators import OutOfRangeWarning
-from dipc_gym.intact import fit
 from dipc_gym.policy import Policy
+from dipc_gym.safety.intact import fit
 from dipc_gym.sb3 import DIPCFrictionVecEnv
 from dipc_gym.training.train import Rig, Training
 

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dipc_gym import intact, sweep
-from dipc_gym.alone import alone
+from dipc_gym import sweep
 from dipc_gym.experiments import cells
-from dipc_gym.files import write_whole
-from dipc_gym.places import inside
+from dipc_gym.safety import intact
+from dipc_gym.safety.alone import alone
+from dipc_gym.safety.files import write_whole
+from dipc_gym.safety.places import inside
 from dipc_gym.sweep import Backend, Outcome
 from dipc_gym.training import train
 from dipc_gym.training.train import Rig, Training

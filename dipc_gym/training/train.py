@@ -22,19 +22,20 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, SWING_UP_ID, compensators, intact
-from dipc_gym.alone import alone
+from dipc_gym import ENV_ID, SWING_UP_ID, compensators
 from dipc_gym.compensators import Compensator, OutOfRangeWarning
 from dipc_gym.controllers.tracking import Tracking
 from dipc_gym.experiments import cells
-from dipc_gym.files import remove_partial, write_whole
-from dipc_gym.naming import suggestion
-from dipc_gym.places import inside
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Evaluation, Policy
 from dipc_gym.rigs import ENGINES, unknown_engine
 from dipc_gym.runs import identify
-from dipc_gym.untrusted import Format, first_line, shown
+from dipc_gym.safety import intact
+from dipc_gym.safety.alone import alone
+from dipc_gym.safety.files import remove_partial, write_whole
+from dipc_gym.safety.naming import suggestion
+from dipc_gym.safety.places import inside
+from dipc_gym.safety.untrusted import Format, first_line, shown
 
 Array = NDArray[np.float64]
 Algorithm = Literal["ppo", "sac"]

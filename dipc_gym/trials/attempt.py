@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import dipc_gym
-from dipc_gym import intact
-from dipc_gym.places import inside
+from dipc_gym.safety import intact
+from dipc_gym.safety.places import inside
 from dipc_gym.trials.records import digests
 
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv")

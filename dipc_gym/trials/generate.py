@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dipc_gym import intact
-from dipc_gym.files import whole, write_whole
-from dipc_gym.intact import DamagedError
-from dipc_gym.interrupts import held_back
-from dipc_gym.places import inside
+from dipc_gym.safety import intact
+from dipc_gym.safety.files import whole, write_whole
+from dipc_gym.safety.intact import DamagedError
+from dipc_gym.safety.interrupts import held_back
+from dipc_gym.safety.places import inside
 from dipc_gym.trials import records, rigs, shapes
 from dipc_gym.trials.catalogue import effects
 from dipc_gym.trials.prediction import Recording

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dipc_gym.canvas import settings
-from dipc_gym.files import whole, write_json, write_whole
+from dipc_gym.drawing.canvas import settings
+from dipc_gym.safety.files import whole, write_json, write_whole
 
 
 def write_report(out: Path, scores: Mapping[str, Any], *, seed: int) -> None:

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dipc_gym import intact
-from dipc_gym.intact import DamagedError
-from dipc_gym.places import PlaceError, inside
+from dipc_gym.safety import intact
+from dipc_gym.safety.intact import DamagedError
+from dipc_gym.safety.places import PlaceError, inside
 from dipc_gym.trials.grade import Grade, grade
 
 NAMED = {"effect": str, "at": str}

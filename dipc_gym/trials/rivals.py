@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from dipc_gym import intact, sweep
-from dipc_gym.alone import alone
-from dipc_gym.files import write_json, write_whole
-from dipc_gym.intact import DamagedError
-from dipc_gym.places import inside
+from dipc_gym import sweep
+from dipc_gym.safety import intact
+from dipc_gym.safety.alone import alone
+from dipc_gym.safety.files import write_json, write_whole
+from dipc_gym.safety.intact import DamagedError
+from dipc_gym.safety.places import inside
 from dipc_gym.sweep import Backend
 from dipc_gym.trials import records
 from dipc_gym.trials.generate import generate

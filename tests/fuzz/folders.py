@@ -13,15 +13,16 @@ from brains import estimator, llnf, own_policy
 from mutate import archive, octets
 from target import BOTH, Target, as_json
 
-from dipc_gym import compensators, estimators, intact, sweep
+from dipc_gym import compensators, estimators, sweep
 from dipc_gym.controllers import ControllerError
 from dipc_gym.estimators import EstimatorError
 from dipc_gym.experiments import robustness, score, tables
 from dipc_gym.experiments.cells import Balancing, CompensatorTraining, FrictionLearning
 from dipc_gym.identification import Sweep
-from dipc_gym.places import PlaceError
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Policy
+from dipc_gym.safety import intact
+from dipc_gym.safety.places import PlaceError
 from dipc_gym.sweep import SweepError
 from dipc_gym.training import train
 from dipc_gym.training.seeds import PolicyTraining, keep

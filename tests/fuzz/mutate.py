@@ -10,7 +10,7 @@ import re
 import zipfile
 from typing import Any
 
-from dipc_gym import intact
+from dipc_gym.safety import intact
 
 TOKENS = (
     *(b"", b"nan", b"inf", b"-1", b"0", b"1e308", b"1e-320", b"9" * 400, b"\0", b"\xff\xfe", b"\n" * 500, b"[" * 3000),

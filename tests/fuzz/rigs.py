@@ -21,14 +21,15 @@ from mutate import archive, markup, octets, tree
 from PIL import Image
 from target import Target, as_json, finite
 
-from dipc_gym import ENV_ID, compensators, inverse, mjcf, physics, recording, runs
-from dipc_gym.identification import Sweep, cart, cart_model
+from dipc_gym import ENV_ID, compensators, mjcf, physics, recording, runs
+from dipc_gym.identification.run import Sweep, cart, cart_model
 from dipc_gym.mjcf import MjcfError
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.recording.tables import RecordingError, write_table
 from dipc_gym.sim2real.estimation.states import Undetermined
 from dipc_gym.sim2real.model.parameters import fixed_masses, model_parameters
+from dipc_gym.training import inverse
 
 MODEL = """<mujoco model="axis"><option timestep="0.002"/><worldbody><body><joint name="axis" damping="0.1"/>
 <geom type="capsule" size="0.02 0.2" mass="0.5" contype="0" conaffinity="0"/></body></worldbody>

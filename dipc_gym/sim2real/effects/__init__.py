@@ -10,7 +10,7 @@ import importlib
 import inspect
 import pkgutil
 
-from dipc_gym.naming import suggestion
+from dipc_gym.safety.naming import suggestion
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values
 
 __all__ = ["Effect", "Evidence", "Parameter", "Values", "catalogue", "register"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document, text
-from dipc_gym.naming import suggestion
+from dipc_gym.safety.naming import suggestion
 from dipc_gym.sim2real.effects.base import is_dcmotor
 
 

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from dipc_gym.files import write_whole
-from dipc_gym.places import inside
+from dipc_gym.safety.files import write_whole
+from dipc_gym.safety.places import inside
 from dipc_gym.sim2real.report import page, saved
 from dipc_gym.sim2real.result import Details, Diagnosis, finite
 

@@ -15,7 +15,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.files import write_whole
+from dipc_gym.safety.files import write_whole
 from dipc_gym.sim2real.report import plots
 from dipc_gym.sim2real.report.charts import Tone
 from dipc_gym.sim2real.report.wording import clean, fine_percent, measured, number, percent, short, tied

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.operators import play, swing
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.simulation.motion import Motion
+from dipc_gym.sim2real.simulation.operators import play, swing
 
 Array = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from dipc_gym import kernels, mjcf
 from dipc_gym.compensators import RigConstants, Samples
 from dipc_gym.compensators.memory import smooth as smoothed_force
-from dipc_gym.excitation import Excitation, examine, force_noise
+from dipc_gym.identification.excitation import Excitation, examine, force_noise
+from dipc_gym.identification.smoothing import smooth
+from dipc_gym.mechanics.rigid import Rigid
 from dipc_gym.physics import from_model
 from dipc_gym.plant import Encoders, Plant, physics_steps
 from dipc_gym.recording import Recording, resample_commands
-from dipc_gym.rigid import Rigid
-from dipc_gym.smoothing import smooth
 
 __all__ = ["Cart", "Sweep"]
 

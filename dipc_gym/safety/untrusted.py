@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from dipc_gym.naming import suggestion
+from dipc_gym.safety.naming import suggestion
 
 MANY_DIGITS = 10**40
 

@@ -35,9 +35,9 @@ def inside(folder: str | Path, name: str) -> Path:
     Example:
         >>> inside("sweep", "ppo-llnf-00/policy.json").as_posix()
         'sweep/ppo-llnf-00/policy.json'
-        >>> inside("sweep", "../policy.json")
+        >>> inside("sweep", "../policy.json")  # doctest: +ELLIPSIS
         Traceback (most recent call last):
-        dipc_gym.places.PlaceError: sweep: '../policy.json' leads out of this folder; use it only with names within it
+        dipc_gym.safety.places.PlaceError: sweep: '../policy.json' leads out of this folder; ...
     """
     folder = Path(folder)
     try:

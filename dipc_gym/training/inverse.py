@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.compensators import Compensator, Curve, RigConstants, Samples, registry
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.identification import cart, cart_model
+from dipc_gym.identification.run import cart, cart_model
 from dipc_gym.physics import Physics, from_model
 from dipc_gym.plant import Plant
 from dipc_gym.runs import identify

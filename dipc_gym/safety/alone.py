@@ -31,7 +31,7 @@ def alone(folder: str | Path) -> Iterator[None]:
         >>> with alone(place), alone(place):  # doctest: +ELLIPSIS
         ...     pass
         Traceback (most recent call last):
-        dipc_gym.alone.BusyError: ...: another run is at work in this folder; wait for its end, or name another folder
+        dipc_gym.safety.alone.BusyError: ...: another run is at work in this folder; wait for its end, ...
     """
     folder = Path(folder)
     new = not folder.exists()

@@ -15,8 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dipc_gym.files import write_json
-from dipc_gym.untrusted import Format, shown
+from dipc_gym.safety.files import write_json
+from dipc_gym.safety.untrusted import Format, shown
 
 DIGEST = "sha256"
 ASIDE = ".damaged"
@@ -75,7 +75,7 @@ def read(path: Path, shape: Mapping[str, Shape]) -> dict[str, Any]:
         >>> _ = path.write_text(path.read_text().replace("3.0", "4.0"))
         >>> read(path, {"cost": float})  # doctest: +ELLIPSIS
         Traceback (most recent call last):
-        dipc_gym.intact.DamagedError: ...cell.json: was changed after it was written; delete it to make it again
+        dipc_gym.safety.intact.DamagedError: ...cell.json: was changed after it was written; delete it to make it again
     """
     if not path.is_file():  # opening a named pipe would wait for ever
         raise DamagedError(f"{path}: is no file; {FORMAT.mend}")
