@@ -136,7 +136,8 @@ def shaped(effect: str, rig: str, at: str) -> tuple[Effect, list[Mapping[str, fl
     found = known.proposals(scene.at(known.place, at, {}))
     if not found:
         pytest.skip("nothing in this recording asks for it")
-    return found[0][0], [dict(guess) for _, guess in found]
+    first = found[0][0]
+    return first, [dict(guess) for effect, guess in found if effect is first]
 
 
 def guesses(effect: Effect, rig: str, at: str) -> list[Mapping[str, float]]:

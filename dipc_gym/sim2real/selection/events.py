@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dipc_gym.sim2real.estimation.fit import evaluate
+from dipc_gym.sim2real.estimation.fit import evaluate, fit
 from dipc_gym.sim2real.selection import data, ranking
 from dipc_gym.sim2real.selection.progress import Progress
 from dipc_gym.sim2real.selection.scorer import Scorer
@@ -50,4 +50,10 @@ def _around_outliers(progress: Progress, scorer: Scorer) -> Progress:
     taken = replace(partition, aside=partition.aside.pick(~which[compared:]))
     if which[:compared].any():
         taken = replace(taken, comparison=partition.comparison.pick(~which[:compared]))
-    return replace(progress, partition=taken).taking_in(others.pick(which))
+    if not which.any():
+        return progress
+    progress = replace(progress, partition=taken).taking_in(others.pick(which))
+    # Whatever is tried beside it is fitted to the new windows too; an end of a table may need no more than that.
+    current = progress.current
+    again = fit(progress.partition.problem, current.structure, current.z, current.initial, most=15)
+    return replace(progress, path=(*progress.path[:-1], again))
