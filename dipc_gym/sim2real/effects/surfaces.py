@@ -24,7 +24,8 @@ ALONE, BOTH = 32, 16  # bins along one input, and along each of two; no knots li
 PAIRED = 8  # of the better inputs, that are tried in pairs
 TELLS = 0.1  # share of what one input takes, by which two have to take more
 STIFF = (1e-3, 0.1, 10.0)  # of an even table: weight of its bends, against that of its samples
-TIMID = 0.01  # weight of a level's size: where nearly no samples are, a table is nearly nothing
+SMOOTH = 1e-3  # weight of a grown table's bends: where nearly no samples are, it goes on as it does beside them
+TIMID = 1e-4  # weight of a level's size, far less
 LEAST = 0.002  # share of the variance that a table must take of blocks that it did not see
 MOST_LEVELS = 72  # of a table
 
@@ -147,7 +148,7 @@ class _Even:
         shape = [len(k) for k in knots]
         size = float(np.trace(normal)) / len(right)
         levels = np.asarray(
-            np.linalg.solve(normal + size * (0.1 * STIFF[0] * _bending(shape) + TIMID * np.eye(len(right))), right)
+            np.linalg.solve(normal + size * (SMOOTH * _bending(shape) + TIMID * np.eye(len(right))), right)
         )
         return levels, np.asarray(coarse @ levels)
 
