@@ -137,7 +137,7 @@ def shaped(effect: str, rig: str, at: str) -> tuple[Effect, list[Mapping[str, fl
     if not found:
         pytest.skip("nothing in this recording asks for it")
     first = found[0][0]
-    return first, [dict(guess) for effect, guess in found if effect is first]
+    return first, [dict(guess) for effect, guess in found if effect is first or not first.free]
 
 
 def guesses(effect: Effect, rig: str, at: str) -> list[Mapping[str, float]]:

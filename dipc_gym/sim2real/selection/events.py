@@ -53,7 +53,10 @@ def _around_outliers(progress: Progress, scorer: Scorer) -> Progress:
     if not which.any():
         return progress
     progress = replace(progress, partition=taken).taking_in(others.pick(which))
-    # Whatever is tried beside it is fitted to the new windows too; an end of a table may need no more than that.
     current = progress.current
+    if not any(term.effect.free for term in current.structure.terms):
+        return progress
+    # An end of a table may need no more than to be fitted to the new windows, as whatever is tried beside it is. A
+    # push, which is no longer asked for beside a table, must not bend the fit before it is tried.
     again = fit(progress.partition.problem, current.structure, current.z, current.initial, most=15)
     return replace(progress, path=(*progress.path[:-1], again))

@@ -23,8 +23,8 @@ def sketched(fitter: Fitter, screened: Screened, current: Fit) -> Fit | None:
     """The best sketch with one or two kinds of effect at several joints; None where there are no two such.
 
     A kind that gains little alone, in whose place other masses and gears do nearly as well, may be what another kind
-    lacks: so two kinds are asked whatever either gains. None as well where a straight line through first guesses
-    foretells that all joints gain no more than one does.
+    lacks: so two kinds are asked whatever either gains. Those are sketched of which a straight line through first
+    guesses foretells most.
 
     Args:
         fitter: fits it.
@@ -41,7 +41,7 @@ def sketched(fitter: Fitter, screened: Screened, current: Fit) -> Fit | None:
             members = [by_key[term.key] for term in _added(structure, current)]
             if len(structure.terms) > len(begun.terms) and len(members) > 1:
                 gain = screen.together(fitter.problem, current, members, fitter.subset)
-                asked += [(gain, structure)] if gain > alone + SCORE.worth else []
+                asked += [(gain, structure)] if gain > SEARCH.keeps_up * alone else []
         asked = sorted(asked, key=lambda each: -each[0])[: SEARCH.kinds]
         best += [sketch for _, structure in asked if (sketch := fitter.sketch(current, structure)) is not None]
         losses = ranking.losses([one.mse for one in best])

@@ -73,7 +73,7 @@ def screen(problem: Problem, current: Fit, terms: Sequence[Term], subset: NDArra
     """
     guesses: dict[tuple[str, int], list[Term]] = {}
     for term in terms:
-        guesses.setdefault((term.key, id(term.effect)), []).append(term)
+        guesses.setdefault((term.key, id(term.effect) if term.effect.free else 0), []).append(term)
     some, currently = problem.pick(subset), current.pick(subset)
     luck = _luck(problem, current, subset)
     found = []
