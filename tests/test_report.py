@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import re
 import shutil
 from collections.abc import Iterator
@@ -68,6 +69,7 @@ RIGS = {  # truth, nominal, recalibrated, improved
 }
 
 
+@functools.cache
 def simulated(verdict: str, seconds: float = 10.0, seed: int = 0) -> dict[str, np.ndarray]:
     """Readings of the true cart and each model's predictions in windows, NaN between."""
     rng = np.random.default_rng(seed)
