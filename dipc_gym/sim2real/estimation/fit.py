@@ -304,7 +304,13 @@ def evaluate(problem: Problem, structure: Structure, z: Array, initial: Array | 
     return shooting.mse(shooting.left(s, residual, S)), s
 
 
-def simulated(problem: Problem, structure: Structure, z: Array, rounds: int = 2) -> Array:
+def begun(problem: Problem, structure: Structure, z: Array) -> tuple[Array, Array]:
+    """Initial states (n, 2 nb) that predict windows best, and how readings change with them; see `Shooting.settled`."""
+    s, _, _, S = Shooting(problem, structure).settled(z, problem.initial, parameters=False)
+    return s, S
+
+
+def simulated(problem: Problem, structure: Structure, z: Array, begin: tuple[Array, Array], rounds: int = 2) -> Array:
     """Mean square error of each window in units of noise, (n,), as it comes out when it is simulated.
 
     `evaluate` leaves out what a straight line says that yet other initial states would explain; where joints stick, no
@@ -314,12 +320,16 @@ def simulated(problem: Problem, structure: Structure, z: Array, rounds: int = 2)
         problem: windows.
         structure: of the model.
         z: its mapped parameters, (p,).
-        rounds: Gauss-Newton steps beyond those of `evaluate`; each keeps a window's better initial state.
+        begin: what `begun` says of the same windows, maybe in other steps.
+        rounds: Gauss-Newton steps at most, for as long as they bring something; each keeps a window's better initial
+            state.
     """
-    shooting = Shooting(problem, structure)
-    s, residual, _, S = shooting.settled(z, problem.initial, parameters=False)
-    for k in range(rounds):
-        if k:
-            _, _, S = shooting.derivatives(z, s, residual, parameters=False)
-        s, residual = shooting.corrected(z, s, residual, S)
-    return np.asarray(np.sum(residual**2, axis=(1, 2)) / problem.counts)
+    shooting, (s, S) = Shooting(problem, structure), begin
+    residual = shooting.residuals([z], s[None])[0]
+    mse = np.sum(residual**2, axis=(1, 2)) / problem.counts
+    for _ in range(rounds):
+        s, residual = shooting.corrected(z, s, residual, S, [problem.initial])
+        before, mse = mse, np.sum(residual**2, axis=(1, 2)) / problem.counts
+        if np.mean(before) < (1 + ESTIMATION.lag) * np.mean(mse):
+            break
+    return np.asarray(mse)

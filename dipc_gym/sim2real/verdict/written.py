@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real.estimation.fit import Fit, fit, simulated
+from dipc_gym.sim2real.estimation.fit import Fit, begun, fit, simulated
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.result import AsWritten, Errors
@@ -44,6 +44,38 @@ class Option:
     error: float
     refitted: bool = False
     forms: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Predicts windows as the owner of a file will.
+
+    Attributes:
+        fine: windows, in the steps of the diagnosis.
+        stepping: of the file.
+    """
+
+    fine: Problem
+    stepping: Stepping
+    _begun: dict[tuple[int, bytes], tuple[Structure, tuple[Array, Array]]] = field(default_factory=dict, repr=False)
+
+    def error(self, structure: Structure, z: Array) -> float:
+        """Root mean square error of a structure, in units of noise; infinite where it does not compile.
+
+        Where a window begins is told by fine steps, once for all others.
+        """
+        key = id(structure), z.tobytes()
+        try:
+            if key not in self._begun:
+                self._begun[key] = structure, begun(self.fine, structure, z)
+            own = replace(self.fine, stepping=self.stepping, finer=1)
+            return float(np.sqrt(np.mean(simulated(own, structure, z, self._begun[key][1]))))
+        except (mjcf.MjcfError, np.linalg.LinAlgError):
+            return float("inf")
+
+    def at(self, stepping: Stepping) -> Judge:
+        """The same windows in other steps."""
+        return replace(self, stepping=stepping)
 
 
 def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequence[Option], enough: float) -> Option:
@@ -84,11 +116,12 @@ def written(
     """
     own = Stepping(timestep)
     chosen_by = partition.validation if len(partition.validation.windows) else partition.comparison
-    validation, held_out = (replace(part, stepping=own, finer=1) for part in (chosen_by, test))
+    validation, held_out = (Judge(part, own) for part in (chosen_by, test))
     nominal, recalibrated, final = fits
-    plainer = [Option(one.structure, one.z, error(validation, one.structure, one.z)) for one in (nominal, recalibrated)]
-    enough = SCORE.at_floor * max(error(chosen_by, final.structure, final.z), 1.0)
-    as_found = Option(final.structure, final.z, error(validation, final.structure, final.z))
+    plainer = [Option(one.structure, one.z, validation.error(one.structure, one.z)) for one in (nominal, recalibrated)]
+    here, there = (one.at(one.fine.stepping).error(final.structure, final.z) for one in (validation, held_out))
+    enough = SCORE.at_floor * max(here, 1.0)
+    as_found = Option(final.structure, final.z, validation.error(final.structure, final.z))
     physical, refitted = [as_found], list[Option]()
     if as_found.error > enough:
         physical += _in_other_forms(as_found, validation)
@@ -99,8 +132,8 @@ def written(
         for option in [as_found] if best is as_found else [best, as_found]:
             refitted += _made_up(option, to_refit, validation)
     taken = choose(physical, refitted, plainer, enough)
-    errors = [error(held_out, one.structure, one.z) for one in (nominal, recalibrated, taken)]
-    told = SCORE.at_floor * max(error(test, final.structure, final.z), 1.0)
+    errors = [held_out.error(one.structure, one.z) for one in (nominal, recalibrated, taken)]
+    told = SCORE.at_floor * max(there, 1.0)
     costs = taken.error > enough or errors[-1] > told
     finer = _finer(taken, ((validation, enough), (held_out, told))) if costs else None
     said = AsWritten(
@@ -110,26 +143,18 @@ def written(
         Errors(*(option.error for option in (*plainer, taken))),
         dict(taken.forms),
         taken.refitted,
-        None if finer is None else (finer, error(_at(held_out, finer), taken.structure, taken.z)),
+        None if finer is None else (finer, held_out.at(Stepping(finer)).error(taken.structure, taken.z)),
     )
     return taken, said
 
 
-def error(problem: Problem, structure: Structure, z: Array) -> float:
-    """Root mean square error of a structure, in units of noise; infinite where it does not compile."""
-    try:
-        return float(np.sqrt(np.mean(simulated(problem, structure, z))))
-    except (mjcf.MjcfError, np.linalg.LinAlgError):
-        return float("inf")
-
-
-def _in_other_forms(found: Option, validation: Problem) -> list[Option]:
+def _in_other_forms(found: Option, validation: Judge) -> list[Option]:
     """A model with each of its effects in turn in the form that predicts best beside those chosen before it."""
     options, best = list[Option](), found
     for k, term in enumerate(found.structure.terms):
         for structure, words in _forms(best, k):
             z = carry(best.structure, best.z, structure)
-            after = error(validation, structure, z)
+            after = validation.error(structure, z)
             options.append(Option(structure, z, after, forms=(*best.forms, (term.key, words))))
         best = min([best, *options], key=lambda option: option.error)
     return options
@@ -144,25 +169,28 @@ def _forms(option: Option, k: int) -> Iterator[tuple[Structure, str]]:
         yield replace(structure, terms=(*terms[:k], term, *terms[k + 1 :])), form.element
 
 
-def _made_up(option: Option, problem: Problem, validation: Problem) -> list[Option]:
+def _made_up(option: Option, problem: Problem, validation: Judge) -> list[Option]:
     """A model with parameters that make up for the step, if it can be fitted there."""
     with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
         again = fit(problem, option.structure, option.z, most=VERDICT.refit_steps)
-        after = error(validation, again.structure, again.z)
+        after = validation.error(again.structure, again.z)
         return [replace(option, z=again.z, error=after, refitted=True)]
     return []
 
 
-def _finer(option: Option, parts: Sequence[tuple[Problem, float]]) -> float | None:
-    """The longest of a few shorter steps at which a model predicts all windows well enough, s; None if none does."""
-    own = parts[0][0].stepping.timestep
-    for shorter in VERDICT.shorter:
-        step = own / shorter
-        if all(error(_at(part, step), option.structure, option.z) <= enough for part, enough in parts):
-            return step
+def _finer(option: Option, parts: Sequence[tuple[Judge, float]]) -> float | None:
+    """The longest of a few shorter steps at which a model predicts all windows well enough, s; None if none does.
+
+    Errors fall no faster than with the square of the step: what that foretells to be too coarse is not tried.
+    """
+    own, least = parts[0][0].stepping.timestep, 0.0
+    for shorter in (shorter for shorter in VERDICT.shorter if shorter >= least):
+        for judge, enough in parts:
+            after = judge.at(Stepping(own / shorter)).error(option.structure, option.z)
+            if after > enough:
+                floor = enough / SCORE.at_floor
+                least = shorter * np.sqrt((after - floor) / (enough - floor))
+                break
+        else:
+            return own / shorter
     return None
-
-
-def _at(problem: Problem, step: float) -> Problem:
-    """The same windows in other steps of the model's own integrator."""
-    return replace(problem, stepping=Stepping(step))
