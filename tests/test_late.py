@@ -70,7 +70,7 @@ def test_late_stages_that_fail_lose_nothing_that_was_found(
 
     for where, name in STAGES[stages]:
         monkeypatch.setattr(where, name, fail)
-    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 6, 3.0)], effects=FEW)
+    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], effects=FEW)
     saving.save(found, tmp_path / "out", model="cart.xml", command="")
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert [one["effect"] for one in said["missing"]] == ["friction.coulomb"]
