@@ -236,7 +236,8 @@ def feedback(motion: Motion, states: Array, forces: Array, period: float, goal: 
     Q, R = lqr.RECOVERED_Q, lqr.R
     F, G = lqr.sampled(*_columns(motion.linear(goal, 0.0)), period)
     hold, P = lqr.dlqr(F, G, Q, R)[0], linalg.solve_discrete_are(F, G, Q, np.eye(1) * R)
-    gains, to_go, cost = np.zeros((len(forces), 6)), np.tile(P, (len(forces) + 1, 1, 1)), 0.0
+    gains, to_go, cost = np.zeros((len(forces), 6)), np.zeros((len(forces) + 1, 6, 6)), 0.0
+    to_go[-1] = P
     for k in range(len(forces) - 1, -1, -1):
         F, G = lqr.sampled(*_columns(motion.linear(0.5 * (states[k] + states[k + 1]), forces[k])), period)
         cost += float(G[:, 0] @ P @ G[:, 0])
