@@ -3,9 +3,10 @@
     python -m benchmarks.swing_up [--controller tvlqr] [--compensator observed] [--rigs 5] [--resets 15] [--seconds 60]
 
 Rigs are those of `compare`: friction and encoder noise differ. On each, friction is identified anew, the compensator is
-fitted to that run, and what sees the rig is the estimator `rigid_body`; a policy sees the environment's own observation
-(`--estimator none`). A plan is made for the paper's rig and not changed. A run counts if it ends with both poles within
-0.35 rad of the goal for so many seconds without a break; it may take ten seconds to get there.
+fitted to that run, and what sees the rig is the estimator `rigid_body`, or what `--estimator` says, `none` for the
+environment's own observation. A policy is to get the compensator and the estimator that it was trained with. Plan and
+policy are made for the paper's rig and not changed. A run counts if it ends with both poles within 0.35 rad of the goal
+for so many seconds without a break; it may take ten seconds to get there.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ import gymnasium
 import numpy as np
 
 from dipc_gym import SWING_UP_ID, controllers, runs
-from dipc_gym.controllers import Tracking
 from dipc_gym.experiments.compare import Comparison
 from dipc_gym.policy import Policy
 from dipc_gym.wrappers import VectorEstimateState, VectorForceCommand
@@ -37,7 +37,10 @@ def main() -> None:
     given = options.parse_args()
     warnings.simplefilter("ignore")
     brain = controllers.load(given.controller)
-    task = {"start": brain.start, "goal": brain.goal} if isinstance(brain, Tracking) else {}
+    if isinstance(brain, Policy):
+        brain.require(given.compensator)
+        brain.require_estimator(None if given.estimator == "none" else given.estimator)
+    task = {"start": brain.start or "down-down", "goal": brain.goal or "up-up"}
     comparison, total = Comparison(seeds=given.rigs), 0
     for seed in range(given.rigs):
         plant = comparison.rig(seed)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.mechanics.motion import POSTURES
 from dipc_gym.safety import untrusted
 from dipc_gym.safety.files import write_whole
 from dipc_gym.safety.untrusted import Format
@@ -44,6 +45,9 @@ KINDS = {len(INPUTS): INPUTS, len(SWING_UP_INPUTS): SWING_UP_INPUTS}
 """What a network may be given, by how many numbers that are: what one environment or the other observes."""
 FORMAT = Format("policy file", "train-policy", "copy or train the policy again", 5_000_000, ControllerError)
 """A policy of two layers of 64 takes a tenth of a million bytes."""
+PLACES = ("start", "goal")
+LATER = ("estimator", *PLACES)
+"""Fields that older files lack."""
 WIDEST = 1024
 DEEPEST = 8
 LARGEST = 1e300
@@ -57,7 +61,7 @@ class Evaluation:
     Attributes:
         seconds: length of a run, s.
         seeds: of starting states and noise, one for each run.
-        held: time until each run ended, or at the goal at the end of a swing-up, s.
+        held: time until each run ended, s; of a swing-up, how long it stayed at the goal, or 0 if that was too short.
         reward: median over the runs of their return, in shares of the largest possible.
     """
 
@@ -86,10 +90,13 @@ class Policy:
         limit: largest command either way, N or V.
         newtons_per_volt: the motor's gain on the rig that it was trained on, N/V.
         compensator: name of the compensator that it was trained with.
+        estimator: name of the one through which it is to see the rig; None is the environment's own observation.
+        start: equilibrium that it learned to leave, a name of `motion.POSTURES`; None where it balances.
+        goal: equilibrium that it learned to hold, likewise.
         scales: (6,) for `DIPC-Friction-v0`, (8,) for `DIPC-Friction-SwingUp-v0`: what the observation is divided by.
         layers: weights (out, in) and biases (out,), from first to last.
         squash: what follows the last layer: `"clip"` to -1..1, or `"tanh"`.
-        algorithm: `"ppo"` or `"sac"`.
+        algorithm: `"ppo"`, `"sac"` or `"dagger"`.
         seed: of its training.
         steps: control periods that it was trained for.
         evaluation: how it did, if it was tried.
@@ -115,6 +122,9 @@ class Policy:
     seed: int = 0
     steps: int = 0
     evaluation: Evaluation | None = None
+    estimator: str | None = None
+    start: str | None = None
+    goal: str | None = None
     name: str = "policy"
 
     def __post_init__(self) -> None:
@@ -122,6 +132,9 @@ class Policy:
             raise ValueError(f"commands is {self.commands!r}; it can be 'force' or 'voltage'")
         if self.commands == "voltage" and self.compensator != "none":
             raise ValueError(f"a policy that commands voltage has the compensator 'none', not {self.compensator!r}")
+        for place in PLACES:
+            if getattr(self, place) not in (None, *POSTURES):
+                raise ValueError(f"{place} is {getattr(self, place)!r}; it can be {', '.join(POSTURES)}")
         if self.squash not in ("clip", "tanh"):
             raise ValueError(f"squash is {self.squash!r}; it can be 'clip' or 'tanh'")
         for name in ("limit", "newtons_per_volt"):
@@ -195,10 +208,29 @@ class Policy:
                 f"say --compensator {self.compensator}, or train one with {compensator!r}"
             )
 
+    def require_estimator(self, estimator: str | None) -> None:
+        """Refuse to see through another estimator than the policy's own, if it has one.
+
+        Args:
+            estimator: name of the one that is to stand before it; None is the environment's own observation.
+
+        Raises:
+            ControllerError: it is another; the message says which one the policy was trained with.
+        """
+        if self.estimator is not None and estimator != self.estimator:
+            sees = "the environment's own observation" if estimator is None else repr(estimator)
+            raise ControllerError(
+                f"policy {self.name!r} was trained to see through {self.estimator!r} and is to see through {sees}; "
+                f"say --estimator {self.estimator}"
+            )
+
     def summary(self) -> str:
         """What it is and how it did, in a line."""
         what = f"{self.commands} through {self.compensator}" if self.commands == "force" else "voltage"
-        text = f"{self.algorithm}, {what}, {self.parameters:,} numbers, chosen after {self.steps:,} control periods"
+        seen = "" if self.estimator is None else f", seen through {self.estimator}"
+        text = (
+            f"{self.algorithm}, {what}{seen}, {self.parameters:,} numbers, chosen after {self.steps:,} control periods"
+        )
         if (tried := self.evaluation) is None:
             return text
         did = "swung up and held" if self.swings_up else "stood"
@@ -237,6 +269,9 @@ class Policy:
             "seed": self.seed,
             "steps": self.steps,
             "compensator": self.compensator,
+            "estimator": self.estimator,
+            "start": self.start,
+            "goal": self.goal,
             "commands": {"name": self.commands, "unit": UNITS[self.commands], "limit": self.limit},
             "newtons_per_volt": self.newtons_per_volt,
             "observation": [
@@ -278,10 +313,10 @@ class _Reader(untrusted.Reader):
     """Takes a policy from untrusted data."""
 
     def policy(self, data: Any, name: str) -> Policy:
-        fields = (
-            "algorithm seed steps compensator commands newtons_per_volt observation evaluation activation squash layers"
-        )
-        self.document(data, SCHEMA, fields.split())
+        fields = "algorithm seed steps compensator commands newtons_per_volt observation evaluation activation squash"
+        if isinstance(data, dict):
+            data = dict.fromkeys(LATER) | data  # files may be older
+        self.document(data, SCHEMA, [*fields.split(), "layers", *LATER])
         commands = self.members(data["commands"], ("name", "unit", "limit"), "commands")
         what = self.one_of(commands["name"], tuple(UNITS), "commands.name")
         self.one_of(commands["unit"], (UNITS[what],), "commands.unit")
@@ -292,9 +327,11 @@ class _Reader(untrusted.Reader):
             "limit": self.positive(commands["limit"], "commands.limit"),
             "newtons_per_volt": self.positive(data["newtons_per_volt"], "newtons_per_volt"),
             "compensator": self.text(data["compensator"], "compensator"),
+            "estimator": None if data["estimator"] is None else self.text(data["estimator"], "estimator"),
+            **{key: None if data[key] is None else self.one_of(data[key], tuple(POSTURES), key) for key in PLACES},
             "scales": self.scales(data["observation"]),
             "squash": self.one_of(data["squash"], ("clip", "tanh"), "squash"),
-            "algorithm": self.one_of(data["algorithm"], ("ppo", "sac"), "algorithm"),
+            "algorithm": self.one_of(data["algorithm"], ("ppo", "sac", "dagger"), "algorithm"),
             "seed": self.count(data["seed"], "seed"),
             "steps": self.count(data["steps"], "steps"),
             "evaluation": self.evaluation(data["evaluation"]),

@@ -21,6 +21,7 @@ from dipc_gym.identification.excitation import Excitation
 from dipc_gym.identification.run import Cart, Sweep, cart, cart_model, delay, delayed, excitation, record, samples
 from dipc_gym.kernels import FALL
 from dipc_gym.plant import Plant
+from dipc_gym.policy import Policy
 from dipc_gym.recording import Recording
 
 __all__ = [
@@ -317,7 +318,8 @@ def swing_up(
 
     Raises:
         ValueError: no such posture, `seconds` is not finite, or the controller's plan is for another control period or
-            other equilibria; or the compensator needs an estimator that observes friction, and this is none.
+            other equilibria, or the policy was trained to see through another estimator; or the compensator needs an
+            estimator that observes friction, and this is none.
     """
     env: gymnasium.Env[Any, Any] = gymnasium.make(
         SWING_UP_ID,
@@ -331,6 +333,8 @@ def swing_up(
     if isinstance(controller, Tracking):
         controller.require(start, goal, _unwrapped(env).plant.control_period)
         controller.reset()
+    if isinstance(controller, Policy):
+        controller.require_estimator(None if estimator is None else estimator.name)
     return _course(env, controller, compensator, seconds, seed, (), estimator, None)
 
 

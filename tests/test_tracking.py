@@ -71,8 +71,8 @@ def test_without_the_filter_of_the_whole_motion_it_does_not_arrive(identified: I
 @pytest.mark.parametrize("goal", POSTURES)
 def test_every_equilibrium_is_held(goal: str, identified: Identification, rigid_body: Any) -> None:
     rest = np.tile(equilibrium(goal), (2, 1))
-    gains, hold, _ = feedback(MOTION, rest, np.zeros(1), 0.005, rest[0])
-    plan = Tracking(rest, np.zeros(1), gains, hold, 0.005, goal, goal)
+    around = feedback(MOTION, rest, np.zeros(1), 0.005, rest[0])
+    plan = Tracking(rest, np.zeros(1), around.gains, around.hold, 0.005, goal, goal)
     course = runs.swing_up(
         plan, identified.fit("observed"), seconds=4.0, seed=0, start=goal, goal=goal, estimator=rigid_body
     )

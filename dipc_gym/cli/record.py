@@ -134,9 +134,10 @@ class Render:
     def _simulated(self) -> Course:
         from dipc_gym import controllers, runs
         from dipc_gym.controllers import Tracking
+        from dipc_gym.policy import Policy
 
         brain = controllers.load(self.controller)
-        if not isinstance(brain, Tracking):
+        if not (isinstance(brain, Tracking) or (isinstance(brain, Policy) and brain.swings_up)):
             return runs.balance(
                 controllers.balancing(self.controller),
                 runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed),
@@ -146,14 +147,15 @@ class Render:
                 model=self.model,
             )
         found = runs.identify(self.plant, model=self.model, seed=self.seed)
+        sees = "rigid_body" if isinstance(brain, Tracking) else brain.estimator
         return runs.swing_up(
             brain,
             found.fit(self.compensator, seed=self.seed),
             seconds=self.seconds,
             seed=self.seed,
-            start=brain.start,
-            goal=brain.goal,
+            start=brain.start or "down-down",
+            goal=brain.goal or "up-up",
             plant=self.plant,
             model=self.model,
-            estimator=found.fit_estimator("rigid_body", seed=self.seed),
+            estimator=None if sees is None else found.fit_estimator(sees, seed=self.seed),
         )

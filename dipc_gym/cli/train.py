@@ -91,12 +91,15 @@ class Train:
 
 @dataclass(frozen=True)
 class TrainPolicy:
-    """Train a policy that balances the rig, and try it.
+    """Train a policy that balances the rig, or swings it up, and try it.
 
     The rig is identified and its compensator fitted; the policy then learns to command force through it, or, with
     --compensator none, the motor's voltage itself. The folder gets policy.json (small, runs on NumPy, the best of
     eight trials on the way), curve.csv, compensator.json, TensorBoard's files and a checkpoint. Killed, it goes on
     with --resume, to the same policy.
+
+    To swing up, it learns along a motion that dipc-gym plan found: --algo dagger imitates the feedback around that
+    motion, the others learn from reward.
 
     With --seeds, so many policies are trained in one sweep, from --seed on, each into a folder of its own, such as
     ppo-llnf-03, without TensorBoard's files. The same command goes on with a sweep that was killed, and tries again
@@ -105,7 +108,8 @@ class TrainPolicy:
     Try:
         dipc-gym train-policy --out runs/llnf
         dipc-gym train-policy --out runs/direct --compensator none --seed 3
-        dipc-gym train-policy --out runs/up --task swing-up --compensator none --limit 96
+        dipc-gym train-policy --out runs/up --task swing-up --algo dagger
+        dipc-gym train-policy --out runs/over --task swing-up --algo dagger --plan over.json
         dipc-gym train-policy --out runs/llnf --resume
         dipc-gym train-policy --out runs/many --seeds 10 --jobs 2
         tensorboard --logdir runs
@@ -114,11 +118,17 @@ class TrainPolicy:
     out: Path
     """folder for the results, new or empty"""
     task: Literal["balance", "swing-up"] = "balance"
-    """hold the poles upright, or swing them up from hanging and hold them"""
-    algo: Literal["ppo", "sac"] = "ppo"
-    """proximal policy optimisation, or soft actor-critic, which takes fewer but slower steps"""
-    compensator: str = "llnf"
-    """none, feedforward, mlp (needs torch), llnf or ideal, identified for this; or a saved compensator (.json)"""
+    """hold the poles upright, or take them to where a plan leads, upright by default, and hold them"""
+    algo: Literal["ppo", "sac", "dagger"] = "ppo"
+    """proximal policy optimisation; soft actor-critic, which takes fewer but slower steps; or imitation of a plan"""
+    compensator: str | None = None
+    """llnf, none, mlp (needs torch), ideal or another, identified for this; or a saved compensator (.json); without it
+    llnf, and observed for dagger"""
+    estimator: str | None = None
+    """what the policy sees the rig through, such as rigid_body, or a saved estimator (.json); without it the
+    environment's own observation, and rigid_body for dagger"""
+    plan: str = "tvlqr"
+    """of a swing-up: tvlqr, which goes from hanging to upright, or a file that dipc-gym plan wrote"""
     seed: int = 0
     """of weights, exploration, starting states and identification; with --seeds, the first of them"""
     seeds: int | None = None
@@ -129,8 +139,8 @@ class TrainPolicy:
     """rigs that are simulated side by side; without it the algorithm's own number"""
     engine: Literal["mujoco", "compiled"] | None = None
     """what simulates them, mujoco or, by default for swing-up, compiled, machine code; it is tried on MuJoCo anyway"""
-    limit: float = 60.0
-    """largest force, N; for voltage, what exerts it on the blocked cart"""
+    limit: float | None = None
+    """largest force, N; for voltage, what exerts it on the blocked cart; without it 60, and 96 for a swing-up"""
     plant: str | None = None
     """JSON file of the plant; numbers may be distributions, drawn anew in every episode"""
     model: str | None = None
@@ -150,12 +160,15 @@ class TrainPolicy:
 
         given = {"steps": self.steps, "num_envs": self.num_envs, "engine": self.engine}
         changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+        imitates = self.algo == "dagger"
         training = train.Training(
             algorithm=self.algo,
             task=self.task,
-            compensator=self.compensator,
+            compensator=self.compensator or ("observed" if imitates else "llnf"),
+            estimator=self.estimator or ("rigid_body" if imitates else None),
+            plan=self.plan,
             seed=self.seed,
-            limit=self.limit,
+            limit=self.limit if self.limit is not None else 60.0 if self.task == "balance" else 96.0,
             plant=self.plant,
             model=self.model,
             recipe=replace(train.recipe_for(self.algo, self.task), **changes),

@@ -203,7 +203,24 @@ class _Reader(untrusted.Reader):
         return [self.number(v, f"{where}[{i}]") for i, v in enumerate(self.entries(value, where, length))]
 
 
-def feedback(motion: Motion, states: Array, forces: Array, period: float, goal: Array) -> tuple[Array, Array, float]:
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """A time-varying LQR.
+
+    Attributes:
+        gains: (n, 6) along the motion.
+        hold: (6,) about the goal.
+        to_go: (n + 1, 6, 6) what a deviation costs from then on, as a quadratic form of it.
+        cost: that is to be expected where in every period the force is off by a newton, independently, rms.
+    """
+
+    gains: Array
+    hold: Array
+    to_go: Array
+    cost: float
+
+
+def feedback(motion: Motion, states: Array, forces: Array, period: float, goal: Array) -> Feedback:
     """Gains that keep a rig near a planned motion, and what keeping it there costs.
 
     The weights are those of the paper's LQR, at the goal and on the way; each period's model is the linear one about
@@ -215,22 +232,19 @@ def feedback(motion: Motion, states: Array, forces: Array, period: float, goal: 
         forces: (n,) planned, N.
         period: s.
         goal: (6,) equilibrium.
-
-    Returns:
-        gains (n, 6), gain (6,) about the goal, and the cost that is to be expected where in every period the force is
-        off by a newton, independently, rms.
     """
     Q, R = lqr.RECOVERED_Q, lqr.R
     F, G = lqr.sampled(*_columns(motion.linear(goal, 0.0)), period)
     hold, P = lqr.dlqr(F, G, Q, R)[0], linalg.solve_discrete_are(F, G, Q, np.eye(1) * R)
-    gains, cost = np.zeros((len(forces), 6)), 0.0
+    gains, to_go, cost = np.zeros((len(forces), 6)), np.zeros((len(forces) + 1, 6, 6)), 0.0
+    to_go[-1] = P
     for k in range(len(forces) - 1, -1, -1):
         F, G = lqr.sampled(*_columns(motion.linear(0.5 * (states[k] + states[k + 1]), forces[k])), period)
         cost += float(G[:, 0] @ P @ G[:, 0])
         gains[k : k + 1] = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)
         P = Q + F.T @ P @ (F - G @ gains[k : k + 1])
-        P = 0.5 * (P + P.T)
-    return gains, hold, cost
+        P = to_go[k] = 0.5 * (P + P.T)
+    return Feedback(gains, hold, to_go, cost)
 
 
 def equilibrium(name: str) -> Array:

@@ -79,9 +79,9 @@ def plan(
         )
     best: tuple[float, Tracking] | None = None
     for states, forces in solved:
-        gains, hold, cost = feedback(motion, states, forces, period, states[-1])
-        if best is None or cost < best[0]:
-            best = cost, Tracking(states, forces, gains, hold, period, start, goal)
+        around = feedback(motion, states, forces, period, states[-1])
+        if best is None or around.cost < best[0]:
+            best = around.cost, Tracking(states, forces, around.gains, around.hold, period, start, goal)
     assert best is not None
     return best[1]
 

@@ -180,22 +180,12 @@ class Learner:
 
     def policy(self) -> Policy:
         """The policy with averaged weights."""
-        weights = {key: _shortest(value.numpy()) for key, value in self.average.items()}
+        weights = {key: shortest(value.numpy()) for key, value in self.average.items()}
         names = sorted({key.rpartition(".")[0] for key in weights})
         ppo = self.training.algorithm == "ppo"
         names.sort(key=lambda name: name in ("action_net", "actor.mu"))  # hidden layers are numbered; the last is not
-        return Policy(
-            layers=tuple((weights[f"{name}.weight"], weights[f"{name}.bias"]) for name in names),
-            commands="voltage" if self.rig.compensator is None else "force",
-            limit=self.rig.limit,
-            compensator=self.rig.name,
-            newtons_per_volt=self.rig.newtons_per_volt,
-            scales=self._scales,
-            squash="clip" if ppo else "tanh",
-            algorithm=self.training.algorithm,
-            seed=self.training.seed,
-            steps=self.steps,
-        )
+        layers = tuple((weights[f"{name}.weight"], weights[f"{name}.bias"]) for name in names)
+        return self.rig.policy(self.training, layers, self._scales, "clip" if ppo else "tanh", self.steps)
 
     def state(self) -> dict[str, Any]:
         """All that the next stage depends on: tensors, numbers and strings."""
@@ -259,6 +249,6 @@ class _Watch(BaseCallback):
         return True
 
 
-def _shortest(weights: NDArray[np.float32]) -> Array:
+def shortest(weights: NDArray[np.float32]) -> Array:
     """Single-precision numbers as the double of their shortest decimal form, which keeps the files small."""
     return np.array([float(str(w)) for w in weights.ravel()]).reshape(weights.shape)

@@ -17,7 +17,7 @@ from dipc_gym.sweep import Backend, Outcome
 from dipc_gym.training import train
 from dipc_gym.training.train import Rig, Training
 
-KEPT = ("training.json", "policy.json", "compensator.json", "curve.csv")
+KEPT = ("training.json", "policy.json", "compensator.json", "estimator.json", "curve.csv")
 CELLS = "trainings"  # folder for what `sweep.run` writes
 
 
@@ -41,7 +41,7 @@ class PolicyTraining:
             >>> PolicyTraining.of(Training(compensator="llnf", seed=3)).name
             'ppo-llnf-03'
         """
-        named = cells.fingerprints(training.compensator, training.plant, training.model)
+        named = cells.fingerprints(*training.named)
         return cls(training=training, files=named)
 
     @property

@@ -1,4 +1,4 @@
-"""Training of balancing policies with stable-baselines3: progress, checkpoints, and going on after a kill.
+"""Training of policies, with stable-baselines3 or by imitation: progress, checkpoints, and going on after a kill.
 
 Training is cut into stages, each with fresh episodes and a random state of its own, made from the seed and the number
 of the stage. A checkpoint stands at the end of each, so a training that was killed and goes on gives the same policy
@@ -22,9 +22,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import ENV_ID, SWING_UP_ID, compensators
+from dipc_gym import ENV_ID, SWING_UP_ID, compensators, estimators
 from dipc_gym.compensators import Compensator, OutOfRangeWarning
 from dipc_gym.controllers.tracking import Tracking
+from dipc_gym.estimators import Estimator
 from dipc_gym.experiments import cells
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Evaluation, Policy
@@ -38,7 +39,7 @@ from dipc_gym.safety.places import inside
 from dipc_gym.safety.untrusted import Format, first_line, shown
 
 Array = NDArray[np.float64]
-Algorithm = Literal["ppo", "sac"]
+Algorithm = Literal["ppo", "sac", "dagger"]
 Task = Literal["balance", "swing-up"]
 
 SCHEMA = "dipc-gym/training/1"
@@ -46,7 +47,7 @@ WATCHED, REPORTED = 10_000, 20_000  # first seeds of the runs that choose the po
 LOOKS = 8  # how often in a training the policy is tried
 RUNS, SECONDS = 10, 80.0  # of every trial
 HELD, RISE = 60.0, 10.0  # of a swing-up: how long it is to stay up, and how long it may take, s
-FILES = ("training.json", "checkpoint.pt", "policy.json", "compensator.json", "curve.csv")
+FILES = ("training.json", "checkpoint.pt", "policy.json", "compensator.json", "estimator.json", "curve.csv")
 
 
 class TrainingError(ValueError):
@@ -77,10 +78,11 @@ class Recipe:
         batch_size: size of a minibatch.
         width: of the two hidden layers.
         rollout: PPO: periods of each rig before an update.
-        epochs: PPO: passes over a rollout.
+        epochs: PPO: passes over a rollout. DAgger: passes, after each round, over all that is remembered.
         gae_lambda: PPO: lambda of the advantage estimate.
         log_std_init: PPO: logarithm of the first standard deviation of the commands, in shares of the limit.
-        buffer_size: SAC: commands that are remembered, with what came of them.
+        buffer_size: SAC: commands that are remembered, with what came of them. DAgger: states, with what the teacher
+            would have done in them.
         learning_starts: SAC: random commands at the start.
         gradient_steps: SAC: gradient steps for one command to each rig.
         tau: SAC: share by which the target networks approach the critics at every gradient step.
@@ -162,11 +164,22 @@ RECIPES: dict[str, Recipe] = {
         learning_starts=2_000,
         gradient_steps=16,
     ),
+    "dagger": Recipe(
+        steps=2_457_600,
+        num_envs=128,
+        stage=800,
+        episode=800,
+        engine="compiled",
+        learning_rate=2e-3,
+        batch_size=2_048,
+        epochs=2,
+        buffer_size=1_000_000,
+    ),
 }
 
 
 TASKS = {"balance": ENV_ID, "swing-up": SWING_UP_ID}
-ALGORITHMS = ("ppo", "sac")
+ALGORITHMS = ("ppo", "sac", "dagger")
 
 
 def recipe_for(algorithm: str, task: str = "balance") -> Recipe:
@@ -184,11 +197,14 @@ class Training:
     """What is trained, on which rig.
 
     Attributes:
-        algorithm: `"ppo"` or `"sac"`.
-        task: `"balance"`, or `"swing-up"` from hanging to upright, which learns from
-            starts along the motion that the controller `tvlqr` follows.
+        algorithm: `"ppo"`, `"sac"` or, for a swing-up, `"dagger"`, which imitates feedback around a planned motion.
+        task: `"balance"`, or `"swing-up"` from where a planned motion starts to where it ends.
         compensator: registered name, identified on a simulated run of the rig, or a saved one (`.json`). With `none`
             the policy commands the voltage itself.
+        estimator: through which it sees the rig, chosen as the compensator is; None is the environment's own
+            observation. Where the recipe has `exact_state`, it learns without.
+        plan: of a swing-up: `tvlqr`, the motion that comes along, from hanging to upright, or a file that `dipc-gym
+            plan` wrote. Episodes begin along it.
         seed: of weights, exploration, starting states and identification.
         limit: largest force that the policy may command, N; for voltage, what exerts it on the blocked cart.
         plant: file of the rig's plant; None is the default rig. Numbers may be distributions.
@@ -202,6 +218,8 @@ class Training:
     algorithm: Algorithm = "ppo"
     task: Task = "balance"
     compensator: str = "llnf"
+    estimator: str | None = None
+    plan: str = "tvlqr"
     seed: int = 0
     limit: float = 60.0
     plant: str | None = None
@@ -215,12 +233,21 @@ class Training:
         if self.task not in TASKS:
             near = suggestion(self.task, TASKS)
             raise TrainingError(f"there is no task {self.task!r}; there are {', '.join(TASKS)}{near}")
+        if self.algorithm == "dagger" and self.task != "swing-up":
+            raise TrainingError("dagger imitates a planned motion, and to balance there is none; say --task swing-up")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
             raise TrainingError(f"the seed is {self.seed!r}; it must be a whole number, zero or more")
         if not (math.isfinite(self.limit) and self.limit > 0):
             raise TrainingError(f"the limit is {self.limit}; it must be a number of newtons above zero")
         if not self.compensator.endswith(".json"):
             compensators.registry.kind(self.compensator)
+        if self.estimator is not None and not self.estimator.endswith(".json"):
+            estimators.kind(self.estimator)
+
+    @property
+    def named(self) -> tuple[str | None, ...]:
+        """What may be files."""
+        return self.compensator, self.estimator, self.plan, self.plant, self.model
 
     def to_dict(self) -> dict[str, Any]:
         """What `training.json` holds, without the digests of the files that are named."""
@@ -238,16 +265,20 @@ class Rig:
         newtons_per_volt: the motor's gain.
         plant: as the environment takes it.
         model: MJCF file, or None.
-        task: one of `TASKS`.
+        estimator: what sees the rig, and None where the environment itself does.
+        plan: the motion to swing up by, and None where it balances.
+        linear: A (6, 6) and B (6,) of the rig's linear model about upright.
     """
 
     compensator: Compensator | None
     name: str
     limit: float
     newtons_per_volt: float
-    plant: str | None = None
-    model: str | None = None
-    task: str = "balance"
+    plant: str | None
+    model: str | None
+    estimator: Estimator | None
+    plan: Tracking | None
+    linear: tuple[Array, Array]
 
     @classmethod
     def of(cls, training: Training) -> Rig:
@@ -260,6 +291,13 @@ class Rig:
         plant: Plant = env.plant
         identified = identify(plant, model=training.model, seed=training.seed)
         compensator = identified.fit(training.compensator, seed=training.seed)
+        estimator = None
+        if training.estimator is not None:
+            estimator = identified.fit_estimator(training.estimator, seed=training.seed)
+        plan = None
+        if training.task == "swing-up":
+            plan = Tracking.shipped() if training.plan == "tvlqr" else Tracking.load(training.plan)
+            plan.require(plan.start, plan.goal, plant.control_period)
         gain = identified.cart.constants.newtons_per_volt
         direct = compensator.name == "none"
         return cls(
@@ -269,12 +307,22 @@ class Rig:
             gain,
             training.plant,
             training.model,
-            training.task,
+            estimator,
+            plan,
+            (np.array(identified.rig.A), np.array(identified.rig.B)),
         )
 
+    @property
+    def full_force(self) -> float:
+        """What the largest command exerts on the cart, N."""
+        return self.limit * (self.newtons_per_volt if self.compensator is None else 1.0)
+
     def learning(self, recipe: Recipe) -> Any:
-        """Those to learn on."""
-        start = {"start": Tracking.shipped().states} if self.task == "swing-up" else {}
+        """Those to learn on. Along a plan, every second one begins where the plan does."""
+        start: dict[str, Any] = {}
+        if self.plan is not None:
+            along = self.plan.states
+            start = {"start": np.vstack([along, np.tile(along[0], (len(along), 1))])}
         return self.many(recipe.num_envs, recipe.episode, exact_state=recipe.exact_state, engine=recipe.engine, **start)
 
     def many(
@@ -295,10 +343,12 @@ class Rig:
             engine: as the environment takes it.
             task: further arguments of its environment.
         """
-        from dipc_gym.wrappers import VectorForceCommand
+        from dipc_gym.wrappers import VectorEstimateState, VectorForceCommand
 
+        if self.plan is not None:
+            task = {"start": self.plan.start, "goal": self.plan.goal} | task
         envs = gymnasium.make_vec(
-            TASKS[self.task],
+            TASKS["balance" if self.plan is None else "swing-up"],
             num_envs=count,
             vectorization_mode="vector_entry_point",
             plant=self.plant,
@@ -310,7 +360,42 @@ class Rig:
             threads=1,  # the other core is for another training
             **task,
         )
+        if self.estimator is not None and not exact_state:
+            envs = VectorEstimateState(envs, self.estimator)
         return envs if self.compensator is None else VectorForceCommand(envs, self.compensator)
+
+    def policy(
+        self,
+        training: Training,
+        layers: tuple[tuple[Array, Array], ...],
+        scales: Array,
+        squash: Literal["clip", "tanh"],
+        steps: int,
+    ) -> Policy:
+        """What a network is here.
+
+        Args:
+            training: of it.
+            layers: see `Policy`, as are the others.
+            scales: of observations.
+            squash: what follows the last layer.
+            steps: control periods so far.
+        """
+        return Policy(
+            layers=layers,
+            commands="voltage" if self.compensator is None else "force",
+            limit=self.limit,
+            compensator=self.name,
+            estimator=None if self.estimator is None else self.estimator.name,
+            start=None if self.plan is None else self.plan.start,
+            goal=None if self.plan is None else self.plan.goal,
+            newtons_per_volt=self.newtons_per_volt,
+            scales=scales,
+            squash=squash,
+            algorithm=training.algorithm,
+            seed=training.seed,
+            steps=steps,
+        )
 
 
 def evaluate(
@@ -318,7 +403,8 @@ def evaluate(
 ) -> Evaluation:
     """Let a policy balance a rig, or swing it up, all runs side by side.
 
-    A swing-up has ten seconds to reach its goal and 60 to stay there, whatever `seconds` says.
+    A swing-up has ten seconds to reach its goal and 60 to stay there, whatever `seconds` says. What can no longer do so
+    counts as ended, as what falls does.
 
     Args:
         policy: what commands.
@@ -333,9 +419,10 @@ def evaluate(
     policy.require(rig.name)
     envs = rig.many(runs, None)
     period = envs.unwrapped.plant.control_period
-    swings = rig.task == "swing-up"
+    swings = rig.plan is not None
     seconds = HELD if swings else seconds
-    steps = round((seconds + RISE * swings) / period)
+    up = round(seconds / period)
+    steps = up + round(RISE * swings / period)
     away = np.zeros(runs, dtype=int)  # until when it was last not at its goal, control periods
     standing, held, returns = np.ones(runs, dtype=bool), np.full(runs, steps), np.zeros(runs)
     with warnings.catch_warnings():
@@ -347,14 +434,14 @@ def evaluate(
             held[standing & fell] = k + 1
             if swings:
                 away[~infos["at_goal"]] = k + 1
+                standing &= steps - away >= up
             standing &= ~fell
             if not standing.any():
                 break
     envs.close()
     if swings:
-        held = np.where(standing, np.minimum(steps - away, round(seconds / period)), 0)
-        standing &= held * period >= seconds
-    times = tuple(seconds if up else h * period for up, h in zip(standing, held.tolist(), strict=True))
+        held = np.where(standing, up, 0)
+    times = tuple(seconds if good else h * period for good, h in zip(standing, held.tolist(), strict=True))
     seeds = tuple(range(first_seed, first_seed + runs))
     return Evaluation(seconds, seeds, times, float(np.median(returns / steps)))
 
@@ -395,8 +482,8 @@ def run(
     """Train a policy and leave it in a folder.
 
     The folder gets `policy.json` (the best so far, by ten runs of 80 s at eight moments of the training), `curve.csv`
-    (these trials), `compensator.json`, `training.json`, `tensorboard/` and `checkpoint.pt`, which is replaced at the
-    end of every stage, and whole at any moment.
+    (these trials), `compensator.json`, `estimator.json`, `training.json`, `tensorboard/` and `checkpoint.pt`, which is
+    replaced at the end of every stage, and whole at any moment.
 
     Args:
         training: what to train.
@@ -431,17 +518,22 @@ def run(
 def _run(training: Training, rig: Rig, out: Path, resume: bool, overwrite: bool, quiet: bool) -> Policy:
     from tqdm import tqdm
 
+    from dipc_gym.training.imitation import Imitator
     from dipc_gym.training.learner import Learner
 
     out = _folder(training, out, resume=resume, overwrite=overwrite)
-    learner = Learner(training, rig, inside(out, "tensorboard"))
+    learns = Imitator if training.algorithm == "dagger" else Learner
+    learner: Any = learns(training, rig, inside(out, "tensorboard"))
     looks: list[Look] = []
     if resume and (out / "checkpoint.pt").exists():
         looks = restore(learner, out / "checkpoint.pt")
         if looks:
             Policy.load(out / "policy.json")  # the best so far; better refused now than after hours
-    elif rig.compensator is not None:
-        compensators.save(rig.compensator, out / "compensator.json")
+    else:
+        if rig.compensator is not None:
+            compensators.save(rig.compensator, out / "compensator.json")
+        if rig.estimator is not None:
+            estimators.save(rig.estimator, out / "estimator.json")
     recipe = training.recipe
     began = time.monotonic() - (looks[-1].seconds if looks else 0.0)
     every = math.ceil(recipe.steps / LOOKS)
@@ -494,7 +586,7 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
     note = out / "training.json"
     if out.is_dir():
         remove_partial(out)
-    files = cells.fingerprints(training.compensator, training.plant, training.model)
+    files = cells.fingerprints(*training.named)
     wanted = json.loads(json.dumps({**training.to_dict(), "files": files}))
     if resume and not note.exists():
         raise TrainingError(f"{out}: there is no training to go on with; leave --resume out to begin one")
@@ -537,7 +629,7 @@ def _folder(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
 
 def _flat(training: dict[str, Any]) -> dict[str, Any]:
     recipe = {"engine": "mujoco", "episode": training["recipe"]["stage"], **training["recipe"]}  # notes may be older
-    training = {"task": "balance", **training}
+    training = {"task": "balance", "estimator": None, "plan": "tvlqr", **training}
     return {key: value for key, value in training.items() if key not in ("recipe", "files")} | {
         f"recipe.{key}": value for key, value in recipe.items()
     }
