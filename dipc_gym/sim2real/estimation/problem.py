@@ -143,7 +143,7 @@ def _with_changes(
         if parameters is not None:
             held, by_value = known.told(values, np.append(parameters, maps)), known.by_value
     asked = np.flatnonzero(~held)
-    variants = (here, *(structure.physics(probes[i]) for i in asked))
+    variants = (here, *(structure.physics(probes[int(i)]) for i in asked))
     of = compiled(variants, windows, structure.base, step)
     of_maps = np.array([maps_of(variant) - maps for variant in variants[1:]]).reshape(len(asked), len(maps))
     change = np.append(changes(of, steps[asked]), of_maps / steps[asked, None], axis=1)
