@@ -279,7 +279,13 @@ def test_a_folder_made_for_nothing_is_removed(tmp_path: Path) -> None:
 def test_ctrl_c_ends_in_a_sentence(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "dipc_gym", "compare", "--compensator", "none,mlp", "--seeds", "3", "--out", "out"]
     process = subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command,
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background ignore it
     )
     # Once a first cell is there, all processes have started; Python itself is not ours to interrupt.
     while not list(tmp_path.glob("out/cells/*.json")) and process.poll() is None:

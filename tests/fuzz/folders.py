@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from brains import estimator, llnf, own_policy
 from mutate import archive, octets
 from target import BOTH, Target, as_json
@@ -138,7 +139,8 @@ def _resumed(folder: Path) -> None:
 def _learner() -> Any:
     from dipc_gym.training.learner import Learner
 
-    return Learner(TINY, train.Rig(None, "none", 24.0, 4.0), None)
+    linear = np.zeros((6, 6)), np.zeros(6)  # of these nothing is asked where nobody imitates
+    return Learner(TINY, train.Rig(None, "none", 24.0, 4.0, None, None, None, None, linear), None)
 
 
 @functools.cache
