@@ -19,14 +19,17 @@ from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import Uncovered, check, machine, program
+from dipc_gym.engine.layout import CONTROLS, Head
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation import batch
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
+from dipc_gym.sim2real.simulation.slopes import Slopes
 from dipc_gym.sim2real.simulation.windows import cut
 
 Array = np.ndarray
@@ -252,6 +255,46 @@ def test_slopes_that_are_kept_are_those_that_are_found_anew(
     _, kept, anew = found
     for ours, theirs in zip(kept, anew, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-7 * np.abs(theirs).max())
+
+
+def ramps(count: int) -> Term:
+    """A force of any shape along the cart's way, which MJCF says in as many passive elements."""
+    knots = np.linspace(-0.3, 0.3, count)
+    law = ForceOfPosition(knots.tolist(), np.sin(9 * knots).tolist())
+    return Term(law, "cart", law.guess)
+
+
+def test_passive_elements_are_no_commands(hanging: object) -> None:
+    structure = hanging.structure.with_term(ramps(60))
+    here = structure.physics(structure.first)
+    what, parameters = program.read([here])
+    assert here.model.nu > CONTROLS
+    assert what.codes[Head.CONTROLS] == 1
+    assert check.check(what, parameters[0], here)
+
+
+@given(st.lists(st.floats(0.2, 5.0), min_size=5, max_size=5))
+def test_slopes_of_a_table_stay_whatever_masses_do(moved: list[float]) -> None:
+    """A mass and a lever multiply each other and are asked anew; values of a table are not, moved or not."""
+
+    def parameters_at(x: Array) -> Array:
+        return np.array([x[0] * x[1], x[0], 2 * x[2] - x[3], x[3] + x[4], x[4]])
+
+    def slopes_at(x: Array) -> Array:
+        change = np.zeros((5, 5))
+        change[0, :2], change[1, 0] = (x[1], 1.0), x[0]
+        change[2, 2], change[3, 2:4], change[4, 3:] = 2.0, (-1.0, 1.0), 1.0
+        return change
+
+    begin, tables = np.ones(5), np.array([-1, -1, 2, 2, 2])
+    known = Slopes(None, begin, parameters_at(begin), slopes_at(begin), np.full(5, 1e-3), tables)  # type: ignore[arg-type]
+    there = begin + np.array(moved)
+    assert known.told(there, parameters_at(there)).tolist() == [False, False, True, True, True]
+    still = np.append(there[:4], begin[4])
+    assert known.told(still, parameters_at(still)).tolist() == [False, False, True, True, True]
+    assert known.told(begin, parameters_at(begin)).all()
+    bent = parameters_at(there) + np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+    assert not known.told(there, bent).any()
 
 
 def test_slopes_of_an_affine_map_cost_no_models(hanging: object, monkeypatch: pytest.MonkeyPatch) -> None:

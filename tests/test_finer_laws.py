@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real import catalogue, diagnose
-from dipc_gym.sim2real.effects.base import Effect
+from dipc_gym.sim2real.effects.base import Effect, Evidence
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
-from dipc_gym.sim2real.effects.surfaces import Surface
+from dipc_gym.sim2real.effects.surfaces import Surface, surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 
 ALONG = {
@@ -107,3 +107,49 @@ def test_friction_with_memory_is_made_finer_where_it_is_hidden() -> None:
     assert not any("could not be worked out" in note for note in found.notes), found.notes
     assert found.held_out is not None
     assert found.held_out.improved < 0.2 * found.held_out.recalibrated, found.sentence
+
+
+def test_a_table_goes_on_where_nearly_no_samples_are() -> None:
+    """A drive that is stronger here than there, whose largest commands never came where it is strongest."""
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, 40.0, 0.005)
+    place, command = rng.uniform(-0.2, 0.2, len(time)), rng.uniform(-6, 6, len(time))
+    command[place > 0.1] /= 4
+    found = surface({"command motor": command, "position cart": place}, 3 * command * (place + 0.3), time)
+    assert found is not None
+    assert found.inputs == ("command motor", "position cart")
+    corner, largest, farthest = found.levels[-1, -1], found.knots[0][-1], found.knots[1][-1]
+    assert corner == pytest.approx(3 * largest * (farthest + 0.3), rel=0.3)
+
+
+def test_a_joints_own_motion_is_tried_beside_what_tells_most() -> None:
+    """Under feedback the command goes with the motion, and tells a force of the motion as well as this does."""
+    model = mjcf.compile(mjcf.from_text(sim2real_rigs.CART))
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, 40.0, 0.005)
+    position, velocity = 0.2 * np.sin(1.3 * time), 0.26 * np.cos(1.3 * time) + 0.3 * np.sin(4 * time)
+    inputs = {
+        "position cart": position + 1e-3 * rng.normal(size=len(time)),
+        "velocity cart": velocity + 0.02 * rng.normal(size=len(time)),
+        "command motor": velocity * (1 + 5 * position),
+    }
+    force, nothing = -3 * velocity * (1 + 5 * position), np.zeros(0)
+    evidence = Evidence(
+        model,
+        force,
+        velocity,
+        position,
+        np.abs(force),
+        time,
+        nothing,
+        nothing,
+        0.0,
+        1.0,
+        0.005,
+        at="cart",
+        inputs=inputs,
+    )
+    tried = [effect.shape.inputs for effect, _ in UnknownForce().proposals(evidence)]
+    assert len(tried) == 2
+    assert "command motor" in tried[0]
+    assert set(tried[1]) == {"position cart", "velocity cart"}
