@@ -39,7 +39,7 @@ def controls(model: mujoco.MjModel) -> list[str]:
         MjcfError: an actuator with a control has no name.
     """
     names = [""] * model.nu
-    passive = {name.removeprefix(PASSIVE) for name in texts(model)}
+    passive = _passive(model)
     for actuator in range(model.nactuator):
         name = model.actuator(actuator).name
         if name in passive:
@@ -56,12 +56,17 @@ def controls(model: mujoco.MjModel) -> list[str]:
     return names[:commanded]
 
 
+def _passive(model: mujoco.MjModel) -> set[str]:
+    """Names of the actuators that `<custom>` calls passive."""
+    return {name.removeprefix(PASSIVE) for name in texts(model) if name.startswith(PASSIVE)}
+
+
 def commanded(model: mujoco.MjModel) -> int:
     """How many controls there are up to the last that somebody commands; what only passive elements have comes after.
 
     Names do not matter here, other than for `controls`.
     """
-    passive = {name.removeprefix(PASSIVE) for name in texts(model) if name.startswith(PASSIVE)}
+    passive = _passive(model)
     ends = [
         int(model.actuator_ctrladr[i] + model.actuator_ctrlnum[i])
         for i in range(model.nactuator)
