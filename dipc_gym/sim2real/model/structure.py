@@ -7,6 +7,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -77,8 +78,7 @@ class Slot:
 
     def value(self, z: float) -> float:
         """The parameter of a mapped value."""
-        value = self.scale * math.exp(min(z * self.fine, 50.0)) if self.log else self.origin + self.scale * z
-        return min(max(value, self.low), self.high)
+        return float(_unmapped(z, self.low, self.high, self.log, self.scale, self.fine, self.origin))
 
     def mapped(self, value: float) -> float:
         """The mapped value of a parameter."""
@@ -152,8 +152,7 @@ class Structure:
     def clip(self, z: Array) -> Array:
         """The nearest mapped parameters within bounds."""
         out = z.copy()
-        for i, slot in enumerate(self.slots):
-            value = slot.value(z[i])
+        for i, (slot, value) in enumerate(zip(self.slots, self.numbers(z).tolist(), strict=True)):
             if value in (slot.low, slot.high) and (not slot.log or value > 0):
                 out[i] = slot.mapped(value)
             if slot.above:
@@ -186,16 +185,15 @@ class Structure:
 
     def numbers(self, z: Array) -> Array:
         """Every free parameter, (p,)."""
-        low, high, logs, scale, fine, origin = self._mapping
-        grown = scale * np.exp(np.minimum(z * fine, 50.0), where=logs, out=np.ones_like(scale))
-        return np.asarray(np.clip(np.where(logs, grown, origin + scale * z), low, high))
+        return np.asarray(_unmapped(z, *self._mapping))
 
     @functools.cached_property
     def _mapping(self) -> tuple[Array, Array, NDArray[np.bool_], Array, Array, Array]:
-        """What `Slot.value` needs of each slot, (p,) each."""
+        """What `_unmapped` needs of each slot, (p,) each."""
         low, high, scale, fine, origin = (
-            np.array([getattr(slot, name) for slot in self.slots], dtype=float)
-            for name in ("low", "high", "scale", "fine", "origin")
+            np.array([(slot.low, slot.high, slot.scale, slot.fine, slot.origin) for slot in self.slots], dtype=float)
+            .reshape(-1, 5)
+            .T
         )
         return low, high, np.array([slot.log for slot in self.slots], dtype=bool), scale, fine, origin
 
@@ -287,6 +285,19 @@ class Structure:
             if dynamics == kind.mjDYN_FILTER:
                 finest = min(finest, numbers[0])
         return float(finest)
+
+
+def _unmapped(
+    z: float | Array,
+    low: float | Array,
+    high: float | Array,
+    log: bool | NDArray[np.bool_],
+    scale: float | Array,
+    fine: float | Array,
+    origin: float | Array,
+) -> Any:
+    """Parameters within their bounds of mapped values, one or many; see `Slot`."""
+    return np.clip(np.where(log, scale * np.exp(np.minimum(z * fine, 50.0)), origin + scale * z), low, high)
 
 
 def _free(effect: Effect) -> list[Parameter]:
