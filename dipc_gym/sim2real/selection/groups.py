@@ -36,14 +36,13 @@ def sketched(fitter: Fitter, screened: Screened, current: Fit) -> Fit | None:
     alone = max((tried.predicted_gain for tried in screened.tried), default=0.0)
     for _ in range(SEARCH.kinds):
         begun = best[0].structure if best else current.structure
-        asked: list[tuple[float, Structure]] = []
-        for structure in (_with(begun, kind) for kind in kinds):
-            members = [by_key[term.key] for term in _added(structure, current)]
-            if len(structure.terms) > len(begun.terms) and len(members) > 1:
-                gain = screen.together(fitter.problem, current, members, fitter.subset)
-                asked += [(gain, structure)] if gain > SEARCH.keeps_up * alone else []
-        asked = sorted(asked, key=lambda each: -each[0])[: SEARCH.kinds]
-        best += [sketch for _, structure in asked if (sketch := fitter.sketch(current, structure)) is not None]
+        wider = [_with(begun, kind) for kind in kinds]
+        wider = [one for one in wider if len(one.terms) > len(begun.terms) and len(_added(one, current)) > 1]
+        members = [[by_key[term.key] for term in _added(one, current)] for one in wider]
+        gains = screen.together(fitter.problem, current, members, fitter.subset) if wider else []
+        first = sorted(zip(gains, wider, strict=True), key=lambda each: -each[0])[: SEARCH.kinds]
+        asked = [structure for gain, structure in first if gain > SEARCH.keeps_up * alone]
+        best += [sketch for structure in asked if (sketch := fitter.sketch(current, structure)) is not None]
         losses = ranking.losses([one.mse for one in best])
         best = [best[int(np.argmin(losses))]] if best else []
     return best[0] if best else None

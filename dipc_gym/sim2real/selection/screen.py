@@ -72,7 +72,7 @@ def screen(problem: Problem, current: Fit, terms: Sequence[Term], subset: NDArra
         subset: windows that have to do for what must be simulated in finer steps; responses are kept for them.
     """
     guesses: dict[tuple[str, int], list[Term]] = {}
-    for term in terms:
+    for term in terms:  # a law of any shape has numbers of its own in each of its shapes
         guesses.setdefault((term.key, id(term.effect) if term.effect.free else 0), []).append(term)
     some, currently = problem.pick(subset), current.pick(subset)
     luck = _luck(problem, current, subset)
@@ -166,18 +166,24 @@ def pairs(
     return sorted(found, key=lambda pair: -pair[0])
 
 
-def together(problem: Problem, current: Fit, tried: Sequence[Tried], subset: NDArray[np.intp]) -> float:
-    """Predicted gain of several hypotheses at once, each at its best size.
+def together(
+    problem: Problem, current: Fit, groups: Sequence[Sequence[Tried]], subset: NDArray[np.intp]
+) -> list[float]:
+    """Predicted gains of several hypotheses at once, each at its best size, for each group of them.
 
     Args:
         problem: windows to predict.
         current: fit that the hypotheses were laid over.
-        tried: what screening made of them.
+        groups: what screening made of them.
         subset: the windows for which their responses are known.
     """
-    overlay = _Overlay(problem.pick(subset), current.pick(subset), [one.response for one in tried])
-    effects = [one.term.effect for one in tried]
-    return overlay.predicted_gain(range(len(tried)), effects, beside=True)[0] - _luck(problem, current, subset)
+    some, currently, luck = problem.pick(subset), current.pick(subset), _luck(problem, current, subset)
+
+    def gain(tried: Sequence[Tried]) -> float:
+        overlay = _Overlay(some, currently, [one.response for one in tried])
+        return overlay.predicted_gain(range(len(tried)), [one.term.effect for one in tried], beside=True)[0] - luck
+
+    return [gain(tried) for tried in groups]
 
 
 def _distinct(tried: Sequence[Tried]) -> list[Tried]:
