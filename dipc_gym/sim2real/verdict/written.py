@@ -52,11 +52,11 @@ class Judge:
 
     Attributes:
         fine: windows, in the steps of the diagnosis.
-        stepping: of the file.
+        own: the same in those of the file.
     """
 
     fine: Problem
-    stepping: Stepping
+    own: Problem
     _begun: dict[tuple[int, bytes], tuple[Structure, tuple[Array, Array]]] = field(default_factory=dict, repr=False)
 
     def error(self, structure: Structure, z: Array) -> float:
@@ -68,14 +68,13 @@ class Judge:
         try:
             if key not in self._begun:
                 self._begun[key] = structure, begun(self.fine, structure, z)
-            own = replace(self.fine, stepping=self.stepping, finer=1)
-            return float(np.sqrt(np.mean(simulated(own, structure, z, self._begun[key][1]))))
+            return float(np.sqrt(np.mean(simulated(self.own, structure, z, self._begun[key][1]))))
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return float("inf")
 
-    def at(self, stepping: Stepping) -> Judge:
-        """The same windows in other steps."""
-        return replace(self, stepping=stepping)
+    def at(self, step: float) -> Judge:
+        """The same windows in other steps of the model's own integrator, s."""
+        return replace(self, own=replace(self.fine, stepping=Stepping(step), finer=1))
 
 
 def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequence[Option], enough: float) -> Option:
@@ -114,12 +113,12 @@ def written(
         test: windows to judge by.
         fits: the model as given, recalibrated, and what was found.
     """
-    own = Stepping(timestep)
     chosen_by = partition.validation if len(partition.validation.windows) else partition.comparison
-    validation, held_out = (Judge(part, own) for part in (chosen_by, test))
+    finely = Judge(chosen_by, chosen_by), Judge(test, test)
+    validation, held_out = (judge.at(timestep) for judge in finely)
     nominal, recalibrated, final = fits
     plainer = [Option(one.structure, one.z, validation.error(one.structure, one.z)) for one in (nominal, recalibrated)]
-    here, there = (one.at(one.fine.stepping).error(final.structure, final.z) for one in (validation, held_out))
+    here, there = (judge.error(final.structure, final.z) for judge in finely)
     enough = SCORE.at_floor * max(here, 1.0)
     as_found = Option(final.structure, final.z, validation.error(final.structure, final.z))
     physical, refitted = [as_found], list[Option]()
@@ -127,7 +126,7 @@ def written(
         physical += _in_other_forms(as_found, validation)
         count = len(partition.problem.windows)
         some = np.unique(np.linspace(0, count - 1, min(VERDICT.refit, count)).round().astype(np.intp))
-        to_refit = replace(partition.problem.pick(some), stepping=own, finer=1)
+        to_refit = replace(partition.problem.pick(some), stepping=Stepping(timestep), finer=1)
         best = min(physical, key=lambda option: option.error)
         for option in [as_found] if best is as_found else [best, as_found]:
             refitted += _made_up(option, to_refit, validation)
@@ -143,7 +142,7 @@ def written(
         Errors(*(option.error for option in (*plainer, taken))),
         dict(taken.forms),
         taken.refitted,
-        None if finer is None else (finer, held_out.at(Stepping(finer)).error(taken.structure, taken.z)),
+        None if finer is None else (finer, held_out.at(finer).error(taken.structure, taken.z)),
     )
     return taken, said
 
@@ -183,10 +182,12 @@ def _finer(option: Option, parts: Sequence[tuple[Judge, float]]) -> float | None
 
     Errors fall no faster than with the square of the step: what that foretells to be too coarse is not tried.
     """
-    own, least = parts[0][0].stepping.timestep, 0.0
-    for shorter in (shorter for shorter in VERDICT.shorter if shorter >= least):
+    own, least = parts[0][0].own.stepping.timestep, 0.0
+    for shorter in VERDICT.shorter:
+        if shorter < least:
+            continue
         for judge, enough in parts:
-            after = judge.at(Stepping(own / shorter)).error(option.structure, option.z)
+            after = judge.at(own / shorter).error(option.structure, option.z)
             if after > enough:
                 floor = enough / SCORE.at_floor
                 least = shorter * np.sqrt((after - floor) / (enough - floor))
