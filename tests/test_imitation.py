@@ -246,18 +246,22 @@ def test_a_training_is_not_resumed_with_another_plan(tmp_path: Path) -> None:
         train._folder(wanted, out, resume=True, overwrite=False)
 
 
-def test_it_is_not_to_see_through_another_estimator() -> None:
-    layers = ((np.zeros((1, 8)), np.zeros(1)),)
-    policy = Policy(
-        layers=layers,
+def seen(compensator: str, start: str) -> Policy:
+    """A policy that commands nothing, and sees the rig through an estimator."""
+    return Policy(
+        layers=((np.zeros((1, 8)), np.zeros(1)),),
         commands="force",
         limit=96.0,
-        compensator="ideal",
+        compensator=compensator,
         scales=np.ones(8),
         estimator="rigid_body",
-        start="down-down",
+        start=start,
         goal="up-up",
     )
+
+
+def test_it_is_not_to_see_through_another_estimator() -> None:
+    policy = seen("ideal", start="down-down")
     with pytest.raises(ControllerError, match="see through 'rigid_body' and is to see through the environment's own"):
         runs.swing_up(policy, runs.compensator("ideal"), seconds=0.1, seed=0)
     course = runs.swing_up(
@@ -267,16 +271,7 @@ def test_it_is_not_to_see_through_another_estimator() -> None:
 
 
 def test_files_say_what_a_policy_sees_through_and_older_ones_do_not(tmp_path: Path) -> None:
-    policy = Policy(
-        layers=((np.zeros((1, 8)), np.zeros(1)),),
-        commands="force",
-        limit=96.0,
-        compensator="observed",
-        scales=np.ones(8),
-        estimator="rigid_body",
-        start="up-down",
-        goal="up-up",
-    )
+    policy = seen("observed", start="up-down")
     policy.save(tmp_path / "new.json")
     again = controllers.load(str(tmp_path / "new.json"))
     assert isinstance(again, Policy)
