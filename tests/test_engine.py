@@ -129,16 +129,23 @@ def jobs_for(parameters: Array, initial: Array, commands: Array, samples: int, j
 @settings(max_examples=3, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 7))
 def test_windows_without_events_are_mujocos_at_a_fine_step(seed: int, joints: int) -> None:
-    """Rigid trees with springs and dampers: Runge-Kutta at a tenth of a millisecond on both sides."""
+    """Rigid trees with springs and dampers: Runge-Kutta at a tenth of a millisecond on both sides. Sensors read joints,
+    a sum of all joints, and motors on a joint and on that sum, positions and speeds.
+    """
     rng = np.random.default_rng(seed)
     text = random_tree(rng, joints)
-    begin, end = text.index("<actuator>"), text.index("<sensor>")
-    driven = "".join(f'<motor joint="j{i}" gear="{rng.normal()}"/>' for i in range(joints))
+    begin, end = text.index("<actuator>"), text.index("</sensor>")
+    driven = "".join(f'<motor name="m{i}" joint="j{i}" gear="{rng.normal()}"/>' for i in range(joints))
+    driven += f'<motor name="all" tendon="all" gear="{rng.normal()}"/>'
+    every = "".join(f'<joint joint="j{i}" coef="{rng.normal()}"/>' for i in range(joints))
+    tendon = f'<tendon><fixed name="all">{every}</fixed></tendon>'
     first = text.find("<tendon>") if "<tendon>" in text else begin
-    source = loaded(f"{text[:first]}<actuator>{driven}</actuator>{text[end:]}")
+    read = text[text.index("<sensor>") : end] + '''<tendonpos name="sum" tendon="all"/><tendonvel name="sums" tendon="all"/>
+        <actuatorpos name="turned" actuator="m0"/><actuatorvel name="turns" actuator="all"/>'''
+    source = loaded(f"{text[:first]}{tendon}<actuator>{driven}</actuator>{read}{text[end:]}")
     what, parameters = program.read([source])
-    initial, commands = 0.3 * rng.normal(size=(1, 2, 2 * joints)), rng.normal(size=(25, joints))
-    readings, _ = run(what, jobs_for(parameters, initial, commands, 25, joints), 1e-4)
+    initial, commands = 0.3 * rng.normal(size=(1, 2, 2 * joints)), rng.normal(size=(25, joints + 1))
+    readings, _ = run(what, jobs_for(parameters, initial, commands, 25, joints + 4), 1e-4)
     model = source.model
     model.opt.integrator, model.opt.timestep = RK4, 1e-4
     data = mujoco.MjData(model)
@@ -372,6 +379,29 @@ def test_what_is_not_covered_runs_on_mujoco() -> None:
     assert np.array_equal(ours, unmet)
     assert np.abs(met - ours).max() > 1e-2
     assert np.abs(met[..., 1]).max() < np.abs(ours[..., 1]).max()
+
+
+def test_a_lagging_sum_of_joints_is_mujocos(hanging: object) -> None:
+    """An encoder that reads a pole's absolute angle late, through compiled code and through MuJoCo, in which it is the
+    same sum behind a medium too thin to matter.
+    """
+    text = HANGING.replace(
+        '<jointpos name="pole2" joint="pole2"/>', '<tendonpos name="pole2" tendon="upright"/>'
+    ).replace(
+        "<actuator>",
+        '<tendon><fixed name="upright"><joint joint="pole1" coef="1"/><joint joint="pole2" coef="1"/></fixed></tendon>'
+        "<actuator>",
+    )
+    assert "tendonpos" in text
+    ours, theirs = (
+        added(one, "timing.sensor_lag", "pole2", time_constant=0.004)
+        for one in (text, text.replace('<option timestep="0.001"', '<option timestep="0.001" density="1e-12"'))
+    )
+    windows = cut([record(ours, sweep(2.0), 0.5)], np.ones(3), 0.25, (0.0, 1.0))
+    initial = 0.1 * np.random.default_rng(0).normal(size=(1, len(windows), 6))
+    base = ["cart", "pole1", "pole2"]
+    said = [simulate([one], windows, initial, Stepping(5e-5, RK4), base=base)[0] for one in (ours, theirs)]
+    assert said[0] == pytest.approx(said[1], abs=1e-6)
 
 
 def test_variants_of_different_structure_are_refused() -> None:

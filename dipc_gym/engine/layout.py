@@ -111,12 +111,13 @@ class Spring(IntEnum):
 class Sensor(IntEnum):
     """Whole numbers of a sensor."""
 
-    STATE = 0  # that it reads
-    FACTOR = 1  # index of the parameter that it is multiplied with
-    LAG = 2  # index of the state that follows it, -1 for none
-    TIME = 3  # index of the lag's time constant
-    AHEAD = 4  # index of how much later than the window's samples it is read
-    SIZE = 5
+    TERMS = 0  # states whose weighted sum it reads
+    TERM_AT = 1  # index of the first one
+    NUMBERS = 2  # index of the first one's weight
+    LAG = 3  # index of the state that follows it, -1 for none
+    TIME = 4  # index of the lag's time constant
+    AHEAD = 5  # index of how much later than the window's samples it is read
+    SIZE = 6
 
 
 class Law(IntEnum):

@@ -213,16 +213,11 @@ class _Writer:
         model, kinds = self.model, mujoco.mjtDyn
         name = model.actuator(i).name
         where = f"actuator {name!r}"
-        gear = float(model.actuator_gear[model.actuator_outadr[i], 0])
-        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
-            dofs, coefficients = [int(model.actuator_trnid[i, 0])], [gear]
-        elif model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON:
-            dofs, along = self._along(int(model.actuator_trnid[i, 0]))
-            coefficients = [gear * c for c in along]
-            if model.actuator_damping[i] or model.actuator_armature[i] or np.any(model.actuator_dampingpoly[i]):
-                raise Uncovered(f"{where} has damping or armature on a tendon")
-        else:
-            raise Uncovered(f"{where} acts neither on a joint nor on a tendon")
+        dofs, coefficients = self._driven(i, where)
+        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON and (
+            model.actuator_damping[i] or model.actuator_armature[i] or np.any(model.actuator_dampingpoly[i])
+        ):
+            raise Uncovered(f"{where} has damping or armature on a tendon")
         if model.actuator_actlimited[i]:
             raise Uncovered(f"{where} has a limited activation")
         if model.actuator_plugin[i] >= 0:
@@ -258,6 +253,17 @@ class _Writer:
             raise Uncovered(f"{where} has dynamics that are neither a filter nor an integrator")
         numbers[Force.TIME] = max(float(model.actuator_dynprm[i, 0]), 1e-12)
         return self._element(found, dofs, coefficients, numbers, control=control, state=self._state(i))
+
+    def _driven(self, i: int, where: str) -> tuple[list[int], list[float]]:
+        """Joints that an actuator moves, and how far it goes with each."""
+        model, kinds = self.model, mujoco.mjtTrn
+        gear, at = float(model.actuator_gear[model.actuator_outadr[i], 0]), int(model.actuator_trnid[i, 0])
+        if model.actuator_trntype[i] == kinds.mjTRN_JOINT:
+            return [int(model.jnt_dofadr[at])], [gear]
+        if model.actuator_trntype[i] == kinds.mjTRN_TENDON:
+            dofs, along = self._along(at)
+            return dofs, [gear * c for c in along]
+        raise Uncovered(f"{where} acts neither on a joint nor on a tendon")
 
     def _control(self, i: int, where: str, numbers: list[float]) -> int:
         """Index of an actuator's control, -1 if nobody commands it; its limits go into `numbers`."""
@@ -317,7 +323,7 @@ class _Writer:
 
     def _sensors(self) -> int:
         """Sensors; how many of them lag."""
-        model, kinds = self.model, mujoco.mjtSensor
+        model = self.model
         lags = {extra.index: float(extra.data[0]) for extra in self.physics.stage("lag")}
         found, late = [], 0
         latest = float(mjcf.sensor_delays(model).max(initial=0.0))
@@ -325,36 +331,40 @@ class _Writer:
         self.numbers.append(latest)
         for name in mjcf.scalar_sensors(model):
             sensor = model.sensor(name).id
-            what, at = int(model.sensor_type[sensor]), int(model.sensor_objid[sensor])
-            factor = 1.0
-            if what in (kinds.mjSENS_JOINTPOS, kinds.mjSENS_JOINTVEL):
-                state = at + model.nv * (what == kinds.mjSENS_JOINTVEL)
-            elif (
-                what in (kinds.mjSENS_ACTUATORPOS, kinds.mjSENS_ACTUATORVEL)
-                and model.actuator_trntype[at] == mujoco.mjtTrn.mjTRN_JOINT
-            ):
-                state = int(model.actuator_trnid[at, 0]) + model.nv * (what == kinds.mjSENS_ACTUATORVEL)
-                factor = float(model.actuator_gear[model.actuator_outadr[at], 0])
-            else:
-                raise Uncovered(f"sensor {name!r} reads neither a joint's position nor its speed")
-            if model.sensor_cutoff[sensor]:
-                raise Uncovered(f"sensor {name!r} has a cutoff")
+            states, weights = self._read_by(sensor, name)
             numbers = [0] * int(Sensor.SIZE)
-            numbers[Sensor.STATE], numbers[Sensor.FACTOR] = state, len(self.numbers)
-            numbers[Sensor.LAG], numbers[Sensor.TIME], numbers[Sensor.AHEAD] = (
-                -1,
-                len(self.numbers) + 1,
-                len(self.numbers) + 2,
-            )
+            numbers[Sensor.TERMS], numbers[Sensor.TERM_AT] = len(states), len(self.ints)
+            self.ints += states
+            numbers[Sensor.NUMBERS] = len(self.numbers)
+            self.numbers += weights
+            numbers[Sensor.LAG], numbers[Sensor.TIME] = -1, len(self.numbers)
+            numbers[Sensor.AHEAD] = len(self.numbers) + 1
             tau = lags.get(int(model.sensor_adr[sensor]))
             if tau is not None:
                 numbers[Sensor.LAG] = 2 * model.nv + model.na + self.yielding + late
                 late += 1
-            self.numbers += [factor, tau or 0.0, latest - float(model.sensor_delay[sensor])]
+            self.numbers += [tau or 0.0, latest - float(model.sensor_delay[sensor])]
             found.append(numbers)
         self.ints[Head.SENSOR_AT], self.ints[Head.SENSORS] = len(self.ints), len(found)
         self.ints += [number for numbers in found for number in numbers]
         return late
+
+    def _read_by(self, sensor: int, name: str) -> tuple[list[int], list[float]]:
+        """States whose sum a sensor reads, and their weights: of a joint, a fixed tendon, or an actuator on one."""
+        model, kinds = self.model, mujoco.mjtSensor
+        what, at = int(model.sensor_type[sensor]), int(model.sensor_objid[sensor])
+        speed = what in (kinds.mjSENS_JOINTVEL, kinds.mjSENS_TENDONVEL, kinds.mjSENS_ACTUATORVEL)
+        if model.sensor_cutoff[sensor]:
+            raise Uncovered(f"sensor {name!r} has a cutoff")
+        if what in (kinds.mjSENS_JOINTPOS, kinds.mjSENS_JOINTVEL):
+            dofs, weights = [int(model.jnt_dofadr[at])], [1.0]
+        elif what in (kinds.mjSENS_TENDONPOS, kinds.mjSENS_TENDONVEL):
+            dofs, weights = self._along(at)
+        elif what in (kinds.mjSENS_ACTUATORPOS, kinds.mjSENS_ACTUATORVEL):
+            dofs, weights = self._driven(at, f"sensor {name!r}")
+        else:
+            raise Uncovered(f"sensor {name!r} reads neither a position nor a speed of a joint, tendon or actuator")
+        return [dof + model.nv * speed for dof in dofs], weights
 
     def _laws(self) -> None:
         known, laws = [name for name, _, _ in rules()], []

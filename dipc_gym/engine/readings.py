@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 from llvmlite import ir
 
 from dipc_gym.engine.code import Index, integer
@@ -22,6 +25,17 @@ class Readings:
         first = code.whole(w.program, Head.SENSOR_AT)
         return code.offset(w.program, code.sum(first, code.product(k, int(Sensor.SIZE))), INT)
 
+    def _sum(self, sensor: ir.Value, of: Callable[[ir.Value], Value]) -> Value:
+        """What a sensor reads where its states are what `of` says of each."""
+        w = self.window
+        code = w.code
+        first, weights = (code.whole(sensor, at) for at in (Sensor.TERM_AT, Sensor.NUMBERS))
+        out = code.scratch(1)
+        out[0] = 0.0
+        with code.count(code.whole(sensor, Sensor.TERMS)) as term:
+            out[0] = out[0] + of(code.whole(w.program, code.sum(first, term))) * w.numbers[code.sum(weights, term)]
+        return out[0]
+
     def at_start(self) -> None:
         """Samples at the beginning itself."""
         w = self.window
@@ -31,8 +45,7 @@ class Readings:
             lag, place = code.whole(sensor, Sensor.LAG), code.product(k, w.samples)
             some = code.below(integer(0), w.samples)
             with code.when(code.all_of(some, self._time(sensor, place) <= SOON)):
-                reading = w.state[code.whole(sensor, Sensor.STATE)] * w.numbers[code.whole(sensor, Sensor.FACTOR)]
-                w.readings[place] = reading
+                w.readings[place] = self._sum(sensor, w.state.__getitem__)
                 with code.when(code.at.icmp_signed(">=", lag, integer(0))):
                     w.readings[place] = w.state[lag]
                 w.set(w.read, k, 1)
@@ -50,9 +63,7 @@ class Readings:
         until = now + part
         with code.count(w.ns) as k:
             sensor = self._sensor(k)
-            lag, index = code.whole(sensor, Sensor.LAG), code.whole(sensor, Sensor.STATE)
-            factor = w.numbers[code.whole(sensor, Sensor.FACTOR)]
-            before, after = w.state[index] * factor, w.ahead[index] * factor
+            lag = code.whole(sensor, Sensor.LAG)
             with code.repeat() as stop:
                 sample = code.whole(w.read, k)
                 stop(code.at.not_(code.below(sample, w.samples)))
@@ -60,17 +71,19 @@ class Readings:
                 stop(self._time(sensor, place) - until > SOON)
                 gone = self._time(sensor, place) - now
                 out = code.scratch(1)
-                out[0] = self._between(index, gone, part) * factor
+                out[0] = self._sum(sensor, partial(self._between, gone, part))
                 with code.when(code.at.icmp_signed(">=", lag, integer(0))):
                     tau = w.numbers[code.whole(sensor, Sensor.TIME)]
+                    before = self._sum(sensor, w.state.__getitem__)
                     out[0] = _follow(before, w.state[lag], out[0], gone, tau)
                 w.readings[place] = out[0]
                 w.set(w.read, k, code.sum(sample, 1))
             with code.when(code.at.icmp_signed(">=", lag, integer(0))):
                 tau = w.numbers[code.whole(sensor, Sensor.TIME)]
+                before, after = self._sum(sensor, w.state.__getitem__), self._sum(sensor, w.ahead.__getitem__)
                 w.ahead[lag] = _follow(before, w.state[lag], after, part, tau)
 
-    def _between(self, index: ir.Value, gone: Value, part: Value) -> Value:
+    def _between(self, gone: Value, part: Value, index: ir.Value) -> Value:
         """A state within a step: a cubic through both ends for positions, a parabola for speeds."""
         w = self.window
         code = w.code

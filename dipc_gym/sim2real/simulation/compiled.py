@@ -65,16 +65,17 @@ class Compiled:
         return at, behind, lead
 
     @property
-    def _lags(self) -> list[tuple[int, int, float]]:
-        """State of each lag, the state that its sensor reads, and the factor, which is a parameter of no variant."""
+    def _lags(self) -> list[tuple[int, list[int], Array]]:
+        """State of each lag, the states whose sum its sensor reads, and their weights, which no variant changes."""
         codes = self.program.codes
         first = int(codes[Head.SENSOR_AT])
         sensors = codes[first : first + int(codes[Head.SENSORS]) * int(Sensor.SIZE)].reshape(-1, int(Sensor.SIZE))
-        return [
-            (int(one[Sensor.LAG]), int(one[Sensor.STATE]), float(self.parameters[0, one[Sensor.FACTOR]]))
-            for one in sensors
-            if one[Sensor.LAG] >= 0
-        ]
+        lags = []
+        for one in sensors[sensors[:, Sensor.LAG] >= 0]:
+            at, terms, weights = int(one[Sensor.TERM_AT]), int(one[Sensor.TERMS]), int(one[Sensor.NUMBERS])
+            states = codes[at : at + terms].tolist()
+            lags.append((int(one[Sensor.LAG]), states, self.parameters[0, weights : weights + terms]))
+        return lags
 
     @property
     def _yielding(self) -> list[tuple[int, int]]:
@@ -134,8 +135,8 @@ class Compiled:
         self._heat(states, at)
         self._bend(states, at)
         self._swing(states, at)
-        for lag, state, factor in self._lags:
-            states[..., lag] = factor * states[..., state]
+        for lag, read, weights in self._lags:
+            states[..., lag] = states[..., read] @ weights
         return states
 
     def put_back(self, states: Array, initial: Array) -> Array:
@@ -154,8 +155,8 @@ class Compiled:
         for rest, tendon in self._yielding:
             for joint, coefficient in along(self.model, tendon):
                 out[..., rest] += coefficient * (out[..., joint] - states[..., joint])
-        for lag, state, factor in self._lags:
-            out[..., lag] += factor * (out[..., state] - states[..., state])
+        for lag, read, weights in self._lags:
+            out[..., lag] += (out[..., read] - states[..., read]) @ weights
         return out
 
     def _heat(self, states: Array, at: float) -> None:
