@@ -29,6 +29,8 @@ from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation import batch
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
+from dipc_gym.sim2real.simulation.compiled import compiled
+from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.slopes import Slopes
 from dipc_gym.sim2real.simulation.windows import cut
 
@@ -379,6 +381,24 @@ def test_what_is_not_covered_runs_on_mujoco() -> None:
     assert np.array_equal(ours, unmet)
     assert np.abs(met - ours).max() > 1e-2
     assert np.abs(met[..., 1]).max() < np.abs(ours[..., 1]).max()
+
+
+def test_limits_that_no_recording_comes_near_end_what_meets_them() -> None:
+    """A hypothesis that is far off may run into a limit, or away without end; MuJoCo need not say what it does there."""
+    text = HANGING.replace('name="pole1" type="hinge"', 'name="pole1" type="hinge" limited="true" range="-170 170"')
+    source, base = loaded(text), ["cart", "pole1", "pole2"]
+    run_away = loaded(text.replace('damping="21.4"', 'damping="-1e6"'))
+    moved = record(source, sweep(2.0), 0.5)
+    still = np.zeros((len(moved.time), 3))
+    for angle, matter in ((0.1, False), (2.95, True)):
+        motion = Motion(moved.time, still + [0.0, angle, 0.0], still, still)
+        windows = replace(cut([moved], np.ones(3), 0.25, (0.0, 1.0)), motions=(motion,))
+        of = compiled([source], windows, base, 0.001)
+        assert of._limits_matter is matter
+    initial = np.zeros((1, len(windows), 6))
+    windows = replace(windows, motions=(Motion(moved.time, still, still, still),))
+    (gone,) = simulate([run_away], windows, initial, Stepping(0.001, RK4), base=base)
+    assert np.isnan(gone[:, -1]).all()
 
 
 def test_a_lagging_sum_of_joints_is_mujocos(hanging: object) -> None:

@@ -52,6 +52,7 @@ class Jobs:
         which: set of commands that each variant gets, (variants,).
         times: at which sensors are read after the start, s, (windows, sensors, samples).
         until: s after the start to which each window is simulated, (windows,).
+        limits: whether what limits do has to be known; else a joint that leaves its range ends its simulation.
     """
 
     parameters: Array
@@ -63,6 +64,7 @@ class Jobs:
     which: Whole
     times: Array
     until: Array
+    limits: bool = True
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def run(program: Program, jobs: Jobs, step: float, *, threads: int = 0) -> tuple
         (variants, windows, nx).
 
     Raises:
-        Uncovered: a joint left its range.
+        Uncovered: a joint left its range, and it matters what its limit does.
     """
     variants, windows, nx = jobs.initial.shape
     rows = np.zeros((variants, windows, int(Row.SIZE)), dtype=np.int64)
@@ -123,7 +125,7 @@ def differentiate(
         (windows, nx), and their changes (d, windows, nx).
 
     Raises:
-        Uncovered: a joint left its range.
+        Uncovered: a joint left its range, and it matters what its limit does.
     """
     (_, windows, nx), count = jobs.initial.shape, len(directions.parameters)
     packs = max(1, -(-count // LANES))
@@ -204,7 +206,7 @@ def _call(
     shares = list(zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True))
     each = pool(workers, os.getpid()).map if workers > 1 else map
     list(each(lambda share: function(table, *share), shares))
-    if left.any():
+    if jobs.limits and left.any():
         raise Uncovered("a joint that meets its limit")
 
 

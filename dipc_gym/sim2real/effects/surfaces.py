@@ -26,6 +26,9 @@ TELLS = 0.1  # share of what one input takes, by which two have to take more
 STIFF = (1e-3, 0.1, 10.0)  # of an even table: weight of its bends, against that of its samples
 SMOOTH = 1e-3  # weight of a grown table's bends: where nearly no samples are, it goes on as it does beside them
 TIMID = 1e-4  # weight of a level's size, far less
+UNTOLD = 1e-5  # share of all samples' weight: a level of less lies in no data, and within those that do
+NEARLY = 0.7  # of what the best inputs take, from which others are asked as well
+RIVALS = 3  # tables that are asked for
 LEAST = 0.002  # share of the variance that a table must take of blocks that it did not see
 MOST_LEVELS = 72  # of a table
 
@@ -45,8 +48,12 @@ class Surface:
     levels: Array
 
 
-def surface(inputs: Mapping[str, Array], force: Array, time: Array) -> Surface | None:
-    """The table that a force asks for; None where none tells anything.
+def surfaces(inputs: Mapping[str, Array], force: Array, time: Array) -> list[Surface]:
+    """The table that a force asks for, and those of other inputs that tell nearly as much; none where none tells
+    anything.
+
+    What tells most of a force that was worked out from motion need not be what it depends on: a drive that varies along
+    the way and a drag that does look alike where a motor follows its command. A simulation tells.
 
     Args:
         inputs: what it may depend on, (n,) each.
@@ -55,28 +62,26 @@ def surface(inputs: Mapping[str, Array], force: Array, time: Array) -> Surface |
     """
     late = np.floor(time / BLOCK).astype(np.intp) % 2 == 1
     if late.all() or not late.any():
-        return None
+        return []
     halves = (~late, late)
     moving = {name: x for name, x in inputs.items() if np.ptp(x) > 0}
-    alone: dict[tuple[str, ...], float] = {
-        (name,): _Even([x], force, halves, ALONE).worth for name, x in moving.items()
+    worth: dict[tuple[str, ...], float] = {(name,): _Even([x], force, halves, ALONE).worth for name, x in moving.items()}
+    if not worth:
+        return []
+    better = sorted(worth, key=lambda one: -worth[one])
+    pairs = {
+        (*a, *b): _Even([moving[a[0]], moving[b[0]]], force, halves, BOTH).worth
+        for a, b in itertools.combinations(better[:PAIRED], 2)
     }
-    better = sorted(alone, key=lambda one: -alone[one])[:PAIRED]
-    pairs = {(*a, *b): _Even([moving[a[0]], moving[b[0]]], force, halves, BOTH).worth for a, b in _pairs(better)}
-    if not alone:
-        return None
-    chosen, two = better[0], max(pairs, key=lambda one: pairs[one], default=better[0])
-    if (alone | pairs)[two] > alone[chosen] + TELLS * max(alone[chosen], LEAST):
-        chosen = two
-    if (alone | pairs)[chosen] < LEAST:
-        return None
-    even = _Even([moving[name] for name in chosen], force, halves, ALONE if len(chosen) == 1 else BOTH)
-    knots, levels = even.grown()
-    return Surface(chosen, knots, levels)
-
-
-def _pairs(one: Sequence[tuple[str, ...]]) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
-    return list(itertools.combinations(one, 2))
+    two = max(pairs, key=lambda one: pairs[one], default=better[0])
+    if pairs and pairs[two] > worth[better[0]] + TELLS * max(worth[better[0]], LEAST):
+        worth, better = pairs, sorted(pairs, key=lambda one: -pairs[one])
+    least = max(LEAST, NEARLY * worth[better[0]])
+    found = []
+    for chosen in (one for one in better[:RIVALS] if worth[one] >= least):
+        even = _Even([moving[name] for name in chosen], force, halves, ALONE if len(chosen) == 1 else BOTH)
+        found.append(Surface(chosen, *even.grown()))
+    return found
 
 
 class _Even:
@@ -130,6 +135,8 @@ class _Even:
         enough = spared(1.0 - path[0][1], min(1.0 - worth for _, worth in path))
         chosen = next(one for one, worth in path if 1.0 - worth <= enough)
         levels, _ = self._levels(chosen, self.sums)
+        told = self._weights(chosen) > UNTOLD * sum(float(one[0].trace()) for one in self.sums)
+        levels = np.clip(levels, levels[told].min(), levels[told].max())
         return tuple(e[k] for e, k in zip(self.edges, chosen, strict=True)), levels.reshape([len(k) for k in chosen])
 
     def _confirmed(self, knots: Sequence[Sequence[int]]) -> float:
@@ -139,10 +146,7 @@ class _Even:
 
     def _levels(self, knots: Sequence[Sequence[int]], sums: Sequence[Sums]) -> tuple[Array, Array]:
         """Least-squares levels at the knots, and the table on the even grid."""
-        coarse: Array = np.ones((1, 1))
-        for k in knots:
-            line = np.stack([np.interp(np.arange(self.bins + 1), k, unit) for unit in np.eye(len(k))], axis=1)
-            coarse = np.asarray(np.kron(coarse, line))
+        coarse = self._on_the_grid(knots)
         normal = sum(coarse.T @ (one[0] @ coarse) for one in sums)
         right = coarse.T @ sum(one[1] for one in sums)
         shape = [len(k) for k in knots]
@@ -151,6 +155,19 @@ class _Even:
             np.linalg.solve(normal + size * (SMOOTH * _bending(shape) + TIMID * np.eye(len(right))), right)
         )
         return levels, np.asarray(coarse @ levels)
+
+    def _weights(self, knots: Sequence[Sequence[int]]) -> Array:
+        """Weight of all samples on each level of a table with these knots."""
+        coarse = self._on_the_grid(knots)
+        return np.asarray(sum(np.einsum("ij,ij->j", coarse, one[0] @ coarse) for one in self.sums))
+
+    def _on_the_grid(self, knots: Sequence[Sequence[int]]) -> Array:
+        """What each level of a table with these knots adds to each entry of the even grid."""
+        coarse: Array = np.ones((1, 1))
+        for k in knots:
+            line = np.stack([np.interp(np.arange(self.bins + 1), k, unit) for unit in np.eye(len(k))], axis=1)
+            coarse = np.asarray(np.kron(coarse, line))
+        return coarse
 
 
 def _span(x: Array) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.law import LOOSE, NARROWEST, bisected, described, holding_new
-from dipc_gym.sim2real.effects.surfaces import Surface, surface
+from dipc_gym.sim2real.effects.surfaces import Surface, surfaces
 
 MOST_LEVELS = 144  # of a table
 
@@ -52,16 +52,16 @@ class UnknownForce(Effect):
         self.linear = tuple(self.first)
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
-        """A table of what tells most of the unexplained force, and one of the joint's own motion.
+        """Tables of what tells most of the unexplained force, and one of the joint's own motion.
 
         Under feedback all joints and the command move together; which of them a force follows only a fit tells.
         """
         at, speed = evidence.at, 1.2 * float(np.max(np.abs(evidence.velocity))) or 1.0
         own = {name: x for name, x in evidence.inputs.items() if name in (f"position {at}", f"velocity {at}")}
         found: dict[tuple[str, ...], tuple[Effect, Values]] = {}
-        for inputs in (evidence.inputs, own):
-            shape = surface(inputs, evidence.force, evidence.time)
-            if shape is not None and shape.inputs != (f"position {at}",):  # that is a law of a kind, asked as such
+        asked = [one for inputs in (evidence.inputs, own) for one in surfaces(inputs, evidence.force, evidence.time)]
+        for shape in asked:
+            if shape.inputs not in found and shape.inputs != (f"position {at}",):  # that is a law of a kind
                 units = [_unit(evidence.model, one) for one in shape.inputs]
                 shaped = UnknownForce(shape, speed, units, at)
                 found[shape.inputs] = shaped, shaped.first

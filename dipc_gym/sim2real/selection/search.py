@@ -9,12 +9,15 @@ window counts alike and its standard error means something.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from dipc_gym.sim2real.effects.base import LEAVES
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import names
-from dipc_gym.sim2real.selection import rounds
+from dipc_gym.sim2real.selection import ranking, rounds
 from dipc_gym.sim2real.selection.events import attend
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
@@ -77,17 +80,45 @@ class Search:
         self.journal.go_back(formulas[:1])
         self._go_on(self.progress.with_spare())
         found = self._add(most)
-        formulas = self.journal.informed(formulas)
-        if not self._done(found) and not self.scorer.compare(found, formulas[-1]).clear:
+        ends = [formulas]
+        if not self._done(found) and not self.scorer.compare(found, self.journal.informed(formulas)[-1]).clear:
             self.tell("laws predict no better than formulas; asking for laws beside these")
-            self.journal.go_back(formulas)
-            self._without_clocks()
-            found = self._add(most)
+            self._back_to(formulas)
+            found, ends = self._add(most), []
         if self._done(found):
             return found
         self.tell("no law of a kind comes down to the noise; modelling what is left")
         self.phase = Phase.NO_KIND
-        return self._add(len(self.question.joints))
+        return self._modelled([self.progress.path, *ends])
+
+    def _modelled(self, ends: Sequence[Sequence[Fit]]) -> Fit:
+        """What is left beside the ends of several paths, modelled; of these, what predicts windows best that it was
+        not fitted to.
+
+        A law of a kind may fit better than formulas and stand in the way of what is left beside both.
+        """
+        found: list[tuple[Fit, ...]] = []
+        for end in ends:
+            if end is not self.progress.path:
+                self._back_to(end)
+            if self._done(self._add(len(self.question.joints))):
+                return self.progress.current
+            found.append(self.progress.path)
+        losses = ranking.losses([self.scorer.comparison_mse(path[-1]) for path in map(self.journal.informed, found)])
+        self.journal.go_back(found[int(np.argmin(losses))])
+        return self.progress.current
+
+    def _back_to(self, path: Sequence[Fit]) -> None:
+        """Go on from a path that was left, without what is told by when it acts alone: beside a law of the state it may
+        have nothing to do.
+        """
+        self.journal.go_back(tuple(path))
+        current = self.progress.current
+        clocks = [term.key for term in current.structure.terms if term.effect.leaves < LEAVES]
+        for key in clocks:
+            current = self.fitter.without(current, key)
+        if clocks:
+            self.journal.accept(current)
 
     def _done(self, found: Fit) -> bool:
         return found.error <= SCORE.at_floor or self.interrupted
@@ -139,12 +170,3 @@ class Search:
     def _go_on(self, progress: Progress) -> None:
         """Go on from here, on these windows."""
         self.fitter, self.journal.progress = self.fitter.over(progress.partition), progress
-
-    def _without_clocks(self) -> None:
-        """Take out what is told by when it acts alone: beside a law of the state it may have nothing to do."""
-        current = self.progress.current
-        clocks = [term.key for term in current.structure.terms if term.effect.leaves < LEAVES]
-        for key in clocks:
-            current = self.fitter.without(current, key)
-        if clocks:
-            self.journal.accept(current)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+NEAR = 0.02  # of a joint's range: a motion that keeps this far from its ends tells nothing of its limits
+
 _checked: set[bytes] = set()
 
 
@@ -122,7 +124,25 @@ class Compiled:
             count[mine] = np.minimum(late, len(recording.time)) - early
             begin += len(recording.time)
         sets = np.arange(len(initial)) if len(commands.values) > 1 else np.zeros(len(initial), dtype=np.int64)
-        return Jobs(self.parameters[: len(initial)], initial, clock, first, count, commands, sets, times, length)
+        parameters = self.parameters[: len(initial)]
+        return Jobs(parameters, initial, clock, first, count, commands, sets, times, length, self._limits_matter)
+
+    @property
+    def _limits_matter(self) -> bool:
+        """Whether a joint comes near its limits in the recordings; else only a hypothesis that is far off meets them."""
+        model, windows = self.model, self.windows
+        limited = np.flatnonzero(model.jnt_limited)
+        moved = [model.joint(name).id for name in self.base]
+        if not windows.motions or not set(limited.tolist()) <= set(moved):
+            return bool(len(limited))
+        for joint in limited:
+            low, high = model.jnt_range[joint]
+            beside = model.jnt_margin[joint] + NEAR * (high - low)
+            for motion in windows.motions:
+                position = motion.position[:, moved.index(joint)]
+                if position.min() < low + beside or position.max() > high - beside:
+                    return True
+        return False
 
     def begun(self, at: float, initial: Array) -> Array:
         """States (variants, windows, nx) that begin at positions and velocities of base joints (variants, n, 2 nb)."""
