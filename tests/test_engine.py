@@ -142,8 +142,11 @@ def test_windows_without_events_are_mujocos_at_a_fine_step(seed: int, joints: in
     every = "".join(f'<joint joint="j{i}" coef="{rng.normal()}"/>' for i in range(joints))
     tendon = f'<tendon><fixed name="all">{every}</fixed></tendon>'
     first = text.find("<tendon>") if "<tendon>" in text else begin
-    read = text[text.index("<sensor>") : end] + '''<tendonpos name="sum" tendon="all"/><tendonvel name="sums" tendon="all"/>
-        <actuatorpos name="turned" actuator="m0"/><actuatorvel name="turns" actuator="all"/>'''
+    read = (
+        text[text.index("<sensor>") : end]
+        + """<tendonpos name="sum" tendon="all"/><tendonvel name="sums" tendon="all"/>
+        <actuatorpos name="turned" actuator="m0"/><actuatorvel name="turns" actuator="all"/>"""
+    )
     source = loaded(f"{text[:first]}{tendon}<actuator>{driven}</actuator>{read}{text[end:]}")
     what, parameters = program.read([source])
     initial, commands = 0.3 * rng.normal(size=(1, 2, 2 * joints)), rng.normal(size=(25, joints + 1))
@@ -384,14 +387,14 @@ def test_what_is_not_covered_runs_on_mujoco() -> None:
 
 
 def test_limits_that_no_recording_comes_near_end_what_meets_them() -> None:
-    """A hypothesis that is far off may run into a limit, or away without end; MuJoCo need not say what it does there."""
+    """What is far off may run into a limit, or away without end; MuJoCo need not say what it does there."""
     text = HANGING.replace('name="pole1" type="hinge"', 'name="pole1" type="hinge" limited="true" range="-170 170"')
     source, base = loaded(text), ["cart", "pole1", "pole2"]
     run_away = loaded(text.replace('damping="21.4"', 'damping="-1e6"'))
     moved = record(source, sweep(2.0), 0.5)
     still = np.zeros((len(moved.time), 3))
     for angle, matter in ((0.1, False), (2.95, True)):
-        motion = Motion(moved.time, still + [0.0, angle, 0.0], still, still)
+        motion = Motion(moved.time, still + np.array([0.0, angle, 0.0]), still, still)
         windows = replace(cut([moved], np.ones(3), 0.25, (0.0, 1.0)), motions=(motion,))
         of = compiled([source], windows, base, 0.001)
         assert of._limits_matter is matter

@@ -65,7 +65,9 @@ def surfaces(inputs: Mapping[str, Array], force: Array, time: Array) -> list[Sur
         return []
     halves = (~late, late)
     moving = {name: x for name, x in inputs.items() if np.ptp(x) > 0}
-    worth: dict[tuple[str, ...], float] = {(name,): _Even([x], force, halves, ALONE).worth for name, x in moving.items()}
+    worth: dict[tuple[str, ...], float] = {
+        (name,): _Even([x], force, halves, ALONE).worth for name, x in moving.items()
+    }
     if not worth:
         return []
     better = sorted(worth, key=lambda one: -worth[one])

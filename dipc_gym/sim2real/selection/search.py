@@ -77,7 +77,8 @@ class Search:
             return found
         self.tell("no formula comes down to the noise; asking for laws of any shape, from the beginning")
         self.phase, formulas = Phase.SHAPES, self.progress.path
-        self.journal.go_back(formulas[:1])
+        # What a machine lacks at all its joints came first, and would come first again.
+        self.journal.go_back(formulas[: 2 if self._everywhere(formulas[1:2]) else 1])
         self._go_on(self.progress.with_spare())
         found = self._add(most)
         ends = [formulas]
@@ -119,6 +120,11 @@ class Search:
             current = self.fitter.without(current, key)
         if clocks:
             self.journal.accept(current)
+
+    def _everywhere(self, accepted: Sequence[Fit]) -> bool:
+        """Whether the first fit that was accepted has effects at all of several joints."""
+        places = {term.at for fitted in accepted for term in fitted.structure.terms}
+        return len(self.question.joints) > 1 and places >= set(self.question.joints)
 
     def _done(self, found: Fit) -> bool:
         return found.error <= SCORE.at_floor or self.interrupted

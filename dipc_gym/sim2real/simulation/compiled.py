@@ -129,7 +129,7 @@ class Compiled:
 
     @property
     def _limits_matter(self) -> bool:
-        """Whether a joint comes near its limits in the recordings; else only a hypothesis that is far off meets them."""
+        """Whether a joint comes near its limits in the recordings; else only what is far off meets them."""
         model, windows = self.model, self.windows
         limited = np.flatnonzero(model.jnt_limited)
         moved = [model.joint(name).id for name in self.base]
