@@ -65,6 +65,7 @@ CONTRACT = [
     "friction.speed",
     "friction.hysteresis",
     "load.swinging",
+    "load.creeping",
     "motor.map",
     "residual.force",
 ]
@@ -95,6 +96,7 @@ NEUTRAL: dict[str, Mapping[str, float]] = {
     "motor.thermal": {"thermal_resistance": 1e-9, "time_constant": 10},
     "sensor.bias": {"bias": 0},
     "sensor.gain": {"gain": 1},
+    "load.creeping": {"stiffness": 1e-9, "relaxation_time": 0.5},
     "load.swinging": {"mass": 1e-9, "frequency": 5, "damping_ratio": 0.1},
     "timing.delay": {"delay": 0},
     "timing.sensor_lag": {"time_constant": 1e-4},

@@ -215,6 +215,7 @@ CASES = [
     ("motor.deadzone", "motor", {"width": 0.3}),
     ("load.tilt", "world", {"about_x": 0.01, "about_y": 0.02}),
     ("load.swinging", "cart", {"mass": 0.1, "frequency": 3.0, "damping_ratio": 0.1}),
+    ("load.creeping", "cart", {"stiffness": 80.0, "relaxation_time": 0.3}),
     ("sensor.gain", "pole1", {"gain": 1.01}),
 ]
 

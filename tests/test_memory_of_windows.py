@@ -1,4 +1,4 @@
-"""What windows begin with that no sensor shows: springs that yield, and loads that swing."""
+"""What windows begin with that no sensor shows: springs that yield or creep, and loads that swing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.simulation.operators import play, swing
 
 ELEMENTS = ((0.004, 0.02), (1.5, 2.5))  # m and N
-SWINGING = {"mass": 0.3, "frequency": 2.2, "damping_ratio": 0.04}
+HIDDEN = {
+    "load.swinging": {"mass": 0.3, "frequency": 2.2, "damping_ratio": 0.04},
+    "load.creeping": {"stiffness": 60.0, "relaxation_time": 0.4},
+}
 
 
 def slips() -> tuple[Hysteresis, dict[str, float]]:
@@ -34,7 +37,7 @@ def written(effect: str) -> physics.Physics:
         law, values = slips()
         law.edit(document, "cart", values)
     else:
-        catalogue()[effect].edit(document, "cart", SWINGING)
+        catalogue()[effect].edit(document, "cart", HIDDEN[effect])
     return physics.from_model(mjcf.compile(document.text()))
 
 
@@ -75,7 +78,7 @@ def test_a_load_swings_as_its_equation_says(ratio: float) -> None:
     np.testing.assert_allclose(faster, np.array(found)[:, 1], atol=2e-3 * np.abs(faster).max())
 
 
-@pytest.mark.parametrize("effect", ["friction.hysteresis", "load.swinging"])
+@pytest.mark.parametrize("effect", ["friction.hysteresis", *HIDDEN])
 def test_windows_begin_with_what_the_motion_before_left(effect: str) -> None:
     """With the right parameters nearly nothing is left, in late windows as in early ones.
 
@@ -84,13 +87,26 @@ def test_windows_begin_with_what_the_motion_before_left(effect: str) -> None:
     rig = written(effect)
     run = record(rig, sweep(4.0), noise=(1e-5,))
     ready = prepared(CART, [run], stepping=Stepping(0.001, RK4))
-    law, values = slips() if effect == "friction.hysteresis" else (catalogue()[effect], SWINGING)
+    law, values = slips() if effect == "friction.hysteresis" else (catalogue()[effect], HIDDEN[effect])
     structure = ready.structure.with_term(Term(law, "cart", values))
     right = fit(ready.problem, structure, most=0)
     without = fit(ready.problem, ready.structure, most=0)
     assert without.error > 20
     assert right.error < 0.03 * without.error
     assert np.sqrt(np.median(right.mse)) < 2
+
+
+def test_a_creeping_spring_is_maxwells_element() -> None:
+    """Pulled out at once and held, it relaxes by its time constant, but for the node's own share of it."""
+    time, step = 0.4, 1e-3
+    model = written("load.creeping").model
+    stamps = np.arange(0.0, 2.0, step)
+    held = np.minimum(stamps / 0.01, 1.0) * 0.02
+    ground = float(model.dof_damping[1] / model.dof_armature[1])
+    behind, _ = swing(ground / time, 0.0, held, np.gradient(held, step), stamps, stamps, ground=ground)
+    later = np.searchsorted(stamps, [0.1, 0.5, 0.9])
+    np.testing.assert_allclose(np.diff(np.log(-behind[later])), -0.4 / time, rtol=0.02)
+    assert model.body_mass[-1] < 1e-8
 
 
 def test_elements_hold_below_their_force_and_slip_at_it_in_plain_mujoco() -> None:
@@ -111,7 +127,7 @@ def test_elements_hold_below_their_force_and_slip_at_it_in_plain_mujoco() -> Non
             assert data.qpos[0] < reached - 0.002
 
 
-@pytest.mark.parametrize("effect", ["friction.hysteresis", "load.swinging"])
+@pytest.mark.parametrize("effect", ["friction.hysteresis", *HIDDEN])
 def test_it_is_found_and_written_back_as_plain_mjcf(effect: str) -> None:
     rig = written(effect)
     runs = [record(rig, sweep(strength), noise=(1e-5,)) for strength in (4.0, 5.0)]

@@ -272,8 +272,17 @@ def _motor(rig: Rig) -> list[Effect]:
             ),
             fixed=((index("slosh_mass"), 0.15 * own), (index("m0"), -0.15 * own)),
         ),
+        creeping(rig),
     ]
     return found
+
+
+def creeping(rig: Rig, *more: Parameter, kind: str = "") -> Effect:
+    """A spring that creeps, at the driven joint."""
+    force, span, (n, m) = rig.force[0], rig.span[0], _units(rig, 0)
+    pulls = Parameter("stiffness", f"{n}/{m}", index("creep_stiffness"), 0.05 * force / span, 0.6 * force / span)
+    gives = Parameter("relaxation_time", "s", index("creep_time"), 0.05, 1.0)
+    return Effect("load.creeping", rig.joints[0], (pulls, gives, *more), kind=kind, alike=("load.creeping",))
 
 
 def unknowns(rig: Rig) -> list[Effect]:
@@ -305,15 +314,6 @@ def unknowns(rig: Rig) -> list[Effect]:
             ),
             includes=(*part, "friction.stribeck"),
             kind="breakaway force that grows with the time at rest",
-        ),
-        Effect(
-            "unknown",
-            at,
-            (
-                Parameter("stiffness", f"{n}/{m}", index("creep_stiffness"), 0.05 * force / span, 0.6 * force / span),
-                Parameter("creep_time", "s", index("creep_time"), 0.05, 1.0),
-            ),
-            kind="creeping (viscoelastic) spring",
         ),
         Effect(
             "unknown",

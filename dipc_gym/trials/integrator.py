@@ -24,7 +24,7 @@ from dipc_gym.trials.plant import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_JOI
     HEAT_COEFFICIENT, HEAT_RESISTANCE, HEAT_TIME, DELAY,
     ROTOR, GAP, STIFFNESS, SHAFT_DAMPING,
     DRIFT, DRIFT_TIME, DWELL, DWELL_TIME, SLOSH_MASS, SLOSH_RATE, SLOSH_DAMPING, SLOSH_LENGTH,
-    CREEP_STIFFNESS, CREEP_TIME, LEAK, ENCODER_SIZE, ENCODER_WAVE,
+    CREEP_STIFFNESS, CREEP_TIME, CREEP_WIDTH, LEAK, ENCODER_SIZE, ENCODER_WAVE,
     LAW, BUMP1, CENTRE1, WIDTH1, BUMP2, CENTRE2, WIDTH2, BUMP3, CENTRE3, WIDTH3,
     FALL, FALL_SPEED, FALL_POWER, RISE, RISE_SPEED, RISE_POWER,
     HYSTERESIS, HYSTERESIS_WIDTH, HYSTERESIS_POWER,
@@ -193,7 +193,10 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
     elif p[LAW] == PULL_OF_CART:
         rhs[1] += _bumps(p, s[0]) * np.sin(2.0 * s[1])
     if p[CREEP_STIFFNESS] > 0.0:
-        out[CREEP] = s[V] - s[CREEP] / p[CREEP_TIME]
+        gives = s[CREEP]
+        if p[CREEP_WIDTH] > 0.0:  # after Eyring
+            gives = p[CREEP_WIDTH] * np.sinh(s[CREEP] / p[CREEP_WIDTH])
+        out[CREEP] = s[V] - gives / p[CREEP_TIME]
         rhs[0] -= p[CREEP_STIFFNESS] * s[CREEP]
 
     own = p[M0] * (1.0 + p[LEAK] * time)

@@ -2,13 +2,13 @@
 
 Shapes are sums of bell curves, powers and exponentials, with numbers at random. The tool writes laws as straight lines
 between knots, its formulas are sines, constants and squares, its friction with memory springs that slip, its loads hang
-on straight springs: none of these can be one of them but by approximation.
+on straight springs, its creeping springs creep in proportion: none of these can be one of them but by approximation.
 """
 
 from __future__ import annotations
 
 from dipc_gym.trials import integrator
-from dipc_gym.trials.catalogue import unknowns
+from dipc_gym.trials.catalogue import creeping, unknowns
 from dipc_gym.trials.hidden import Effect, Parameter
 from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import Rig
@@ -88,6 +88,11 @@ def named(rig: Rig) -> list[Effect]:
             kind="load that swings like a pendulum",
             alike=("load.swinging",),
         ),
+        creeping(
+            rig,
+            Parameter("creep_width", m, index("creep_width"), 0.05 * span, 0.5 * span),
+            kind="spring that creeps the faster the more it is bent",
+        ),
     ]
     return [law for law in found if not (rig.name == "motor_axis" and law.name.endswith(".position"))]
 
@@ -117,7 +122,7 @@ def nameless(rig: Rig) -> list[Effect]:
     ]
     if rig.name == "motor_axis":  # goes round and round
         found = []
-    found += [other for other in unknowns(rig) if other.kind.startswith(("creeping", "breakaway", "dry friction"))]
+    found += [other for other in unknowns(rig) if other.kind.startswith(("breakaway", "dry friction"))]
     if rig.count > 1:
         pull = rig.force[1]
         found.append(

@@ -86,28 +86,47 @@ def beside(document: Document, name: str, at: str, inertia: float) -> str:
         Name of the part's joint.
     """
     joint = document.joint(at)
+    hinge = document.effective(joint, "type", "hinge") == "hinge"
+    turned = inertia if hinge else 1e-6
+    own = _alongside(document, document.fresh(name), at, 1e-3 if hinge else inertia, turned)
+    document.set(joint, armature=float(document.effective(joint, "armature", "0")) - inertia)
+    return str(own.get("name"))
+
+
+def node(document: Document, name: str, at: str, *, armature: float, damping: float) -> str:
+    """A joint of next to no mass that moves along another's axis, with a damper under it.
+
+    Args:
+        document: to edit.
+        name: of the body and its joint, if nothing is called so.
+        at: the other joint.
+        armature: kg or kg m^2; it moves nothing but the node.
+        damping: N s/m or N m s/rad.
+
+    Returns:
+        Name of the node's joint.
+    """
+    own = _alongside(document, document.fresh(name), at, 1e-9, 1e-9)
+    document.set(own, armature=armature, damping=damping)
+    return str(own.get("name"))
+
+
+def _alongside(document: Document, name: str, at: str, mass: float, inertia: float) -> ET.Element:
+    """The joint of a body that moves along another joint's axis, carried by what carries that one's body."""
+    joint = document.joint(at)
     body = document.parent(joint)
-    name = document.fresh(name)
     part = document.add(document.parent(body), "body", name=name, gravcomp=1)
     for attribute in ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"):
         if body.get(attribute):
             document.set(part, **{attribute: body.get(attribute, "")})
-    kind = document.effective(joint, "type", "hinge")
     place = document.effective(joint, "pos", "0 0 0")
-    document.add(
-        part,
-        "inertial",
-        pos=place,
-        mass=1e-3 if kind == "hinge" else inertia,
-        diaginertia=(inertia,) * 3 if kind == "hinge" else (1e-6,) * 3,
-    )
-    axis = document.effective(joint, "axis", "0 0 1")
+    document.add(part, "inertial", pos=place, mass=mass, diaginertia=(inertia,) * 3)
+    kind, axis = document.effective(joint, "type", "hinge"), document.effective(joint, "axis", "0 0 1")
     own = document.add(part, "joint", name=name, type=kind, axis=axis, pos=place)
     document.plain(own, damping="0 0 0", stiffness="0 0 0", frictionloss="0", armature="0", springdamper="0 0")
     document.plain(own, limited="auto", range="0 0")
-    document.set(joint, armature=float(document.effective(joint, "armature", "0")) - inertia)
     document.follows(name, at)
-    return name
+    return own
 
 
 def couple(document: Document, name: str, rotor: str, load: str, stiffness: float, damping: float) -> None:

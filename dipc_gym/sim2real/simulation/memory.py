@@ -1,7 +1,7 @@
 """What a window begins with that no sensor shows, where that remembers longer than any warm-up lasts.
 
-A spring that yields keeps its rest until it is bent as far the other way; a load that swings, swings on for seconds.
-Both follow from how the joints moved before: one pass over the whole recording gives what they are at each window's
+A spring that yields keeps its rest until it is bent as far the other way; a load that swings, swings on for seconds, and
+a spring that creeps takes as long. All follow from how the joints moved before: one pass over the whole recording gives what they are at each window's
 start, as it does for the heat of a winding. A recording is taken to begin with springs unbent and loads at rest.
 """
 
@@ -65,7 +65,7 @@ def bends(variants: Sequence[Physics], tendon: int, motion: Motion, time: Array)
 
 @dataclass(frozen=True)
 class Load:
-    """A joint that swings on a spring against another one, driven by nothing else.
+    """A joint that swings on a spring against another one, or creeps after it, driven by nothing else.
 
     Attributes:
         at: its degree of freedom.
@@ -75,14 +75,14 @@ class Load:
     at: int
     tendon: int
 
-    def rates(self, model: mujoco.MjModel) -> tuple[float, float]:
-        """Stiffness and damping per inertia: 1/s^2 and 1/s."""
+    def rates(self, model: mujoco.MjModel) -> tuple[float, float, float]:
+        """Stiffness, damping against the other joint, and damping of its own, per inertia: 1/s^2, 1/s and 1/s."""
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fullM(model, data, full)
         inertia = max(float(full[self.at, self.at]), 1e-300)
         stiffness, damping = float(model.tendon_stiffness[self.tendon]), float(model.tendon_damping[self.tendon])
-        return stiffness / inertia, damping / inertia
+        return stiffness / inertia, damping / inertia, float(model.dof_damping[self.at]) / inertia
 
 
 def loads(model: mujoco.MjModel) -> dict[str, Load]:
@@ -112,11 +112,12 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
         m or rad, then m/s or rad/s, (2, variants, n).
     """
     out = np.empty((2, len(variants), len(time)))
-    known: dict[tuple[float, float], Array] = {}
+    known: dict[tuple[float, float, float], Array] = {}
     for v, variant in enumerate(variants):
         rates = load.rates(variant.model)
         if rates not in known:
             moved = motion.position[:, joint], motion.velocity[:, joint], motion.time
-            known[rates] = swing(*rates, *moved, time)
+            *between, ground = rates
+            known[rates] = swing(*between, *moved, time, ground=ground)
         out[:, v] = known[rates]
     return out

@@ -40,7 +40,9 @@ def play(length: Array, width: Array, rest: Array) -> Array:
     return out
 
 
-def swing(pull: float, drag: float, position: Array, velocity: Array, stamps: Array, time: Array) -> Array:
+def swing(
+    pull: float, drag: float, position: Array, velocity: Array, stamps: Array, time: Array, *, ground: float = 0.0
+) -> Array:
     """Where a load on a spring is against what it hangs on, and how fast; at rest at the first stamp.
 
     Args:
@@ -50,6 +52,7 @@ def swing(pull: float, drag: float, position: Array, velocity: Array, stamps: Ar
         velocity: m/s or rad/s, (samples,).
         stamps: s, increasing, (samples,).
         time: s, (n,).
+        ground: damping per inertia against what does not move, 1/s; with some, it stands still at the first stamp.
 
     Returns:
         m or rad, then m/s or rad/s, (2, n).
@@ -62,18 +65,19 @@ def swing(pull: float, drag: float, position: Array, velocity: Array, stamps: Ar
     """
     step = float(np.median(np.diff(stamps)))
     even = np.arange(stamps[0], stamps[-1] + step, step)
-    # Less a motion at the speed of the beginning, which the load shares.
-    gone = stamps - stamps[0]
+    # Less a motion at the speed of the beginning, which the load shares where nothing holds it back.
+    gone, shared = stamps - stamps[0], 0.0 if ground else velocity[0]
     carried = (
-        np.interp(even, stamps, position - position[0] - velocity[0] * gone),
-        np.interp(even, stamps, velocity - velocity[0]),
+        np.interp(even, stamps, position - position[0] - shared * gone),
+        np.interp(even, stamps, velocity - shared),
     )
     drive = pull * carried[0] + drag * carried[1]
     # One pole at a time: as one filter of the second order its numbers would lose half their digits at small steps.
-    apart = np.sqrt(complex(drag**2 - 4 * pull))
-    if abs(apart) < 1e-3 * drag:  # a double pole, nearly
-        apart = complex(1e-3 * drag)
-    one, other = (-drag + apart) / 2, (-drag - apart) / 2
+    damped = drag + ground
+    apart = np.sqrt(complex(damped**2 - 4 * pull))
+    if abs(apart) < 1e-3 * damped:  # a double pole, nearly
+        apart = complex(1e-3 * damped)
+    one, other = (-damped + apart) / 2, (-damped - apart) / 2
     first, second = _one_pole(one, step, drive), _one_pole(other, step, drive)
     place, speed = ((first - second) / apart).real, ((one * first - other * second) / apart).real
     return np.stack([np.interp(time, even, place - carried[0]), np.interp(time, even, speed - carried[1])])

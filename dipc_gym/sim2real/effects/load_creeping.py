@@ -1,0 +1,75 @@
+"""A spring that creeps: a belt, a cable, rubber, which pulls back at once and gives way in time (Maxwell's element)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.coupling import couple, node
+from dipc_gym.sim2real.simulation.operators import swing
+
+TIMES = np.geomspace(0.03, 5.0, 24)  # s, tried by regression
+APART = 0.5  # of the logarithms of two first guesses
+SHARPEST = 4e-3  # s: what the node between spring and damper settles in, for it needs some inertia
+
+
+class CreepingSpring(Effect):
+    """A spring and a damper in series, from the joint to where its body is carried.
+
+    MuJoCo has springs and dampers side by side only. Between the two stands a node, a joint of its own that nobody
+    senses, with just so much armature that steps can follow it. What it does at a window's start follows from the
+    motion before (`simulation.memory`). Faster than a window it damps, slower it is a spring, and both have plainer
+    names.
+    """
+
+    id = "load.creeping"
+    place = "joint"
+    law = "creeping spring"
+    parameters = (
+        Parameter("stiffness", "N/m", 1e-9, log=True),
+        Parameter("relaxation_time", "s", 5 * SHARPEST, 60.0, log=True),
+    )
+    rivals = ("load.spring", "friction.viscous", "friction.hysteresis", "load.swinging", "timing.sensor_lag")
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """The two relaxation times at which a spring would pull most like the unexplained force."""
+        begins = np.flatnonzero(np.diff(evidence.time, prepend=np.inf) <= 0)
+        parts = np.split(np.arange(len(evidence.time)), begins[begins > 0])
+        plain = np.stack([np.ones_like(evidence.force), evidence.velocity, evidence.position], axis=1)
+        found = []
+        for time in TIMES:
+            stretch = np.concatenate([_behind(float(time), evidence, part) for part in parts])
+            columns = np.column_stack([stretch, plain])
+            weights, *_ = np.linalg.lstsq(columns, evidence.force, rcond=None)
+            left = float(np.sum((evidence.force - columns @ weights) ** 2))
+            if weights[0] > 0:
+                found.append((left, float(time), float(weights[0])))
+        best: list[tuple[float, float, float]] = []
+        for one in sorted(found):
+            if len(best) < 2 and all(abs(np.log(one[1] / other[1])) > APART for other in best):
+                best.append(one)
+        return [{"stiffness": stiffness, "relaxation_time": time} for _, time, stiffness in best]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A node beside the joint, a spring between the two, and a damper under the node."""
+        damping = values["stiffness"] * values["relaxation_time"]
+        name = node(document, f"{at}_creep", at, armature=damping * SHARPEST, damping=damping)
+        couple(document, name, name, at, values["stiffness"], 0.0)
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        return (
+            f"A spring of {values['stiffness']:.3g} {unit['stiffness']} at {at} creeps: it gives way with a time "
+            f"constant of {values['relaxation_time']:.3g} s."
+        )
+
+
+def _behind(time: float, evidence: Evidence, part: np.ndarray) -> np.ndarray:
+    """How far the node is behind the joint, (n,): what a spring of 1 N/m pulls with."""
+    if len(part) < 3:
+        return np.zeros(len(part))
+    q, v, t = evidence.position[part], evidence.velocity[part], evidence.time[part]
+    return np.asarray(swing(1 / (time * SHARPEST), 0.0, q, v, t, t, ground=1 / SHARPEST)[0])
