@@ -1,8 +1,9 @@
 """What a window begins with that no sensor shows, where that remembers longer than any warm-up lasts.
 
-A spring that yields keeps its rest until it is bent as far the other way; a load that swings, swings on for seconds, and
-a spring that creeps takes as long. All follow from how the joints moved before: one pass over the whole recording gives what they are at each window's
-start, as it does for the heat of a winding. A recording is taken to begin with springs unbent and loads at rest.
+A spring that yields keeps its rest until it is bent as far the other way; a load that swings, swings on for seconds,
+and a spring that creeps takes as long. All follow from how the joints moved before: one pass over the whole recording
+gives what they are at each window's start, as it does for the heat of a winding. A recording is taken to begin with
+springs unbent and loads at rest.
 """
 
 from __future__ import annotations
@@ -117,7 +118,7 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
         rates = load.rates(variant.model)
         if rates not in known:
             moved = motion.position[:, joint], motion.velocity[:, joint], motion.time
-            *between, ground = rates
-            known[rates] = swing(*between, *moved, time, ground=ground)
+            pull, drag, ground = rates
+            known[rates] = swing(pull, drag, *moved, time, ground=ground)
         out[:, v] = known[rates]
     return out
