@@ -39,6 +39,7 @@ Stage = Literal["command", "force", "friction", "sensor", "lag"]
 Array = NDArray[np.float64]
 
 LARGEST = 1e9  # of an entry's numbers; of what comes of them, its square
+CLOSEST = 1e-12  # of a table's knots, as a share of what they are, or of 1
 SHORTEST_LAG, LONGEST_LAG = 1e-9, 1e6  # time constants, s
 TRIED = (-100.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 100.0)  # positions, forces, commands and times
 OUTERMOST = (-1e10, 1e10)  # MuJoCo bounds a state to this; what comes of it need but be a number
@@ -471,7 +472,7 @@ def _fault(extra: Extra) -> str:
     wild = np.flatnonzero(~(np.abs(numbers) <= LARGEST))
     if len(wild):
         return f": number {wild[0] + 1} is {numbers[wild[0]]:g}"
-    if extra.effect in _TABLES and len(numbers) % 2 == 0 and not np.all(np.diff(numbers[: len(numbers) // 2]) > 0):
+    if extra.effect in _TABLES and len(numbers) % 2 == 0 and not _increase(numbers[: len(numbers) // 2]):
         return ": its knots do not increase"
     if extra.effect != RESIDUAL or len(numbers) < 3 or not np.all(numbers[1:3] == np.round(numbers[1:3])):
         return ""
@@ -482,9 +483,14 @@ def _fault(extra: Extra) -> str:
         return f": a table of {m} x {n} is {m * n:,} levels, more than {MOST_LEVELS:,}"
     if len(numbers) != 3 + m + n + m * n:
         return f": a table of {m} x {n} has {3 + m + n + m * n} numbers, not {len(numbers)}"
-    if not (np.all(np.diff(numbers[3 : 3 + m]) > 0) and np.all(np.diff(numbers[3 + m : 3 + m + n]) > 0)):
+    if not (_increase(numbers[3 : 3 + m]) and _increase(numbers[3 + m : 3 + m + n])):
         return ": its knots do not increase"
     return ": what it depends on is not said" if not extra.inputs else ""
+
+
+def _increase(knots: Array) -> bool:
+    """Whether knots increase by steps that numbers of their size can tell, and that can be divided by."""
+    return bool(np.all(np.diff(knots) > CLOSEST * np.maximum(1.0, np.abs(knots[1:]))))
 
 
 def _usable(extra: Extra) -> bool:
@@ -496,7 +502,7 @@ def _usable(extra: Extra) -> bool:
         return False
     if extra.effect in _TABLES:
         knots = numbers[: len(numbers) // 2]
-        if len(numbers) % 2 or not 2 <= len(knots) <= MOST_KNOTS or not np.all(np.diff(knots) > 0):
+        if len(numbers) % 2 or not 2 <= len(knots) <= MOST_KNOTS or not _increase(knots):
             return False
     if extra.effect == RESIDUAL and not _is_surface(extra):
         return False
@@ -525,7 +531,7 @@ def _is_surface(extra: Extra) -> bool:
     if not (np.all(head[1:] == np.round(head[1:])) and head[1] >= 2 and len(extra.inputs) <= head[2] <= MOST_LEVELS):
         return False
     m, n = int(head[1]), int(head[2])
-    sorted_ = np.all(np.diff(rest[:m]) > 0) and np.all(np.diff(rest[m : m + n]) > 0)
+    sorted_ = _increase(rest[:m]) and _increase(rest[m : m + n])
     return bool(m * n <= MOST_LEVELS and len(rest) == m + n + m * n and sorted_)
 
 

@@ -7,7 +7,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mujoco import batch
 from scipy.interpolate import RegularGridInterpolator
@@ -361,6 +361,7 @@ RULES = [(effect, stage) for effect, stage, _ in physics.rules() if stage != "la
     at=st.lists(st.floats(-1e10, 1e10), min_size=6, max_size=6),
     rising=st.booleans(),
 )
+@example(("motor.map", "command"), [0.0, 1.0, 1.0, 1.0, 1.0, 1e-320], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0], True)
 def test_an_entry_that_is_let_in_gives_a_number_wherever_the_joint_is(
     rule: tuple[str, physics.Stage], numbers: list[float], at: list[float], rising: bool
 ) -> None:
