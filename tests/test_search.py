@@ -15,10 +15,14 @@ from dipc_gym import mjcf
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects.surfaces import Surface
+from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.parameters import Wishes
+from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import gather, part
+from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.scorer import earned, settled
 from dipc_gym.sim2real.selection.screen import Tried
@@ -208,3 +212,18 @@ def test_what_acts_seldom_stands_out_where_it_leaves_no_outlier(after: tuple[flo
     before, now = np.append(np.ones(70), [400.0, 90.0]), np.append(np.ones(70), after)
     assert settled(now, before) is not left
     assert not compare(now, before, np.arange(72)).clear
+
+
+def test_two_shapes_of_one_law_are_two_sketches(dry: Search) -> None:
+    """Both begin with the same mapped parameters, and one had been taken for the other."""
+    base, fitter = dry.progress.path[0], Fitter(dry.scorer)
+    shapes = [
+        Surface((one,), (np.array([-far, 0.0, far]),), np.array([1.0, 0.0, -1.0]))
+        for one, far in (("position cart", 0.1), ("velocity cart", 0.5))
+    ]
+    laws = [UnknownForce(shape, 1.0, ("m",), "cart") for shape in shapes]
+    along, against = (fitter.sketch(base, base.structure.with_term(Term(law, "cart", law.first))) for law in laws)
+    assert along is not None
+    assert against is not None
+    assert against.structure.terms[-1].effect is laws[1]
+    assert against.error < along.error  # friction goes with velocity

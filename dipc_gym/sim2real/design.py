@@ -38,6 +38,7 @@ SIZES = 0.5 ** np.arange(0.0, 5.0, 0.5)  # shares of the largest command that ar
 BEYOND = 1.05  # times the range visited that a command may use
 ENOUGH = 24  # windows that a command is judged on
 TELLING = 0.3  # times the noise that a rival must be off by to be told from the likeliest in a minute or so
+LOOSEST = 10.0  # standard deviation of a mapped parameter of which nothing is known
 OPEN_LOOP = 0.2  # of the usual command, that may be added where a controller has to keep the rig up
 
 
@@ -284,8 +285,8 @@ def _worth(
         free = replace(structure, model_parameters=tuple(model_parameters(structure.document, structure.model)))
         structure, z = free, free.first
     A = fit(would, structure, z, most=0).quadratics.A.sum(axis=0)
-    loose = np.diag([1 / min(slot.sigma, 10.0) ** 2 for slot in structure.slots])
-    return -float(np.sqrt(np.diag(np.linalg.inv(A + loose)).max()))
+    known = replace(structure.prior, precision=np.maximum(structure.prior.precision, 1 / LOOSEST**2))
+    return -float(np.sqrt(np.diag(np.linalg.inv(known.in_covariance(A, np.ones(1)))).max()))
 
 
 def _apart(

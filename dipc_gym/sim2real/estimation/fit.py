@@ -123,11 +123,6 @@ def weights(mse: Array) -> Array:
     return 1.0 / (typical(mse) + mse)
 
 
-def prior_curvature(structure: Structure, problem: Problem, weight: Array) -> Array:
-    """What the prior adds to the curvature of a sum over windows of such weights (n,), (p, p)."""
-    return np.asarray(np.diag(structure.precision) / problem.counts.mean() * weight.sum())
-
-
 def holding(fitted: Fit, problem: Problem, held: Mapping[int, float]) -> Array:
     """Mapped parameters (p,) where some are held and the others are where the quadratics and their priors have them.
 
@@ -139,10 +134,7 @@ def holding(fitted: Fit, problem: Problem, held: Mapping[int, float]) -> Array:
         held: values by the number of the mapped parameter.
     """
     structure, z, q = fitted.structure, fitted.z, fitted.quadratics
-    w = weights(fitted.mse) / problem.counts
-    prior = len(w) * structure.precision / problem.counts.mean()
-    A = np.einsum("n,nij->ij", w, q.A) + np.diag(prior)
-    b = w @ q.b - prior * (z - structure.centre)
+    A, b = structure.prior.in_fit(q.A, q.b, z, weights(fitted.mse) / problem.counts, problem.counts)
     gone, open_ = list(held), [i for i in range(len(z)) if i not in held]
     step = np.zeros(len(z))
     step[gone] = list(held.values()) - z[gone]
@@ -174,13 +166,12 @@ def fit(
     """
     shooting = Shooting(problem, structure)
     z = structure.clip(structure.first if z is None else z)
-    prior = structure.precision / problem.counts.mean()
-    centre = structure.centre
+    prior = structure.prior
     logs = np.array([slot.log for slot in structure.slots], dtype=bool)
     damping, steps, converged, exact = 1e-3, 0, False, True
 
     def penalised(mse: Array, z: Array, scale: float) -> float:
-        return mean_loss(mse, scale) + float(prior @ (z - centre) ** 2)
+        return mean_loss(mse, scale) + prior.penalty(z, problem.counts)
 
     # The initial states first: against wrong initial states, every column would be judged wrongly.
     s, residual, columns, S = shooting.settled(z, problem.initial if initial is None else initial, parameters=True)
@@ -193,8 +184,7 @@ def fit(
             break
         scale = typical(mse)
         w = 1.0 / (scale + mse) / problem.counts
-        H = np.einsum("n,nij->ij", w, quadratics.A) / len(w) + np.diag(prior)
-        g = w @ quadratics.b / len(w) - prior * (z - centre)
+        H, g = (each / len(w) for each in prior.in_fit(quadratics.A, quadratics.b, z, w, problem.counts))
         now, accepted = penalised(mse, z, scale), False
         for _ in range(ESTIMATION.tries):
             # No parameter may do more than double, or change by a factor of e.

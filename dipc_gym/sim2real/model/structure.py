@@ -19,6 +19,7 @@ from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.base import Effect, Parameter
 from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
 from dipc_gym.sim2real.model.parameters import ModelParameter
+from dipc_gym.sim2real.model.prior import Prior
 from dipc_gym.sim2real.simulation.memory import loads
 
 Array = NDArray[np.float64]
@@ -132,14 +133,11 @@ class Structure:
         return np.array(z)
 
     @functools.cached_property
-    def precision(self) -> Array:
-        """Of the prior of each mapped parameter, one over its variance, (p,)."""
-        return np.array([1 / slot.sigma**2 for slot in self.slots])
-
-    @functools.cached_property
-    def centre(self) -> Array:
-        """Mean of the prior of each mapped parameter, (p,)."""
-        return np.array([slot.centre for slot in self.slots])
+    def prior(self) -> Prior:
+        """What is known of the mapped parameters before any data."""
+        return Prior(
+            np.array([1 / slot.sigma**2 for slot in self.slots]), np.array([slot.centre for slot in self.slots])
+        )
 
     @functools.cached_property
     def tables(self) -> NDArray[np.intp]:

@@ -30,7 +30,7 @@ class Fitter:
 
     scorer: Scorer
     _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
-    _begun: dict[tuple[int, tuple[str, ...], bytes, int], tuple[Fit, Fit | None]] = field(
+    _begun: dict[tuple[int, str, tuple[str, ...], bytes], tuple[Fit, Fit | None]] = field(
         default_factory=dict, repr=False
     )
 
@@ -62,8 +62,10 @@ class Fitter:
         simulated.
         """
         z, initial = carry(base.structure, base.z, structure), base.initial[self.subset]
-        # A search that begins anew lays the same hypotheses over the same fit without effects.
-        asked = (id(base), tuple(names(structure.terms)), z.tobytes(), len(self.problem.windows))
+        # A search that begins anew lays the same hypotheses over the same fit without effects. What is written tells
+        # two shapes of a law apart: both begin with the same parameters, at their guesses.
+        free = tuple(slot.key for slot in structure.slots)
+        asked = (id(base), structure.write(z).text(), free, self._windows() + self.subset.tobytes())
         if asked in self._begun:
             return self._begun[asked][1]
         try:
@@ -147,8 +149,12 @@ class Fitter:
         return self._kept.get(self._called(structure))
 
     def _called(self, structure: Structure) -> tuple[frozenset[str], bytes]:
+        return frozenset(names(structure.terms)), self._windows()
+
+    def _windows(self) -> bytes:
+        """What tells the fitted windows from others."""
         windows = self.problem.windows
-        return frozenset(names(structure.terms)), windows.source.tobytes() + windows.start.tobytes()
+        return windows.source.tobytes() + windows.start.tobytes()
 
 
 def _left(fitted: Fit) -> float:

@@ -74,16 +74,14 @@ def foretold_loss(fitted: Fit, terms: Sequence[Term], counts: Array) -> float:
     gone = [i for i, slot in enumerate(slots) if slot.key.startswith(keys) and not slot.log]
     others = [i for i in range(len(z)) if i not in gone]
     weight = 1.0 / (1.0 + fitted.mse) / counts
-    prior = 1 / np.array([slot.sigma for slot in slots]) ** 2 / counts.mean()
-    off = z - np.array([slot.centre for slot in slots])
-    A = np.einsum("n,nij->ij", weight, q.A) + len(weight) * np.diag(prior)
-    b = weight @ q.b - len(weight) * prior * off
+    prior = fitted.structure.prior
+    A, b = prior.in_fit(q.A, q.b, z, weight, counts)
     step = np.zeros(len(z))
     step[gone] = [slots[i].mapped(0.0) - z[i] for i in gone]
     right = b[others] - A[np.ix_(others, gone)] @ step[gone]
     step[others] = np.linalg.lstsq(A[np.ix_(others, others)], right, rcond=1e-9)[0]
     after = np.maximum(q.after(step), 0.0) / counts
-    penalty = prior @ ((off + step) ** 2 - off**2)
+    penalty = prior.penalty(z + step, counts) - prior.penalty(z, counts)
     return float(np.mean(np.log1p(after) - np.log1p(fitted.mse)) + penalty)
 
 

@@ -86,9 +86,7 @@ def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
     for row, k in enumerate(new):
         off[row, [own[k - 1], own[k], own[k + 1]]] = -0.5, 1.0, -0.5
     weight = weights(fitted.mse)
-    curvature = np.einsum("n,nij->ij", weight, fitted.quadratics.A) + weight.mean() * np.diag(
-        fitted.structure.precision
-    )
+    curvature = fitted.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, fitted.quadratics.A), weight)
     error = np.sqrt(np.einsum("ki,ij,kj->k", off, np.linalg.pinv(curvature, hermitian=True), off))
     told = np.zeros(len(own), dtype=bool)
     told[new] = np.abs(off @ fitted.z) > 2 * error

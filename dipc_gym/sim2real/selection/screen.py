@@ -219,9 +219,9 @@ class _Overlay:
         # A predicted gain is a fall of log errors, and so are these weights: windows at the noise are not given up
         # for others.
         weight = 1.0 / (1.0 + current.mse) / self.counts
-        self.A = np.einsum("n,nij->ij", weight, self.quadratics.A)
-        self.b = weight @ self.quadratics.b
-        self.A[self.own, self.own] += current.structure.precision / self.counts.mean()
+        z = np.append(np.zeros(len(responses)), current.z)
+        prior = current.structure.prior.after(len(responses))
+        self.A, self.b = prior.in_fit(self.quadratics.A, self.quadratics.b, z, weight, self.counts)
 
     def predicted_gain(
         self, which: Sequence[int], effects: Sequence[Effect], *, beside: bool

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.law import Law
-from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit, prior_curvature, weights
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit, weights
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
 from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.structure import Term
@@ -91,7 +91,7 @@ def step_shift(final: Fit, problem: Problem) -> Array:
     change = final.raw - normalised_residual(fine, predict(fine, final.structure, [final.z], final.initial[None])[0])
     change = change.reshape(len(change), -1)
     w = 1.0 / (typical(final.mse) + final.mse + np.sum(change**2, axis=1) / problem.counts) / problem.counts
-    curvature = np.einsum("n,nij->ij", w, final.quadratics.A) + prior_curvature(final.structure, problem, w)
+    curvature = final.structure.prior.in_covariance(np.einsum("n,nij->ij", w, final.quadratics.A), w)
     # A Jacobian that initial states have been eliminated from leaves out of the change what they could explain.
     slope = np.einsum("n,nmk,nm->k", w, final.jacobian[:, : change.shape[1]], change)
     return np.asarray(2 * np.abs(np.linalg.pinv(curvature, hermitian=True) @ slope))
@@ -215,7 +215,8 @@ def _formula(search: Search, final: Fit, term: Term) -> Formula | None:
         return None
     slots, problem = final.structure.slots, search.partition.problem
     own = [i for i, slot in enumerate(slots) if slot.key.startswith(f"{term.key}.")]
-    curvature = np.einsum("n,nij->ij", weights(final.mse), final.quadratics.A) + np.diag(final.structure.precision)
+    weight = weights(final.mse)
+    curvature = final.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, final.quadratics.A), weight)
     scale = np.array([slots[i].scale for i in own])
     covariance = np.linalg.pinv(curvature, hermitian=True)[np.ix_(own, own)] * np.outer(scale, scale)
     knots, values = np.array(effect.knots), np.array([slots[i].value(final.z[i]) for i in own])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from dipc_gym.sim2real.estimation.fit import Fit, evaluate, prior_curvature, weights
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.model.structure import Structure, Term, names
@@ -57,7 +57,6 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     if not len(fitted.z):
         return np.zeros(0)
     w = weights(fitted.mse) / counts
-    prior = prior_curvature(fitted.structure, problem, w)
     _, block = np.unique(problem.blocks, return_inverse=True)
     count, p = int(block.max()) + 1, len(fitted.z)
     if count < VERDICT.fewest_blocks:
@@ -65,7 +64,8 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     curvature, slope = np.zeros((count, p, p)), np.zeros((count, p))
     np.add.at(curvature, block, w[:, None, None] * q.A)
     np.add.at(slope, block, w[:, None] * q.b)
-    inverse = np.linalg.pinv(curvature.sum(axis=0) + prior - curvature, hermitian=True)
+    without = fitted.structure.prior.in_covariance(curvature.sum(axis=0) - curvature, w)
+    inverse = np.linalg.pinv(without, hermitian=True)
     moved = np.einsum("bij,bj->bi", inverse, slope)
     half = stdtrit(count - 1, VERDICT.sure) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0))
     told = np.einsum("nii->i", q.A) > 1.0  # else doubling a parameter would change less than the noise of one reading
