@@ -72,7 +72,7 @@ class Ready:
 
 def ready(text: str, runs: Sequence[Recording], *effects: str, fix: tuple[str, ...] = ()) -> Ready:
     """Read, part, fit the model itself, and try every effect once."""
-    given = gather(mjcf.from_text(text), runs, (), Wishes(fix=fix))
+    given, _ = gather(mjcf.from_text(text), runs, (), Wishes(fix=fix))
     case = part(given, threads=1, tell=lambda _: None)
     base = baseline(case)
     search, _ = diagnosis._search(case, base, [catalogue()[effect] for effect in effects], lambda _: None)

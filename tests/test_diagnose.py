@@ -24,6 +24,7 @@ from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis, Errors, Located, SensorFit
+from dipc_gym.sim2real.selection.case import gather, part
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict import judge, sentences
@@ -463,6 +464,24 @@ def test_held_out_data_test_and_choose_nothing(few: list[object]) -> None:
     assert found.held_out.improved > 100
 
 
+def test_what_the_last_quarter_holds_moves_nothing_before_the_judgement() -> None:
+    """Ten times the noise there had moved the noise that windows are weighed by, and where they begin."""
+    quiet = run(1, 12, 3.0)
+    late = np.arange(len(quiet)) >= np.searchsorted(quiet.time, 0.75 * quiet.duration)
+    shaken = quiet.sensors + 1e-3 * np.random.default_rng(0).standard_normal(quiet.sensors.shape) * late[:, None]
+    cases = []
+    for sensors in (quiet.sensors, shaken):
+        given, withheld = gather(mjcf.from_text(NOMINAL), [replace(quiet, sensors=sensors)], (), Wishes())
+        cases.append(part(given, threads=1, tell=print))
+        test = withheld.windows(cases[-1]).problem
+        assert test.windows.start.min() >= cases[-1].given.recordings[0].time[-1]
+    one, other = (case.prepared.problem for case in cases)
+    np.testing.assert_array_equal(one.windows.noise, other.windows.noise)
+    np.testing.assert_array_equal(one.spread, other.spread)
+    np.testing.assert_array_equal(one.initial, other.initial)
+    np.testing.assert_array_equal(one.windows.observed, other.windows.observed)
+
+
 def test_a_wrong_number_is_no_missing_physics(few: list[object]) -> None:
     found = diagnose(mjcf.from_text(NOMINAL), [run(3, 20, 0.0, drag=46.0)], effects=few)  # type: ignore[arg-type]
     assert found.verdict == "recalibrated", found.sentence
@@ -682,7 +701,8 @@ def test_comparison_needs_more_than_chance() -> None:
         ((9.0, 8.0, 1.1), 1e3, 0.3, 1, 0, "explained"),
         ((90.0, 80.0, 20.0), 1e3, 0.3, 1, 0, "partly explained"),
         ((90.0, 80.0, 80.0), 1e3, 0.0, 0, 1, "unexplained"),
-        ((9.0, 8.5, 8.5), 1e5, 0.0, 0, 2, "consistent"),
+        ((9.0, 8.5, 8.5), 1e5, 0.0, 0, 0, "consistent"),
+        ((1.1, 1.0, 1.0), 1e3, 0.0, 0, 1, "recalibrated"),  # validation data say so
         ((9.0, 8.5, 8.5), 1e5, 0.3, 0, 2, "unexplained"),
         ((213.0, 53.0, 53.0), 2.5e4, 0.04, 0, 2, "unexplained"),  # of the motion two thousandths
     ],
@@ -722,7 +742,7 @@ def test_evidence_on_a_model_with_a_rotor_of_its_own() -> None:
         {"gap": 1e-3, "rotor_inertia": 0.1, "contact_rate": 1e3, "contact_damping": 0.3},
     )
     structure = prepared.structure.with_term(term)
-    scene = unexplained.scene(structure.physics(structure.first), runs, prepared.motions, 1.0)
+    scene = unexplained.scene(structure.physics(structure.first), runs, prepared.motions)
     for effect in catalogue().values():
         for at in unexplained.places(effect, scene.model, structure.base, runs[0]):
             for guess in effect.guesses(scene.at(effect.place, at, {})):

@@ -134,7 +134,7 @@ def places(effect: str, rig: str) -> list[str]:
 def shaped(effect: str, rig: str, at: str) -> tuple[Effect, list[Mapping[str, float]]]:
     """An effect with the shape that the evidence asks for, if its shape is free, and its guesses."""
     known = catalogue()[effect]
-    scene = unexplained.scene(physics.load(RIGS[rig]), [recorded(rig)], ready(rig).motions, 1.0)
+    scene = unexplained.scene(physics.load(RIGS[rig]), [recorded(rig)], ready(rig).motions)
     found = known.proposals(scene.at(known.place, at, {}))
     if not found:
         pytest.skip("nothing in this recording asks for it")
@@ -426,7 +426,7 @@ def test_waves_are_found_under_noise_ten_times_as_large(count: float, phase: flo
     t = np.arange(20_000) * 1e-3
     x = 0.5 * np.sin(1.7 * t) + 0.5 * np.sin(0.61 * t + 1)
     v = np.gradient(x, t)
-    seen = unexplained.scene(physics.load(CART), [recorded("cart")], ready("cart").motions, 1.0)
+    seen = unexplained.scene(physics.load(CART), [recorded("cart")], ready("cart").motions)
     scene = replace(seen.at("joint", "cart", {}), position=x, velocity=v, force=np.zeros_like(x))
     reach = float(np.ptp(x))
     carrier = -scene.direction if along else np.ones_like(x)

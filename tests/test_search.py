@@ -36,7 +36,7 @@ KNOCK = 7.3  # s
 
 def begun(runs: list[Recording], effects: tuple[str, ...]) -> Search:
     """A search that has not begun."""
-    case = part(gather(mjcf.from_text(NOMINAL), runs, (), Wishes()), threads=1, tell=print)
+    case = part(gather(mjcf.from_text(NOMINAL), runs, (), Wishes())[0], threads=1, tell=print)
     return diagnosis._search(case, baseline(case), [catalogue()[name] for name in effects], print)[0]
 
 

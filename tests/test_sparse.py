@@ -26,7 +26,7 @@ def heavy() -> tuple[Search, Fit]:
     Mass, damping and gear scale together, so that nothing in the recording speaks for any mass.
     """
     wishes = Wishes(prior={"cart.mass": (1.5, 0.05)})
-    case = part(gather(mjcf.from_text(NOMINAL), [run(3, 20, 4.0)], (), wishes), threads=1, tell=print)
+    case = part(gather(mjcf.from_text(NOMINAL), [run(3, 20, 4.0)], (), wishes)[0], threads=1, tell=print)
     search, _ = diagnosis._search(case, baseline(case), [catalogue()["friction.coulomb"]], print)
     found = search.run()
     assert found.error < 1.05

@@ -20,7 +20,7 @@ from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.result import Design, Diagnosis, Located
 from dipc_gym.sim2real.selection.baseline import Baseline, baseline
-from dipc_gym.sim2real.selection.case import CannotTell, Case, Given, gather, part
+from dipc_gym.sim2real.selection.case import CannotTell, Case, Given, Withheld, gather, part
 from dipc_gym.sim2real.selection.hypotheses import Question
 from dipc_gym.sim2real.selection.progress import Journal, Progress
 from dipc_gym.sim2real.selection.scorer import Scorer
@@ -71,14 +71,15 @@ def diagnose(
     """
     began = time.monotonic()
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
-    given = gather(source, recordings, held_out, wishes or Wishes())
+    given, withheld = gather(source, recordings, held_out, wishes or Wishes())
     if design and not given.recordings[0].actuator_names:
         raise ValueError("the rig has no actuator that could be commanded")
     for note in given.notes:  # whoever gave degrees for radians would rather know at once
         tell(f"note: {note}")
-    provenance = _provenance(given, seed)
+    provenance = _provenance(given, withheld, seed)
     try:
         case = part(given, threads=threads, tell=tell)
+        test = withheld.windows(case)
         base = baseline(case)
         _check_conventions(case, base, tell)
     except CannotTell as why:
@@ -89,7 +90,7 @@ def diagnose(
     found = late(
         "What could stand in for the effects", lambda: conclude(search), lambda: Conclusion(search.progress.current)
     )
-    judged, concluded = judgement(case, base, search, found, located, provenance, late)
+    judged, concluded = judgement(case, base, test, search, found, located, provenance, late)
     proposed: Design | None = None
     if design:
         proposed = late("The next experiment", lambda: _design(case, base, concluded, seed), lambda: None)
@@ -148,7 +149,7 @@ def _search(
         scene = next((scene for one, scene in seen if one is fitted), None)
         if scene is None:
             physics = fitted.structure.physics(fitted.z)
-            scene = unexplained.scene(physics, given.recordings, case.prepared.motions, given.span[1])
+            scene = unexplained.scene(physics, given.recordings, case.prepared.motions)
             seen[:] = [*seen[-3:], (fitted, scene)]  # every round asks for those of the last few
         return replace(scene, outliers=tuple(outliers))
 
@@ -177,10 +178,10 @@ def _cannot_tell(why: CannotTell, given: Given, provenance: dict[str, Any]) -> D
     )
 
 
-def _provenance(given: Given, seed: int) -> dict[str, Any]:
+def _provenance(given: Given, withheld: Withheld, seed: int) -> dict[str, Any]:
     source = given.source
     inputs = {str(source.path.name if source.path else "model"): source.sha256}
-    inputs |= {str(r.path or r.name): r.sha256 for r in (*given.recordings, *given.held_out)}
+    inputs |= {str(r.path or r.name): r.sha256 for r in (*given.recordings, *withheld.recordings)}
     return {
         "versions": versions("mujoco", "numpy", "scipy"),
         "timestep": given.physics.model.opt.timestep,

@@ -87,7 +87,7 @@ def fit_effect(
     free = replace(ready.structure, model_parameters=tuple(model_parameters(Document(source), given.model)))
     without = fit(fitted, free, most=20)
     error_without = fit(comparison, free, without.z, most=0).error
-    seen = unexplained.scene(without.structure.physics(without.z), recordings, ready.motions, 1.0)
+    seen = unexplained.scene(without.structure.physics(without.z), recordings, ready.motions)
 
     found = []
     for at in unexplained.places(effect, given.model, ready.structure.base, recordings[0]):

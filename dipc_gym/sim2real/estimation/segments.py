@@ -45,16 +45,6 @@ class Prepared:
     motions: tuple[Motion, ...]
     length: float
 
-    def over(self, span: tuple[float, float]) -> Problem:
-        """Windows of the same length in another part of the same recordings, as fractions of their duration.
-
-        Raises:
-            RecordingError: there is none.
-        """
-        windows = self.problem.windows
-        cuts = replace(_cut(windows.recordings, windows.noise, self.length, span), motions=self.motions)
-        return replace(self.problem, windows=cuts, initial=initial_states(self.motions, cuts.source, cuts.start))
-
 
 def prepare(
     source: mjcf.Source,

@@ -108,7 +108,6 @@ def scene(
     physics: Physics,
     recordings: Sequence[Recording],
     motions: Sequence[Motion],
-    until: float,
     outliers: Sequence[float] = (),
 ) -> Scene:
     """What a model leaves unexplained.
@@ -117,18 +116,15 @@ def scene(
         physics: the model.
         recordings: what was measured.
         motions: of the joints.
-        until: the part of each recording to look at, from its start.
         outliers: times at which outlier windows begin, s.
     """
     model = physics.model
     parts = []
     for recording, motion in zip(recordings, motions, strict=True):
-        n = _index(recording, until)
         force, load = unexplained_force(physics, recording, motion)
-        parts.append((recording.time[:n], motion.position[:n], motion.velocity[:n], force[:n], load[:n]))
+        parts.append((recording.time, motion.position, motion.velocity, force, load))
     time, position, velocity, force, load = (np.concatenate(part) for part in zip(*parts, strict=True))
-    cut = tuple(recording.slice(0, _index(recording, until)) for recording in recordings)
-    return Scene(model, cut, time, position, velocity, force, load, tuple(outliers))
+    return Scene(model, tuple(recordings), time, position, velocity, force, load, tuple(outliers))
 
 
 def _index(recording: Recording, share: float) -> int:

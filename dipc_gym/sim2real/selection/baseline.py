@@ -21,7 +21,6 @@ class Baseline:
 
     Attributes:
         partition: which windows serve for what; outlier windows are among those that are fitted.
-        test: windows for the judgement alone.
         nominal: the model as given, initial states fitted.
         recalibrated: its parameters fitted as well.
         fine: error of the model as given in fine steps, in units of noise, where it predicts to the noise in its own
@@ -29,7 +28,6 @@ class Baseline:
     """
 
     partition: Partition
-    test: Problem
     nominal: Fit
     recalibrated: Fit
     fine: float | None
@@ -38,14 +36,14 @@ class Baseline:
 def baseline(case: Case) -> Baseline:
     """Part the windows, and fit the model as given and recalibrated."""
     structure, own = case.prepared.structure, Stepping(case.given.physics.model.opt.timestep)
-    whole, test = case.prepared.problem, case.test
+    whole = case.prepared.problem
     late = whole.windows.start >= case.borders[whole.windows.source]
     problem, comparison, aside = data.split(whole.pick(~late))
     aside = aside.join(whole.pick(late))
     nominal, fine = fit(problem, structure), None
     if _predicts_better(replace(problem, stepping=own), nominal):
         fine = nominal.error
-        problem, comparison, aside, test = (replace(part, stepping=own) for part in (problem, comparison, aside, test))
+        problem, comparison, aside = (replace(part, stepping=own) for part in (problem, comparison, aside))
         nominal = fit(problem, structure)
     free = replace(structure, model_parameters=case.given.model_parameters)
     recalibrated = fit(problem, free, initial=nominal.initial, most=20)
@@ -56,7 +54,7 @@ def baseline(case: Case) -> Baseline:
         nominal = fit(problem, structure)
         recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.initial)
     partition = Partition(problem, comparison, aside, case.borders, ranking.subset(recalibrated.mse))
-    return Baseline(partition, test, nominal, recalibrated, fine)
+    return Baseline(partition, nominal, recalibrated, fine)
 
 
 def _predicts_better(problem: Problem, fitted: Fit) -> bool:

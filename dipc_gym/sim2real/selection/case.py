@@ -1,13 +1,14 @@
-"""What a diagnosis is given, parted before anything is fitted: data to fit, to validate choices by, and to test with.
+"""What a diagnosis is given, parted before anything is looked at: data to fit, to validate by, and to test with.
 
-Test data reach the judgement alone. Whatever chooses a structure, or strikes an effect off, does so by data to fit and
-to validate; so the error on test data is that of a prediction.
+Test data stand apart from the beginning, and reach the judgement alone. Noise, motion and windows of all other stages
+come from recordings that end where the test begins, so the error on test data is that of a prediction.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -52,7 +53,6 @@ class Given:
         source: text of the model.
         physics: the same, loaded.
         recordings: to fit and to validate, times counted from zero.
-        held_out: to test with; none where the last part of each recording is.
         model_parameters: those that a refit may change.
         notes: on recordings and masses.
     """
@@ -60,24 +60,8 @@ class Given:
     source: mjcf.Source
     physics: physics.Physics
     recordings: tuple[Recording, ...]
-    held_out: tuple[Recording, ...]
     model_parameters: tuple[ModelParameter, ...]
     notes: tuple[str, ...]
-
-    @property
-    def tested(self) -> tuple[Recording, ...]:
-        """The recordings that hold the test data."""
-        return self.held_out or self.recordings
-
-    @property
-    def test_span(self) -> tuple[float, float]:
-        """The part of these that is tested with, as fractions of their duration."""
-        return (0.0, 1.0) if self.held_out else (WINDOWS.test, 1.0)
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """The part of each recording that is fitted and validated by."""
-        return 0.0, 1.0 if self.held_out else WINDOWS.test
 
 
 @dataclass(frozen=True)
@@ -89,21 +73,81 @@ class Case:
         prepared: windows to fit and to validate by.
         borders: times in each recording from which windows validate and are not fitted, s, (recordings,); infinite
             where all are needed to fit, and those that are compared on have to validate as well.
-        test: windows for the judgement alone.
-        test_motions: of the joints in the recordings that are tested with.
     """
 
     given: Given
     prepared: Prepared
     borders: Array
-    test: Problem
-    test_motions: tuple[Motion, ...]
+
+
+@dataclass(frozen=True)
+class Test:
+    """Windows that nothing is fitted to or chosen by.
+
+    Attributes:
+        problem: the windows.
+        recordings: that hold them.
+        motions: of the joints in these.
+        span: the part of each recording that is tested with, as fractions of its duration.
+    """
+
+    __test__: ClassVar[bool] = False  # no test of pytest's
+
+    problem: Problem
+    recordings: tuple[Recording, ...]
+    motions: tuple[Motion, ...]
+    span: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Withheld:
+    """What is tested with: recordings of their own, or the last part of each that is fitted.
+
+    Attributes:
+        recordings: whole, for what a window begins with is a matter of all that was before it.
+        span: see `Test`.
+    """
+
+    recordings: tuple[Recording, ...]
+    span: tuple[float, float]
+
+    def windows(self, case: Case) -> Test:
+        """Windows as long as those that are fitted, weighed by the same noise.
+
+        Raises:
+            CannotTell: the sensors do not say where the joints are.
+            RecordingError: the recordings hold no window.
+        """
+        given, fitted = case.given, case.prepared
+        stepping, threads = fitted.problem.stepping, fitted.problem.threads
+        try:
+            kept = prepare(
+                given.source,
+                given.physics,
+                self.recordings,
+                stepping,
+                length=fitted.length,
+                span=self.span,
+                threads=threads,
+            )
+        except states.Undetermined as error:
+            raise CannotTell(error.reason, error.mend) from None
+        problem = data.known_past(kept).problem
+        if not len(problem.windows):
+            raise RecordingError(
+                f"{', '.join(str(r.path or r.name) for r in self.recordings)}: too short to judge by; no window of "
+                f"{fitted.length:.3g} s begins later than {WINDOWS.late:g} s after the start: record longer"
+            )
+        noise = fitted.problem.windows.noise
+        return Test(
+            replace(problem, windows=replace(problem.windows, noise=noise)), self.recordings, kept.motions, self.span
+        )
 
 
 def gather(
     source: mjcf.Source, recordings: Sequence[Recording], held_out: Sequence[Recording], wishes: Wishes
-) -> Given:
-    """Load and check what is given.
+) -> tuple[Given, Withheld]:
+    """Load and check what is given, and part what is tested with from all the rest.
 
     Raises:
         mjcf.MjcfError: the model cannot be treated.
@@ -113,15 +157,17 @@ def gather(
     loaded = physics.load(source)
     mjcf.check_supported(loaded.model, source.name)
     data.check_apart(recordings, held_out)
-    fitted, tested = data.from_zero(recordings), data.from_zero(held_out)
-    notes = [f"{r.name}: {note}" for r in (*fitted, *tested) for note in r.notes]
+    whole, tested = data.from_zero(recordings), data.from_zero(held_out)
+    notes = [f"{r.name}: {note}" for r in (*whole, *tested) for note in r.notes]
+    fitted = whole if tested else [data.until(r, WINDOWS.test) for r in whole]
+    withheld = Withheld(tuple(tested or whole), (0.0 if tested else WINDOWS.test, 1.0))
     parameters = model_parameters(document := Document(source), loaded.model)
     notes += fixed_masses(document, loaded.model, parameters) + left_to_mujoco(loaded)
-    return Given(source, loaded, tuple(fitted), tuple(tested), tuple(wishes.apply(parameters)), tuple(notes))
+    return Given(source, loaded, tuple(fitted), tuple(wishes.apply(parameters)), tuple(notes)), withheld
 
 
 def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
-    """Cut recordings into windows to fit, to validate by and to test with.
+    """Cut recordings into windows to fit and to validate by.
 
     Raises:
         CannotTell: no sensor changes, sensors do not determine the joints, or no joint moves.
@@ -130,34 +176,20 @@ def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
     if not any(np.ptp(r.sensors, axis=0).any() for r in given.recordings):
         raise CannotTell("no sensor changes in any of them", IN_MOTION)
     stepping = Stepping(min(WINDOWS.coarsest, *(r.period for r in given.recordings)), mujoco.mjtIntegrator.mjINT_RK4)
-    model = given.source, given.physics
     try:
-        whole = prepare(*model, given.recordings, stepping, span=given.span, threads=threads)
-        prepared = data.known_past(whole)
-        if given.held_out:
-            kept = prepare(*model, given.held_out, stepping, length=whole.length, threads=threads)
-        else:
-            kept = replace(whole, problem=whole.over(given.test_span))
+        prepared = data.known_past(prepare(given.source, given.physics, given.recordings, stepping, threads=threads))
     except states.Undetermined as error:
         raise CannotTell(error.reason, error.mend) from None
-    test = data.known_past(kept).problem
-    if not len(test.windows):
-        raise RecordingError(
-            f"{', '.join(str(r.path or r.name) for r in given.tested)}: too short to judge by; no window of "
-            f"{whole.length:.3g} s begins later than {WINDOWS.late:g} s after the start: record longer"
-        )
     standstill = _standstill(prepared)
     if standstill:
         raise CannotTell(standstill, IN_MOTION)
-    noise = prepared.problem.windows.noise
-    test = replace(test, windows=replace(test.windows, noise=noise))
     tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
-    return Case(given, prepared, _borders(given, prepared), test, kept.motions)
+    return Case(given, prepared, _borders(given, prepared))
 
 
 def _borders(given: Given, prepared: Prepared) -> Array:
     """Times from which windows validate; see `Case`."""
-    borders = np.array([r.time[0] + WINDOWS.fit * given.span[1] * r.duration for r in given.recordings])
+    borders = np.array([r.time[0] + WINDOWS.fit * r.duration for r in given.recordings])
     windows = prepared.problem.windows
     scarce = np.sum(windows.start < borders[windows.source]) < WINDOWS.plenty
     return np.full(len(borders), np.inf) if scarce else borders

@@ -50,6 +50,17 @@ def from_zero(recordings: Sequence[Recording]) -> list[Recording]:
     ]
 
 
+def until(recording: Recording, share: float) -> Recording:
+    """A recording up to a share of its duration; it keeps its name, its file and the digest of that."""
+    count = int(np.searchsorted(recording.time, recording.time[0] + share * recording.duration)) or 1
+    return replace(
+        recording,
+        time=recording.time[:count],
+        commands=recording.commands[:count],
+        sensors=recording.sensors[:count],
+    )
+
+
 def known_past(prepared: Prepared) -> Prepared:
     """Without windows at the beginning of a recording: a late command, or a rotor that swings, is of before it.
 

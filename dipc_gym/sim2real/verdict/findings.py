@@ -38,10 +38,11 @@ def changed_parameters(final: Fit, wide: Array) -> list[dict[str, Any]]:
     for i, parameter in enumerate(final.structure.model_parameters):
         if abs(final.z[i]) < VERDICT.negligible:
             continue
-        value = final.structure.slots[i].value(final.z[i])
+        slot = final.structure.slots[i]
+        value = slot.value(final.z[i])
         entry = {"parameter": parameter.attribute, "at": parameter.at, "was": parameter.value, "value": value}
         if wide[i] <= VERDICT.widest:
-            entry |= {"low": value * math.exp(-wide[i]), "high": value * math.exp(wide[i])}
+            entry |= {"low": slot.value(final.z[i] - wide[i]), "high": slot.value(final.z[i] + wide[i])}
         out.append(entry | {"unit": parameter.unit})
     return out
 

@@ -263,7 +263,7 @@ def verdict(
         unnamed: how many improve predictions without a name.
         modelled: laws of no kind.
         elsewhere: error of the recalibrated model on the windows compared on: test data may not show what acts there.
-        changed: how many model parameters had to change.
+        changed: how many model parameters had to change, as validation data have it.
     """
     nominal, recalibrated, improved = errors
     if modelled:
@@ -273,9 +273,6 @@ def verdict(
         return "explained" if improved <= SCORE.at_floor else "partly explained"
     if unnamed:
         return "modelled" if improved <= SCORE.at_floor else "unexplained"
-    if nominal <= SCORE.at_floor and elsewhere <= VERDICT.elsewhere:
-        return "consistent"
-    if (recalibrated <= SCORE.at_floor and elsewhere <= VERDICT.elsewhere) or small:
-        better = nominal - recalibrated > 0.2 * (nominal - 1)
-        return "recalibrated" if changed and better else "consistent"
+    if (min(nominal, recalibrated) <= SCORE.at_floor and elsewhere <= VERDICT.elsewhere) or small:
+        return "recalibrated" if changed else "consistent"
     return "unexplained"

@@ -13,16 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.recording import Recording
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.result import Details, Diagnosis, Errors, Located, SensorFit
 from dipc_gym.sim2real.selection.baseline import Baseline
-from dipc_gym.sim2real.selection.case import Case
+from dipc_gym.sim2real.selection.case import Case, Test
 from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.selection.settings import SCORE
-from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.details import details, predictions, sensor_fits
@@ -35,6 +33,7 @@ Array = NDArray[np.float64]
 def judgement(
     case: Case,
     base: Baseline,
+    test: Test,
     search: Search,
     found: Conclusion,
     located: Sequence[Located],
@@ -46,6 +45,7 @@ def judgement(
     Args:
         case: data.
         base: what was known before the search.
+        test: data that nothing was fitted to or chosen by.
         search: that has run.
         found: what it came to.
         located: where the mismatch sat before it.
@@ -57,11 +57,11 @@ def judgement(
     """
     source, prepared, nominal, recalibrated = case.given.source, case.prepared, base.nominal, base.recalibrated
     joints, concluded = prepared.structure.base, found
-    coarse, test = found.fitted, base.test
+    coarse, windows = found.fitted, replace(test.problem, stepping=base.partition.problem.stepping)
     if base.fine is None:
         # The search compares; what it came to is fitted, judged and reported at half the step.
         final = late("A fit at half the step", lambda: search.refine(coarse), lambda: coarse)
-        test = test if final is coarse else replace(test, finer=2)
+        windows = windows if final is coarse else replace(windows, finer=2)
         concluded = replace(found, fitted=final)
     best = found = late(
         "Which model predicts best",
@@ -77,6 +77,9 @@ def judgement(
     )
     if any(term.effect.free for term in found.fitted.structure.terms):  # nothing chooses any more
         found = late("A fit to all windows", lambda: replace(best, fitted=search.fit_all(best.fitted)), lambda: best)
+    if validation is not None and _as_given(search, found, validation):
+        found = Conclusion(search.journal.informed((nominal,))[0], notes=found.notes)
+        validation = replace(validation, improved=validation.nominal)
     notes, final = [*found.notes], found.fitted
     open_choice = late(
         "Whether other parameters would do",
@@ -96,10 +99,14 @@ def judgement(
             lambda: findings.beyond_limits(base.partition.problem, search.partition.validation, recalibrated),
             list[str],
         )
-    errors = late("The error on test data", lambda: Errors(*(judge.error_on(test, f) for f in three)), lambda: fitted)
+    errors = late(
+        "The error on test data",
+        lambda: Errors(*(judge.error_on(windows, f) for f in three)),
+        lambda: fitted,
+    )
     force = late(
         "The error of forces",
-        lambda: _force_errors(three, joints, case.given.tested, case.test_motions, case.given.test_span),
+        lambda: _force_errors(three, joints, test),
         dict[str, Errors],
     )
     notes += sentences.disagreement(errors, force)
@@ -113,7 +120,7 @@ def judgement(
         lambda: np.full(len(final.z), np.inf),
     )
     changed = late("Which parameters changed", lambda: findings.changed_parameters(final, wide), list[dict[str, Any]])
-    small = judge.negligible(errors.recalibrated, case.test.motion, located[0])
+    small = judge.negligible(errors.recalibrated, windows.motion, located[0])
     modelled = [term for term in final.structure.terms if term.effect.of_no_kind]
     named_terms = [term for term in final.structure.terms if term not in modelled and term.key not in found.unnamed]
     verdict = judge.verdict(
@@ -129,13 +136,11 @@ def judgement(
         notes.append(sentences.not_in_test(train.recalibrated, errors.nominal))
     missing = late(
         "How much each effect is worth",
-        lambda: findings.missing_effects(search, found, test, errors, verdict, wide),
+        lambda: findings.missing_effects(search, found, windows, errors, verdict, wide),
         lambda: findings.named_alone(final),
     )
     if search.interrupted:
         notes.append("The search was interrupted: effects may be lacking, and not all rivals were compared.")
-    if verdict == "consistent":
-        changed = []
     notes += sentences.other_parameters(changed, [other.structure.model_parameters for other in found.others])
     if verdict in ("partly explained", "unexplained") and errors.improved > SCORE.at_floor:
         named = missing
@@ -144,24 +149,22 @@ def judgement(
             lambda: findings.with_unknown(named, errors, search, final, joints),
             lambda: named,
         )
-    improved, written = source.text, None
-    if verdict != "consistent":
-        improved, written, step_note = late(
-            "What the improved model costs at its own step",
-            lambda: improve.improved_model(source, case.given.physics, search.partition, test, three, errors),
-            lambda: (final.structure.write(final.z).text(), None, ""),
-        )
-        notes += [step_note] if step_note else []
-    predicted = late("Predictions of test data", lambda: predictions(test, *three), dict[str, Array])
+    improved, written, step_note = late(
+        "What the improved model costs at its own step",
+        lambda: improve.improved_model(source, case.given.physics, search.partition, windows, three, errors),
+        lambda: (final.structure.write(final.z).text(), None, ""),
+    )
+    notes += [step_note] if step_note else []
+    predicted = late("Predictions of test data", lambda: predictions(windows, *three), dict[str, Array])
     sensors = late(
         "Errors in the units of the sensors",
-        lambda: sensor_fits(test.windows, case.given.physics.model, predicted),
+        lambda: sensor_fits(windows.windows, case.given.physics.model, predicted),
         tuple[SensorFit, ...],
     )
     judged, text = found, improved
     behind: Details | None = late(
         "What the report draws",
-        lambda: details(source, base, search, judged, test, located, text, predicted),
+        lambda: details(source, base, search, judged, windows, located, text, predicted),
         lambda: None,
     )
     diagnosis = Diagnosis(
@@ -186,6 +189,20 @@ def judgement(
         behind,
     )
     return diagnosis, found
+
+
+def _as_given(search: Search, found: Conclusion, validation: Errors) -> bool:
+    """Whether data that may choose speak for the model as it was given: it predicts to the noise, or what is left is
+    small and shapeless, and other parameters do no better.
+    """
+    if found.fitted.structure.terms:
+        return False
+    elsewhere = search.scorer.comparison_error(search.progress.path[0]) <= VERDICT.elsewhere
+    at_noise = elsewhere and validation.nominal <= SCORE.at_floor
+    gained = validation.nominal - validation.improved > VERDICT.refitted * (validation.nominal - 1)
+    refits = elsewhere and validation.improved <= SCORE.at_floor
+    moved = np.abs(found.fitted.z) >= VERDICT.negligible
+    return at_noise or ((refits or search.scorer.small) and not gained) or not moved.any()
 
 
 def _best(search: Search, found: Conclusion, others: Sequence[Fit]) -> Conclusion:
@@ -213,10 +230,9 @@ def files_of(source: mjcf.Source, text: str) -> dict[str, bytes]:
 def _force_errors(
     fits: Sequence[Fit],
     joints: Sequence[str],
-    tested: Sequence[Recording],
-    motions: Sequence[Motion],
-    span: tuple[float, float],
+    test: Test,
 ) -> dict[str, Errors]:
     """Errors of the inverse models at each joint."""
-    forces = [unexplained.force_errors(f.structure.physics(f.z), tested, motions, span) for f in fits]
+    tested = test.recordings, test.motions, test.span
+    forces = [unexplained.force_errors(f.structure.physics(f.z), *tested) for f in fits]
     return {joint: Errors(*map(float, e)) for joint, e in zip(joints, np.stack(forces).T, strict=True)}

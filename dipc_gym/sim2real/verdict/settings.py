@@ -43,6 +43,8 @@ class VerdictSettings:
         refuted: times the error on validation data without an effect, from which it is not named after all
         worse: times the error of a plainer model, from which a model predicts worse; less is how a fit ended
         named: fall of the mean log square error by which an effect must improve predictions to be named
+        refitted: share of what the model as given leaves beyond the noise, that refitted parameters must take for them
+            to have been wrong
         modelled: share of the error beyond the noise that a law without a name may leave to have modelled it
         elsewhere: times the noise on windows compared on, from which test data at the noise give no all-clear
         stands_in: share of the error left over from which a named effect merely stands in for something unknown
@@ -65,6 +67,7 @@ class VerdictSettings:
     refuted: float = 1.05
     worse: float = 1.005
     named: float = 0.1
+    refitted: float = 0.2
     modelled: float = 0.5
     elsewhere: float = 2.0
     stands_in: float = 0.2

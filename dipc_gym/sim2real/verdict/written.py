@@ -119,7 +119,7 @@ def written(
     nominal, recalibrated, final = fits
     plainer = [Option(one.structure, one.z, validation.error(one.structure, one.z)) for one in (nominal, recalibrated)]
     here, there = (judge.error(final.structure, final.z) for judge in finely)
-    enough = SCORE.at_floor * max(here, 1.0)
+    enough, told = (SCORE.at_floor * max(error, 1.0) for error in (here, there))
     as_found = Option(final.structure, final.z, validation.error(final.structure, final.z))
     physical, refitted = [as_found], list[Option]()
     if as_found.error > enough:
@@ -132,9 +132,9 @@ def written(
             refitted += _made_up(option, to_refit, validation)
     taken = choose(physical, refitted, plainer, enough)
     errors = [held_out.error(one.structure, one.z) for one in (nominal, recalibrated, taken)]
-    told = SCORE.at_floor * max(there, 1.0)
+    # What is said of the step is said by test data; which shorter one would do is chosen like all else.
     costs = taken.error > enough or errors[-1] > told
-    finer = _finer(taken, ((validation, enough), (held_out, told))) if costs else None
+    finer = _finer(taken, validation, enough) if costs else None
     said = AsWritten(
         timestep,
         integrator,
@@ -177,21 +177,18 @@ def _made_up(option: Option, problem: Problem, validation: Judge) -> list[Option
     return []
 
 
-def _finer(option: Option, parts: Sequence[tuple[Judge, float]]) -> float | None:
-    """The longest of a few shorter steps at which a model predicts all windows well enough, s; None if none does.
+def _finer(option: Option, validation: Judge, enough: float) -> float | None:
+    """The longest of a few shorter steps at which a model predicts validation data well enough, s; None if none does.
 
     Errors fall no faster than with the square of the step: what that foretells to be too coarse is not tried.
     """
-    own, least = parts[0][0].own.stepping.timestep, 0.0
+    own, least = validation.own.stepping.timestep, 0.0
     for shorter in VERDICT.shorter:
         if shorter < least:
             continue
-        for judge, enough in parts:
-            after = judge.at(own / shorter).error(option.structure, option.z)
-            if after > enough:
-                floor = enough / SCORE.at_floor
-                least = shorter * np.sqrt((after - floor) / (enough - floor))
-                break
-        else:
+        after = validation.at(own / shorter).error(option.structure, option.z)
+        if after <= enough:
             return own / shorter
+        floor = enough / SCORE.at_floor
+        least = shorter * np.sqrt((after - floor) / (enough - floor))
     return None
