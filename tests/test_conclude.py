@@ -28,8 +28,9 @@ from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase
 from dipc_gym.sim2real.selection.progress import Journal
 from dipc_gym.sim2real.selection.rounds import addition
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.search import Search, Searched
 from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.verdict import judge, judgement, sparse
 from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
 from dipc_gym.sim2real.verdict.settings import VERDICT
@@ -41,7 +42,7 @@ class Ready:
 
     search: Search
 
-    def accepting(self, *effects: str, **guesses: Values) -> Search:
+    def accepting(self, *effects: str, **guesses: Values) -> Searched:
         """A search of its own that accepted these effects one after another.
 
         Args:
@@ -58,7 +59,7 @@ class Ready:
             if tried is not None:
                 rounds[0][rounds[0].index(tried)] = replace(tried, fitted=path[-1])
         journal = Journal(replace(old.progress, path=tuple(path), rounds=tuple(rounds)))
-        return Search(old.question, old.scorer, journal)
+        return Search(old.question, old.scorer, journal, Stop(lambda _: None)).outcome
 
     def _fitted(self, base: Fit, term: Term) -> Fit:
         """A fit with one effect more."""
@@ -75,7 +76,7 @@ def ready(text: str, runs: Sequence[Recording], *effects: str, fix: tuple[str, .
     given, _ = gather(mjcf.from_text(text), runs, (), Wishes(fix=fix))
     case = part(given, threads=1, tell=lambda _: None)
     base = baseline(case)
-    search, _ = diagnosis._search(case, base, [catalogue()[effect] for effect in effects], lambda _: None)
+    search, _ = diagnosis.begin_search(case, base, [catalogue()[effect] for effect in effects], Stop(lambda _: None))
     addition(search.question, Phase.FORMULAS, search.fitter, search.journal)
     return Ready(search)
 
@@ -102,7 +103,7 @@ def pushed_early() -> Ready:
 def test_a_rival_that_predicts_better_takes_the_place() -> None:
     """It is asked in its turn what could stand in for it, and nothing predicts better than it."""
     wrong = "motor.deadzone"
-    concluded = conclude(sticky().accepting(wrong))
+    concluded = conclude(sticky().accepting(wrong))[1]
     assert found(concluded.fitted) == ["friction.coulomb"]
     assert concluded.fitted.error < 1.2
     rivals = concluded.rivals["friction.coulomb@cart"]
@@ -115,13 +116,13 @@ def test_a_rival_that_predicts_better_takes_the_place() -> None:
 @pytest.mark.parametrize("chosen", ["friction.asymmetric", "friction.coulomb"])
 def test_of_names_for_one_model_the_plainer_one_stays(chosen: str) -> None:
     """Friction of two levels, one for each direction, that came out alike is friction of one."""
-    concluded = conclude(sticky().accepting(chosen))
+    concluded = conclude(sticky().accepting(chosen))[1]
     assert found(concluded.fitted) == ["friction.coulomb"]
 
 
 def test_what_validation_data_strike_off_is_not_asked_for_rivals() -> None:
     """Neither is it added again."""
-    concluded = conclude(pushed_early().accepting("friction.coulomb", "load.constant"))
+    concluded = conclude(pushed_early().accepting("friction.coulomb", "load.constant"))[1]
     assert found(concluded.fitted) == ["friction.coulomb"]
     assert list(concluded.rivals) == ["friction.coulomb@cart"]
     (note,) = concluded.notes
@@ -131,7 +132,7 @@ def test_what_validation_data_strike_off_is_not_asked_for_rivals() -> None:
 def test_effects_that_validation_data_strike_off_altogether() -> None:
     """Then nothing is named, and nothing is asked."""
     steady = ready(NOMINAL, [run(2, 20, 0.0, knock=(2.0, 0.0, 12.0))], "load.constant", "friction.coulomb")
-    concluded = conclude(steady.accepting("load.constant"))
+    concluded = conclude(steady.accepting("load.constant"))[1]
     assert found(concluded.fitted) == []
     assert concluded.rivals == {}
     assert len(concluded.notes) == 1
@@ -149,7 +150,7 @@ def test_a_name_that_needs_nothing_beside_it_goes_before_two() -> None:
     both = ready(sprung, [seen], *effects, fix=("cart.mass", "motor.gear"))
     pair = both.accepting("load.constant", "friction.coulomb", friction_coulomb={"level": 1e-3})
     assert found(pair.progress.current) == ["load.constant", "friction.coulomb"]
-    concluded = conclude(pair)
+    concluded = conclude(pair)[1]
     assert found(concluded.fitted) == ["sensor.bias"]
     assert concluded.fitted.error < 1.2
 
@@ -160,11 +161,11 @@ def test_a_push_is_named_only_where_next_to_nothing_is_left() -> None:
     knock = (6.0, 5.0, 0.08)
     plain = ready(NOMINAL, [run(7, 20, 3.0, knock=knock)], *effects)
     push = {"force": 4.0, "start": 4.95, "duration": 0.1}
-    kept = conclude(plain.accepting(*effects, disturbance_pulse=push))
+    kept = conclude(plain.accepting(*effects, disturbance_pulse=push))[1]
     assert found(kept.fitted) == ["friction.coulomb", "disturbance.pulse"]
     assert kept.notes == []
     uneven = ready(NOMINAL, [run(7, 20, 3.0, knock=knock, uneven=(0.5, 0.02))], *effects)
-    struck = conclude(uneven.accepting(*effects, disturbance_pulse=push))
+    struck = conclude(uneven.accepting(*effects, disturbance_pulse=push))[1]
     assert found(struck.fitted) == ["friction.coulomb"]
     assert struck.notes[0].startswith("disturbance.pulse@cart would explain a part")
 
@@ -173,7 +174,7 @@ def test_what_improves_predictions_by_too_little_has_no_name() -> None:
     """Drag that takes up a little of friction that is uneven: it stays in the model, or goes, and is never named."""
     effects = ("friction.coulomb", "drag.quadratic")
     uneven = ready(NOMINAL, [run(7, 20, 3.0, uneven=(0.5, 0.02))], *effects)
-    concluded = conclude(uneven.accepting(*effects))
+    concluded = conclude(uneven.accepting(*effects))[1]
     assert found(concluded.fitted)[0] == "friction.coulomb"
     named = [name for name in names(concluded.fitted.structure.terms) if name not in concluded.unnamed]
     assert named == ["friction.coulomb@cart"]
@@ -185,10 +186,10 @@ def test_ctrl_c_while_effects_are_judged_keeps_them(monkeypatch: pytest.MonkeyPa
 
     search = sticky().accepting("friction.coulomb")
     monkeypatch.setattr(sparse, "fewest_parameters", stopped)
-    concluded = conclude(search)
+    concluded = conclude(search)[1]
     assert found(concluded.fitted) == ["friction.coulomb"]
     assert concluded.rivals == {"friction.coulomb@cart": []}
-    assert search.interrupted
+    assert search.stop.asked
     assert np.isfinite(concluded.fitted.error)
 
 
@@ -197,7 +198,7 @@ def test_what_is_concluded_predicts_validation_data_no_worse_than_what_was_there
     """Whatever a conclusion came to: beside it stand the model as given and with its own parameters refitted."""
     search = pushed_early().accepting(*accepted)
     before, *_, last = search.progress.path
-    best = judgement._best(search, Conclusion(last), [before])
+    best = judgement.best_on_validation(search, Conclusion(last), [before])
     reached, *others = (judge.error_on(search.partition.validation, one) for one in (best.fitted, last, before))
     least = max(VERDICT.worse * min(others), SCORE.at_floor)
     assert reached <= least

@@ -26,7 +26,8 @@ from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.report import folder as saving
 from dipc_gym.sim2real.report import page
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.search import Searched
+from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.verdict import details, findings, improve, judge, judgement
 from dipc_gym.sim2real.verdict.late import Late
 
@@ -35,7 +36,9 @@ FEW = [catalogue()[name] for name in ("friction.coulomb", "drag.quadratic")]
 
 def test_a_number_that_is_not_known_at_all_has_no_interval() -> None:
     mass = SimpleNamespace(attribute="mass", at="cart", value=1.0, unit="kg")
-    structure = SimpleNamespace(model_parameters=(mass,), slots=(SimpleNamespace(value=math.exp),))
+    structure = SimpleNamespace(
+        model_parameters=(mass,), slots=(SimpleNamespace(value=lambda z: math.exp(min(z, 50.0))),)
+    )
     fitted: Any = SimpleNamespace(structure=structure, z=np.array([0.5]))
     for wide in (1e4, math.inf, math.nan):
         (entry,) = findings.changed_parameters(fitted, np.array([wide]))
@@ -51,7 +54,7 @@ STAGES: dict[str, list[tuple[Any, str]]] = {
         (details, "_traces"),
     ],
     "no fine fit, no errors, no numbers": [
-        (Search, "refine"),
+        (Searched, "refined"),
         (judgement, "_force_errors"),
         (judge, "intervals"),
         (findings, "changed_parameters"),
@@ -81,14 +84,14 @@ def test_late_stages_that_fail_lose_nothing_that_was_found(
 
 
 def test_ctrl_c_in_a_late_stage_keeps_what_was_found_and_the_second_stops() -> None:
-    search: Any = SimpleNamespace(interrupted=False, tell=lambda line: None)
+    stop = Stop(lambda line: None)
 
     def interrupt() -> int:
         raise KeyboardInterrupt
 
-    late = Late(search)
+    late = Late(stop)
     assert late("It", interrupt, lambda: 7) == 7
-    assert search.interrupted
+    assert stop.asked
     with pytest.raises(KeyboardInterrupt):
         late("It", interrupt, lambda: 7)
 

@@ -27,6 +27,7 @@ from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.scorer import earned, settled
 from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.simulation.windows import Windows
 
 PLAIN = ("friction.coulomb", "load.constant", "drag.quadratic", "motor.deadzone")
@@ -37,7 +38,7 @@ KNOCK = 7.3  # s
 def begun(runs: list[Recording], effects: tuple[str, ...]) -> Search:
     """A search that has not begun."""
     case = part(gather(mjcf.from_text(NOMINAL), runs, (), Wishes())[0], threads=1, tell=print)
-    return diagnosis._search(case, baseline(case), [catalogue()[name] for name in effects], print)[0]
+    return diagnosis.begin_search(case, baseline(case), [catalogue()[name] for name in effects], Stop(print))[0]
 
 
 def ended(runs: list[Recording], effects: tuple[str, ...]) -> Search:

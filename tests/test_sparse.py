@@ -15,25 +15,26 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import gather, part
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.search import Searched
+from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.verdict import sparse
 
 
 @pytest.fixture(scope="module")
-def heavy() -> tuple[Search, Fit]:
+def heavy() -> tuple[Searched, Fit]:
     """A cart with dry friction, of which the owner knows that it weighs more than the model says.
 
     Mass, damping and gear scale together, so that nothing in the recording speaks for any mass.
     """
     wishes = Wishes(prior={"cart.mass": (1.5, 0.05)})
     case = part(gather(mjcf.from_text(NOMINAL), [run(3, 20, 4.0)], (), wishes)[0], threads=1, tell=print)
-    search, _ = diagnosis._search(case, baseline(case), [catalogue()["friction.coulomb"]], print)
+    search, _ = diagnosis.begin_search(case, baseline(case), [catalogue()["friction.coulomb"]], Stop(print))
     found = search.run()
     assert found.error < 1.05
-    return search, found
+    return search.outcome, found
 
 
-def test_what_is_put_back_to_nominal_is_foretold(heavy: tuple[Search, Fit]) -> None:
+def test_what_is_put_back_to_nominal_is_foretold(heavy: tuple[Searched, Fit]) -> None:
     """The others go no further than they may, and as far as a refit takes them."""
     search, found = heavy
     reduced = sparse._Reduced(search, found)
@@ -45,7 +46,7 @@ def test_what_is_put_back_to_nominal_is_foretold(heavy: tuple[Search, Fit]) -> N
             assert reduced.foretold(free)[0] == pytest.approx(loss, rel=0.1), free
 
 
-def test_what_the_owner_knows_is_not_put_back_to_nominal(heavy: tuple[Search, Fit]) -> None:
+def test_what_the_owner_knows_is_not_put_back_to_nominal(heavy: tuple[Searched, Fit]) -> None:
     fewest = sparse.fewest_parameters(*heavy)
     values = fewest.structure.values(fewest.z)
     assert values["cart.mass"] == pytest.approx(1.5, abs=0.1)

@@ -26,6 +26,7 @@ from dipc_gym.sim2real.selection.progress import Journal, Progress
 from dipc_gym.sim2real.selection.scorer import Scorer
 from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.verdict import conventions, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
 from dipc_gym.sim2real.verdict.judgement import files_of, judgement
@@ -84,13 +85,17 @@ def diagnose(
         _check_conventions(case, base, tell)
     except CannotTell as why:
         return _cannot_tell(why, given, provenance)
-    search, located = _search(case, base, list(effects if effects is not None else catalogue().values()), tell)
-    late = Late(search)
+    stop = Stop(tell)
+    late = Late(stop)
+    search, located = begin_search(case, base, list(effects if effects is not None else catalogue().values()), stop)
     late("Whether more is missing", search.run, lambda: base.recalibrated)
-    found = late(
-        "What could stand in for the effects", lambda: conclude(search), lambda: Conclusion(search.progress.current)
+    ended = search.outcome
+    searched, found = late(
+        "What could stand in for the effects",
+        lambda: conclude(ended),
+        lambda: (ended, Conclusion(ended.progress.current)),
     )
-    judged, concluded = judgement(case, base, test, search, found, located, provenance, late)
+    judged, concluded = judgement(case, base, test, searched, found, located, provenance, late)
     proposed: Design | None = None
     if design:
         proposed = late("The next experiment", lambda: _design(case, base, concluded, seed), lambda: None)
@@ -137,9 +142,7 @@ def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) 
             raise CannotTell(*sentences.conventions(others, nominal.error, off))
 
 
-def _search(
-    case: Case, base: Baseline, effects: Sequence[Effect], tell: Callable[[str], None]
-) -> tuple[Search, list[Located]]:
+def begin_search(case: Case, base: Baseline, effects: Sequence[Effect], stop: Stop) -> tuple[Search, list[Located]]:
     """A search that has not begun, and where the mismatch sits."""
     given, partition, recalibrated = case.given, base.partition, base.recalibrated
 
@@ -161,9 +164,9 @@ def _search(
     located = judge.locate(look(recalibrated), question.joints)
     small = worst > SCORE.at_floor and judge.negligible(worst, partition.problem.motion, located[0])
     if small:
-        tell("the mismatch is small beside the motion, and without a pattern: only what explains all of it will count")
-    search = Search(question, replace(scorer, small=small), Journal(Progress(partition, (recalibrated,), anchor), tell))
-    return search, located
+        stop.tell("the mismatch is small beside the motion, without a pattern: only what explains all of it will count")
+    journal = Journal(Progress(partition, (recalibrated,), anchor), stop.tell)
+    return Search(question, replace(scorer, small=small), journal, stop), located
 
 
 def _cannot_tell(why: CannotTell, given: Given, provenance: dict[str, Any]) -> Diagnosis:

@@ -111,6 +111,13 @@ class Progress:
             ),
         )
 
+    def informed(self, path: Sequence[Fit]) -> tuple[Fit, ...]:
+        """Fits that were accepted before, as they are on the windows of now: some may have come, or gone."""
+        problem = self.partition.problem
+        if all(len(fitted.mse) == len(problem.windows) for fitted in path):
+            return tuple(path)
+        return tuple(fit(problem, fitted.structure, fitted.z, most=0) for fitted in path)
+
     def with_spare(self) -> Progress:
         """With all windows to fit that neither compare nor validate: a table of dozens of values needs them."""
         spare, aside = self.partition.spare, self.partition.aside
@@ -150,14 +157,7 @@ class Journal:
 
     def go_back(self, path: tuple[Fit, ...]) -> None:
         """Go on from fits that were accepted before; what was tried since then stays known."""
-        self.progress = replace(self.progress, path=self.informed(path))
-
-    def informed(self, path: tuple[Fit, ...]) -> tuple[Fit, ...]:
-        """Fits that were accepted before, as they are on the windows of now: some may have come, or gone."""
-        problem = self.progress.partition.problem
-        if all(len(fitted.mse) == len(problem.windows) for fitted in path):
-            return path
-        return tuple(fit(problem, fitted.structure, fitted.z, most=0) for fitted in path)
+        self.progress = replace(self.progress, path=self.progress.informed(path))
 
     def begin(self, tried: Sequence[Tried]) -> None:
         """Note the hypotheses of a new round; of those before only what they came to is asked again."""

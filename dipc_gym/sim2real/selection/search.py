@@ -10,9 +10,10 @@ window counts alike and its standard error means something.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym.sim2real.effects.base import LEAVES
 from dipc_gym.sim2real.estimation.fit import Fit, fit
@@ -26,30 +27,85 @@ from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.resolution import refined
 from dipc_gym.sim2real.selection.scorer import Scorer, enough
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+from dipc_gym.sim2real.selection.stop import Stop
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What a search came to. Later stages ask it, and none changes it.
+
+    Attributes:
+        question: effects and places.
+        fitter: fits to the windows that the search ended with.
+        progress: how far it came.
+        phase: what kinds of law it asked for in the end.
+        stop: whether Ctrl-C ended it, or what came after.
+    """
+
+    question: Question
+    fitter: Fitter
+    progress: Progress
+    phase: Phase
+    stop: Stop
+
+    @property
+    def scorer(self) -> Scorer:
+        """Compares fits."""
+        return self.fitter.scorer
+
+    @property
+    def partition(self) -> Partition:
+        """Which windows serve for what."""
+        return self.fitter.partition
+
+    def tell(self, line: str) -> None:
+        """Pass on a line about progress."""
+        self.stop.tell(line)
+
+    def carried_on(self, better: Fit) -> Searched:
+        """With a fit in the place of the one that it came to, and what earns its place beside it."""
+        search = Search(self.question, self.scorer, Journal(self.progress, self.tell), self.stop, self.phase)
+        search.replace_last(better)
+        return search.outcome
+
+    def refined(self, fitted: Fit) -> tuple[Searched, Fit]:
+        """With halved steps, and a structure fitted in these: what takes fine steps is off at any."""
+        return self._fitted_over(self.partition.finer(), fitted, fitted.initial)
+
+    def whole(self, fitted: Fit) -> tuple[Searched, Fit]:
+        """With all windows to fit, and a structure fitted to them: a table of dozens of values lacks none of them."""
+        partition = self.partition.whole()
+        return self._fitted_over(partition, fitted, partition.problem.initial)
+
+    def _fitted_over(self, partition: Partition, fitted: Fit, begin: Array) -> tuple[Searched, Fit]:
+        over = replace(self, fitter=self.fitter.over(partition), progress=replace(self.progress, partition=partition))
+        return over, fit(partition.problem, fitted.structure, fitted.z, begin, most=20)
 
 
 class Search:
     """A search in progress: the one thing of this stage that changes, step by step, so that an end at any moment keeps
     what was found.
 
-    Attributes:
+    Args:
         question: effects and places.
-        fitter: fits to the windows of the present partition.
-        journal: where it stands.
+        scorer: compares on the windows that the journal begins with.
+        journal: has the fit without effects, and then where the search stands.
+        stop: whether Ctrl-C ended it.
         phase: what kinds of law are asked for.
-        interrupted: whether Ctrl-C ended it.
     """
 
-    def __init__(self, question: Question, scorer: Scorer, journal: Journal) -> None:
-        """A search that has not begun.
-
-        Args:
-            question: effects and places.
-            scorer: compares on the windows that the journal begins with.
-            journal: has the fit without effects.
-        """
+    def __init__(
+        self, question: Question, scorer: Scorer, journal: Journal, stop: Stop, phase: Phase = Phase.FORMULAS
+    ) -> None:
         self.question, self.fitter, self.journal = question, Fitter(scorer), journal
-        self.phase, self.interrupted = Phase.FORMULAS, False
+        self.stop, self.phase = stop, phase
+
+    @property
+    def outcome(self) -> Searched:
+        """What it has come to."""
+        return Searched(self.question, self.fitter, self.progress, self.phase, self.stop)
 
     @property
     def scorer(self) -> Scorer:
@@ -82,7 +138,7 @@ class Search:
         self._go_on(self.progress.with_spare())
         found = self._add(most)
         ends = [formulas]
-        if not self._done(found) and not self.scorer.compare(found, self.journal.informed(formulas)[-1]).clear:
+        if not self._done(found) and not self.scorer.compare(found, self.progress.informed(formulas)[-1]).clear:
             self.tell("laws predict no better than formulas; asking for laws beside these")
             self._back_to(formulas)
             found, ends = self._add(most), []
@@ -105,7 +161,7 @@ class Search:
             if self._done(self._add(len(self.question.joints))):
                 return self.progress.current
             found.append(self.progress.path)
-        losses = ranking.losses([self.scorer.comparison_mse(path[-1]) for path in map(self.journal.informed, found)])
+        losses = ranking.losses([self.scorer.comparison_mse(path[-1]) for path in map(self.progress.informed, found)])
         self.journal.go_back(found[int(np.argmin(losses))])
         return self.progress.current
 
@@ -127,23 +183,12 @@ class Search:
         return len(self.question.joints) > 1 and places >= set(self.question.joints)
 
     def _done(self, found: Fit) -> bool:
-        return found.error <= SCORE.at_floor or self.interrupted
+        return found.error <= SCORE.at_floor or self.stop.asked
 
     def replace_last(self, better: Fit) -> Fit:
         """Put a fit in the place of the one that `run` came to, and add what earns its place beside it."""
         self.journal.correct(self.fitter.polish(better))
         return self._add(SEARCH.most_effects - len(better.structure.terms))
-
-    def refine(self, fitted: Fit) -> Fit:
-        """Halve the steps, from here on, and fit a structure once more: what takes fine steps is off at any."""
-        self._go_on(replace(self.progress, partition=self.partition.finer()))
-        return fit(self.partition.problem, fitted.structure, fitted.z, fitted.initial, most=20)
-
-    def fit_all(self, fitted: Fit) -> Fit:
-        """Fit a structure once more, to all windows, from here on: a table of dozens of values lacks none of them."""
-        self._go_on(replace(self.progress, partition=self.partition.whole()))
-        begin = self.partition.problem.initial
-        return fit(self.partition.problem, fitted.structure, fitted.z, begin, most=20)
 
     def _add(self, most: int) -> Fit:
         try:
@@ -151,8 +196,7 @@ class Search:
                 if not self._step():
                     break
         except KeyboardInterrupt:
-            self.interrupted = True
-            self.tell("interrupted; judging what was found so far (Ctrl-C again stops at once)")
+            self.stop.ask("judging what was found so far")
         return self.progress.current
 
     def _step(self) -> bool:

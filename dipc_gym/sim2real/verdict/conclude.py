@@ -9,7 +9,7 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.prune import prune
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import judge, sentences, sparse
 from dipc_gym.sim2real.verdict.settings import VERDICT
@@ -34,7 +34,7 @@ class Conclusion:
     others: list[Fit] = field(default_factory=list)
 
 
-def conclude(search: Search) -> Conclusion:
+def conclude(search: Searched) -> tuple[Searched, Conclusion]:
     """Judge the effects that a search accepted; rivals that predict clearly better, or need less, take their places.
 
     Which of two effects is there may show only when a third is in place, which was added after one of them. What
@@ -42,23 +42,26 @@ def conclude(search: Search) -> Conclusion:
 
     Args:
         search: that has run.
+
+    Returns:
+        The search, carried on beside the rivals that took a place, and what is left of it.
     """
     for swaps in range(VERDICT.swaps + 1):
         try:
             upheld, fewest, notes, unnamed = _upheld(search)
         except KeyboardInterrupt:
-            _interrupted(search)
-            return Conclusion(search.progress.current, _rivals(search, search.progress.current))
+            search.stop.ask("writing what was found")
+            return search, Conclusion(search.progress.current, _rivals(search, search.progress.current))
         rivals = _rivals(search, upheld)
         rival = _successor(search, upheld, [rival for group in rivals.values() for rival in group])
-        if notes or rival is None or search.interrupted or swaps == VERDICT.swaps:
+        if notes or rival is None or search.stop.asked or swaps == VERDICT.swaps:
             break
         search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer parameters'}")
-        search.replace_last(rival.fitted)
-    return Conclusion(fewest, rivals, notes, unnamed, _others(search, upheld, fewest))
+        search = search.carried_on(rival.fitted)
+    return search, Conclusion(fewest, rivals, notes, unnamed, _others(search, upheld, fewest))
 
 
-def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.Rival | None:
+def _successor(search: Searched, upheld: Fit, rivals: list[judge.Rival]) -> judge.Rival | None:
     """The rival that takes a structure's place: one that predicts clearly better, or needs fewer parameters.
 
     Of several that predict better alike, the simplest. One that is the same model here with fewer parameters goes
@@ -74,23 +77,23 @@ def _successor(search: Search, upheld: Fit, rivals: list[judge.Rival]) -> judge.
     return min(plainer, key=lambda one: (len(one.fitted.z), search.scorer.comparison_error(one.fitted)), default=None)
 
 
-def _alone(search: Search, rival: judge.Rival, upheld: Fit) -> judge.Rival:
+def _alone(search: Searched, rival: judge.Rival, upheld: Fit) -> judge.Rival:
     """A rival that is the same model, without what is idle beside it.
 
     A constant force on one pole and the other's sensor with a bias can be together what one biased sensor is alone.
     """
     terms = rival.fitted.structure.terms
-    if len(terms) < 2 or search.interrupted:
+    if len(terms) < 2 or search.stop.asked:
         return rival
     try:
         fitted = prune(search.question, search.fitter, rival.fitted, search.tell)
     except KeyboardInterrupt:
-        _interrupted(search)
+        search.stop.ask("writing what was found")
         return rival
     return replace(rival, fitted=fitted) if search.scorer.compare(upheld, fitted).alike else rival
 
 
-def _upheld(search: Search) -> tuple[Fit, Fit, list[str], frozenset[str]]:
+def _upheld(search: Searched) -> tuple[Fit, Fit, list[str], frozenset[str]]:
     """The last accepted fit that validation data do not speak against, also with the fewest model parameters changed;
     notes on what they strike off, and the keys of effects that stay without a name.
 
@@ -116,7 +119,7 @@ def _upheld(search: Search) -> tuple[Fit, Fit, list[str], frozenset[str]]:
     return named, fewest if named is upheld else _with_fewest_parameters(search, named)[0], notes + why, unnamed
 
 
-def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[str], frozenset[str]]:
+def _believable(search: Searched, upheld: Fit, error: float) -> tuple[Fit, list[str], frozenset[str]]:
     """A fit without effects of the clock that only stand in for what is left beside them; which of its effects stay
     without a name, and notes on both.
 
@@ -147,7 +150,7 @@ def _believable(search: Search, upheld: Fit, error: float) -> tuple[Fit, list[st
     return upheld, notes, frozenset(unnamed)
 
 
-def _with_fewest_parameters(search: Search, fitted: Fit) -> tuple[Fit, float]:
+def _with_fewest_parameters(search: Searched, fitted: Fit) -> tuple[Fit, float]:
     """A fit with the fewest model parameters changed, as long as validation data do not speak for the others; its
     error.
 
@@ -161,33 +164,27 @@ def _with_fewest_parameters(search: Search, fitted: Fit) -> tuple[Fit, float]:
     return (fitted, with_all) if judge.refuted(with_all, error) else (fewest, error)
 
 
-def _others(search: Search, upheld: Fit, fewest: Fit) -> list[Fit]:
+def _others(search: Searched, upheld: Fit, fewest: Fit) -> list[Fit]:
     """With other model parameters changed; none if Ctrl-C ended the comparison."""
-    if search.interrupted:
+    if search.stop.asked:
         return []
     try:
         return sparse.other_parameters(search, upheld, fewest)
     except KeyboardInterrupt:
-        _interrupted(search)
+        search.stop.ask("writing what was found")
         return []
 
 
-def _interrupted(search: Search) -> None:
-    """Ask nothing more, and say so."""
-    search.interrupted = True
-    search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
-
-
-def _rivals(search: Search, full: Fit) -> dict[str, list[judge.Rival]]:
+def _rivals(search: Searched, full: Fit) -> dict[str, list[judge.Rival]]:
     """What could stand in the place of each effect; nothing from when Ctrl-C ended that."""
     found: dict[str, list[judge.Rival]] = {}
     for term in full.structure.terms:
         found[term.key] = []
-        if search.interrupted or term.effect.of_no_kind:
+        if search.stop.asked or term.effect.of_no_kind:
             continue
         try:
             search.tell(f"what could stand in for {term.key}?")
             found[term.key] = judge.rivals(search, full, term)
         except KeyboardInterrupt:
-            _interrupted(search)
+            search.stop.ask("writing what was found")
     return found

@@ -36,7 +36,7 @@ from dipc_gym.sim2real.result import (
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.screen import Tried
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.simulation.windows import Windows
 from dipc_gym.sim2real.verdict.conclude import Conclusion
@@ -51,7 +51,7 @@ NOTHING = np.zeros(0)
 def details(
     source: mjcf.Source,
     base: Baseline,
-    search: Search,
+    search: Searched,
     found: Conclusion,
     test: Problem,
     located: Sequence[Located],
@@ -171,7 +171,7 @@ def _maps(structure: Structure, first: Scene, after: Scene | None, order: Sequen
         )
 
 
-def _candidates(search: Search, found: Conclusion) -> list[Candidate]:
+def _candidates(search: Searched, found: Conclusion) -> list[Candidate]:
     """Every hypothesis once, as the last round that fitted it saw it."""
     status: dict[str, Status] = {
         r.term.key: ("same model here" if r.same else "ruled out" if r.ruled_out else "not told apart")
@@ -179,7 +179,7 @@ def _candidates(search: Search, found: Conclusion) -> list[Candidate]:
         for r in rivals
     }
     status |= {term.key: "chosen" for term in found.fitted.structure.terms}
-    otherwise: Status = "not told apart" if search.interrupted else "ruled out"
+    otherwise: Status = "not told apart" if search.stop.asked else "ruled out"
     rows: dict[str, Candidate] = {}
     for tried in [t for round_ in reversed(search.progress.rounds) for t in round_]:
         if tried.key in rows and (rows[tried.key].error is not None or tried.sketch is None):
@@ -189,7 +189,7 @@ def _candidates(search: Search, found: Conclusion) -> list[Candidate]:
     return sorted(rows.values(), key=lambda c: (rank[c.status], c.error if c.error is not None else np.inf))
 
 
-def _candidate(search: Search, tried: Tried, status: Status) -> Candidate:
+def _candidate(search: Searched, tried: Tried, status: Status) -> Candidate:
     effect = tried.term.effect
     words = (effect.__doc__ or "").split("\n")[0].rstrip(".")
     if tried.sketch is None:

@@ -20,7 +20,7 @@ from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.selection.score import compare
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import improve, judge, sentences
 from dipc_gym.sim2real.verdict.closed_form import Formula, closed_form
@@ -116,7 +116,7 @@ def choice_shift(fitted: Fit, others: Sequence[Fit]) -> Array:
 
 
 def missing_effects(
-    search: Search, found: Conclusion, test: Problem, errors: Errors, verdict: str, wide: Array
+    search: Searched, found: Conclusion, test: Problem, errors: Errors, verdict: str, wide: Array
 ) -> list[Missing]:
     """The effects that a search came to, the strongest first.
 
@@ -209,7 +209,7 @@ def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[
     return law
 
 
-def _formula(search: Search, final: Fit, term: Term) -> Formula | None:
+def _formula(search: Searched, final: Fit, term: Term) -> Formula | None:
     """The formula that a law of one input may be said by: one that predicts all windows as well as its table does."""
     effect = term.effect
     if not isinstance(effect, Law) or isinstance(effect, Hysteresis):
@@ -254,7 +254,7 @@ def _each_once(named: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def with_unknown(
-    missing: list[Missing], errors: Errors, search: Search, final: Fit, joints: Sequence[str]
+    missing: list[Missing], errors: Errors, search: Searched, final: Fit, joints: Sequence[str]
 ) -> list[Missing]:
     """Add what no effect of the catalogue explains; first, if what was found merely stands in for it."""
     left = max(errors.improved - 1, 0.0) / max(errors.recalibrated - 1, 1e-9)

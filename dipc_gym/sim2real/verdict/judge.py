@@ -19,7 +19,7 @@ from dipc_gym.sim2real.result import Located
 from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.scorer import compare_on
 from dipc_gym.sim2real.selection.screen import Tried, excludes
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -72,7 +72,7 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     return np.where(told, half, np.inf)
 
 
-def share(search: Search, full: Fit, key: str) -> float:
+def share(search: Searched, full: Fit, key: str) -> float:
     """How much of the improvement over the recalibrated model is lost without one effect, all else refitted."""
     if len(full.structure.terms) == 1:
         return 1.0
@@ -81,7 +81,7 @@ def share(search: Search, full: Fit, key: str) -> float:
     return float(np.clip((without - best) / max(worst - best, 1e-9), 0.0, 1.0))
 
 
-def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
+def rivals(search: Searched, full: Fit, term: Term) -> list[Rival]:
     """Try other effects in the place of one.
 
     Those that came close in its round, those it is mistaken for, a single effect that stands for it and another one,
@@ -114,7 +114,7 @@ def rivals(search: Search, full: Fit, term: Term) -> list[Rival]:
     return found
 
 
-def _better(search: Search, swapped: Fit, full: Fit) -> bool:
+def _better(search: Searched, swapped: Fit, full: Fit) -> bool:
     """Whether a rival predicts clearly better; at the noise, with no more parameters, beyond chance is enough."""
     gained = search.scorer.compare(swapped, full)
     if gained.clear:
@@ -124,7 +124,7 @@ def _better(search: Search, swapped: Fit, full: Fit) -> bool:
 
 
 def _stand_ins(
-    search: Search, full: Fit, term: Term, *, provisional: bool
+    search: Searched, full: Fit, term: Term, *, provisional: bool
 ) -> Iterator[tuple[list[Term], Structure, Tried | None]]:
     """Effects to try in the place of one, the structure with them, and what its round made of it if it was tried.
 
@@ -232,7 +232,7 @@ def error_on(problem: Problem, fitted: Fit) -> float:
     return float(np.sqrt(np.mean(mse)))
 
 
-def apart(search: Search, new: Fit, old: Fit) -> Improvement:
+def apart(search: Searched, new: Fit, old: Fit) -> Improvement:
     """How much better one fit predicts than another on windows that no fit has touched, validation among them."""
     untouched, validation = search.partition.comparison, search.partition.validation
     after, before = search.scorer.comparison_mse(new), search.scorer.comparison_mse(old)

@@ -6,7 +6,7 @@ Every stage may fail alone: what was found before it stands, and a note says wha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import names
-from dipc_gym.sim2real.result import Details, Diagnosis, Errors, Located, SensorFit
+from dipc_gym.sim2real.result import Details, Diagnosis, Errors, Located, Missing, SensorFit
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.case import Case, Test
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion
@@ -34,7 +35,7 @@ def judgement(
     case: Case,
     base: Baseline,
     test: Test,
-    search: Search,
+    search: Searched,
     found: Conclusion,
     located: Sequence[Located],
     provenance: dict[str, Any],
@@ -55,59 +56,158 @@ def judgement(
     Returns:
         The diagnosis, and what the search came to, as it was judged.
     """
-    source, prepared, nominal, recalibrated = case.given.source, case.prepared, base.nominal, base.recalibrated
-    joints, concluded = prepared.structure.base, found
-    coarse, windows = found.fitted, replace(test.problem, stepping=base.partition.problem.stepping)
-    if base.fine is None:
-        # The search compares; what it came to is fitted, judged and reported at half the step.
-        final = late("A fit at half the step", lambda: search.refine(coarse), lambda: coarse)
-        windows = windows if final is coarse else replace(windows, finer=2)
-        concluded = replace(found, fitted=final)
-    best = found = late(
-        "Which model predicts best",
-        lambda: _best(search, concluded, search.journal.informed((coarse, recalibrated, nominal))),
-        lambda: concluded,
-    )
-    validation = late(
-        "The error on validation data",
-        lambda: Errors(
-            *(judge.error_on(search.partition.validation, f) for f in (nominal, recalibrated, found.fitted))
+    last = _chosen(base, test, search, found, late)
+    measured = _measured(case, base, test, last, late)
+    named = _named(case, last, measured, located, late)
+    source, final, notes = case.given.source, last.found.fitted, [*last.found.notes, *measured.notes, *named.notes]
+    improved, written, step_note = late(
+        "What the improved model costs at its own step",
+        lambda: improve.improved_model(
+            source, case.given.physics, last.search.partition, last.windows, last.three, measured.test
         ),
+        lambda: (final.structure.write(final.z).text(), None, ""),
+    )
+    predicted = late("Predictions of test data", lambda: predictions(last.windows, *last.three), dict[str, Array])
+    sensors = late(
+        "Errors in the units of the sensors",
+        lambda: sensor_fits(last.windows.windows, case.given.physics.model, predicted),
+        tuple[SensorFit, ...],
+    )
+    behind: Details | None = late(
+        "What the report draws",
+        lambda: details(source, base, last.search, last.found, last.windows, located, improved, predicted),
         lambda: None,
     )
-    if any(term.effect.free for term in found.fitted.structure.terms):  # nothing chooses any more
-        found = late("A fit to all windows", lambda: replace(best, fitted=search.fit_all(best.fitted)), lambda: best)
-    if validation is not None and _as_given(search, found, validation):
-        found = Conclusion(search.journal.informed((nominal,))[0], notes=found.notes)
+    verdict, others = named.verdict, bool(last.found.others)
+    diagnosis = Diagnosis(
+        verdict,
+        sentences.in_one_sentence(
+            verdict,
+            named.missing,
+            measured.changed,
+            measured.test,
+            others=others,
+            written=written,
+            sensors=sensors,
+        ),
+        tuple(located),
+        tuple(named.missing),
+        tuple(measured.changed),
+        measured.train,
+        measured.test,
+        last.validation,
+        written,
+        sensors,
+        measured.force,
+        sentences.next_experiment(verdict, named.missing, others=bool(measured.changed and others)),
+        improved,
+        files_of(source, improved),
+        tuple([*notes, step_note] if step_note else notes),
+        provenance,
+        behind,
+    )
+    return diagnosis, last.found
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """What is judged, after the last choice.
+
+    Attributes:
+        search: that came to it, in the steps and over the windows that were fitted last.
+        found: what it came to.
+        three: the model as given, recalibrated, and improved.
+        validation: errors of the three on validation data; None where they could not be worked out.
+        windows: to test with, in the same steps.
+    """
+
+    search: Searched
+    found: Conclusion
+    three: tuple[Fit, Fit, Fit]
+    validation: Errors | None
+    windows: Problem
+
+
+def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, late: Late) -> _Chosen:
+    """Fit at half the step, and choose by validation data what predicts best; nothing is chosen after that."""
+    coarse, windows = found.fitted, replace(test.problem, stepping=base.partition.problem.stepping)
+    nominal, recalibrated = base.nominal, base.recalibrated
+    if base.fine is None:
+        # The search compares; what it came to is fitted, judged and reported at half the step.
+        search, final = late("A fit at half the step", lambda: search.refined(coarse), lambda: (search, coarse))
+        windows = windows if final is coarse else replace(windows, finer=2)
+        found = replace(found, fitted=final)
+    refined = search, found
+    found = late(
+        "Which model predicts best",
+        lambda: best_on_validation(*refined, refined[0].progress.informed((coarse, recalibrated, nominal))),
+        lambda: refined[1],
+    )
+    best = found
+    validation = late(
+        "The error on validation data",
+        lambda: Errors(*(judge.error_on(search.partition.validation, f) for f in (nominal, recalibrated, best.fitted))),
+        lambda: None,
+    )
+    if validation is not None and _as_given(search, best, validation):
+        found = Conclusion(search.progress.informed((nominal,))[0], notes=best.notes)
         validation = replace(validation, improved=validation.nominal)
-    notes, final = [*found.notes], found.fitted
+    elif any(term.effect.free for term in best.fitted.structure.terms):
+        search, whole = late(
+            "A fit to all windows", lambda: refined[0].whole(best.fitted), lambda: (refined[0], best.fitted)
+        )
+        found = replace(best, fitted=whole)
+    return _Chosen(search, found, (nominal, recalibrated, found.fitted), validation, windows)
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Errors, and how sure parameters are.
+
+    Attributes:
+        train: errors on the windows that were compared on.
+        test: on test data.
+        force: of the inverse models there, at each joint.
+        wide: half widths of the intervals of the mapped parameters, (p,).
+        changed: parameters of the model that had to change.
+        notes: in sentences.
+    """
+
+    train: Errors
+    test: Errors
+    force: dict[str, Errors]
+    wide: Array
+    changed: list[dict[str, Any]]
+    notes: list[str] = field(default_factory=list)
+
+
+def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Late) -> _Measured:
+    search, found, three, final = last.search, last.found, last.three, last.found.fitted
     open_choice = late(
         "Whether other parameters would do",
         lambda: findings.choice_shift(final, found.others),
         lambda: np.full(len(final.z), np.inf),
     )
-    three = (nominal, recalibrated, final)
     fitted = Errors(*(f.error for f in three))
     train = late(
         "The error on windows to compare on",
         lambda: Errors(*(search.scorer.comparison_error(f) for f in three)),
         lambda: fitted,
     )
-    if train.recalibrated > SCORE.at_floor and not search.interrupted:
+    notes = list[str]()
+    if train.recalibrated > SCORE.at_floor and not search.stop.asked:
         notes += late(
             "Whether parameters further off would do",
-            lambda: findings.beyond_limits(base.partition.problem, search.partition.validation, recalibrated),
+            lambda: findings.beyond_limits(base.partition.problem, search.partition.validation, base.recalibrated),
             list[str],
         )
     errors = late(
         "The error on test data",
-        lambda: Errors(*(judge.error_on(windows, f) for f in three)),
+        lambda: Errors(*(judge.error_on(last.windows, f) for f in three)),
         lambda: fitted,
     )
     force = late(
-        "The error of forces",
-        lambda: _force_errors(three, joints, test),
-        dict[str, Errors],
+        "The error of forces", lambda: _force_errors(three, case.prepared.structure.base, test), dict[str, Errors]
     )
     notes += sentences.disagreement(errors, force)
     wide = late(
@@ -120,78 +220,53 @@ def judgement(
         lambda: np.full(len(final.z), np.inf),
     )
     changed = late("Which parameters changed", lambda: findings.changed_parameters(final, wide), list[dict[str, Any]])
-    small = judge.negligible(errors.recalibrated, windows.motion, located[0])
+    return _Measured(train, errors, force, wide, changed, notes)
+
+
+@dataclass(frozen=True)
+class _Named:
+    """The verdict, what is missing, strongest first, and notes."""
+
+    verdict: str
+    missing: list[Missing]
+    notes: list[str]
+
+
+def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Located], late: Late) -> _Named:
+    search, found, final, errors = last.search, last.found, last.found.fitted, measured.test
     modelled = [term for term in final.structure.terms if term.effect.of_no_kind]
-    named_terms = [term for term in final.structure.terms if term not in modelled and term.key not in found.unnamed]
+    terms = [term for term in final.structure.terms if term not in modelled and term.key not in found.unnamed]
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved),
-        small,
-        len(named_terms),
-        len(changed),
+        judge.negligible(errors.recalibrated, last.windows.motion, located[0]),
+        len(terms),
+        len(measured.changed),
         len(found.unnamed),
         len(modelled),
-        train.recalibrated,
+        measured.train.recalibrated,
     )
+    notes = list[str]()
     if errors.nominal <= SCORE.at_floor and verdict == "unexplained":
-        notes.append(sentences.not_in_test(train.recalibrated, errors.nominal))
+        notes.append(sentences.not_in_test(measured.train.recalibrated, errors.nominal))
     missing = late(
         "How much each effect is worth",
-        lambda: findings.missing_effects(search, found, windows, errors, verdict, wide),
+        lambda: findings.missing_effects(search, found, last.windows, errors, verdict, measured.wide),
         lambda: findings.named_alone(final),
     )
-    if search.interrupted:
+    if search.stop.asked:
         notes.append("The search was interrupted: effects may be lacking, and not all rivals were compared.")
-    notes += sentences.other_parameters(changed, [other.structure.model_parameters for other in found.others])
+    notes += sentences.other_parameters(measured.changed, [other.structure.model_parameters for other in found.others])
     if verdict in ("partly explained", "unexplained") and errors.improved > SCORE.at_floor:
-        named = missing
+        alone = missing
         missing = late(
             "Where what is left acts",
-            lambda: findings.with_unknown(named, errors, search, final, joints),
-            lambda: named,
+            lambda: findings.with_unknown(alone, errors, search, final, case.prepared.structure.base),
+            lambda: alone,
         )
-    improved, written, step_note = late(
-        "What the improved model costs at its own step",
-        lambda: improve.improved_model(source, case.given.physics, search.partition, windows, three, errors),
-        lambda: (final.structure.write(final.z).text(), None, ""),
-    )
-    notes += [step_note] if step_note else []
-    predicted = late("Predictions of test data", lambda: predictions(windows, *three), dict[str, Array])
-    sensors = late(
-        "Errors in the units of the sensors",
-        lambda: sensor_fits(windows.windows, case.given.physics.model, predicted),
-        tuple[SensorFit, ...],
-    )
-    judged, text = found, improved
-    behind: Details | None = late(
-        "What the report draws",
-        lambda: details(source, base, search, judged, windows, located, text, predicted),
-        lambda: None,
-    )
-    diagnosis = Diagnosis(
-        verdict,
-        sentences.in_one_sentence(
-            verdict, missing, changed, errors, others=bool(found.others), written=written, sensors=sensors
-        ),
-        tuple(located),
-        tuple(missing),
-        tuple(changed),
-        train,
-        errors,
-        validation,
-        written,
-        sensors,
-        force,
-        sentences.next_experiment(verdict, missing, others=bool(changed and found.others)),
-        improved,
-        files_of(source, improved),
-        tuple(notes),
-        provenance,
-        behind,
-    )
-    return diagnosis, found
+    return _Named(verdict, missing, notes)
 
 
-def _as_given(search: Search, found: Conclusion, validation: Errors) -> bool:
+def _as_given(search: Searched, found: Conclusion, validation: Errors) -> bool:
     """Whether data that may choose speak for the model as it was given: it predicts to the noise, or what is left is
     small and shapeless, and other parameters do no better.
     """
@@ -205,7 +280,7 @@ def _as_given(search: Search, found: Conclusion, validation: Errors) -> bool:
     return at_noise or ((refits or search.scorer.small) and not gained) or not moved.any()
 
 
-def _best(search: Search, found: Conclusion, others: Sequence[Fit]) -> Conclusion:
+def best_on_validation(search: Searched, found: Conclusion, others: Sequence[Fit]) -> Conclusion:
     """A conclusion, or the first of other fits that predict validation data no worse than any, with a note on that.
 
     Nobody is given a model that predicts worse than what they had. At the noise, all are as good.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.stop import Stop
 
 T = TypeVar("T")
 
@@ -21,8 +21,8 @@ class Late:
         notes: what the reader of the diagnosis should know, in sentences.
     """
 
-    def __init__(self, search: Search) -> None:
-        self._search = search
+    def __init__(self, stop: Stop) -> None:
+        self._stop = stop
         self.notes: list[str] = []
 
     def __call__(self, what: str, stage: Callable[[], T], otherwise: Callable[[], T]) -> T:
@@ -39,10 +39,7 @@ class Late:
         try:
             return stage()
         except KeyboardInterrupt:
-            if self._search.interrupted:
-                raise
-            self._search.interrupted = True
-            self._search.tell("interrupted; writing what was found (Ctrl-C again stops at once)")
+            self._stop.ask("writing what was found")
             return otherwise()
         except Exception as error:  # whatever it is, what was found before stands
             said = str(error).strip().splitlines()
@@ -51,5 +48,5 @@ class Late:
                 f"{what} could not be worked out ({why}) and is left out; what was found before stands. Please report "
                 "this with the files."
             )
-            self._search.tell(f"note: {self.notes[-1]}")
+            self._stop.tell(f"note: {self.notes[-1]}")
             return otherwise()

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.sim2real.estimation.fit import Fit, fit, holding
 from dipc_gym.sim2real.selection.score import compare
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
 
 
-def fewest_parameters(search: Search, fitted: Fit) -> Fit:
+def fewest_parameters(search: Searched, fitted: Fit) -> Fit:
     """Put back to nominal every model parameter whose change was not needed, and refit the rest.
 
     Parameters of which the owner knows that they are not nominal stay free.
@@ -54,7 +54,7 @@ def fewest_parameters(search: Search, fitted: Fit) -> Fit:
     return with_first(fewest) or fitted
 
 
-def other_parameters(search: Search, fitted: Fit, fewest: Fit) -> list[Fit]:
+def other_parameters(search: Searched, fitted: Fit, fewest: Fit) -> list[Fit]:
     """Fits with as many model parameters changed as `fewest`, but others, that predict as well: which were wrong is
     open.
 
@@ -99,7 +99,7 @@ class _Reduced:
         which: windows to refit to; None for all.
     """
 
-    def __init__(self, search: Search, fitted: Fit, which: NDArray[np.intp] | None = None) -> None:
+    def __init__(self, search: Searched, fitted: Fit, which: NDArray[np.intp] | None = None) -> None:
         self.search, self.fitted, self.count = search, fitted, len(fitted.structure.model_parameters)
         self.some = np.arange(len(fitted.mse)) if which is None else which
         self.problem = search.partition.problem.pick(self.some)
