@@ -74,7 +74,7 @@ class Ready:
 def ready(text: str, runs: Sequence[Recording], *effects: str, fix: tuple[str, ...] = ()) -> Ready:
     """Read, part, fit the model itself, and try every effect once."""
     given, _ = gather(mjcf.from_text(text), runs, (), Wishes(fix=fix))
-    case = part(given, threads=1, tell=lambda _: None)
+    case = part(given, threads=1)
     base = baseline(case)
     search, _ = diagnosis.begin_search(case, base, [catalogue()[effect] for effect in effects], Stop(lambda _: None))
     addition(search.question, Phase.FORMULAS, search.fitter, search.journal)

@@ -37,7 +37,7 @@ KNOCK = 7.3  # s
 
 def begun(runs: list[Recording], effects: tuple[str, ...]) -> Search:
     """A search that has not begun."""
-    case = part(gather(mjcf.from_text(NOMINAL), runs, (), Wishes())[0], threads=1, tell=print)
+    case = part(gather(mjcf.from_text(NOMINAL), runs, (), Wishes())[0], threads=1)
     return diagnosis.begin_search(case, baseline(case), [catalogue()[name] for name in effects], Stop(print))[0]
 
 

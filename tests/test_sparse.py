@@ -27,7 +27,7 @@ def heavy() -> tuple[Searched, Fit]:
     Mass, damping and gear scale together, so that nothing in the recording speaks for any mass.
     """
     wishes = Wishes(prior={"cart.mass": (1.5, 0.05)})
-    case = part(gather(mjcf.from_text(NOMINAL), [run(3, 20, 4.0)], (), wishes)[0], threads=1, tell=print)
+    case = part(gather(mjcf.from_text(NOMINAL), [run(3, 20, 4.0)], (), wishes)[0], threads=1)
     search, _ = diagnosis.begin_search(case, baseline(case), [catalogue()["friction.coulomb"]], Stop(print))
     found = search.run()
     assert found.error < 1.05

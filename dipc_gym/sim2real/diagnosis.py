@@ -79,8 +79,9 @@ def diagnose(
         tell(f"note: {note}")
     provenance = _provenance(given, withheld, seed)
     try:
-        case = part(given, threads=threads, tell=tell)
+        case = part(given, threads=threads)
         test = withheld.windows(case)
+        tell(f"{len(case.prepared.problem.windows)} windows of {case.prepared.length:g} s")
         base = baseline(case)
         _check_conventions(case, base, tell)
     except CannotTell as why:

@@ -6,7 +6,7 @@ come from recordings that end where the test begins, so the error on test data i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -166,7 +166,7 @@ def gather(
     return Given(source, loaded, tuple(fitted), tuple(wishes.apply(parameters)), tuple(notes)), withheld
 
 
-def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
+def part(given: Given, *, threads: int) -> Case:
     """Cut recordings into windows to fit and to validate by.
 
     Raises:
@@ -183,7 +183,6 @@ def part(given: Given, *, threads: int, tell: Callable[[str], None]) -> Case:
     standstill = _standstill(prepared)
     if standstill:
         raise CannotTell(standstill, IN_MOTION)
-    tell(f"{len(prepared.problem.windows)} windows of {prepared.length:g} s")
     return Case(given, prepared, _borders(given, prepared))
 
 
