@@ -215,6 +215,10 @@ class Effect(ABC):
         """The law as diagnosis.json holds it, where it is a table; see `law.described`."""
         return None
 
+    def inputs(self, at: str) -> tuple[str, ...]:
+        """What its law depends on, where it is a table, as `Evidence.inputs` names it: it knows nothing elsewhere."""
+        return ()
+
     @abstractmethod
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Write the effect into the model."""

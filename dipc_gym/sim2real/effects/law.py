@@ -97,6 +97,10 @@ class Law(Effect):
         )
         self.linear = tuple(names) if self.from_nothing else ()
 
+    def inputs(self, at: str) -> tuple[str, ...]:
+        """Its one input at this place."""
+        return (f"{self.of} {at}",) if self.of in ("position", "speed", "command") else ()
+
     @abstractmethod
     def table(self, evidence: Evidence) -> tuple[Array, Array] | None:
         """Knots and values that the evidence asks for; None where it asks for nothing."""

@@ -67,6 +67,10 @@ class UnknownForce(Effect):
                 found[shape.inputs] = shaped, shaped.first
         return list(found.values())
 
+    def inputs(self, at: str) -> tuple[str, ...]:
+        """Those of its table."""
+        return () if self.shape is None else self.shape.inputs
+
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, the values it was given."""
         return [self.first] if self.shape is not None else []

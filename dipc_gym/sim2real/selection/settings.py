@@ -92,6 +92,8 @@ class SearchSettings:
         kinds: of effects at all joints that are tried together in a round, the second beside the best one
         pairs: pairs that predict alike and are fitted to all windows
         halvings: of the stretches between the knots of a law, at most
+        beyond: share of the range of a law's input in the fitted windows, from which another input is far from all of
+            these
         ahead: halvings that are tried before a law is as fine as it may be
         fine: parameters of a law, from which on only one more is
         short: share of the predicted gain of a pair that its sketch must bring
@@ -117,6 +119,7 @@ class SearchSettings:
     pairs: int = 2
     short: float = 0.5
     halvings: int = 6
+    beyond: float = 0.02
     ahead: int = 2
     fine: int = 32
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from dipc_gym.sim2real.effects.base import LEAVES
 from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.prune import prune
@@ -102,11 +103,12 @@ def _upheld(search: Searched) -> tuple[Fit, Fit, list[str], frozenset[str]]:
     """
     path, notes = search.progress.path, list[str]()
     upheld = path[-1]
-    fewest, error = _with_fewest_parameters(search, upheld)
+    validation = judge.fair(search, upheld)
+    fewest, error = _with_fewest_parameters(search, upheld, validation)
     for before in reversed(path[:-1]):
         if error <= SCORE.at_floor:
             break
-        simpler, without = _with_fewest_parameters(search, before)
+        simpler, without = _with_fewest_parameters(search, before, validation)
         if not judge.refuted(without, error):
             break
         kept = names(simpler.structure.terms)
@@ -115,11 +117,15 @@ def _upheld(search: Searched) -> tuple[Fit, Fit, list[str], frozenset[str]]:
         upheld, fewest, error = before, simpler, without
     if error <= SCORE.at_floor:
         return upheld, fewest, notes, frozenset()
-    named, why, unnamed = _believable(search, upheld, error)
-    return named, fewest if named is upheld else _with_fewest_parameters(search, named)[0], notes + why, unnamed
+    named, why, unnamed = _believable(search, upheld, error, validation)
+    if named is not upheld:
+        fewest, _ = _with_fewest_parameters(search, named, validation)
+    return named, fewest, notes + why, unnamed
 
 
-def _believable(search: Searched, upheld: Fit, error: float) -> tuple[Fit, list[str], frozenset[str]]:
+def _believable(
+    search: Searched, upheld: Fit, error: float, validation: Problem
+) -> tuple[Fit, list[str], frozenset[str]]:
     """A fit without effects of the clock that only stand in for what is left beside them; which of its effects stay
     without a name, and notes on both.
 
@@ -128,13 +134,13 @@ def _believable(search: Searched, upheld: Fit, error: float) -> tuple[Fit, list[
     windows that no fit has touched are better predicted with it than without it, all else refitted, by more than their
     standard error; that it is no chance, the search has told by all windows. How much is left beside it is no matter.
     """
-    recalibrated = judge.error_on(search.partition.validation, search.progress.path[0])
+    recalibrated = judge.error_on(validation, search.progress.path[0])
     notes = list[str]()
     for term in upheld.structure.terms:
         if term.effect.leaves < LEAVES and error - 1 > term.effect.leaves * (recalibrated - 1):
             notes.append(sentences.not_alone(term, error))
             upheld = search.fitter.without(upheld, term.key)
-    left = judge.error_on(search.partition.validation, upheld)
+    left = judge.error_on(validation, upheld)
     if upheld.structure.terms and left > recalibrated:
         # Without an event that it was fitted beside, an effect may do harm.
         notes.append(sentences.refutation(upheld.structure.terms, recalibrated, left))
@@ -150,17 +156,17 @@ def _believable(search: Searched, upheld: Fit, error: float) -> tuple[Fit, list[
     return upheld, notes, frozenset(unnamed)
 
 
-def _with_fewest_parameters(search: Searched, fitted: Fit) -> tuple[Fit, float]:
+def _with_fewest_parameters(search: Searched, fitted: Fit, validation: Problem) -> tuple[Fit, float]:
     """A fit with the fewest model parameters changed, as long as validation data do not speak for the others; its
     error.
 
     Where few windows tell a parameter, the others may not miss it.
     """
     fewest = sparse.fewest_parameters(search, fitted)
-    error = judge.error_on(search.partition.validation, fewest)
+    error = judge.error_on(validation, fewest)
     if error <= SCORE.at_floor:
         return fewest, error
-    with_all = judge.error_on(search.partition.validation, fitted)
+    with_all = judge.error_on(validation, fitted)
     return (fitted, with_all) if judge.refuted(with_all, error) else (fewest, error)
 
 

@@ -21,6 +21,7 @@ from dipc_gym.sim2real.selection.scorer import compare_on
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.selection.support import supported
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
@@ -232,9 +233,19 @@ def error_on(problem: Problem, fitted: Fit) -> float:
     return float(np.sqrt(np.mean(mse)))
 
 
+def fair(search: Searched, fitted: Fit) -> Problem:
+    """The validation data that may speak against a fit: windows in which its laws are asked where they have data.
+
+    Where there are none, those that were compared on.
+    """
+    validation = search.partition.validation
+    there = supported(fitted, search.partition.problem, validation)
+    return validation.pick(there) if there.any() else search.partition.comparison
+
+
 def apart(search: Searched, new: Fit, old: Fit) -> Improvement:
     """How much better one fit predicts than another on windows that no fit has touched, validation among them."""
-    untouched, validation = search.partition.comparison, search.partition.validation
+    untouched, validation = search.partition.comparison, fair(search, new)
     after, before = search.scorer.comparison_mse(new), search.scorer.comparison_mse(old)
     if validation is not untouched:
         untouched = untouched.join(validation)

@@ -285,7 +285,8 @@ def best_on_validation(search: Searched, found: Conclusion, others: Sequence[Fit
 
     Nobody is given a model that predicts worse than what they had. At the noise, all are as good.
     """
-    errors = [judge.error_on(search.partition.validation, fitted) for fitted in (found.fitted, *others)]
+    validation = judge.fair(search, found.fitted)
+    errors = [judge.error_on(validation, fitted) for fitted in (found.fitted, *others)]
     least = max(VERDICT.worse * min(errors), SCORE.at_floor)
     if not errors[0] > least:  # nor where nothing is known of it
         return found

@@ -1,0 +1,49 @@
+"""Which windows stay where the laws of a fit have data: what a law says elsewhere is no prediction of anybody's."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.selection.settings import SEARCH
+from dipc_gym.sim2real.simulation.windows import Windows
+
+Array = NDArray[np.float64]
+
+
+def supported(fitted: Fit, seen: Problem, asked: Problem) -> NDArray[np.bool_]:
+    """Windows in which no law of a fit gets an input far from all those that it was fitted with, (n,).
+
+    Args:
+        fitted: to the windows seen.
+        seen: windows.
+        asked: windows of the same recordings.
+    """
+    there = np.ones(len(asked.windows), dtype=bool)
+    names = {name for term in fitted.structure.terms for name in term.effect.inputs(term.at)}
+    for name in sorted(names):
+        known = np.sort(_input(name, fitted, seen.windows)[seen.windows.valid])
+        values = _input(name, fitted, asked.windows)
+        at = np.clip(np.searchsorted(known, values), 1, len(known) - 1)
+        apart = np.minimum(np.abs(values - known[at - 1]), np.abs(values - known[at]))
+        far = apart > SEARCH.beyond * (known[-1] - known[0])
+        there &= ~(far & asked.windows.valid).any(axis=1)
+    return there
+
+
+def _input(name: str, fitted: Fit, windows: Windows) -> Array:
+    """What a law depends on, at the samples of windows, (n, m); names are those of `Evidence.inputs`, and speeds."""
+    kind, _, at = name.partition(" ")
+    out = np.zeros(windows.times.shape)
+    for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
+        mine = windows.source == i
+        time = windows.start[mine, None] + windows.times[mine]
+        if kind == "command":
+            k = np.clip(np.searchsorted(recording.time, time, side="right") - 1, 0, len(recording) - 1)
+            out[mine] = recording.commands[k, recording.actuator_names.index(at)]
+            continue
+        values = (motion.position if kind == "position" else motion.velocity)[:, fitted.structure.base.index(at)]
+        out[mine] = np.interp(time, motion.time, np.abs(values) if kind == "speed" else values)
+    return out
