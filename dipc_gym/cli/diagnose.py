@@ -43,9 +43,9 @@ class Diagnose:
     held_out: tuple[Path, ...] = ()
     """recordings for judging only"""
     fix: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """number of the model that is right, as cart.mass; may be repeated"""
+    """parameter of the model that is right, as cart.mass; may be repeated"""
     prior: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """what you know of a number, as motor.resistance=1.2+-0.05; may be repeated"""
+    """what you know of a parameter, as motor.resistance=1.2+-0.05; may be repeated"""
     map: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """column=name: which column of the files is which name in the model; may be repeated"""
     unit: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
