@@ -60,7 +60,7 @@ class Evaluation:
 
     Attributes:
         seconds: length of a run, s.
-        seeds: of starting states and noise, one for each run.
+        seeds: of initial states and noise, one for each run.
         held: time until each run ended, s; of a swing-up, how long it stayed at the goal, or 0 if that was too short.
         reward: median over the runs of their return, in shares of the largest possible.
     """

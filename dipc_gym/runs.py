@@ -269,7 +269,7 @@ def balance(
         controller: commands force.
         compensator: turns it into voltage.
         seconds: length of the run, s.
-        seed: of starting state and noise.
+        seed: of initial state and noise.
         plant: as the environment takes it.
         model: MJCF file of the rig; None is the package's.
         exact_state: let controller and compensator see the exact state instead of encoder readings.
@@ -308,7 +308,7 @@ def swing_up(
             anew.
         compensator: turns it into voltage.
         seconds: length of the run, s.
-        seed: of starting state and noise.
+        seed: of initial state and noise.
         start: a name of `postures.POSTURES`, or `anywhere`.
         goal: another.
         plant: as the environment takes it.

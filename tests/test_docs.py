@@ -13,6 +13,7 @@ import pytest
 
 from dipc_gym import cli, compensators
 from dipc_gym.sim2real import effects
+from dipc_gym.sim2real.report.page import VERDICTS
 
 WITH_PYTHON = [path for path in pages.PAGES if pages.python(path) and path.name != "README.md"]
 
@@ -94,3 +95,16 @@ def test_the_settings_page_has_what_decides() -> None:
         assert row in page
     for effect in effects.catalogue().values():
         assert f"## {effect.name}\n" in hooks.effects()
+
+
+def test_pages_count_what_the_code_has() -> None:
+    """Effects by their names, and the verdicts: numbers in prose that a new one would make wrong."""
+    read = {path: path.read_text(encoding="utf-8") for path in (pages.ROOT / "README.md", pages.ROOT / "CHANGELOG.md")}
+    effect_names = {effect.name for effect in effects.catalogue().values()}
+    for path, text in read.items():
+        told = [int(number) for number in re.findall(r"(\d+) effects", text)]
+        assert told == [len(effect_names)], path.name
+    table = (pages.ROOT / "docs" / "sim2real" / "verdicts.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| \*([a-z ]+)\* \|", table, re.MULTILINE)) == set(VERDICTS)
+    assert len(VERDICTS) == 7
+    assert "one of [seven words]" in (pages.ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")

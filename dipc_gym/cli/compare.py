@@ -38,7 +38,7 @@ class Compare:
     estimator: str = "differences"
     """names with commas between, such as kalman,disturbance,ekf; or saved estimators (.json)"""
     seeds: int = 10
-    """number of rigs; friction, encoder noise and starting state differ"""
+    """number of rigs; friction, encoder noise and initial state differ"""
     seconds: float = 80.0
     """length of a balancing run, s"""
     recording: str | None = None

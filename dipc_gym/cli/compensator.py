@@ -45,7 +45,7 @@ class FromModel:
         made, law = inverse.compensator(self.model, self.plant, seed=self.seed)
         compensators.save(made, self.out)
         slow, fast = abs(law.friction[len(law.friction) // 2]), abs(law.friction[-1])
-        print(f"{self.out}: {made.name}, {made.parameters} numbers")
+        print(f"{self.out}: {made.name}, {made.parameters} parameters")
         print(f"friction {slow:.3g} N at {law.slowest:.2g} m/s, {fast:.3g} N at {law.velocity[-1]:.2g} m/s")
         for note in law.notes():
             print(f"note: {note}")

@@ -20,8 +20,9 @@ class Diagnose:
     The model is any MuJoCo model of hinge and slide joints without contacts whose sensors determine the joints. The
     recordings are cut into windows of 0.25 s. First the model's parameters are refitted, which is the fair rival of
     any new physics. Then every effect of the catalogue is tried at every place it can act, and kept only if it
-    predicts windows that no fit has seen clearly better. What is reported was judged on data that no fit has touched,
-    and that can strike effects off but add none: the recordings given with --held-out, else the last quarter of each.
+    predicts windows that no fit has seen clearly better. Validation data, the end of what is given to fit, may strike
+    effects off, and add none. The error that is reported is of data that no fit has touched and that chose nothing:
+    the recordings given with --held-out, else the last quarter of each.
 
     The folder gets diagnosis.json (all of it, for programs), improved.xml (your model with what was missing, which
     stock MuJoCo loads), report.html (to read) and report.json (what it draws: `dipc-gym report` draws it again).
@@ -42,9 +43,9 @@ class Diagnose:
     held_out: tuple[Path, ...] = ()
     """recordings for judging only"""
     fix: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """number of the model that is right, as cart.mass; may be repeated"""
+    """parameter of the model that is right, as cart.mass; may be repeated"""
     prior: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """what you know of a number, as motor.resistance=1.2+-0.05; may be repeated"""
+    """what you know of a parameter, as motor.resistance=1.2+-0.05; may be repeated"""
     map: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """column=name: which column of the files is which name in the model; may be repeated"""
     unit: tyro.conf.UseAppendAction[tuple[str, ...]] = ()

@@ -31,7 +31,7 @@ class Plan:
     goal: str = "up-up"
     """equilibrium to reach and hold"""
     plant: str | None = None
-    """JSON file of the plant; where numbers are distributions, their centres"""
+    """JSON file of the plant; where parameters are distributions, their centres"""
     model: str | None = None
     """MJCF file of the rig"""
     seed: int = 0

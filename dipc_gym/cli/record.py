@@ -37,7 +37,7 @@ class Record:
     seconds: float = 80.0
     """length of a balancing run, s"""
     plant: str | None = None
-    """JSON file of the plant; where numbers are distributions, identification takes their centres"""
+    """JSON file of the plant; where parameters are distributions, identification takes their centres"""
     model: str | None = None
     """MJCF file of the rig"""
     seed: int = 0
@@ -99,7 +99,7 @@ class Render:
     magnify: float = 1.0
     """show deviations from upright so many times as large; the trace of the cart is in true millimetres"""
     plant: str | None = None
-    """JSON file of the plant; where numbers are distributions, identification takes their centres"""
+    """JSON file of the plant; where parameters are distributions, identification takes their centres"""
     model: str | None = None
     """MJCF file of the rig"""
     seed: int = 0

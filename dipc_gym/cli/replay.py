@@ -14,10 +14,11 @@ from dipc_gym.cli.options import ending, free, pairs
 class Replay:
     """Replay a recording in a model and show where the two part.
 
-    The recording is cut into short windows. Each starts from the state that its sensors show, corrected so that the
-    model predicts this window best; what is left then is the model's. The table gives, for each sensor, how far
-    predictions are off (rms, SI units), the sensor's own noise, and their ratio: near 1, the model lacks nothing that
-    this recording shows; far above, numbers are wrong or physics is absent, and the worst windows say when.
+    The recording is cut into short windows. Each has an initial state of its own: the one that its sensors show,
+    corrected so that the model predicts this window best. What is left then is the model's. The table gives, for each
+    sensor, how far predictions are off (rms, SI units), the sensor's own noise, and their ratio: near 1, the model
+    lacks nothing that this recording shows; far above, parameters are wrong or physics is absent, and the worst windows
+    say when.
 
     A recording is a CSV, Parquet or npz table in SI units with the column time, one column for each actuator and one
     for each scalar sensor, by their names in the model. Other names and units are translated by --map and --unit.
@@ -34,7 +35,7 @@ class Replay:
     recording: tyro.conf.Positional[Path]
     """recording: .csv, .parquet or .npz"""
     window: float | None = None
-    """length of a window, s; without it 0.25, or less where an unstable rig amplifies its start more than tenfold"""
+    """length of a window, s; without it 0.25, or less where an unstable rig amplifies initial errors over tenfold"""
     step: float | None = None
     """simulate as exactly as this step (s) allows; without it, with the model's own integrator and step"""
     json: Path | None = None

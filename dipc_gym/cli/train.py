@@ -44,7 +44,7 @@ class Train:
     unit: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """name=unit: unit of a column, such as deg, mm, ms or counts as a factor; may be repeated"""
     plant: str | None = None
-    """JSON file of the plant; where numbers are distributions, identification takes their centres"""
+    """JSON file of the plant; where parameters are distributions, identification takes their centres"""
     model: str | None = None
     """MJCF file of the rig"""
     seed: int = 0
@@ -80,7 +80,7 @@ class Train:
             print(f"note: {note}")
         if self.recording is not None:
             print(found.excitation.report())
-        print(f"{self.out}: {self.compensator}, {trained.parameters} numbers")
+        print(f"{self.out}: {self.compensator}, {trained.parameters} parameters")
         if self.estimator is not None:
             print(f"{beside}: {self.estimator}")
         if trained.figures is not None:
@@ -130,19 +130,19 @@ class TrainPolicy:
     plan: str = "tvlqr"
     """of a swing-up: tvlqr, which goes from hanging to upright, or a file that dipc-gym plan wrote"""
     seed: int = 0
-    """of weights, exploration, starting states and identification; with --seeds, the first of them"""
+    """of weights, exploration, initial states and identification; with --seeds, the first of them"""
     seeds: int | None = None
     """train a sweep of so many seeds; without it, one policy"""
     steps: int | None = None
-    """control periods to train for; without it the algorithm's own number"""
+    """control periods to train for; without it as many as the algorithm's recipe says"""
     num_envs: int | None = None
-    """rigs that are simulated side by side; without it the algorithm's own number"""
+    """rigs that are simulated side by side; without it as many as the algorithm's recipe says"""
     engine: Literal["mujoco", "compiled"] | None = None
     """what simulates them, mujoco or, by default for swing-up, compiled, machine code; it is tried on MuJoCo anyway"""
     limit: float | None = None
     """largest force, N; for voltage, what exerts it on the blocked cart; without it 60, and 96 for a swing-up"""
     plant: str | None = None
-    """JSON file of the plant; numbers may be distributions, drawn anew in every episode"""
+    """JSON file of the plant; parameters may be distributions, drawn anew in every episode"""
     model: str | None = None
     """MJCF file of the rig"""
     resume: bool = False

@@ -73,7 +73,8 @@ def draw_all(
     try:
         film.shoot({name: mine[name] for name in FILMED}, *films, model=model)
     except Exception as error:  # OpenGL fails in as many ways as there are drivers; the figures do not depend on it
-        return [f"rig.gif was not drawn ({type(error).__name__}: {error}); see the README on headless drawing"]
+        what = f"{type(error).__name__}: {error}"
+        return [f"rig.gif was not drawn ({what}); see 'Drawing fails without a display' in docs/troubleshooting.md"]
     return []
 
 

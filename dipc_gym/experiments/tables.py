@@ -178,7 +178,7 @@ _HEAD = (
     "printed Q",
     "force N",
     "test MSE",
-    "numbers",
+    "parameters",
 )
 _FORMATS = {
     "cart_m": ".3f",

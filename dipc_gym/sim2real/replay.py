@@ -1,7 +1,7 @@
 """Replay a recording in a model, window by window, and say where the two part.
 
-Every window starts from the state that the sensors show, corrected so that the model predicts that window best. What
-is left is the model's: wrong parameters, absent physics, or a time step too long.
+Every window has an initial state of its own: the one that the sensors show, corrected so that the model predicts that
+window best. What is left is the model's: wrong parameters, absent physics, or a time step too long.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ def replay(
     Args:
         model: MJCF file.
         recording: `.csv`, `.parquet` or `.npz` file.
-        window: s; None means 0.25 s, or less where an unstable rig amplifies the start more than tenfold.
+        window: s; None means 0.25 s, or less where an unstable rig amplifies an initial error more than tenfold.
         step: s; Runge-Kutta with dry friction's reversals located. None means the model's own integrator and step.
         mapping: column of the file -> name in the model.
         units: column or name -> unit that it is in.

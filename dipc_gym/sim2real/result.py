@@ -355,7 +355,7 @@ class Diagnosis:
         missing: effects, the strongest first.
         recalibrated: model parameters that had to change.
         train: errors on windows between the fitted ones.
-        held_out: errors on windows that no fit has touched; they may strike effects off, and add none.
+        held_out: errors on windows that no fit has touched, and that chose nothing.
         validation: errors on windows that no fit has touched, and that chose among models.
         written: errors of the improved model's file at its own step; None where that is the model as given.
         sensors: errors of each sensor on the held-out windows, in its own unit.

@@ -251,9 +251,9 @@ def refutation(terms: Sequence[Term], before: float, after: float, otherwise: st
 
 
 def not_alone(term: Term, left: float) -> str:
-    """Note on what is told by when it acts, where more is left; the error on held-out data, in units of noise."""
+    """Note on what is told by when it acts, where more is left; the error on validation data, in units of noise."""
     return (
-        f"{term.key} would explain a part, but it is told from other causes by when it acts alone, and held-out data "
+        f"{term.key} would explain a part, but it is told from other causes by when it acts alone, and validation data "
         f"hold more that it does not explain ({left:.3g} times the noise); that may have the same cause, so it is not "
         "named."
     )
