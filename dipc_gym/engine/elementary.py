@@ -9,7 +9,7 @@ IEEE 754 defines, so a number's result does not depend on its neighbours.
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, TypeVar
 
 from llvmlite import ir
 
@@ -46,7 +46,10 @@ class Value(Protocol):
         """The product."""
 
 
-def exp(x: Value) -> Value:
+Number = TypeVar("Number", bound=Value)
+
+
+def exp(x: Number) -> Number:
     """Exponential of numbers from `LEAST` to `MOST`, whose powers of e a number holds."""
     code = x.code
     shifted, whole = _rounded(x * (1 / math.log(2)))
@@ -57,7 +60,7 @@ def exp(x: Value) -> Value:
     return x.beside(code.at.bitcast(code.at.add(power, one), code.real)) * series
 
 
-def sin_cos(x: Value) -> tuple[Value, Value]:
+def sin_cos(x: Number) -> tuple[Number, Number]:
     """Sine and cosine, of angles up to a million."""
     code, at = x.code, x.code.at
     shifted, whole = _rounded(x * (2 / math.pi))
@@ -71,7 +74,7 @@ def sin_cos(x: Value) -> tuple[Value, Value]:
     one, two = _constant(code, 1), _constant(code, 2)
     odd = at.icmp_unsigned("==", at.and_(quarters, one), one)
 
-    def signed(number: Value, by: Any) -> Value:
+    def signed(number: Number, by: Any) -> Number:
         flip = at.shl(at.and_(by, two), _constant(code, 62))
         return x.beside(at.bitcast(at.xor(at.bitcast(number.primal, _whole(code)), flip), code.real))
 
@@ -80,14 +83,14 @@ def sin_cos(x: Value) -> tuple[Value, Value]:
     return signed(sine, quarters), signed(cosine, at.add(quarters, one))
 
 
-def _rounded(x: Value) -> tuple[Value, Value]:
+def _rounded(x: Number) -> tuple[Number, Number]:
     """A number whose last bits are the nearest whole number, and that whole number."""
     shifted = x + _ROUNDING
     return shifted, shifted - _ROUNDING
 
 
-def _horner(x: Value, coefficients: list[float]) -> Value:
-    total = x.code.value(coefficients[-1])
+def _horner(x: Number, coefficients: list[float]) -> Number:
+    total: Number = x.code.value(coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
         total = total * x + coefficient
     return total
