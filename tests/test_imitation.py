@@ -20,7 +20,7 @@ from dipc_gym.controllers.designs import paper_model
 from dipc_gym.controllers.tracking import equilibrium, feedback
 from dipc_gym.mechanics.motion import Motion, state_of
 from dipc_gym.policy import Policy
-from dipc_gym.training import train
+from dipc_gym.training import checkpoint, evaluation, folder, train
 from dipc_gym.training.train import Recipe, Rig, Training, TrainingError, evaluate
 
 pytest.importorskip("torch")
@@ -51,8 +51,8 @@ def briefly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Trials of two runs that hold for two seconds are enough to see what becomes of them."""
     monkeypatch.setattr(train, "RUNS", 2)
     monkeypatch.setattr(train, "LOOKS", 2)
-    monkeypatch.setattr(train, "HELD", 2.0)
-    monkeypatch.setattr(train, "RISE", 1.0)
+    monkeypatch.setattr(evaluation, "HELD", 2.0)
+    monkeypatch.setattr(evaluation, "RISE", 1.0)
 
 
 # ------------------------------------------------------------------------------------------------- the teacher
@@ -148,13 +148,13 @@ def test_it_learns_a_plan_that_holds_upright(tmp_path: Path) -> None:
 
 
 def killed_after_first_round(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = train._checkpoint
+    real = checkpoint.write
 
-    def checkpoint(*arguments: Any) -> None:
+    def stopping(*arguments: Any) -> None:
         real(*arguments)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(train, "_checkpoint", checkpoint)
+    monkeypatch.setattr(checkpoint, "write", stopping)
 
 
 def test_a_killed_training_goes_on_to_the_same_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,11 +239,11 @@ def test_a_training_is_not_resumed_with_another_plan(tmp_path: Path) -> None:
     plan = tmp_path / "plan.json"
     PLAN.save(plan)
     wanted = training(plan=str(plan))
-    out = train._folder(wanted, tmp_path / "run", resume=False, overwrite=False)
+    out = folder.prepare(wanted, tmp_path / "run", resume=False, overwrite=False)
     rest_plan(tmp_path)
     plan.write_bytes((tmp_path / "rest.json").read_bytes())
     with pytest.raises(TrainingError, match=r"plan\.json: not the file that the training"):
-        train._folder(wanted, out, resume=True, overwrite=False)
+        folder.prepare(wanted, out, resume=True, overwrite=False)
 
 
 def seen(compensator: str, start: str) -> Policy:

@@ -13,6 +13,7 @@ from dipc_gym import sweep
 from dipc_gym.experiments import compare
 from dipc_gym.safety import files
 from dipc_gym.safety.places import PlaceError, inside
+from dipc_gym.training import folder as training_folder
 from dipc_gym.training import seeds, train
 from dipc_gym.training.train import Recipe, Training
 
@@ -127,7 +128,7 @@ def test_a_link_in_a_training_from_a_stranger_is_not_followed(tmp_path: Path) ->
     pytest.importorskip("stable_baselines3")
     (tmp_path / "mine").mkdir()
     out = tmp_path / "training"
-    train._folder(TINY, out, resume=False, overwrite=False)
+    training_folder.prepare(TINY, out, resume=False, overwrite=False)
     (out / "tensorboard").symlink_to(tmp_path / "mine")
     with pytest.raises(PlaceError, match="tensorboard"):
         train.run(TINY, out, resume=True, quiet=True)

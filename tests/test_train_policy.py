@@ -17,7 +17,7 @@ import pytest
 from dipc_gym import cli
 from dipc_gym.controllers import ControllerError
 from dipc_gym.policy import Policy
-from dipc_gym.training import train
+from dipc_gym.training import checkpoint, folder, train
 from dipc_gym.training.train import RECIPES, Recipe, Rig, Training, TrainingError, evaluate
 
 pytest.importorskip("torch")
@@ -54,15 +54,15 @@ def short(algorithm: Any = "ppo", **changes: Any) -> Training:
 
 
 def killed_after_first_stage(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
-    real, calls = train._checkpoint, []
+    real, calls = checkpoint.write, []
 
-    def checkpoint(*arguments: Any) -> None:
+    def stopping(*arguments: Any) -> None:
         real(*arguments)
         calls.append(1)
         if len(calls) == 1:
             raise error
 
-    monkeypatch.setattr(train, "_checkpoint", checkpoint)
+    monkeypatch.setattr(checkpoint, "write", stopping)
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
@@ -169,7 +169,7 @@ def test_a_full_disk_leaves_the_last_checkpoint_whole(
             train.run(short(), out)
     before = (out / "checkpoint.pt").read_bytes()
     with monkeypatch.context() as patch:
-        real = train.write_whole
+        real = checkpoint.write_whole
 
         def full(path: Path, content: bytes) -> None:
             if Path(path).name == "checkpoint.pt":
@@ -179,7 +179,7 @@ def test_a_full_disk_leaves_the_last_checkpoint_whole(
         def no_space(_: int) -> None:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-        patch.setattr(train, "write_whole", full)
+        patch.setattr(checkpoint, "write_whole", full)
         with pytest.raises(OSError, match=r"No space left on device.* after 4,000.*--resume") as caught:
             train.run(short(), out, resume=True)
         assert caught.value.errno == errno.ENOSPC
@@ -219,11 +219,11 @@ def test_a_training_is_not_resumed_with_another_file(tmp_path: Path) -> None:
     plant = tmp_path / "rig.json"
     plant.write_text('{"friction": {"coulomb": 5.0}}')
     training = short(plant=str(plant))
-    out = train._folder(training, tmp_path / "run", resume=False, overwrite=False)
-    assert train._folder(training, out, resume=True, overwrite=False) == out
+    out = folder.prepare(training, tmp_path / "run", resume=False, overwrite=False)
+    assert folder.prepare(training, out, resume=True, overwrite=False) == out
     plant.write_text('{"friction": {"coulomb": 9.0}}')
     with pytest.raises(TrainingError, match=r"rig\.json: not the file that the training of .*training\.json was begun"):
-        train._folder(training, out, resume=True, overwrite=False)
+        folder.prepare(training, out, resume=True, overwrite=False)
 
 
 class Bomb:
@@ -343,18 +343,18 @@ def test_going_on_needs_the_best_policy_so_far_and_says_so_at_once(
     assert (out / "checkpoint.pt").read_bytes() == before
 
 
-@pytest.mark.parametrize("name", train.FILES)
+@pytest.mark.parametrize("name", folder.FILES)
 def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(name: str, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    train._folder(short(), out, resume=False, overwrite=False)
+    folder.prepare(short(), out, resume=False, overwrite=False)
     (out / name).unlink(missing_ok=True)
     os.mkfifo(out / name)
     with pytest.raises(TrainingError, match=f"{name}: is no file; start anew with --overwrite"):
-        train._folder(short(), out, resume=True, overwrite=False)
-    train._folder(short(), out, resume=False, overwrite=True)
+        folder.prepare(short(), out, resume=True, overwrite=False)
+    folder.prepare(short(), out, resume=False, overwrite=True)
 
 
 def test_what_a_kill_before_the_first_file_leaves_is_no_hindrance(tmp_path: Path) -> None:
     (tmp_path / ".training.json.77.partial").touch()
-    train._folder(short(), tmp_path, resume=False, overwrite=False)
+    folder.prepare(short(), tmp_path, resume=False, overwrite=False)
     assert [path.name for path in tmp_path.iterdir()] == ["training.json"]

@@ -12,7 +12,7 @@ import tyro
 from dipc_gym.cli.options import ending, free, pairs
 
 if TYPE_CHECKING:
-    from dipc_gym.training.train import Training
+    from dipc_gym.training.task import Training
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ from dipc_gym.mechanics.motion import SIZE, Motion, state_of
 from dipc_gym.policy import Policy
 from dipc_gym.safety.intact import fit
 from dipc_gym.training.learner import SCALES, shortest
-from dipc_gym.training.train import Rig, Training
+from dipc_gym.training.rig import Rig
+from dipc_gym.training.task import Training
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,8 @@ from dipc_gym.compensators import OutOfRangeWarning
 from dipc_gym.policy import Policy
 from dipc_gym.safety.intact import fit
 from dipc_gym.sb3 import DIPCFrictionVecEnv
-from dipc_gym.training.train import Rig, Training
+from dipc_gym.training.rig import Rig
+from dipc_gym.training.task import Training
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,8 @@ from dipc_gym.safety.files import write_whole
 from dipc_gym.safety.places import inside
 from dipc_gym.sweep import Backend, Outcome
 from dipc_gym.training import train
-from dipc_gym.training.train import Rig, Training
+from dipc_gym.training.rig import Rig
+from dipc_gym.training.task import Training
 
 KEPT = ("training.json", "policy.json", "compensator.json", "estimator.json", "curve.csv")
 CELLS = "trainings"  # folder for what `sweep.run` writes

@@ -25,8 +25,11 @@ from dipc_gym.policy import Policy
 from dipc_gym.safety import intact
 from dipc_gym.safety.places import PlaceError
 from dipc_gym.sweep import SweepError
-from dipc_gym.training import train
+from dipc_gym.training import checkpoint
+from dipc_gym.training import folder as training_folder
+from dipc_gym.training.rig import Rig
 from dipc_gym.training.seeds import PolicyTraining, keep
+from dipc_gym.training.task import SCHEMA
 from dipc_gym.training.train import Recipe, Training, TrainingError
 
 FIGURES = {
@@ -132,7 +135,7 @@ def _policy_sweep(folder: Path) -> None:
 
 
 def _resumed(folder: Path) -> None:
-    train._folder(TINY, folder / "out", resume=True, overwrite=False)
+    training_folder.prepare(TINY, folder / "out", resume=True, overwrite=False)
 
 
 @functools.cache
@@ -140,7 +143,7 @@ def _learner() -> Any:
     from dipc_gym.training.learner import Learner
 
     linear = np.zeros((6, 6)), np.zeros(6)  # of these nothing is asked where nobody imitates
-    return Learner(TINY, train.Rig(None, "none", 24.0, 4.0, None, None, None, None, linear), None)
+    return Learner(TINY, Rig(None, "none", 24.0, 4.0, None, None, None, None, linear), None)
 
 
 @functools.cache
@@ -149,12 +152,12 @@ def _checkpoint() -> bytes:
 
     out = io.BytesIO()
     look = {"steps": 1_000, "seconds": 1.0, "standing": 0, "held": 0.5, "reward": 0.1}
-    torch.save({"schema": train.SCHEMA, "looks": [look], "learner": _learner().state()}, out)
+    torch.save({"schema": SCHEMA, "looks": [look], "learner": _learner().state()}, out)
     return out.getvalue()
 
 
 def _restore(folder: Path) -> None:
-    looks = train.restore(_learner(), folder / "checkpoint.pt")
+    looks = checkpoint.restore(_learner(), folder / "checkpoint.pt")
     max((past.rank for past in looks), default=(-1, 0.0))
     _learner().keep_average()
     _learner().policy()

@@ -18,8 +18,8 @@ from dipc_gym.sim2real.selection import data, ranking
 from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
-from dipc_gym.sim2real.simulation.memory import loads
 from dipc_gym.sim2real.simulation.windows import Windows
+from dipc_gym.sim2real.unseen.parts import loads
 
 Array = NDArray[np.float64]
 
