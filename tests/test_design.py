@@ -26,9 +26,8 @@ LIMITED = CART.replace('motorconst="0.06"', 'motorconst="0.06" ctrlrange="-3 5"'
 @pytest.fixture(autouse=True)
 def _shortly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Six seconds instead of twenty."""
-    monkeypatch.setattr(design, "DURATION", 6.0)
-    monkeypatch.setattr(design, "SIZES", 0.5 ** np.arange(0.0, 5.0, 1.0))
-    monkeypatch.setattr(design, "ENOUGH", 12)
+    few = replace(design.DESIGN, duration=6.0, sizes=(1.0, 0.5, 0.25, 0.125, 0.0625), enough=12)
+    monkeypatch.setattr(design, "DESIGN", few)
 
 
 @functools.cache
@@ -158,7 +157,7 @@ def test_a_rig_that_falls_needs_its_controller() -> None:
 
 
 def test_a_motor_that_heats_is_watched_for_longer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(design, "WARMING", 12.0)
+    monkeypatch.setattr(design, "DESIGN", replace(design.DESIGN, warming=12.0))
     hot = ("motor.thermal", "motor", {"thermal_resistance": 5.0, "time_constant": 5.0})
     found = propose(CART, hot, ("motor.saturation", "motor", {"limit": 6.0}))
     assert found.commands.duration == pytest.approx(12.0, abs=0.01)

@@ -32,14 +32,33 @@ from dipc_gym.sim2real.simulation.windows import Windows, cut
 
 Array = NDArray[np.float64]
 
-DURATION = 20.0  # s
-WARMING = 60.0  # s, where a temperature is in question
-SIZES = 0.5 ** np.arange(0.0, 5.0, 0.5)  # shares of the largest command that are tried
-BEYOND = 1.05  # times the range visited that a command may use
-ENOUGH = 24  # windows that a command is judged on
-TELLING = 0.3  # times the noise that a rival must be off by to be told from the likeliest in a minute or so
-LOOSEST = 10.0  # standard deviation of a mapped parameter of which nothing is known
-OPEN_LOOP = 0.2  # of the usual command, that may be added where a controller has to keep the rig up
+
+@dataclass(frozen=True)
+class DesignSettings:
+    """Decision constants of which experiment is proposed next.
+
+    Attributes:
+        duration: of the command, s
+        warming: the same where a temperature is in question, s
+        sizes: shares of the largest command that are tried
+        beyond: times the range visited that a command may use
+        enough: windows that a command is judged on
+        telling: times the noise that a rival must be off by to be told from the likeliest in a minute or so
+        loosest: standard deviation of a mapped parameter of which nothing is known
+        open_loop: share of the usual command that may be added where a controller has to keep the rig up
+    """
+
+    duration: float = 20.0
+    warming: float = 60.0
+    sizes: tuple[float, ...] = tuple((0.5 ** np.arange(0.0, 5.0, 0.5)).tolist())
+    beyond: float = 1.05
+    enough: int = 24
+    telling: float = 0.3
+    loosest: float = 10.0
+    open_loop: float = 0.2
+
+
+DESIGN = DesignSettings()
 
 
 @dataclass(frozen=True)
@@ -117,7 +136,7 @@ def propose(
     likeliest, rivals = structures[0], structures[1:]
     period = min(recording.period for recording in recordings)
     warms = any(term.effect.id == "motor.thermal" for structure, _ in structures for term in structure.terms)
-    count = round((WARMING if warms else DURATION) / period)
+    count = round((DESIGN.warming if warms else DESIGN.duration) / period)
     time = np.round(np.arange(count) * period, 9)
     rest, low, high = _visited(motions)
     rig = _Rig(likeliest, problem, recordings[0], time, rest, low, high)
@@ -146,7 +165,7 @@ def propose(
 def _outlook(worth: float, rivals: bool) -> str:
     if not rivals:
         return "Of the commands tried it determines the parameters best."
-    if worth < TELLING:
+    if worth < DESIGN.telling:
         return (
             f"Do not expect much: within this range no command leaves the closest rival off by more than {worth:.2g} "
             "times the noise. Go beyond the range, change the load, or add a sensor."
@@ -158,7 +177,7 @@ def _visited(motions: Sequence[Motion]) -> tuple[Array, Array, Array]:
     """Usual, lowest and highest position of each base joint, (nb,) each."""
     position = np.concatenate([motion.position for motion in motions])
     low, high = position.min(axis=0), position.max(axis=0)
-    spare = (BEYOND - 1) / 2 * (high - low)
+    spare = (DESIGN.beyond - 1) / 2 * (high - low)
     return np.median(position, axis=0), low - spare, high + spare
 
 
@@ -243,7 +262,7 @@ class _Rig:
         windows = replace(cut([run], noise, length, (0.0, 1.0)), motions=(motion,))
         initial = initial_states([motion], windows.source, windows.start)
         whole = replace(self.problem, windows=windows, initial=initial)
-        return whole.pick(np.unique(np.linspace(1, len(windows) - 1, ENOUGH).round().astype(np.intp)))
+        return whole.pick(np.unique(np.linspace(1, len(windows) - 1, DESIGN.enough).round().astype(np.intp)))
 
 
 def _sized(rig: _Rig, recordings: Sequence[Recording], time: Array, seed: int) -> list[_Candidate]:
@@ -254,9 +273,9 @@ def _sized(rig: _Rig, recordings: Sequence[Recording], time: Array, seed: int) -
         most = _largest(rig, recordings, k)
         for words, (shape, share) in SHAPES.items():
             wave = shape(time, np.random.default_rng(seed)) * fade
-            tried += [_Candidate(words, k, share * most * size, share * most * size * wave) for size in SIZES]
-    stays = rig.stays(np.stack([rig.commands(candidate) for candidate in tried])).reshape(-1, len(SIZES))
-    return [tried[i * len(SIZES) + int(np.argmax(row))] for i, row in enumerate(stays) if row.any()]
+            tried += [_Candidate(words, k, share * most * size, share * most * size * wave) for size in DESIGN.sizes]
+    stays = rig.stays(np.stack([rig.commands(candidate) for candidate in tried])).reshape(-1, len(DESIGN.sizes))
+    return [tried[i * len(DESIGN.sizes) + int(np.argmax(row))] for i, row in enumerate(stays) if row.any()]
 
 
 def _largest(rig: _Rig, recordings: Sequence[Recording], actuator: int) -> float:
@@ -285,7 +304,7 @@ def _worth(
         free = replace(structure, model_parameters=tuple(model_parameters(structure.document, structure.model)))
         structure, z = free, free.first
     A = fit(would, structure, z, most=0).quadratics.A.sum(axis=0)
-    known = replace(structure.prior, precision=np.maximum(structure.prior.precision, 1 / LOOSEST**2))
+    known = replace(structure.prior, precision=np.maximum(structure.prior.precision, 1 / DESIGN.loosest**2))
     return -float(np.sqrt(np.diag(np.linalg.inv(known.in_covariance(A, np.ones(1)))).max()))
 
 
@@ -316,9 +335,9 @@ def _beside_a_controller(
     like = recordings[0]
     usual = np.sqrt(np.mean(np.concatenate([r.commands for r in recordings]) ** 2, axis=0))
     rng = np.random.default_rng(seed)
-    commands = np.stack([OPEN_LOOP * size * _tones(time, rng) for size in usual], axis=1)
+    commands = np.stack([DESIGN.open_loop * size * _tones(time, rng) for size in usual], axis=1)
     sizes = " and ".join(
-        f"{OPEN_LOOP * size:.3g}{_unit(structures[0][0], like, k)} to {name}"
+        f"{DESIGN.open_loop * size:.3g}{_unit(structures[0][0], like, k)} to {name}"
         for k, (size, name) in enumerate(zip(usual, like.actuator_names, strict=True))
     )
     return Design(

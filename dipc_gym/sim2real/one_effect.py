@@ -18,10 +18,9 @@ from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.segments import prepare
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Term, carry
+from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict.improve import place_units
-
-LONGEST_STEP = 2e-3  # s; of the analysis, as in a diagnosis
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ def fit_effect(
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given = physics.load(source)
     mjcf.check_supported(given.model, source.name)
-    step = min(LONGEST_STEP, *(r.period for r in recordings))
+    step = min(WINDOWS.coarsest, *(r.period for r in recordings))
     ready = prepare(source, given, recordings, Stepping(step, mujoco.mjtIntegrator.mjINT_RK4), threads=threads)
     fitted = ready.problem.pick(np.arange(0, len(ready.problem.windows), 2))
     comparison = ready.problem.pick(np.arange(1, len(ready.problem.windows), 2))

@@ -24,6 +24,7 @@ class EstimationSettings:
         block: s, within which neighbouring windows count as one when errors are compared
         tries: of a step, each more damped than the one before
         near: usual square error up to which a fit is near the noise
+        typical: share of the windows that the usual square error is not below
         trusted: share of the fall that derivatives foretold, from which they are good for another step
         lag: part of the log square error that initial states could still explain, from which they are corrected
         far_out: times the usual square error, from which something else happened in a window
@@ -45,6 +46,7 @@ class EstimationSettings:
     block: float = 1.0
     tries: int = 5
     near: float = 2.0
+    typical: float = 0.8
     trusted: float = 0.5
     lag: float = 0.02
     far_out: float = 4.0

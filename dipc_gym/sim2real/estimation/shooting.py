@@ -218,7 +218,7 @@ def typical(mse: Array) -> float:
     windows in which something else happened decide nothing. Where no structure comes down to the noise, a median in
     its place would let a structure win on the quiet half of the windows that fails wherever the motion is fast.
     """
-    return max(1.0, float(np.quantile(mse, 0.8)))
+    return max(1.0, float(np.quantile(mse, ESTIMATION.typical)))
 
 
 def common_error(mse: Array) -> float:

@@ -20,6 +20,7 @@ from dipc_gym.sim2real.effects.base import Effect, Parameter
 from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.prior import Prior
+from dipc_gym.sim2real.model.settings import MODEL
 from dipc_gym.sim2real.unseen.parts import loads
 
 Array = NDArray[np.float64]
@@ -27,10 +28,7 @@ Array = NDArray[np.float64]
 _models: dict[tuple[int, bytes], Physics] = {}  # compiled lately; a fit asks for the same ones again
 _numbers = itertools.count()
 
-WARM = 0.06  # s that bristles, currents and delays need to reach their state
-FAST = 5e-4  # s, longest step for what moves within milliseconds
 _KEPT = 64  # models that stay compiled, of all structures; each takes a tenth of a megabyte
-FARTHEST = 4.0  # standard deviations of its prior by which a model parameter may move
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ class Structure:
     def __post_init__(self) -> None:
         slots = []
         for n in self.model_parameters:
-            centre, reach = math.log((n.expected or n.value) / n.value), FARTHEST * n.sigma
+            centre, reach = math.log((n.expected or n.value) / n.value), MODEL.farthest * n.sigma
             low, high = n.value * math.exp(centre - reach), n.value * math.exp(centre + reach)
             slots.append(Slot(n.key, n.unit, low, high, True, n.value, n.sigma, centre))
         for term in self.terms:
@@ -247,7 +245,7 @@ class Structure:
         """S that the nominal model needs: windings, bristles, lagging sensors and joints behind a gap remember."""
         if self._hides:
             return SWING if np.any(self.model.tendon_stiffness > 0) else SETTLE
-        return WARM if self.model.na > 0 or self._own_lag else 0.0
+        return MODEL.warm if self.model.na > 0 or self._own_lag else 0.0
 
     @functools.cached_property
     def _hides(self) -> bool:
@@ -274,12 +272,12 @@ class Structure:
     def own_finest(self) -> float:
         """Longest step that the model's own currents, bristles, rotors and lags bear under explicit integration, s."""
         model, kind = self.model, mujoco.mjtDyn
-        finest = FAST if self._hides or self._own_lag else math.inf
+        finest = MODEL.fast if self._hides or self._own_lag else math.inf
         for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
             if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:
-                finest = min(finest, FAST, numbers[0])
+                finest = min(finest, MODEL.fast, numbers[0])
             if dynamics == kind.mjDYN_DCMOTOR and numbers[5] > 0:  # bristles
-                finest = min(finest, FAST)
+                finest = min(finest, MODEL.fast)
             if dynamics == kind.mjDYN_FILTER:
                 finest = min(finest, numbers[0])
         return float(finest)

@@ -20,6 +20,7 @@ from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.parameters import ModelParameter, Wishes, fixed_masses, model_parameters
 from dipc_gym.sim2real.selection import data
 from dipc_gym.sim2real.selection.settings import WINDOWS
@@ -198,7 +199,7 @@ def _standstill(prepared: Prepared) -> str:
     """Why these recordings tell nothing, or an empty string."""
     positions = np.concatenate([m.position for m in prepared.motions])
     nb = positions.shape[1]
-    noise = prepared.problem.spread[:nb] / 5
+    noise = prepared.problem.spread[:nb] / ESTIMATION.loose
     still = positions.std(axis=0) < WINDOWS.still * noise
     if still.all():
         return (

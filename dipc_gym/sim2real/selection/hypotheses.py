@@ -117,7 +117,7 @@ def _bases(phase: Phase, progress: Progress) -> list[Fit]:
     current, anchor = progress.current, progress.anchor
     if phase == Phase.NO_KIND or anchor is None or current.structure.terms:
         return [current]
-    far = np.abs(current.z - anchor.z).max(initial=0.0) >= 0.1
+    far = np.abs(current.z - anchor.z).max(initial=0.0) >= SEARCH.moved
     return [current, anchor] if far else [current]
 
 

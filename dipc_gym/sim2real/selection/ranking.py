@@ -27,7 +27,7 @@ def quiet(fitted: Fit) -> bool:
 
 def alike(difference: Improvement, gained: float) -> bool:
     """Whether a fit predicts as well as the best: by the standard error, or within a fiftieth of its gain."""
-    return difference.alike and difference.gain < 0.02 * gained + SCORE.worth
+    return difference.alike and difference.gain < SCORE.share * gained + SCORE.worth
 
 
 def updated(tried: Sequence[Tried], news: Sequence[Tried]) -> list[Tried]:

@@ -253,7 +253,7 @@ def excludes(present: Effect, other: Effect) -> bool:
 
 def _scaled(term: Term, size: float) -> Term:
     """A guess made `size` times as strong, where the response is linear."""
-    if abs(size) < 0.05 or not term.effect.linear:
+    if abs(size) < SEARCH.scaled or not term.effect.linear:
         return term
     return replace(term, guess={**term.guess, **{name: size * term.guess[name] for name in term.effect.linear}})
 

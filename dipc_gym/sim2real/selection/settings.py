@@ -45,6 +45,7 @@ class ScoreSettings:
         large: improvement of the mean log square error (an error one fifth smaller) that no chance brings about
         alike: standard errors within which two fits are not told apart
         worth: smallest improvement of the mean log square error that is worth an effect
+        share: part of a gain within which another fit predicts as well
         quiet: usual square error up to which windows are at the noise
         telling: blocks that tell two fits apart at the noise, if no other says the opposite
         at_floor: times the noise: a structure that predicts as well as this lacks nothing
@@ -56,6 +57,7 @@ class ScoreSettings:
     large: float = 0.5
     alike: float = 2.0
     worth: float = 0.02
+    share: float = 0.02
     quiet: float = 1.5
     telling: int = 3
     at_floor: float = 1.2
@@ -72,6 +74,9 @@ class SearchSettings:
     Attributes:
         subset: windows that a sketch has at least
         finalists: hypotheses, or pairs, sketched in a round
+        foretold: share of the largest predicted gain from which a hypothesis is sketched
+        moved: of a mapped parameter, from which effects are also tried on top of the nominal ones
+        scaled: share of a first guess, below which its best size by a straight line is not believed
         twin: cosine between the responses to two hypotheses from which they are one and the same
         rough: share of its objective by which a step must lower it where fits only compete
         most_effects: effects that are added
@@ -101,6 +106,9 @@ class SearchSettings:
 
     subset: int = 18
     finalists: int = 6
+    foretold: float = 0.1
+    moved: float = 0.1
+    scaled: float = 0.05
     twin: float = 0.999
     rough: float = 5e-3
     most_effects: int = 6

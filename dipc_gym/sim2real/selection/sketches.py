@@ -18,7 +18,7 @@ from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 def least(fitter: Fitter, term: Term) -> float:
     """Share of the largest predicted gain from which a hypothesis is sketched; more for what takes fine steps."""
-    return SEARCH.keeps_up if fitter.slow(term) else 0.1
+    return SEARCH.keeps_up if fitter.slow(term) else SEARCH.foretold
 
 
 def in_turn(

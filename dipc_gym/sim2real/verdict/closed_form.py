@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-Array = NDArray[np.float64]
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
-PLACES = 7  # starts along the input, of what sits somewhere
-WIDTHS = (0.02, 0.07, 0.25)  # starts, in lengths of the table
-SINGULAR = 1e-10  # share of the largest, below which a direction of the table is not known at all
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -44,8 +42,8 @@ class Term:
 
 
 def _spots(low: float, high: float) -> list[tuple[float, ...]]:
-    places = np.linspace(low, high, PLACES + 2)[1:-1].tolist()
-    return [(place, width * (high - low)) for place in places for width in WIDTHS]
+    places = np.linspace(low, high, VERDICT.places + 2)[1:-1].tolist()
+    return [(place, width * (high - low)) for place in places for width in VERDICT.widths]
 
 
 def _column(x: Array) -> Array:
@@ -73,7 +71,7 @@ GRAMMAR = (
         "exponential",
         ("scale",),
         lambda x, p: _column(np.exp(-np.abs(x) / max(abs(p[0]), 1e-12))),
-        lambda low, high: [(width * high,) for width in WIDTHS],
+        lambda low, high: [(width * high,) for width in VERDICT.widths],
         one_sided=True,
     ),
 )
@@ -146,7 +144,7 @@ def closed_form(x: Array, values: Array, precision: Array, samples: int) -> Form
         '2 N and a Gaussian of 3 N, 0.2 m wide, at 0.3 m'
     """
     size, axes = np.linalg.eigh(0.5 * (precision + precision.T))
-    known = size > SINGULAR * max(float(size.max()), 1e-300)
+    known = size > VERDICT.singular * max(float(size.max()), 1e-300)
     root = np.sqrt(size[known])[:, None] * axes[:, known].T
     price = math.log(max(samples, 2))
     allowed = [term for term in GRAMMAR if not term.one_sided or x[0] >= 0]

@@ -40,11 +40,11 @@ from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.simulation.windows import Windows
 from dipc_gym.sim2real.verdict.conclude import Conclusion
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
 
 LAGS = 60  # of the autocorrelation shown
-WHITE = 0.1  # an autocorrelation below this at every lag shown passes for noise; quantisation leaves a little
 NOTHING = np.zeros(0)
 
 
@@ -237,7 +237,7 @@ def _residuals(w: Windows, before: Array, after: Array | None) -> Iterator[Senso
 
 def _said(sensor: str, white: float, next_to: float, size: float) -> str:
     """Whether what is left of a sensor looks like noise: by how it correlates, and by its size, times the noise."""
-    if white < WHITE:
+    if white < VERDICT.white:
         return f"What is left of {sensor} looks like noise: no lag correlates by more than {white:.2f}."
     if size <= SCORE.at_floor:
         return (

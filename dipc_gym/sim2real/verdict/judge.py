@@ -107,8 +107,8 @@ def rivals(search: Searched, full: Fit, term: Term) -> list[Rival]:
         search.fitter.remember(swapped)
         difference = search.scorer.compare(full, swapped)
         reached = search.scorer.comparison_error(swapped)
-        close = difference.alike and difference.gain < 5 * SCORE.worth
-        same = close and difference.gain < SCORE.worth and reached < max(SCORE.at_floor, 1.02 * error)
+        close = difference.alike and difference.gain < VERDICT.told_apart * SCORE.worth
+        same = close and difference.gain < SCORE.worth and reached < max(SCORE.at_floor, VERDICT.same * error)
         better = len(others) == 1 and _better(search, swapped, full)
         if same or len(others) == 1:
             found += [Rival(other, swapped, same, not close, better) for other in others]
@@ -190,11 +190,12 @@ def _region(scene: Scene, j: int) -> tuple[str, float]:
         return "spread over position, velocity, load and time alike", most
     if best != "velocity":
         return f"goes with {best} ({percent})", most
-    slow = np.abs(v) < 0.2 * np.std(v)
+    slow = np.abs(v) < VERDICT.slow * np.std(v)
     forward, backward = force[~slow & (v > 0)], force[~slow & (v < 0)]
     step = abs(float(np.mean(forward) - np.mean(backward))) if len(forward) and len(backward) else 0.0
     slope = abs(float(np.polyfit(v, force, 1)[0])) * 2 * float(np.std(v))
-    if step > 1.5 * slope or np.mean(np.abs(force[slow])) > 1.3 * np.mean(np.abs(force[~slow])):
+    at_rest = np.mean(np.abs(force[slow]))
+    if step > VERDICT.step * slope or at_rest > VERDICT.stronger * np.mean(np.abs(force[~slow])):
         return f"changes sign with velocity, at reversals ({percent})", most
     return f"grows with velocity ({percent})", most
 

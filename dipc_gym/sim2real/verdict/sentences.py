@@ -155,10 +155,11 @@ def not_in_test(before: float, test: float) -> str:
 def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
     """Notes where predictions and forces disagree on whether the improved model is better."""
     notes = []
+    less, more = VERDICT.disagree
     for at, e in force.items():
-        if errors.improved < 0.9 * errors.recalibrated and e.improved > 1.1 * e.recalibrated:
+        if errors.improved < less * errors.recalibrated and e.improved > more * e.recalibrated:
             better, worse = "predicts motion better", "forces"
-        elif errors.improved > 1.1 * errors.recalibrated and e.improved < 0.9 * e.recalibrated:
+        elif errors.improved > more * errors.recalibrated and e.improved < less * e.recalibrated:
             better, worse = "explains forces better", "motion"
         else:
             continue

@@ -48,6 +48,17 @@ class VerdictSettings:
         modelled: share of the error beyond the noise that a law without a name may leave to have modelled it
         elsewhere: times the noise on windows compared on, from which test data at the noise give no all-clear
         stands_in: share of the error left over from which a named effect merely stands in for something unknown
+        told_apart: times the smallest gain that is worth an effect, from which a rival is ruled out
+        same: times the error that a rival may leave and be the same model
+        slow: share of the spread of velocities, below which motion is slow: near reversals
+        step: times what a force grows by with velocity, that it must change by with its sign to change at reversals
+        stronger: times the mean force of fast motion, that it must have in slow motion to be one of reversals
+        disagree: times the error of the recalibrated model, from which motion or forces are better, or worse, explained
+        white: of the autocorrelation at every lag shown, below which residuals pass for noise; quantisation leaves a
+            little
+        places: starts along the input, for a formula of what sits somewhere
+        widths: starts for its width, in lengths of the table
+        singular: share of the largest, below which a direction of a table is not known at all
         at_limit: share of itself, from which a parameter stands at its limit
         widest: half width of an interval, as a logarithm, from which on it says nothing; a parameter is mapped no
             further
@@ -71,6 +82,16 @@ class VerdictSettings:
     modelled: float = 0.5
     elsewhere: float = 2.0
     stands_in: float = 0.2
+    told_apart: float = 5.0
+    same: float = 1.02
+    slow: float = 0.2
+    step: float = 1.5
+    stronger: float = 1.3
+    disagree: tuple[float, float] = (0.9, 1.1)
+    white: float = 0.1
+    places: int = 7
+    widths: tuple[float, ...] = (0.02, 0.07, 0.25)
+    singular: float = 1e-10
     at_limit: float = 1e-3
     widest: float = 50.0
     free: float = 1.0
