@@ -7,7 +7,7 @@ Ctrl-C ends, is left out and said to be; the others go on.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 from dipc_gym.sim2real.selection.stop import Stop
 
@@ -18,8 +18,11 @@ class Late:
     """Runs stages and keeps notes on those that were left out.
 
     Attributes:
+        strict: whether a failure ends the diagnosis; the tests set it, or they would pass whatever fails.
         notes: what the reader of the diagnosis should know, in sentences.
     """
+
+    strict: ClassVar[bool] = False
 
     def __init__(self, stop: Stop) -> None:
         self._stop = stop
@@ -42,6 +45,8 @@ class Late:
             self._stop.ask("writing what was found")
             return otherwise()
         except Exception as error:  # whatever it is, what was found before stands
+            if self.strict:
+                raise
             said = str(error).strip().splitlines()
             why = f"{type(error).__name__}: {said[0]}" if said else type(error).__name__
             self.notes.append(
