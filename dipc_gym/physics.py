@@ -97,6 +97,12 @@ def friction_along(data: Array, now: Moment) -> Array:
     return np.maximum(_tabulated(data[..., 2:], (now.position - first) / (last - first)), 0.0)
 
 
+def friction_over_time(data: Array, now: Moment) -> Array:
+    """Dry friction interpolated over time; data: first and last time, then levels at equal distances."""
+    first, last = data[..., 0], data[..., 1]
+    return np.maximum(_tabulated(data[..., 2:], (now.time - first) / (last - first)), 0.0)
+
+
 def _tabulated(table: Array, share: Array) -> Array:
     """A table (..., k) of equal distances at a share of its length; beyond its ends it goes on as it ends."""
     if not isinstance(table, np.ndarray):  # of the engine, which writes code for it
@@ -199,6 +205,7 @@ MOST_NUMBERS = 3 * MOST_LEVELS  # of any entry
 HEAD = 16  # numbers of an entry that say more than one level of a table
 
 _TABLES = frozenset({"motor.map"})
+_EVEN = frozenset({"friction.position", "friction.time"})  # tables of equal distances between two ends
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
 
 _rules: dict[str, tuple[Stage, Rule]] = {
@@ -208,6 +215,7 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     "timing.sensor_lag": ("lag", lag),
     "friction.position": ("friction", friction_along),
     "motor.map": ("command", command_map),
+    "friction.time": ("friction", friction_over_time),
     "friction.wave": ("friction", friction_wave),
     "friction.load": ("friction", friction_under_load),
     "disturbance.periodic": ("force", periodic_force),
@@ -296,7 +304,7 @@ class Physics:
     @property
     def pressed(self) -> bool:
         """Whether dry friction may depend on the forces at its joint, and not on where it is alone."""
-        alone = (friction_along, friction_wave)
+        alone = (friction_along, friction_over_time, friction_wave)
         return any(extra.stage == "friction" and _rules[extra.effect][1] not in alone for extra in self.extras)
 
     def command(self, ctrl: Array, time: Array | float = 0.0) -> Array:
@@ -474,6 +482,8 @@ def _fault(extra: Extra) -> str:
         return f": number {wild[0] + 1} is {numbers[wild[0]]:g}"
     if extra.effect in _TABLES and len(numbers) % 2 == 0 and not _increase(numbers[: len(numbers) // 2]):
         return ": its knots do not increase"
+    if extra.effect in _EVEN and len(numbers) > 1 and not _increase(numbers[:2]):
+        return f": it goes from {numbers[0]:g} to {numbers[1]:g}"
     if extra.effect != RESIDUAL or len(numbers) < 3 or not np.all(numbers[1:3] == np.round(numbers[1:3])):
         return ""
     m, n = int(numbers[1]), int(numbers[2])
@@ -504,6 +514,8 @@ def _usable(extra: Extra) -> bool:
         knots = numbers[: len(numbers) // 2]
         if len(numbers) % 2 or not 2 <= len(knots) <= MOST_KNOTS or not _increase(knots):
             return False
+    if extra.effect in _EVEN and not _increase(numbers[:2]):
+        return False
     if extra.effect == RESIDUAL and not _is_surface(extra):
         return False
     # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on. Levels

@@ -63,6 +63,7 @@ CONTRACT = [
     "disturbance.periodic",
     "disturbance.pulse",
     "friction.speed",
+    "friction.time",
     "friction.hysteresis",
     "load.swinging",
     "load.creeping",

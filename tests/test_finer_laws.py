@@ -7,13 +7,16 @@ import pytest
 import sim2real_rigs
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sim2real_rigs import CART, record, sweep
 
-from dipc_gym import mjcf
+from dipc_gym import mjcf, physics
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.effects.base import Effect, Evidence
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
+from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.surfaces import Surface, surfaces
@@ -175,3 +178,26 @@ def test_a_joints_own_motion_is_tried_beside_what_tells_most() -> None:
     tried = [effect.shape.inputs for effect, _ in UnknownForce().proposals(evidence)]
     assert "command motor" in tried[0]
     assert set(tried[-1]) == {"position cart", "velocity cart"}
+
+
+def test_friction_that_warms_up_is_named_with_its_formula() -> None:
+    """It rises by 2.5 N with a time constant of 5 s, in each recording anew."""
+    stamps = np.linspace(0.0, 20.0, 41)
+    document = Document(mjcf.from_text(CART))
+    hidden = FrictionOfTime(stamps.tolist(), (2.0 + 2.5 * (1 - np.exp(-stamps / 5.0))).tolist())
+    hidden.edit(document, "cart", hidden.guess)
+    rig = physics.from_model(mjcf.compile(document.text()))
+    runs = [record(rig, sweep(strength), 20.0, noise=(1e-5,), step=1e-4) for strength in (4.0, 5.0)]
+    few = [catalogue()[name] for name in ("friction.coulomb", "friction.speed", "friction.time", "drag.quadratic")]
+    found = diagnose(mjcf.from_text(CART), runs[:1], runs[1:], effects=few)
+    assert [(one.effect, one.at) for one in found.missing if one.effect != "unknown"] == [("friction.time", "cart")]
+    law = found.missing[0].law
+    assert law is not None
+    assert law["of"] == ["time"]
+    (term,) = law["formula"]["terms"]
+    assert term["kind"] == "exponential"
+    assert term["scale"] == pytest.approx(5.0, rel=0.1)
+    assert term["factors"][0] == pytest.approx(-2.5, rel=0.05)
+    assert found.held_out is not None
+    assert found.held_out.improved < 0.01 * found.held_out.recalibrated
+    assert found.to_dict()["needs_dipc_gym"]

@@ -362,6 +362,7 @@ RULES = [(effect, stage) for effect, stage, _ in physics.rules() if stage != "la
     rising=st.booleans(),
 )
 @example(("motor.map", "command"), [0.0, 1.0, 1.0, 1.0, 1.0, 1e-320], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0], True)
+@example(("friction.time", "friction"), [0.0, 0.0, -1.0, -1.0], [0.0] * 6, True)
 def test_an_entry_that_is_let_in_gives_a_number_wherever_the_joint_is(
     rule: tuple[str, physics.Stage], numbers: list[float], at: list[float], rising: bool
 ) -> None:

@@ -285,6 +285,16 @@ def creeping(rig: Rig, *more: Parameter, kind: str = "") -> Effect:
     return Effect("load.creeping", rig.joints[0], (pulls, gives, *more), kind=kind, alike=("load.creeping",))
 
 
+def warming(rig: Rig) -> Effect:
+    """Dry friction that grows while the rig runs, the slower the longer, at the driven joint."""
+    force, (n, _) = rig.force[0], _units(rig, 0)
+    grows = Parameter("drift", n, index("drift"), 0.05 * force, 0.3 * force)
+    takes = Parameter("drift_time", "s", index("drift_time"), 3.0, 10.0)
+    level = Parameter("level", n, index("coulomb", 0), 0.05 * force, 0.25 * force)
+    kind = "dry friction that grows over the recording"
+    return Effect("friction.time", rig.joints[0], (grows, takes, level), kind=kind, alike=("friction.time",))
+
+
 def unknowns(rig: Rig) -> list[Effect]:
     """Physics that is in no catalogue, at the driven joint."""
     at = rig.joints[0]
@@ -293,17 +303,6 @@ def unknowns(rig: Rig) -> list[Effect]:
     level = Parameter("level", n, index("coulomb", 0), 0.05 * force, 0.25 * force)
     part = ("friction.coulomb",)
     found = [
-        Effect(
-            "unknown",
-            at,
-            (
-                Parameter("drift", n, index("drift"), 0.05 * force, 0.3 * force),
-                Parameter("drift_time", "s", index("drift_time"), 3.0, 10.0),
-                level,
-            ),
-            includes=part,
-            kind="dry friction that grows over the recording",
-        ),
         Effect(
             "unknown",
             at,

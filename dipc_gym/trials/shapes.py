@@ -8,7 +8,7 @@ on straight springs, its creeping springs creep in proportion: none of these can
 from __future__ import annotations
 
 from dipc_gym.trials import integrator
-from dipc_gym.trials.catalogue import creeping, unknowns
+from dipc_gym.trials.catalogue import creeping, unknowns, warming
 from dipc_gym.trials.hidden import Effect, Parameter
 from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import Rig
@@ -93,6 +93,7 @@ def named(rig: Rig) -> list[Effect]:
             Parameter("creep_width", m, index("creep_width"), 0.05 * span, 0.5 * span),
             kind="spring that creeps the faster the more it is bent",
         ),
+        warming(rig),
     ]
     return [law for law in found if not (rig.name == "motor_axis" and law.name.endswith(".position"))]
 
@@ -122,7 +123,7 @@ def nameless(rig: Rig) -> list[Effect]:
     ]
     if rig.name == "motor_axis":  # goes round and round
         found = []
-    found += [other for other in unknowns(rig) if other.kind.startswith(("breakaway", "dry friction"))]
+    found += [other for other in unknowns(rig) if other.kind.startswith("breakaway")]
     if rig.count > 1:
         pull = rig.force[1]
         found.append(

@@ -131,17 +131,29 @@ def _said(kind: str, factors: Sequence[float], p: dict[str, float], unit: str, p
 def closed_form(x: Array, values: Array, precision: Array, samples: int) -> Formula | None:
     """The formula in the place of a table; None where no formula says as much for fewer parameters.
 
-    Args:
-        x: knots, (m,), increasing.
-        values: at the knots, (m,).
-        precision: inverse covariance of the values, (m, m).
-        samples: that told them: windows, or readings.
+    See `formulas`, of which it is the last.
 
     Example:
         >>> x = np.linspace(-1, 1, 21)
         >>> found = closed_form(x, 2 + 3 * np.exp(-0.5 * ((x - 0.3) / 0.2) ** 2), 1e4 * np.eye(21), 100)
         >>> found.text("N", "m")
         '2 N and a Gaussian of 3 N, 0.2 m wide, at 0.3 m'
+    """
+    found = formulas(x, values, precision, samples)
+    return found[-1] if found else None
+
+
+def formulas(x: Array, values: Array, precision: Array, samples: int) -> list[Formula]:
+    """Formulas for a table, each with more parameters than the one before, and nearer; none where none is worth it.
+
+    The last says as much as the table for fewer parameters. A table is straight between its knots and the law that it
+    stands for is not, so one before may predict as well.
+
+    Args:
+        x: knots, (m,), increasing.
+        values: at the knots, (m,).
+        precision: inverse covariance of the values, (m, m).
+        samples: that told them: windows, or readings.
     """
     size, axes = np.linalg.eigh(0.5 * (precision + precision.T))
     known = size > VERDICT.singular * max(float(size.max()), 1e-300)
@@ -156,8 +168,12 @@ def closed_form(x: Array, values: Array, precision: Array, samples: int) -> Form
     if best[1] + best[2] * price < nothing[1] + nothing[2] * price:
         first = next(term for term in allowed if term.kind == best[0].terms[0][0])
         found += [_fitted((first, term), x, values, root) for term in allowed]
-    chosen, left, parameters = min(found, key=lambda one: one[1] + one[2] * price)
-    return chosen if left + parameters * price < int(known.sum()) * price else None
+    _, left, most = last = min(found, key=lambda one: one[1] + one[2] * price)
+    if left + most * price >= int(known.sum()) * price:
+        return []
+    counts = sorted({parameters for _, _, parameters in found if parameters < most})
+    plainer = [min((one for one in found if one[2] == count), key=lambda one: one[1]) for count in counts]
+    return [formula for formula, _, _ in (*plainer, last)]
 
 
 def _fitted(terms: Sequence[Term], x: Array, values: Array, root: Array) -> tuple[Formula, float, int]:

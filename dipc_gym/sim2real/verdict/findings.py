@@ -23,7 +23,7 @@ from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import improve, judge, sentences
-from dipc_gym.sim2real.verdict.closed_form import Formula, closed_form
+from dipc_gym.sim2real.verdict.closed_form import Formula, formulas
 from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -210,7 +210,7 @@ def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[
 
 
 def _formula(search: Searched, final: Fit, term: Term) -> Formula | None:
-    """The formula that a law of one input may be said by: one that predicts all windows as well as its table does."""
+    """The plainest formula that predicts all windows as well as the table of a law of one input does, if any."""
     effect = term.effect
     if not isinstance(effect, Law) or isinstance(effect, Hysteresis):
         return None
@@ -221,14 +221,14 @@ def _formula(search: Searched, final: Fit, term: Term) -> Formula | None:
     scale = np.array([slots[i].scale for i in own])
     covariance = np.linalg.pinv(curvature, hermitian=True)[np.ix_(own, own)] * np.outer(scale, scale)
     knots, values = np.array(effect.knots), np.array([slots[i].value(final.z[i]) for i in own])
-    found = closed_form(knots, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows))
-    if found is None:
-        return None
-    z = final.z.copy()
-    z[own] = [slots[i].mapped(value) for i, value in zip(own, found(knots), strict=True)]
-    z = final.structure.clip(z)
-    with_formula, _ = evaluate(problem, final.structure, z, final.initial)
-    return found if compare(final.mse, with_formula, problem.blocks).alike else None
+    for found in formulas(knots, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows)):
+        z = final.z.copy()
+        z[own] = [slots[i].mapped(value) for i, value in zip(own, found(knots), strict=True)]
+        z = final.structure.clip(z)
+        with_formula, _ = evaluate(problem, final.structure, z, final.initial)
+        if compare(final.mse, with_formula, problem.blocks).alike:
+            return found
+    return None
 
 
 def _rival(rival: judge.Rival, test: Problem, errors: Errors) -> dict[str, Any]:
