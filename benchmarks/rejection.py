@@ -1,7 +1,8 @@
 r"""How well pairs of estimator and compensator hold many rigs, all rigs of a pair at once in the vector environment.
 
     dipc-gym compare --out runs/rejection --seeds 20 --estimator disturbance --seconds 1 --compensator \
-        feedforward,stribeck,friedland,mlp,llnf,llnf_lagged,llnf_adaptive,maxwell_slip,history,history_adapted
+        feedforward,stribeck,friedland,mlp,llnf,llnf_lagged,llnf_adaptive,maxwell_slip,history,history_adapted,\
+        disturbance_observer
     python -m benchmarks.rejection runs/rejection
     python -m benchmarks.rejection runs/rejection --axis friction --values 0.25,0.5,1,2,4 --seconds 20
 
@@ -37,7 +38,7 @@ from dipc_gym.policy import Policy
 from dipc_gym.runs import Impulse
 from dipc_gym.vector import DIPCFrictionVectorEnv
 
-POLICY = "dipc_gym/policies/ppo-llnf.json"
+POLICY, OBSERVING = (f"dipc_gym/policies/{name}.json" for name in ("ppo-llnf", "ppo-observed"))
 ESTIMATORS = (
     *(("differences", "none"), ("differences", "llnf"), ("differences", "lugre")),
     *(("kalman", "none"), ("kalman", "lugre"), ("kalman", "ideal"), ("kalman_friction", "lugre")),
@@ -45,13 +46,14 @@ ESTIMATORS = (
     *(("ekf", "lugre"), ("ekf", "observed")),
 )
 COMPENSATORS = ("feedforward", "stribeck", "friedland", "mlp", "llnf", "llnf_lagged", "llnf_adaptive", "maxwell_slip")
+OTHERS = ("history", "history_adapted", "disturbance_observer")
 PAIRS = (
     *(("lqr", *pair) for pair in ESTIMATORS),
-    *(("lqr", "kalman", name) for name in (*COMPENSATORS, "history", "history_adapted")),
+    *(("lqr", "kalman", name) for name in (*COMPENSATORS, *OTHERS)),
     *(("lqr_cart", "differences", "none"), ("lqr_cart", "kalman", "llnf"), ("lqr_cart", "kalman", "history_adapted")),
     *(("lqr_cart", "kalman", "lugre"), ("lqr_cart", "disturbance", "observed"), ("lqr_cart", "ekf", "observed")),
     *(("lqr_quiet", "disturbance", "observed"), (POLICY, "differences", "llnf"), (POLICY, "kalman", "llnf")),
-    (POLICY, "disturbance", "observed"),
+    *((POLICY, "disturbance", "observed"), (OBSERVING, "disturbance", "observed")),
 )
 CHANGED = (
     *(("lqr", "differences", "none"), ("lqr", "differences", "llnf"), ("lqr", "kalman", "llnf")),

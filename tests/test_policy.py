@@ -203,10 +203,10 @@ def test_what_is_no_policy_is_refused(tmp_path: Path, content: bytes, says: str)
 # ------------------------------------------------------------------------------------------------- what is shipped
 
 
-@pytest.mark.parametrize("name", ["ppo-none", "ppo-llnf"])
+@pytest.mark.parametrize("name", ["ppo-none", "ppo-llnf", "ppo-observed"])
 def test_shipped_policies_hold_the_pendulum(name: str) -> None:
     ours = policies.shipped(name)
-    rig = Rig.of(Training(compensator=ours.compensator, seed=ours.seed))
+    rig = Rig.of(Training(compensator=ours.compensator, estimator=ours.estimator, seed=ours.seed))
     tried = evaluate(ours, rig, runs=10, seconds=80.0, first_seed=30_000)  # neither chosen nor reported on these
     assert tried.standing >= 8
 

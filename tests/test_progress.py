@@ -6,6 +6,7 @@ import io
 import time
 
 from dipc_gym.cli.progress import Progress
+from dipc_gym.sim2real.stages import StageEnd
 
 
 class Terminal(io.StringIO):
@@ -25,15 +26,17 @@ def test_what_is_left_is_told_after_each_stage_and_goes_down() -> None:
     with Progress(log, clock) as tell:
         progress: Progress = tell.__self__  # type: ignore[attr-defined]
         assert progress.left() == ""
-        for clock.now, line in ((2.0, "156 windows of 0.25 s"), (8.0, "as given, the model is off by 9 x noise")):
-            tell(line)
+        clock.now = 2.0
+        tell("156 windows of 0.25 s")
+        clock.now = 8.0
+        tell(StageEnd("as given, the model is off by 9 x noise", "baseline"))
         first = progress.left()
         assert "left" in first
         clock.now = 12.0
         tell("friction.coulomb@cart: error 1 x noise (was 264)")
         assert progress.left() != first
         clock.now = 20.0
-        tell("added friction.coulomb@cart")
+        tell(StageEnd("added friction.coulomb@cart", "round"))
         assert progress.left() == "6 s to 60 s left"  # half of the round that took 12 s, and five times
         clock.now = 100.0
         assert progress.left() == "longer than is usual"

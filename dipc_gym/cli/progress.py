@@ -9,14 +9,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TextIO
 
-SEARCH = "as given,"  # begins the line that follows the fits of the model itself, before any effect is tried
-ROUND = "added "  # begins the line that ends a round of the search
-# How long a search takes depends on how many effects there are to find. Beside the time until it began it took 7 times
-# as long where nothing was missing (practice trial p01), and 35 times where friction was (p02).
-LEAST, LONGEST = 5.0, 40.0
-# Beside the round that found its last effect, what came after it took 2.5 times as long there: another round, fits of
-# what might stand in for it, and the judging.
-LEAST_AFTER, LONGEST_AFTER = 0.5, 5.0
+from dipc_gym.sim2real.stages import StageEnd
+
+# How many times as long as a stage what follows it takes, at least and at most. How long a search takes depends on how
+# many effects there are to find: beside the time until it began it took 7 times as long where nothing was missing
+# (practice trial p01), and 35 times where friction was (p02). Beside the round that found its last effect, what came
+# after it took 2.5 times as long there: another round, fits of what might stand in for it, and the judging.
+FACTORS = {"baseline": (5.0, 40.0), "round": (0.5, 5.0)}
 
 
 class Progress:
@@ -34,7 +33,7 @@ class Progress:
     Example:
         >>> with Progress(sys.stdout, clock=iter([0.0, 2.0, 8.0, 8.0]).__next__) as tell:
         ...     tell("156 windows of 0.25 s")
-        ...     tell("as given, the model is off by 9 x noise")
+        ...     tell(StageEnd("as given, the model is off by 9 x noise", "baseline"))
         [  2.0 s] 156 windows of 0.25 s
         [  8.0 s] as given, the model is off by 9 x noise
         [  8.0 s] 40 s to 5 min left, by how long this took
@@ -65,14 +64,11 @@ class Progress:
         """Print a line, and what is left if a stage ended with it."""
         now = self._clock() - self._began
         self._print(now, line)
-        if line.startswith(SEARCH):
-            took = now - self._marks[-1]
-            self._range = now + LEAST * took, now + LONGEST * took
-        elif line.startswith(ROUND):
-            took = now - self._marks[-1]
-            self._range = now + LEAST_AFTER * took, now + LONGEST_AFTER * took
-        else:
+        if not isinstance(line, StageEnd):
             return
+        took = now - self._marks[-1]
+        least, most = FACTORS[line.stage]
+        self._range = now + least * took, now + most * took
         self._marks.append(now)
         self._print(now, f"{self.left()}, by how long this took")
 

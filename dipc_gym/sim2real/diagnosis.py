@@ -27,6 +27,7 @@ from dipc_gym.sim2real.selection.scorer import Scorer
 from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.selection.stop import Stop
+from dipc_gym.sim2real.stages import StageEnd
 from dipc_gym.sim2real.verdict import conventions, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
 from dipc_gym.sim2real.verdict.judgement import files_of, judgement
@@ -130,7 +131,8 @@ def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) 
     nominal, recalibrated, given = base.nominal, base.recalibrated, case.given
     if base.fine is not None:
         tell(f"note: {sentences.own_step(given.physics.model.opt.timestep, base.fine)}")
-    tell(f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}")
+    off = f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}"
+    tell(StageEnd(off, "baseline"))
     if recalibrated.error > CONVENTIONS.gross * base.partition.problem.motion:
         others, off = conventions.differing(
             given.source,

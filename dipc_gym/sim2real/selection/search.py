@@ -28,6 +28,7 @@ from dipc_gym.sim2real.selection.resolution import refined
 from dipc_gym.sim2real.selection.scorer import Scorer, enough
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.selection.stop import Stop
+from dipc_gym.sim2real.stages import StageEnd
 
 Array = NDArray[np.float64]
 
@@ -210,7 +211,8 @@ class Search:
             return False
         self.journal.accept(better)
         added = better.structure.terms[-1].key
-        self.tell(f"added {', '.join(names(better.structure.terms[len(before.structure.terms) :])) or added}")
+        new = ", ".join(names(better.structure.terms[len(before.structure.terms) :])) or added
+        self.tell(StageEnd(f"added {new}", "round"))
         pruned = prune(self.question, self.fitter, better, self.tell)
         for key in names(pruned.structure.terms):
             pruned = refined(self.fitter, pruned, key, self.tell)
