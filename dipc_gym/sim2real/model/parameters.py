@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document, text
 from dipc_gym.safety.naming import suggestion
 from dipc_gym.sim2real.effects.base import is_dcmotor
+
+Array = NDArray[np.float64]
+
+LEAST_ARM = 1e-4  # m; a rotor whose centre of mass is on its axis has none that could be off
 
 
 @dataclass(frozen=True)
@@ -79,8 +85,15 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
                 found.append(ModelParameter("gear", name, abs(gear), "", write, 0.3))
     for name in _moving_bodies(document, model):
         write = _mass(model, name)
-        if _takes_mass(document, model, name, write):
-            found.append(ModelParameter("mass", name, float(model.body(name).mass[0]), "kg", write, 0.1))
+        if not _takes_mass(document, model, name, write):
+            continue
+        found.append(ModelParameter("mass", name, float(model.body(name).mass[0]), "kg", write, 0.1))
+        # How far the mass is from the joint is as often wrong as how much it is, and looks like a tilt where it is not
+        # refitted: a pendulum's weight and its inertia no longer go together.
+        arm = _arm(model, name)
+        if arm is not None and np.linalg.norm(arm) > LEAST_ARM:
+            write, away = _com(model, name, arm), float(np.linalg.norm(arm))
+            found.append(ModelParameter("centre_of_mass", name, away, "m", write, 0.05))
     return found
 
 
@@ -179,28 +192,56 @@ def _takes_mass(document: Document, model: mujoco.MjModel, name: str, write: Cal
     return written.shape == wanted.shape and np.allclose(written, wanted, rtol=1e-6)
 
 
+def _arm(model: mujoco.MjModel, name: str) -> Array | None:
+    """From the axis of a body's first hinge to its centre of mass, at right angles, in the body's frame, (3,) m; None
+    where it has no hinge.
+    """
+    body = model.body(name)
+    joints = range(int(body.jntadr[0]), int(body.jntadr[0]) + int(body.jntnum[0]))
+    hinge = next((j for j in joints if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE), None)
+    if hinge is None:
+        return None
+    away, axis = body.ipos - model.jnt_pos[hinge], model.jnt_axis[hinge]
+    return np.asarray(away - (away @ axis) * axis)
+
+
+def _com(model: mujoco.MjModel, name: str, arm: Array) -> Callable[[Document, float], None]:
+    """Moves a body's centre of mass along its arm; the inertia about it stays."""
+    place, away = model.body(name).ipos.copy(), float(np.linalg.norm(arm))
+
+    def write(document: Document, value: float) -> None:
+        document.set(_inertial(document, model, name), pos=list(place + arm * (value / away - 1.0)))
+
+    return write
+
+
 def _mass(model: mujoco.MjModel, name: str) -> Callable[[Document, float], None]:
     """Scales a body's mass and inertia together, written as an explicit `<inertial>`."""
     body = model.body(name)
     mass, inertia = float(body.mass[0]), body.inertia.copy()
-    place, turn = body.ipos.copy(), body.iquat.copy()
 
     def write(document: Document, value: float) -> None:
-        element = document.body(name)
-        scaled: Mapping[str, object] = {"mass": value, "diaginertia": list(inertia * value / mass)}
-        inertial = element.find("inertial")
-        if inertial is None:
-            inertial = document.add(element, "inertial", pos=list(place), quat=list(turn))
-            element.remove(inertial)
-            element.insert(0, inertial)
-        elif inertial.get("fullinertia"):
-            del inertial.attrib["fullinertia"]
-            for orientation in ("axisangle", "xyaxes", "zaxis", "euler"):
-                inertial.attrib.pop(orientation, None)
-            document.set(inertial, quat=list(turn))
-        document.set(inertial, **scaled)  # type: ignore[arg-type]
-        for compiler in document.root.iterfind("compiler"):
-            if compiler.get("inertiafromgeom") == "true":  # which would pass over it
-                document.set(compiler, inertiafromgeom="auto")
+        inertial = _inertial(document, model, name)
+        document.set(inertial, mass=value, diaginertia=list(inertia * value / mass))
 
     return write
+
+
+def _inertial(document: Document, model: mujoco.MjModel, name: str) -> ET.Element:
+    """The `<inertial>` of a body, with its numbers; one is made where geoms have stood for it."""
+    element, body = document.body(name), model.body(name)
+    inertial = element.find("inertial")
+    own = {"mass": float(body.mass[0]), "diaginertia": list(body.inertia)}
+    if inertial is None:
+        inertial = document.add(element, "inertial", pos=list(body.ipos), quat=list(body.iquat), **own)
+        element.remove(inertial)
+        element.insert(0, inertial)
+    elif inertial.get("fullinertia"):
+        del inertial.attrib["fullinertia"]
+        for orientation in ("axisangle", "xyaxes", "zaxis", "euler"):
+            inertial.attrib.pop(orientation, None)
+        document.set(inertial, quat=list(body.iquat), **own)
+    for compiler in document.root.iterfind("compiler"):
+        if compiler.get("inertiafromgeom") == "true":  # which would pass over it
+            document.set(compiler, inertiafromgeom="auto")
+    return inertial

@@ -72,7 +72,9 @@ def beyond_limits(problem: Problem, validation: Problem, recalibrated: Fit) -> l
         return []
     reached = [slot.value(z) for slot, z in zip(freed.structure.slots, freed.z, strict=True)]
     far = [(n, value) for n, value, at in zip(parameters, reached, stand, strict=True) if at]
-    names = " and ".join(f"{n.attribute} of {n.at} ({value:.3g} for {n.value:.3g} {n.unit})" for n, value in far)
+    names = " and ".join(
+        f"{sentences.called(n.attribute, n.at)} ({value:.3g} for {n.value:.3g} {n.unit})" for n, value in far
+    )
     priors = " ".join(f"--prior {n.key}={n.value:g}+-{n.value:g}" for n, _ in far)
     return [
         f"Without any new physics {names} would explain these recordings too, to {error:.3g} times the noise; that is "

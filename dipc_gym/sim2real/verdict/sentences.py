@@ -14,6 +14,16 @@ from dipc_gym.sim2real.verdict.conventions import Convention
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
 
+def called(attribute: str, at: str) -> str:
+    """A parameter of the model in words.
+
+    Example:
+        >>> called("centre_of_mass", "pole1")
+        'centre of mass of pole1'
+    """
+    return f"{attribute.replace('_', ' ')} of {at}"
+
+
 def verb(where: str) -> str:
     """What the unexplained force does, as the end of a sentence."""
     return where if where.startswith(("goes", "grows", "changes")) else f"is {where}"
@@ -58,7 +68,7 @@ def in_one_sentence(
         within = f"{told + ', ' if told else ''}{errors.nominal:.3g} times the noise"
         return f"Nothing is missing: the model predicts held-out data to {within}.{left}"
     if verdict == "recalibrated":
-        names = ", ".join(f"{c['parameter']} of {c['at']}" for c in changed)
+        names = ", ".join(called(c["parameter"], c["at"]) for c in changed)
         instead = " (or others, which predict as well: see the notes)" if others else ""
         return f"No physics is missing; wrong parameters were: {names}{instead}. {fall}.{left}"
     if verdict == "explained":
@@ -234,8 +244,8 @@ def other_parameters(changed: Sequence[dict[str, Any]], others: Sequence[Sequenc
     """Note on model parameters that may have been wrong in place of those that were changed."""
     if not changed or not others:
         return []
-    names = " and ".join(f"{one['parameter']} of {one['at']}" for one in changed)
-    instead = "; ".join(" and ".join(f"{one.attribute} of {one.at}" for one in other) for other in others)
+    names = " and ".join(called(one["parameter"], one["at"]) for one in changed)
+    instead = "; ".join(" and ".join(called(one.attribute, one.at) for one in other) for other in others)
     return [
         f"These recordings do not tell whether {names} had to change, or others that predict as well: {instead}. Weigh "
         "or measure one of them and say so with --fix."
