@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import re
+import runpy
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 import pages
 import pytest
@@ -36,10 +40,26 @@ def test_snippets_of_a_page_run_in_order(path: Path, tmp_path: Path, monkeypatch
         exec(compile(snippet, pages.name(path), "exec"), space)
 
 
+def lines_of_shell(path: Path) -> list[str]:
+    """Commands of a page, each on one line."""
+    whole = [text.replace("\\\n", " ") for text in pages.blocks(path, "bash")]
+    return [line.strip() for text in whole for line in text.splitlines()]
+
+
 def commands(path: Path) -> list[str]:
-    """Lines of shell that call dipc-gym."""
-    lines = [line for text in pages.blocks(path, "bash") for line in text.splitlines()]
-    return [line.strip() for line in lines if re.match(r"\s*(\S*/)?dipc-gym ", line)]
+    """Those that call dipc-gym."""
+    return [line for line in lines_of_shell(path) if re.match(r"(\S*/)?dipc-gym ", line)]
+
+
+def without_blocks(path: Path) -> str:
+    """The text of a page between its fenced blocks."""
+    return re.sub(r"^ *```.*?^ *```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+def benchmarks_of(path: Path) -> list[str]:
+    """Commands of a page that run a benchmark, in blocks and within sentences."""
+    spans = [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", without_blocks(path))]
+    return [one for one in [*lines_of_shell(path), *spans] if re.match(r"python (-m benchmarks\b|benchmarks/)", one)]
 
 
 @pytest.mark.parametrize("path", [path for path in pages.PAGES if commands(path)], ids=pages.name)
@@ -51,6 +71,50 @@ def test_commands_of_a_page_are_understood(path: Path, monkeypatch: pytest.Monke
     for line in commands(path):
         assert cli.main(shlex.split(line, comments=True)[1:]) == 0, line
     assert len(asked) == len(commands(path))
+
+
+@pytest.mark.parametrize("path", [path for path in pages.PAGES if benchmarks_of(path)], ids=pages.name)
+def test_benchmarks_of_a_page_are_understood(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They parse what the page gives them, and stop there."""
+    parse = argparse.ArgumentParser.parse_args
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", lambda self: _Parsed.after(parse(self)))
+    monkeypatch.chdir(pages.ROOT)
+    monkeypatch.syspath_prepend(str(pages.ROOT))
+    for line in benchmarks_of(path):
+        words = shlex.split(line, comments=True)[1:]
+        file = words[1].replace(".", "/") + ".py" if words[0] == "-m" else words[0]
+        if file == "benchmarks.py":  # all of them, which take no options
+            assert words == ["-m", "benchmarks"]
+            continue
+        monkeypatch.setattr(sys, "argv", [file, *words[2 if words[0] == "-m" else 1 :]])
+        with pytest.raises(_Parsed):
+            runpy.run_path(file, run_name="__main__")
+
+
+class _Parsed(Exception):
+    """The options were understood."""
+
+    @classmethod
+    def after(cls, _: object) -> NoReturn:
+        raise cls
+
+
+@pytest.mark.parametrize("path", pages.PAGES, ids=pages.name)
+def test_commands_stand_in_blocks_that_name_their_language(path: Path) -> None:
+    """An indented one would not be looked at by the tests above."""
+    assert (
+        re.findall(r"^ {4,}(?:\S*/)?(?:dipc-gym|python|pip|make|cc|git) .*$", without_blocks(path), re.MULTILINE) == []
+    )
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("path", [path for path in pages.PAGES if pages.blocks(path, "c")], ids=pages.name)
+def test_c_of_a_page_compiles_beside_an_exported_loop(path: Path, tmp_path: Path) -> None:
+    compensators.save(compensators.StaticGain(newtons_per_volt=4.0), tmp_path / "none.json")
+    assert cli.main(["export", str(tmp_path / "none.json"), "--to", "c", "--out", str(tmp_path / "rig.h")]) == 0
+    for k, snippet in enumerate(pages.blocks(path, "c")):
+        (tmp_path / f"{k}.c").write_text(snippet)
+        subprocess.run(["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-c", f"{k}.c"], cwd=tmp_path, check=True)
 
 
 @pytest.mark.parametrize("path", pages.PAGES, ids=pages.name)
