@@ -49,8 +49,8 @@ FORMAT = Format("policy file", "train-policy", "copy or train the policy again",
 PLACES = ("start", "goal")
 LATER = ("estimator", *PLACES)
 """Fields that older files lack."""
-WIDEST = 1024
-DEEPEST = 8
+WIDEST = 1024  # units of a layer that are read
+DEEPEST = 8  # layers that are read
 LARGEST = 1e300
 """Of a learned number; sums of larger ones may overflow."""
 

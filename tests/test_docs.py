@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import re
 import runpy
@@ -11,6 +12,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import NoReturn
 
 import pages
@@ -158,13 +160,39 @@ def test_notebooks_run_and_print_what_they_keep(path: Path, tmp_path: Path) -> N
         assert numbers == pytest.approx(expected, rel=WITHIN[path.name])
 
 
-def test_the_settings_page_has_what_decides() -> None:
+@pytest.fixture
+def hooks(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(pages.ROOT / "docs"))
+    return importlib.import_module("hooks")
+
+
+# In files that are being rewritten.
+STILL_WITHOUT_REASON = {"LANES", "_LIMITLESS", "PERIODS", "_COSTS", "VOLTAGES", "SCALES"}
+
+
+def test_every_constant_says_what_it_is_for(hooks: ModuleType) -> None:
+    """In whatever folder it is: of the packages, all are walked."""
+    files = [path for package in hooks.PACKAGES for path in (pages.ROOT / package).rglob("*.py")]
+    bare = {one.name: pages.name(path) for path in files for one in hooks.constants(path) if not one.meaning.strip()}
+    assert {name: path for name, path in bare.items() if name not in STILL_WITHOUT_REASON} == {}
+
+
+def test_a_constant_without_a_reason_is_noticed(hooks: ModuleType, tmp_path: Path) -> None:
+    """The check itself: bare, private and grouped ones, and what is no setting."""
+    path = tmp_path / "one.py"
+    path.write_text(
+        '# Why.\nA = 1\nB = 2\n_C, D = 3, 4  # both\nE = \'word\'\nF = Format(\'name\', 5)\ng = 6\nH = 7\n"""S."""\n'
+    )
+    assert {one.name: one.meaning for one in hooks.constants(path)} == {
+        "A": "Why.",
+        "B": "",
+        "_C, D": "both",
+        "H": "S.",
+    }
+
+
+def test_the_settings_page_has_what_decides(hooks: ModuleType) -> None:
     """Made from the code: a constant of each kind is found, with its value and its reason."""
-    sys.path.insert(0, str(pages.ROOT / "docs"))
-    try:
-        import hooks
-    finally:
-        sys.path.pop(0)
     page = hooks.settings()
     assert "| `LEAVES` | `1 / 3` | Share of the excess error that effects may leave and be named." in page
     for row in (

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MARKERS = ("o", "s", "^", "x")  # of controllers
-MOST_MODELS = 30
+MOST_MODELS = 30  # of Fig. 9, beyond the point where training stops
 STRETCHES = ((9.0, 12.0), (45.0, 46.0))  # s of the identification run that Figs. 8 and 10 show
 SWEEP_ZOOM = (28.0, 31.0)  # s, with a block of training between two of test
 BALANCE_ZOOM = 6.0  # s at the end of a run, where it has settled
