@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from dipc_gym import compensators
 from dipc_gym.compensators import LOLIMOT, Samples
-from dipc_gym.experiments import film, style
+from dipc_gym.drawing import style
+from dipc_gym.experiments import film
+from dipc_gym.safety.files import whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,13 +87,9 @@ def write(draw: Callable[[float], Figure], stem: Path) -> None:
         draw: the figure of a width, inches.
         stem: path without suffix.
     """
-    for width, name, points in (
-        (style.WIDE, f"{stem.name}.png", 9),
-        (style.WIDE, f"{stem.name}.pdf", 8),
-        (style.NARROW, f"{stem.name}-narrow.pdf", 6),
-    ):
-        with style.text(points):
-            style.write(draw(width), stem.with_name(name))
+    for width, end, points in style.SIZES:
+        with style.text(points), whole(stem.with_name(stem.name + end)) as file:
+            style.write(draw(width), file, end.rpartition(".")[2])
 
 
 def identification(time: Array, data: Samples, width: float = 7.0) -> Figure:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from dipc_gym import ENV_ID
-from dipc_gym.experiments import style
+from dipc_gym.drawing import style
 from dipc_gym.runs import Course
 from dipc_gym.safety.files import partial_of, whole
 
