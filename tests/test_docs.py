@@ -147,7 +147,7 @@ def test_notebooks_run_and_print_what_they_keep(path: Path, tmp_path: Path) -> N
     work = tmp_path / path.name
     work.write_bytes(path.read_bytes())
     done = subprocess.run(
-        [sys.executable, "-m", "jupyter", "execute", "--kernel_name=python3", str(work)],
+        [sys.executable, "-m", "jupyter", "execute", "--inplace", "--kernel_name=python3", str(work)],
         cwd=tmp_path,
         capture_output=True,
         text=True,
