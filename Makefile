@@ -53,7 +53,7 @@ docs: .venv/installed
 
 # Runs the notebooks and keeps what they print and draw.
 notebooks: .venv/installed
-	$(BIN)/jupyter execute --inplace --kernel_name=python3 docs/notebooks/*.ipynb
+	$(BIN)/jupyter execute --inplace --kernel_name=python3 --NotebookClient.record_timing=False docs/notebooks/*.ipynb
 
 bench: .venv/installed
 	$(BIN)/python -m benchmarks

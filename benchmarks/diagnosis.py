@@ -21,6 +21,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym import mjcf
+from dipc_gym.drawing import style
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
@@ -100,13 +101,13 @@ def growth(file, threads):
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(1, len(SWEEPS), figsize=(10, 3), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(1, len(SWEEPS), figsize=(style.WIDE, 2.4), sharey=True, layout="constrained")
     for axis, (name, sweep) in zip(axes, SWEEPS.items(), strict=True):
         points = []
         for case in sweep:
             processor, asked = tell(*case, threads)
             points.append(({"joints": case[0], "effects": asked}.get(name, case[1]), processor))
-        axis.plot(*zip(*points, strict=True), "o-", color="#1f6f8b")
+        axis.plot(*zip(*points, strict=True), "o-", color=style.BLUE)
         axis.set(xlabel=name, ylim=(0, None), xlim=(0, None))
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("processor time / s")

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dipc_gym.experiments import figures, style
+from dipc_gym.drawing import style
+from dipc_gym.experiments import figures
 from dipc_gym.policy import Policy
 from dipc_gym.training import seeds
 from dipc_gym.training.train import RECIPES, Training

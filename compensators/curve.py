@@ -16,8 +16,8 @@ KNOTS = 12
 """Each way from standstill, evenly spaced in the logarithm; with the one at zero, 25."""
 SLOWEST = 2e-3
 """First knot, m/s."""
-ROUGHNESS = np.geomspace(1e-6, 1e2, 9)
-BEYOND = 1e30
+ROUGHNESS = np.geomspace(1e-6, 1e2, 9)  # weights of the curve's bending, of which the test part chooses
+BEYOND = 1e30  # stands for no end: the outermost lines go on
 
 
 @dataclass(frozen=True)

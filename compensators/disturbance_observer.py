@@ -10,7 +10,7 @@ import numpy as np
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.memory import Remembering, given, known_mass
 
-SHARES = np.linspace(0.05, 1.0, 20)
+SHARES = np.linspace(0.05, 1.0, 20)  # of what is felt anew that the observer takes on in a period; the run chooses
 
 
 @dataclass(frozen=True)

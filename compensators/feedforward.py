@@ -9,7 +9,7 @@ import numpy as np
 
 from dipc_gym.compensators.base import Array, Compensator, RigConstants, Samples, Signal, elementwise, numbers
 
-SIGN_VELOCITIES = np.geomspace(1e-3, 0.3, 41)
+SIGN_VELOCITIES = np.geomspace(1e-3, 0.3, 41)  # m/s, widths of the smooth sign, of which least squares choose
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.memory import Remembering, given, known_mass
 
-RATES = np.geomspace(0.3, 100.0, 16)
-WIDTHS = np.geomspace(1e-3, 0.1, 11)
+RATES = np.geomspace(0.3, 100.0, 16)  # of learning, of which the run chooses
+WIDTHS = np.geomspace(1e-3, 0.1, 11)  # m/s, of the smooth sign, of which the run chooses
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,12 @@ from dipc_gym.compensators.base import Array, Compensator, RigConstants, Samples
 if TYPE_CHECKING:
     from dipc_gym.dataflow import Program, Value
 
-MAX_MODELS = 10
+MAX_MODELS = 10  # of a compensator, twice the paper's
 STEEPNESS = math.sqrt(20.0)
 """Of a cut before it is turned: its height one standard deviation of the cell away from its middle."""
-ITERATIONS = 12
-RIDGE = 1e-3
-PATIENCE = 2
+ITERATIONS = 12  # of a cut's search for its direction
+RIDGE = 1e-3  # weight of the slopes' squares, which keeps thin cells solvable
+PATIENCE = 2  # models without a better test error after which growth ends
 
 
 @dataclass(frozen=True)

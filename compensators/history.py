@@ -16,11 +16,11 @@ from dipc_gym.compensators.memory import Remembering, given
 if TYPE_CHECKING:
     from dipc_gym.dataflow import Program, Value
 
-HIDDEN = 8
-LENGTH = 100
-WARM = 20
-EPOCHS = 150
-PATIENCE = 30
+HIDDEN = 8  # units of the recurrent layer
+LENGTH = 100  # control periods of a training window
+WARM = 20  # first periods of a window, which do not count
+EPOCHS = 150  # at most
+PATIENCE = 30  # epochs without a better validation error after which training ends
 PRIOR = "history.json"
 UNITS, VOLTS = np.array([10.0, 0.2]), 3.0  # N and m/s, V: what the network of many rigs counts in
 

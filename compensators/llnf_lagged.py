@@ -15,7 +15,7 @@ LAGS = 4
 """Velocities v(k) to v(k-4) and forces F(k) to F(k-4) can be inputs."""
 SMALLEST_GAIN = 0.01
 """Share by which an input must lower the error on the test part to be taken."""
-MODELS = 12
+MODELS = 12  # at most; each has more slopes than one of llnf
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 STEP = 0.001
 """Longest step of the bristle's integration, s."""
-STIFFEST, WEAKEST = 1e5, 1e-3
+STIFFEST, WEAKEST = 1e5, 1e-3  # N/m of the bristle, and N of friction, that a fit may come to
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dipc_gym.compensators.memory import Remembering, Track, given
 
 STRETCHES = np.geomspace(2e-5, 4e-3, 8)
 """Displacements at which the springs begin to slip, m: from the encoder's count to what no rail's creep exceeds."""
-BUMP_VELOCITIES = np.geomspace(5e-3, 0.3, 13)
+BUMP_VELOCITIES = np.geomspace(5e-3, 0.3, 13)  # m/s, widths of the Stribeck bump, of which least squares choose
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from dipc_gym.compensators.base import (
     numbers,
 )
 
-HIDDEN = 5
-STARTS = 3
-EPOCHS = 60
-ITERATIONS = 10
-PATIENCE = 6
+HIDDEN = 5  # units, as in the paper
+STARTS = 3  # first weights that are tried
+EPOCHS = 60  # at most
+ITERATIONS = 10  # of L-BFGS in an epoch
+PATIENCE = 6  # epochs without a better validation error after which training ends
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from dipc_gym.compensators.base import Array, Compensator, RigConstants, Samples, Signal, elementwise, numbers
 from dipc_gym.compensators.feedforward import SIGN_VELOCITIES
 
-BUMP_VELOCITIES = np.geomspace(5e-3, 0.3, 13)
+BUMP_VELOCITIES = np.geomspace(5e-3, 0.3, 13)  # m/s, widths of the Stribeck bump, of which least squares choose
 
 
 @dataclass(frozen=True)

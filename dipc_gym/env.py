@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from dipc_gym.rigs import ENGINES, unknown_engine
 from dipc_gym.rigs.rig import DIVERGED, Rig
 from dipc_gym.rigs.together import COSTS
 from dipc_gym.safety import actions
+from dipc_gym.safety.naming import suggestion
 
 __all__ = ["DoublePendulumEnv"]
 
@@ -175,7 +176,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         options = dict(options or {})
         plant, start, state = (options.pop(key, None) for key in ("plant", "start", "state"))
         if options:
-            raise ValueError(f"unknown reset options {sorted(options)}; there are 'plant', 'start' and 'state'")
+            raise ValueError(unknown_options(options, ("plant", "start", "state")))
         if start is not None and state is not None:
             raise ValueError("give either options['start'] or options['state'], not both")
         family = self._family if plant is None else PlantFamily.of(plant, base=self._home)
@@ -506,10 +507,18 @@ def start_state(rng: np.random.Generator, start: Any = None, state: Any = None) 
     if state is not None:
         return _state(state)
     if start not in (None, "upright", "hanging"):
-        raise ValueError(f"options['start'] is {start!r}; it can be 'upright' or 'hanging'")
+        near = suggestion(str(start), ("upright", "hanging"))
+        raise ValueError(f"options['start'] is {start!r}; it can be 'upright' or 'hanging'{near}")
     x, theta1, theta2 = rng.uniform(-START_SPREAD, START_SPREAD, 3).tolist()
     down = math.pi if start == "hanging" else 0.0
     return x, theta1 + down, theta2 + down, 0.0, 0.0, 0.0
+
+
+def unknown_options(given: Iterable[str], known: Sequence[str]) -> str:
+    """What to say of reset options that there are not."""
+    unknown = sorted(map(str, given))
+    there_are = " and ".join((", ".join(map(repr, known[:-1])), repr(known[-1])))
+    return f"unknown reset options {unknown}; there are {there_are}{suggestion(unknown[0], known)}"
 
 
 def _state(values: Any) -> State:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 Number = TypeVar("Number", float, NDArray[np.float64])
 
-TURN = 2 * math.pi
-QUARTER = math.pi / 2
+TURN = 2 * math.pi  # rad
+QUARTER = math.pi / 2  # of a turn, rad
 SERIES = [(-1.0) ** k / math.factorial(2 * k + 1) for k in range(1, 11)]
 """Of the sine divided by its angle, after the 1: within a quarter of a turn the next term is below 2e-18."""
 RAIL = 0.45  # m, from the middle of the rail to a stop, where the model sets no range

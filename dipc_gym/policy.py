@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dipc_gym.mechanics.motion import POSTURES
 from dipc_gym.safety import untrusted
 from dipc_gym.safety.files import write_whole
+from dipc_gym.safety.naming import suggestion
 from dipc_gym.safety.untrusted import Format
 
 if TYPE_CHECKING:
@@ -48,8 +49,8 @@ FORMAT = Format("policy file", "train-policy", "copy or train the policy again",
 PLACES = ("start", "goal")
 LATER = ("estimator", *PLACES)
 """Fields that older files lack."""
-WIDEST = 1024
-DEEPEST = 8
+WIDEST = 1024  # units of a layer that are read
+DEEPEST = 8  # layers that are read
 LARGEST = 1e300
 """Of a learned number; sums of larger ones may overflow."""
 
@@ -305,7 +306,9 @@ def shipped(name: str) -> Policy:
     folder = Path(__file__).parent / "policies"
     names = sorted(path.stem for path in folder.glob("*.json"))
     if name not in names:
-        raise ControllerError(f"no policy {name!r} comes with the package; there are {', '.join(names)}")
+        raise ControllerError(
+            f"no policy {name!r} comes with the package; there are {', '.join(names)}{suggestion(name, names)}"
+        )
     return Policy.load(folder / f"{name}.json")
 
 

@@ -27,7 +27,7 @@ from dipc_gym.safety.places import inside
 __all__ = ["Backend", "Cell", "Outcome", "SweepError", "finished", "run"]
 
 Backend = Literal["local", "ray"]
-LOCAL_JOBS = 2
+LOCAL_JOBS = 2  # experiments at a time on this machine, where nothing else is said
 HELD = {"parameters": {}, "failure": (None, str), "result": object}  # what the file of a cell holds
 
 

@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from dipc_gym import kernels
-from dipc_gym.env import DoublePendulumEnv, State, start_state
+from dipc_gym.env import DoublePendulumEnv, State, start_state, unknown_options
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
 from dipc_gym.rigs import ENGINES, unknown_engine
@@ -300,9 +300,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         """Draw plants and states for `rows`, put them there, and note the `info` of their first moment."""
         plant, start, state = (options.pop(key, None) for key in ("plant", "start", "state"))
         if options:
-            raise ValueError(
-                f"unknown reset options {sorted(options)}; there are 'plant', 'start', 'state' and 'reset_mask'"
-            )
+            raise ValueError(unknown_options(options, ("plant", "start", "state", "reset_mask")))
         if start is not None and state is not None:
             raise ValueError("give either options['start'] or options['state'], not both")
         family = self._family if plant is None else self._fitting(PlantFamily.of(plant, base=self._family.base))

@@ -14,26 +14,23 @@ import sys
 import textwrap
 import tomllib
 from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-STAGES = {
-    "Recordings": "dipc_gym/recording",
-    "Models": "dipc_gym/mjcf",
-    "Diagnosis": "dipc_gym/sim2real",
-    "Model and parameters": "dipc_gym/sim2real/model",
-    "Simulation": "dipc_gym/sim2real/simulation",
-    "Estimation": "dipc_gym/sim2real/estimation",
-    "Selection": "dipc_gym/sim2real/selection",
-    "Verdict": "dipc_gym/sim2real/verdict",
-    "Effects": "dipc_gym/sim2real/effects",
-    "Environment and experiments": "dipc_gym",
-    "Experiments": "dipc_gym/experiments",
-    "Training": "dipc_gym/training",
-    "Blind trials": "dipc_gym/trials",
-    "Compensators": "compensators",
+PACKAGES = ("dipc_gym", "compensators", "wrappers")
+TITLES = {
+    "dipc_gym": "Environment, runs and sweeps",
+    "dipc_gym/cli": "Command line",
+    "dipc_gym/mjcf": "Models",
+    "dipc_gym/recording": "Recordings",
+    "dipc_gym/sim2real": "Diagnosis",
+    "dipc_gym/sim2real/model": "Diagnosis: model and parameters",
+    "dipc_gym/trials": "Blind trials",
 }
+"""Of folders whose name does not say it."""
 
 
 def on_startup(**_: Any) -> None:
@@ -62,17 +59,43 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def settings() -> str:
-    """A table of decision constants for each stage."""
+    """A table of decision constants for each folder of the packages."""
+    files = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
     parts = []
-    for title, folder in STAGES.items():
-        rows = [row for path in sorted((ROOT / folder).glob("*.py")) for row in constants(path)]
+    for folder, of_folder in groupby(sorted(files, key=lambda path: (path.parent, path)), key=lambda path: path.parent):
+        rows = [row(one, path) for path in of_folder for one in constants(path)]
         if rows:
-            parts += [f"## {title}", "", "| name | value | meaning | file |", "|---|---|---|---|", *rows, ""]
+            parts += [f"## {title(folder)}", "", "| name | value | meaning | file |", "|---|---|---|---|", *rows, ""]
     return "\n".join(parts)
 
 
-def constants(path: Path) -> Iterator[str]:
-    """Table rows of a file: its numbers in capitals, and the fields of its `...Settings`, with what is said of them."""
+def title(folder: Path) -> str:
+    """What a folder is called: its name, and that of the room that it is in."""
+    name = folder.relative_to(ROOT).as_posix()
+    if name in TITLES:
+        return TITLES[name]
+    above = TITLES.get(folder.parent.relative_to(ROOT).as_posix(), "") if folder.parent.name != "dipc_gym" else ""
+    own = folder.name.replace("_", " ")
+    return f"{above}: {own}" if above else own.capitalize()
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A number by which the package decides.
+
+    Attributes:
+        name: with its class, of a field.
+        value: as the code has it.
+        meaning: what is said of it there; empty where nothing is.
+    """
+
+    name: str
+    value: str
+    meaning: str
+
+
+def constants(path: Path) -> Iterator[Constant]:
+    """Of a file: its numbers in capitals, and the fields of its `...Settings`, with what is said of them."""
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines()
     body = ast.parse(text).body
@@ -82,7 +105,7 @@ def constants(path: Path) -> Iterator[str]:
             for field in node.body:
                 if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and field.value:
                     name, meaning = field.target.id, comment(lines, field)
-                    yield row(f"{node.name}.{name}", field.value, text, said.get(name) or meaning, path)
+                    yield Constant(f"{node.name}.{name}", source(text, field.value), said.get(name) or meaning)
         elif isinstance(node, ast.Assign | ast.AnnAssign) and node.value and has_number(node.value):
             target = node.targets[0] if isinstance(node, ast.Assign) else node.target
             names = [
@@ -91,12 +114,23 @@ def constants(path: Path) -> Iterator[str]:
             meaning = comment(lines, node)
             if not meaning and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
                 meaning = str(after.value.value)
-            if meaning and all(re.fullmatch(r"[A-Z][A-Z0-9_]+", name) for name in names):
-                yield row(", ".join(names), node.value, text, meaning, path)
+            if names and all(re.fullmatch(r"_?[A-Z][A-Z0-9_]*", name) for name in names):
+                yield Constant(", ".join(names), source(text, node.value), meaning)
+
+
+def source(text: str, value: ast.expr) -> str:
+    """A value as the code has it."""
+    return " ".join((ast.get_source_segment(text, value) or "").split())
 
 
 def has_number(value: ast.expr) -> bool:
-    """Whether there is a number in an expression: names and formats decide nothing."""
+    """Whether there is a number in an expression: names and formats decide nothing, nor do things that are made."""
+    called = [x.func for x in ast.walk(value) if isinstance(x, ast.Call)]
+    names = [
+        one.id if isinstance(one, ast.Name) else one.attr for one in called if isinstance(one, ast.Name | ast.Attribute)
+    ]
+    if any(name[0].isupper() or name in ("zeros", "ones") for name in names):
+        return False  # a class says what its fields are, and an empty array has a size alone
     return any(isinstance(x, ast.Constant) and type(x.value) in (int, float) for x in ast.walk(value))
 
 
@@ -119,11 +153,10 @@ def comment(lines: list[str], node: ast.stmt) -> str:
     return " ".join(above)
 
 
-def row(name: str, value: ast.expr, text: str, meaning: str, path: Path) -> str:
+def row(one: Constant, path: Path) -> str:
     """One row; a long value is left to the file."""
-    shown = " ".join((ast.get_source_segment(text, value) or "").split())
-    shown = shown if len(shown) <= 40 else "in the file"
-    cells = (f"`{name}`", f"`{shown}`", " ".join(meaning.split()), f"`{path.relative_to(ROOT)}`")
+    shown = one.value if len(one.value) <= 40 else "in the file"
+    cells = (f"`{one.name}`", f"`{shown}`", " ".join(one.meaning.split()), f"`{path.relative_to(ROOT)}`")
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

@@ -182,6 +182,14 @@ def test_unknown_options_are_refused(options: dict[str, Any]) -> None:
         make().reset(options={"start": "upright", "state": [0.0] * 6})
 
 
+@pytest.mark.parametrize(("options", "meant"), [({"strat": "hanging"}, "start"), ({"start": "hangng"}, "hanging")])
+def test_slips_in_options_are_told_what_was_meant(options: dict[str, Any], meant: str) -> None:
+    for env in (make(), gymnasium.make_vec(dipc_gym.ENV_ID, num_envs=2, vectorization_mode="vector_entry_point")):
+        with pytest.raises(ValueError, match=f"did you mean '{meant}'"):
+            env.reset(options=options)
+        env.close()
+
+
 @pytest.mark.parametrize(
     "action", [[math.nan], [math.inf], [], [1.0, 2.0], 3.0, None, "x", np.zeros((1, 1, 2)), np.zeros((2, 1))]
 )

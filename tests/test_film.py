@@ -11,7 +11,8 @@ from PIL import Image
 
 from dipc_gym import recording
 from dipc_gym.cli import main
-from dipc_gym.experiments import film, style
+from dipc_gym.drawing import style
+from dipc_gym.experiments import film
 from dipc_gym.runs import Course
 
 

@@ -139,8 +139,8 @@ def test_a_diagnosis_that_finds_no_room_says_so_and_prints_what_it_found(tmp_pat
 FIGURE = """
 from pathlib import Path
 from matplotlib.figure import Figure
-from dipc_gym.experiments import style
-style.write(Figure(), Path("fig.png"))"""
+from dipc_gym.experiments import figures
+figures.write(lambda width: Figure(), Path("fig"))"""
 FILM = """
 from pathlib import Path
 import numpy as np

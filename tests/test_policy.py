@@ -214,3 +214,8 @@ def test_shipped_policies_hold_the_pendulum(name: str) -> None:
 def test_unknown_shipped_policies_are_listed() -> None:
     with pytest.raises(ControllerError, match=r"there are .*ppo-llnf"):
         policies.shipped("pid")
+
+
+def test_a_slip_in_a_shipped_policys_name_is_told() -> None:
+    with pytest.raises(ControllerError, match="did you mean 'ppo-llnf'"):
+        policies.shipped("ppo-lnf")

@@ -106,6 +106,32 @@ def test_dotted_names_in_the_text_of_pages_exist(path: Path) -> None:
         assert _found(dotted) is not None, dotted
 
 
+INSIDE = {"docs/engine.md", "docs/security.md"}  # which say how the package works, and name its parts
+
+
+@pytest.mark.parametrize("path", [path for path in pages.PAGES if pages.name(path) not in INSIDE], ids=pages.name)
+def test_dotted_names_that_pages_offer_are_public(path: Path) -> None:
+    for dotted in re.findall(r"`(dipc_gym(?:\.\w+)+)[`(]", path.read_text()):
+        module, _, name = dotted.rpartition(".")
+        assert dotted in PUBLIC or not not_public(module, name), dotted
+
+
+def test_the_overview_of_the_reference_lists_every_module() -> None:
+    overview = (ROOT / "docs" / "reference" / "index.md").read_text()
+    listed = {
+        page: re.findall(r"`([\w.]+)`", modules)
+        for page, modules in re.findall(r"^\| \[.*?\]\((\w+\.md)\) \| (.*) \|$", overview, re.MULTILINE)
+    }
+    documented = {
+        page.name: names
+        for page in REFERENCE
+        if (names := re.findall(r"^::: (dipc_gym[\w.]*)$", page.read_text(), re.MULTILINE))
+    }
+    assert {page: sorted(names) for page, names in listed.items()} == {
+        page: sorted(names) for page, names in documented.items()
+    }
+
+
 def _found(dotted: str) -> object:
     parts = dotted.split(".")
     for cut in range(len(parts), 0, -1):

@@ -185,6 +185,7 @@ def test_columns_are_mapped_and_units_converted(tmp_path: Path, model: mujoco.Mj
     assert recording.notes == ()
     assert "there is no column 'pole'" in (message := refused(path, model, mapping={"pole": "angle"}))
     assert "FILE_COLUMN=MODEL_NAME" in message
+    assert "did you mean 'angle'?" in refused(path, model, mapping={"angel": "pole"})
     assert "mapped to 'arm', which is not in the model" in refused(path, model, mapping={"x": "arm"})
     assert "both mean 'sensor:cart'" in refused(path, model, mapping={**mapping, "u": "cart"})
     assert "unknown unit 'furlong'" in refused(path, model, mapping=mapping, units={"x": "furlong"})
@@ -274,6 +275,14 @@ def test_a_missing_column_lists_both_sides(tmp_path: Path, model: mujoco.MjModel
     assert "the file has ['time', 'motor', 'cart', 'theta']" in message
     assert "controls ['motor'] and sensors ['cart', 'pole']" in message
     assert "--map" in message
+
+
+def test_a_misspelt_column_is_told_from_others(tmp_path: Path, model: mujoco.MjModel) -> None:
+    columns = run()
+    columns["ploe"] = columns.pop("pole")
+    path = save(tmp_path / "r.csv", table(columns))
+    assert refused(path, model).endswith("; did you mean 'ploe'?")
+    assert "did you mean 'motor'?" in refused(path, model, mapping={"mot": "motor"})  # which is a column too
 
 
 def test_unknown_columns_are_ignored_and_listed_whatever_they_hold(tmp_path: Path, model: mujoco.MjModel) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from paper import inches
 
 from dipc_gym import mjcf, physics
 from dipc_gym import recording as recordings
@@ -410,6 +411,12 @@ def test_from_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "equals sign" in capsys.readouterr().err
     assert main(["replay", model, run, "--map", "x=x", "--map", "x=angle"]) == 2
     assert "twice" in capsys.readouterr().err
+    for width in ("7", "3.4"):
+        assert main(["replay", model, run, "--plot", str(tmp_path / f"{width}.pdf"), "--width", width]) == 0
+        assert inches(tmp_path / f"{width}.pdf") == pytest.approx(float(width))
+    assert main(["replay", model, run, "--plot", str(tmp_path / "no.pdf"), "--width", "0"]) == 2
+    assert "it can be 2 to 30" in capsys.readouterr().err
+    assert not (tmp_path / "no.pdf").exists()
     assert main(["replay", model, run, "--plot", str(tmp_path / "out.txt")]) == 2
     assert ".png" in capsys.readouterr().err
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from paper import inches
 
 pytest.importorskip("numba")
 
@@ -672,6 +673,7 @@ def test_the_report_counts_what_was_judged(tmp_path):
     assert "1 of 2 (95 % upper bound 97.5 %)" in text
     assert json.loads((tmp_path / "report.json").read_text())["seed"] == 1
     assert (tmp_path / "report.png").read_bytes().startswith(b"\x89PNG")
+    assert [inches(tmp_path / name) for name in ("report.pdf", "report-narrow.pdf")] == [7.0, 3.4]
 
 
 def test_nothing_judged_yet_is_a_report_too(tmp_path):

@@ -20,6 +20,7 @@ from dipc_gym.cli.compare import Compare
 from dipc_gym.cli.compensator import FromModel
 from dipc_gym.cli.diagnose import Diagnose, Report
 from dipc_gym.cli.export import Export
+from dipc_gym.cli.options import check_choices
 from dipc_gym.cli.plan import Plan
 from dipc_gym.cli.record import Record, Render
 from dipc_gym.cli.replay import Replay
@@ -75,6 +76,8 @@ def _run(arguments: Sequence[str] | None) -> int:
         print(f"dipc-gym: there is no command {arguments[0]!r}; there are {named}{near}", file=sys.stderr)
         return 2
     try:
+        if arguments and arguments[0] in COMMANDS:
+            check_choices(COMMANDS[arguments[0]], arguments[1:])
         command = tyro.extras.subcommand_cli_from_dict(
             COMMANDS,  # type: ignore[arg-type]
             prog="dipc-gym",

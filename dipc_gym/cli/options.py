@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from dipc_gym.safety.naming import suggestion
 
 
 def listed(names: str) -> tuple[str, ...]:
@@ -26,6 +29,34 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
             raise ValueError(f"--{option} names {left!r} twice")
         found[left] = right
     return found
+
+
+def check_choices(command: type, arguments: Sequence[str]) -> None:
+    """Refuse a value that is none of an option's choices, with the one that was probably meant.
+
+    Args:
+        command: dataclass of the subcommand; fields with choices are `Literal`.
+        arguments: of the command line, after the subcommand.
+
+    Raises:
+        ValueError: it is none of them.
+    """
+    choices = {f"--{name.replace('_', '-')}": tuple(_choices(hint)) for name, hint in get_type_hints(command).items()}
+    for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
+        option, equals, value = argument.partition("=")
+        named = choices.get(option.replace("_", "-"), ())
+        value = value if equals else following
+        if named and value and not value.startswith("-") and value not in named:
+            raise ValueError(f"{option} {value}: it can be {' or '.join(named)}{suggestion(value, named)}")
+
+
+def _choices(hint: Any) -> Iterator[str]:
+    """The strings that a type allows, where it allows no others."""
+    if get_origin(hint) is Literal:
+        yield from get_args(hint)
+    else:
+        for part in get_args(hint):
+            yield from _choices(part)
 
 
 def ending(path: Path, *suffixes: str) -> Path:

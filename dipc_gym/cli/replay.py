@@ -42,6 +42,8 @@ class Replay:
     """file for all figures, window by window"""
     plot: Path | None = None
     """picture of observed against predicted: .png, .pdf or .svg"""
+    width: float = 7.0
+    """of the picture, inches: 7 is two columns of a journal, 3.4 is one"""
     map: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """column=name: which column of the file is which name in the model; may be repeated"""
     unit: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -66,7 +68,7 @@ class Replay:
         if self.json is not None:
             write_json(self.json, done.to_dict())
         if self.plot is not None:
-            done.plot(self.plot)
+            done.plot(self.plot, width=self.width)
         for note in done.recording.notes:
             print(f"note: {note}")
         print(done.table())

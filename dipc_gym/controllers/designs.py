@@ -21,7 +21,7 @@ from dipc_gym.controllers.base import Controller
 
 Array = NDArray[np.float64]
 
-PERIOD = 0.005
+PERIOD = 0.005  # s, the paper's control period
 
 
 @functools.cache

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 PRINTED_GAIN = np.array([31.6, -720.1, 1176.3, 28.1, -20.0, 210.4])  # paper, section 4, signs restored
-PRINTED_Q = np.diag([10.0, 20.0, 20.0, 50.0, 700.0, 700.0])
-RECOVERED_Q = np.diag([1000.0, 20.0, 20.0, 50.0, 700.0, 700.0])
-R = 1.0
+PRINTED_Q = np.diag([10.0, 20.0, 20.0, 50.0, 700.0, 700.0])  # the paper's weights of the state
+RECOVERED_Q = np.diag([1000.0, 20.0, 20.0, 50.0, 700.0, 700.0])  # the weights from which the printed gain follows
+R = 1.0  # the paper's weight of the force
 
 _ABSOLUTE = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]])  # joint angles -> absolute angles
 

@@ -164,6 +164,7 @@ def _tensors(path: Path, data: bytes) -> dict[str, Array]:
         raise ControllerError(f"{path}, policy.pth: cannot be read as weights ({first_line(error)})") from None
 
 
+# Of networks of stable-baselines3, by the names that torch has for them.
 _ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "Tanh": np.tanh,
     "ReLU": lambda x: np.maximum(x, 0.0),

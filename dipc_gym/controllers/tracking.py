@@ -27,7 +27,7 @@ SCHEMA = "dipc-gym/trajectory/1"
 FORMAT = Format("trajectory", "dipc-gym plan", "plan it again", 5_000_000, ControllerError)
 LONGEST = 10_000  # control periods
 LARGEST = 1e6  # no position, rate, force or gain of a plan is this large
-DIGITS = 9
+DIGITS = 9  # of a number in a plan's file
 FASTEST, SLOWEST = 1e-4, 0.1  # control periods, s
 
 

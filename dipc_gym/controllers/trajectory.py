@@ -25,7 +25,7 @@ GUESSES = 4  # for each
 MARGIN = 0.7  # of the motor's force that a plan uses; the rest is for friction and feedback
 ROOM = 0.75  # of the rail that a plan uses
 EFFORT, CENTRE = 0.01, 1.0  # weights of the squared acceleration, (m/s^2)^-2 s^-1, and of the cart's place, m^-2 s^-1
-ITERATIONS = 400
+ITERATIONS = 400  # of IPOPT for each guess, at most
 
 
 class NoPlanError(ValueError):

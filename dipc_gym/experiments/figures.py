@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from dipc_gym import compensators
 from dipc_gym.compensators import LOLIMOT, Samples
-from dipc_gym.experiments import film, style
+from dipc_gym.drawing import style
+from dipc_gym.experiments import film
+from dipc_gym.safety.files import whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MARKERS = ("o", "s", "^", "x")  # of controllers
-MOST_MODELS = 30
+MOST_MODELS = 30  # of Fig. 9, beyond the point where training stops
 STRETCHES = ((9.0, 12.0), (45.0, 46.0))  # s of the identification run that Figs. 8 and 10 show
 SWEEP_ZOOM = (28.0, 31.0)  # s, with a block of training between two of test
 BALANCE_ZOOM = 6.0  # s at the end of a run, where it has settled
@@ -85,13 +87,9 @@ def write(draw: Callable[[float], Figure], stem: Path) -> None:
         draw: the figure of a width, inches.
         stem: path without suffix.
     """
-    for width, name, points in (
-        (style.WIDE, f"{stem.name}.png", 9),
-        (style.WIDE, f"{stem.name}.pdf", 8),
-        (style.NARROW, f"{stem.name}-narrow.pdf", 6),
-    ):
-        with style.text(points):
-            style.write(draw(width), stem.with_name(name))
+    for width, end, points in style.SIZES:
+        with style.text(points), whole(stem.with_name(stem.name + end)) as file:
+            style.write(draw(width), file, end.rpartition(".")[2])
 
 
 def identification(time: Array, data: Samples, width: float = 7.0) -> Figure:

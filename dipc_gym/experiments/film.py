@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from dipc_gym import ENV_ID
-from dipc_gym.experiments import style
+from dipc_gym.drawing import style
 from dipc_gym.runs import Course
 from dipc_gym.safety.files import partial_of, whole
 
 Array = NDArray[np.float64]
 
 FORMATS = (".gif", ".mp4")
-SECONDS = 8.0
+SECONDS = 8.0  # s of a film
 RATE = 25.0  # frames per second of the film, which runs in real time
 GIF_TAKES = 2  # a GIF takes every second frame: it grows with each, and few viewers keep up with more
 SIZE = (300, 340)  # pixels of a rig
@@ -40,7 +40,7 @@ MARGIN = 10  # pixels about a trace
 CAPTIONS = {"none": "without compensation", "llnf": "with the LLNF compensator"}
 LARGEST = (0.4, 0.6)  # m of the cart and rad of the poles that magnified motion fills the picture with
 MOST = 20  # times
-INK, PAPER = (20, 24, 30), (255, 255, 255)
+INK, PAPER = (20, 24, 30), (255, 255, 255)  # red, green and blue
 
 
 def magnification(courses: Mapping[str, Course], seconds: float = math.inf) -> int:

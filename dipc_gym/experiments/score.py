@@ -23,7 +23,7 @@ from dipc_gym.sweep import Outcome
 
 SCHEMA = "dipc-gym/robustness-score/1"
 SECONDS = 10.0  # of a run, as theirs
-VALUES = 21
+VALUES = 21  # of a range that is gone through
 PUSHES = 50  # runs with random pushes
 
 TESTS = {

@@ -12,13 +12,13 @@ from dipc_gym.compensators import RigConstants, Samples
 
 Array = NDArray[np.float64]
 
-ROWS, COLUMNS = 9, 25
+ROWS, COLUMNS = 9, 25  # of the map: force, velocity
 FULL = 5
 """Samples from which on a cell of the map counts as covered."""
-FEWEST_REVERSALS = 4
+FEWEST_REVERSALS = 4  # of motion that a recording needs, for friction shows there
 SLOW = 0.1
 """Share of the largest speed below which motion is slow; friction is steepest there."""
-FEW = 20
+FEW = 20  # samples that a region needs
 NARROW = 0.3
 """Share of the map; the paper's sweep covers two thirds."""
 LOUDEST = 0.5

@@ -11,7 +11,7 @@ from scipy import linalg, optimize
 
 Array = NDArray[np.float64]
 
-ORDER = 3
+ORDER = 3  # of the difference whose square is penalised
 WEIGHTS = (1e-5, 1e7)
 """Smoothest and roughest; at the lower end nothing is smoothed, at the upper one all but trends of 50 samples is."""
 

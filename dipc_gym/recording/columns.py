@@ -24,8 +24,9 @@ def match_columns(
                 channels_of.setdefault(name, []).append(prefix + name)
     for column, name in mapping.items():
         if column not in names:
-            hint = " (a mapping is FILE_COLUMN=MODEL_NAME)" if name in names else ""
-            near = "" if hint else suggestion(column, names)
+            turned = name in names and column in channels_of
+            hint = " (a mapping is FILE_COLUMN=MODEL_NAME)" if turned else ""
+            near = "" if turned else suggestion(column, names)
             raise RecordingError(f"{where}: there is no column {column!r} to map to {name!r}{hint}; {sides}{near}")
         if name not in channels_of:
             raise RecordingError(
@@ -47,7 +48,9 @@ def match_columns(
     order = ["time", *(COMMAND + name for name in ctrl), *(SENSOR + name for name in sensor)]
     missing = [channel for channel in order if channel not in found]
     if missing:
-        raise RecordingError(f"{where}: no column for {missing}; {sides}; rename them or use --map COLUMN=NAME")
+        left = [column for column in names if column not in found.values()]
+        near = suggestion(missing[0].removeprefix(COMMAND).removeprefix(SENSOR), left)
+        raise RecordingError(f"{where}: no column for {missing}; {sides}; rename them or use --map COLUMN=NAME{near}")
     return {channel: found[channel] for channel in order}
 
 

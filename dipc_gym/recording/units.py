@@ -9,8 +9,9 @@ import mujoco
 from dipc_gym.mjcf import units
 from dipc_gym.safety.naming import suggestion
 
-_TURN = 2 * math.pi
+_TURN = 2 * math.pi  # rad
 
+# To SI.
 FACTORS: dict[str, float] = {
     **{"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     **{"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": _TURN},

@@ -18,9 +18,12 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     Example:
         >>> suggestion("friction.Colomb", ["friction.coulomb", "friction.viscous"])
         "; did you mean 'friction.coulomb'?"
+        >>> suggestion("strat", ["state", "start"])
+        "; did you mean 'start'?"
         >>> suggestion("pid", ["lqr"])
         ''
     """
-    as_written = {one.lower(): one for one in known}
-    near = difflib.get_close_matches(str(name).lower(), list(as_written), n=1, cutoff=NEAR)
-    return f"; did you mean {as_written[near[0]]!r}?" if near else ""
+    given, as_written = str(name).lower(), {one.lower(): one for one in known}
+    near = difflib.get_close_matches(given, list(as_written), n=3, cutoff=NEAR)
+    swapped = [one for one in near if sorted(one) == sorted(given)]  # the commonest slip: two letters change places
+    return f"; did you mean {as_written[(swapped or near)[0]]!r}?" if near else ""

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from dipc_gym.safety.naming import suggestion
 
-MANY_DIGITS = 10**40
+MANY_DIGITS = 10**40  # whole numbers from this size on are not printed in full
 
 
 @dataclass(frozen=True)

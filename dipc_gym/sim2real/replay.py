@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym import physics as custom
 from dipc_gym import recording as recordings
-from dipc_gym.drawing.canvas import settings
+from dipc_gym.drawing import style
 from dipc_gym.provenance import made_with
 from dipc_gym.recording import Recording
 from dipc_gym.recording import units as si
@@ -30,12 +30,16 @@ from dipc_gym.sim2real.selection.data import from_zero
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step
 from dipc_gym.sim2real.simulation.windows import Windows
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["Replay", "SensorError", "replay"]
 
 Array = NDArray[np.float64]
 
 SCHEMA = "dipc-gym/replay/1"
 WORST = 3  # windows that are named for each sensor
+NARROWEST, WIDEST = 2.0, 30.0  # inches of a picture
 
 
 @dataclass(frozen=True)
@@ -161,18 +165,29 @@ class Replay:
     def __len__(self) -> int:
         return len(self.windows)
 
-    @settings({"text.parse_math": False})  # a sensor may be called $x^
-    def plot(self, path: str | Path) -> Path:
+    def plot(self, path: str | Path, *, width: float = style.WIDE) -> Path:
         """Draw observed against predicted, and their difference below, a pair of axes for each sensor.
 
+        Args:
+            path: of the picture: `.png`, `.pdf` or `.svg`.
+            width: inches; 7 are two columns of a journal, 3.4 are one.
+
         Raises:
-            ValueError: matplotlib cannot write such a file.
+            ValueError: matplotlib cannot write such a file, or the width is no width of a page.
         """
+        path = Path(path)
+        if not NARROWEST <= width <= WIDEST:
+            raise ValueError(f"width is {width:g} inches; it can be {NARROWEST:g} to {WIDEST:g}")
+        points = 6 if width <= style.NARROW else 8
+        with style.text(points, text__parse_math=False), whole(path) as file:  # a sensor may be called $x^
+            style.write(self._drawn(width), file, path.suffix[1:].lower())
+        return path
+
+    def _drawn(self, width: float) -> Figure:
         from matplotlib.figure import Figure
 
-        path = Path(path)
-        figure = Figure((11, 3.4 * len(self.sensors)), layout="constrained")
-        figure.suptitle(f"{self.recording.name} in {self.model.name}: error {self.error:.3g} x noise", fontsize=11)
+        figure = Figure((width, (0.5 + 0.25 * width) * len(self.sensors) + 0.5), layout="constrained")
+        figure.suptitle(f"{self.recording.name} in {self.model.name}: error {self.error:.3g} x noise")
         axes = np.ravel(
             figure.subplots(2 * len(self.sensors), 1, sharex=True, height_ratios=[2, 1] * len(self.sensors))
         )
@@ -181,24 +196,22 @@ class Replay:
         for k, sensor in enumerate(self.sensors):
             above, below = axes[2 * k : 2 * k + 2]
             seen, said = joined(w.observed[..., k], w.valid), joined(self.predicted[..., k], w.valid)
-            above.plot(time, seen, color="#8a8f98", lw=2.2, label="observed")
-            above.plot(time, said, color="#c8452f", lw=0.9, label="predicted")
+            above.plot(time, seen, color=style.GREY, lw=1.6, label="observed")
+            above.plot(time, said, color=style.VERMILION, lw=0.6, label="predicted")
             above.set_ylabel(f"{sensor.name}, {sensor.unit}" if sensor.unit else sensor.name)
-            below.plot(time, seen - said, color="#2b5d9b", lw=0.7)
+            below.plot(time, seen - said, color=style.BLUE, lw=0.5)
             if math.isfinite(sensor.noise):
-                below.axhspan(-2 * sensor.noise, 2 * sensor.noise, color="#8a8f98", alpha=0.35, lw=0)
+                below.axhspan(-2 * sensor.noise, 2 * sensor.noise, color=style.GREY, alpha=0.35, lw=0)
             below.set_ylabel("difference")
             for start in sensor.worst:
                 for axis in (above, below):
-                    axis.axvspan(start, start + self.window, color="#e8b04a", alpha=0.3, lw=0)
+                    axis.axvspan(start, start + self.window, color=style.YELLOW, alpha=0.5, lw=0)
         for axis in axes:
             axis.spines[["top", "right"]].set_visible(False)
             axis.grid(alpha=0.25)
         axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
         axes[-1].set_xlabel("time, s; yellow: worst windows; grey: twice the noise")
-        with whole(path) as file:
-            figure.savefig(file, dpi=110, format=path.suffix[1:].lower())
-        return path
+        return figure
 
 
 def replay(

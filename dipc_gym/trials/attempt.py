@@ -24,11 +24,11 @@ from dipc_gym.trials.records import digests
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv")
 PATIENCE = 1800.0
 """Seconds after which a diagnosis is stopped and counts as failed."""
-WINDOW = 0.25
+WINDOW = 0.25  # s, windows that a model is judged on
 CONVERGED = 0.001
 """Step at which a model is judged, s: Runge-Kutta with located reversals, so that what is left is not integration.
 A quarter of it moves no error by a hundredth of the noise."""
-INTERRUPTED = (-signal.SIGINT, 128 + signal.SIGINT)
+INTERRUPTED = (-signal.SIGINT, 128 + signal.SIGINT)  # exit codes of a diagnosis that Ctrl-C ended
 
 
 class TookTooLong(RuntimeError):

@@ -22,11 +22,12 @@ from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Rig, nominal_xml
 from dipc_gym.trials.secret import Plan, Secret
 
 SCHEMA = "dipc-gym/trial/1"
-SMALL = {"null": 15, "single": 18, "pair": 3, "unknown": 3, "wrong": 3}
-LAWS = {"single": 60, "unknown": 60, "null": 30}
-FULL = {"null": 150, "single": 182, "pair": 36, "unknown": 32, "wrong": 30}
+SMALL = {"null": 15, "single": 18, "pair": 3, "unknown": 3, "wrong": 3}  # trials of each kind
+LAWS = {"single": 60, "unknown": 60, "null": 30}  # trials of each kind, with --laws
+FULL = {"null": 150, "single": 182, "pair": 36, "unknown": 32, "wrong": 30}  # trials of each kind, with --full
+# Shares of the trials.
 RIG_WEIGHTS = {"cart": 0.3, "hanging": 0.2, "upright": 0.15, "motor_axis": 0.2, "pendulum": 0.15}
-REDRAWS = 200
+REDRAWS = 200  # of a trial whose hidden physics does not suit its rig, at most
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv", "test.csv")
 
 

@@ -38,7 +38,7 @@ from dipc_gym.trials.plant import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_JOI
 # The state: joint positions, joint velocities, rotor angle and speed, current, bristle, winding heat,
 # sloshing mass and its speed, creeping spring, hysteresis.
 V, ROTOR_Q, ROTOR_V, CURRENT, BRISTLE_Z, HEAT, SLOSH_Q, SLOSH_V, CREEP, BENT = 3, 6, 7, 8, 9, 10, 11, 12, 13, 14
-STATE_SIZE = 15
+STATE_SIZE = 15  # numbers of a state
 # What a law of any shape is: of the driven joint, but for the last, which acts on the first pole.
 NO_LAW, LEVEL_OF_PLACE, LEVEL_OF_SPEED, FORCE_OF_PLACE, AMPLIFIER, DRAG_OF_PLACE, GAIN_OF_PLACE, PULL_OF_CART = range(8)
 FREE = 2  # mode of a joint without dry friction; -1 and 1: sliding; 0: held

@@ -16,8 +16,8 @@ import numpy as np
 
 from dipc_gym.trials.replayed import SMOOTH, Array, Motion, error
 
-HIDDEN = 32
-EPOCHS = 400
+HIDDEN = 32  # units of each of two layers
+EPOCHS = 400  # at most
 PATIENCE = 60
 """Epochs without a better validation error after which training ends."""
 HELD_BACK = 0.2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-MAX_JOINTS = 3
+MAX_JOINTS = 3  # of a rig
 
 GLOBAL = (
     "m0", "m1", "m2", "com1", "com2", "inertia1", "inertia2", "length1", "gravity", "tilt", "mgl",  # bodies

@@ -17,8 +17,8 @@ from dipc_gym.trials.hidden import Effect, Parameter
 from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig
 
-WINDOW = 125
-FINE, COARSE = 5e-5, 2e-3
+WINDOW = 125  # samples of a window that is predicted
+FINE, COARSE = 5e-5, 2e-3  # s, longest steps of the truth, and of windows that are predicted
 ONES = np.ones(SAMPLES)
 
 

@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dipc_gym.drawing.canvas import settings
+from dipc_gym.drawing import style
 from dipc_gym.safety.files import whole, write_json, write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def write_report(out: Path, scores: Mapping[str, Any], *, seed: int) -> None:
-    """Write `report.md`, `report.json` and, if anything was judged, `report.png` into `out`.
+    """Write `report.md`, `report.json` and, if anything was judged, `report.png`, `report.pdf` and
+    `report-narrow.pdf` into `out`.
 
     Args:
         out: folder.
@@ -24,7 +28,9 @@ def write_report(out: Path, scores: Mapping[str, Any], *, seed: int) -> None:
     write_json(out / "report.json", _finite({"seed": seed, **scores}))
     write_whole(out / "report.md", markdown(scores, seed=seed).encode())
     if scores["trials"]:
-        figure(scores, out / "report.png")
+        for width, end, points in style.SIZES:
+            with style.text(points), whole(out / f"report{end}") as file:
+                style.write(figure(scores, width), file, end.rpartition(".")[2])
 
 
 def _finite(value: Any) -> Any:
@@ -133,38 +139,46 @@ def _sizes(title: str, rows: Sequence[Mapping[str, Any]], scale: float, unit: st
     return lines
 
 
-@settings()
-def figure(scores: Mapping[str, Any], path: Path) -> None:
-    """Naming rate against effect size, and the confusion matrix.
+def figure(scores: Mapping[str, Any], width: float = style.WIDE) -> Figure:
+    """Naming rate against effect size, and the confusion matrix; one above the other where the figure is narrow.
 
     Args:
         scores: from `dipc_gym.trials.score.score`.
-        path: of the picture.
+        width: inches.
     """
     from matplotlib.figure import Figure
 
     confusion = scores["confusion"]
     rows = sorted(confusion)
     columns = sorted({name for row in confusion.values() for name in row})
-    canvas = Figure(figsize=(7 + 0.3 * len(columns), max(4.5, 0.28 * len(rows) + 2.5)), layout="constrained")
-    left, right = canvas.subplots(1, 2, width_ratios=(1, 1.6))
-    marks = {"name": ("right name first", "o-"), "set": ("right set", "s--"), "place": ("right place", "^:")}
+    narrow = width <= style.NARROW
+    tall = max(1.0, 0.11 * len(rows)) + 1.4  # inches of the matrix with its names
+    canvas = Figure(figsize=(width, tall + 2.0 if narrow else max(3.2, tall)), layout="constrained")
+    if narrow:
+        left, right = canvas.subplots(2, 1, height_ratios=(1.9, tall))
+    else:
+        left, right = canvas.subplots(1, 2, width_ratios=(1, 1.6))
+    small = 4.0 if narrow else 5.0  # points
+    marks = {
+        "name": ("right name first", "o-", style.BLUE),
+        "set": ("right set", "s--", style.VERMILION),
+        "place": ("right place", "^:", style.GREEN),
+    }
     filled = [row for row in scores["by_size"] if row["trials"]]
-    for key, (label, style) in marks.items():
+    for key, (label, line, colour) in marks.items():
         known = [row for row in filled if row[key]["of"]]
         centres = [math.sqrt(max(row["low"], 0.3) * (row["high"] or 5 * row["low"])) for row in known]
-        left.plot(centres, [100 * row[key]["rate"] for row in known], style, label=label)
+        left.plot(centres, [100 * row[key]["rate"] for row in known], line, color=colour, ms=3, label=label)
     left.set(xscale="log", ylim=(-5, 105), xlabel="effect size (noise standard deviations)", ylabel="%")
-    left.axvline(2.0, color="0.6", linewidth=0.8)
+    left.axvline(2.0, color=style.GREY, linewidth=0.8)
     left.legend(loc="lower right")
     counts = np.array([[confusion[truth].get(name, 0) for name in columns] for truth in rows], dtype=float)
     shares = counts / counts.sum(axis=1, keepdims=True)
     right.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
-    right.set_xticks(range(len(columns)), columns, rotation=90, fontsize=7)
-    right.set_yticks(range(len(rows)), rows, fontsize=7)
+    right.set_xticks(range(len(columns)), columns, rotation=90, fontsize=small)
+    right.set_yticks(range(len(rows)), rows, fontsize=small)
     right.set(xlabel="said first", ylabel="truth")
     for i, j in zip(*np.nonzero(counts), strict=True):
         ink = "white" if shares[i, j] > 0.5 else "black"
-        right.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7, color=ink)
-    with whole(path) as file:
-        canvas.savefig(file, dpi=130, format="png")
+        right.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=small, color=ink)
+    return canvas

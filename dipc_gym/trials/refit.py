@@ -22,7 +22,7 @@ BOUNDS = {"damping": (0.05, 10.0), "frictionloss": (0.05, 10.0), "armature": (0.
 """Bounds of parameters, as factors of the nominal one; wider ones diverge at a step of one sample."""
 OTHERS = (0.3, 3.0)
 """Bounds of gear and masses."""
-ITERATIONS = 12
+ITERATIONS = 12  # of mujoco.sysid, at most
 
 
 def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.MjModel, dict[str, float]]:

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Force = Callable[[Array, Array, Array], Array]
 """Generalised force to add, (n, nv), from positions (n, nv), velocities (n, nv) and commands (n, 1)."""
 
-WINDOW = 125
+WINDOW = 125  # samples of a window that is judged
 STEPS = 4
 """Runge-Kutta steps a sample."""
 SMOOTH = 31

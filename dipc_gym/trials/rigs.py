@@ -13,12 +13,12 @@ from dipc_gym.trials.plant import SIZE, index
 
 Array = NDArray[np.float64]
 
-SAMPLES = 10_000
-SAMPLE_TIME = 0.002
+SAMPLES = 10_000  # of a recording
+SAMPLE_TIME = 0.002  # s
 PULLEY = 78.74015748031496
 """Motor turns per metre of cart travel, rad/m (a pulley of 12.7 mm radius)."""
-ENCODER_LINEAR, ENCODER_ANGULAR = 2e-5, 2 * np.pi / 8192
-NOISE_LINEAR, NOISE_ANGULAR = 5e-6, 1e-4
+ENCODER_LINEAR, ENCODER_ANGULAR = 2e-5, 2 * np.pi / 8192  # m and rad, a count
+NOISE_LINEAR, NOISE_ANGULAR = 5e-6, 1e-4  # m and rad, standard deviation beside counting
 
 
 @dataclass(frozen=True)

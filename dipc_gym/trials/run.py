@@ -30,7 +30,7 @@ def trial(
     """The blind trial: generate, diagnose, score.
 
     Args:
-        out: folder; gets `trials/`, `sealed/`, `results/`, `report.md`, `report.json` and `report.png`.
+        out: folder; gets `trials/`, `sealed/`, `results/`, `report.md`, `report.json`, `report.png` and its PDFs.
         seed: determines the trials.
         count: number of trials; None: 42, 430 with `full`, 150 with `laws`.
         full: the long version.

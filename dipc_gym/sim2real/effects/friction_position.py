@@ -9,7 +9,7 @@ import numpy as np
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry
 
-KNOTS = 5
+KNOTS = 5  # of the table along the way
 
 
 class AlongTheWay(Effect):

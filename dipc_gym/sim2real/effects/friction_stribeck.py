@@ -14,7 +14,7 @@ from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Va
 # to minimise the mean fourth power of the error, which is nowhere above 0.7 %: chords from knots on the curve are off
 # by up to 3.6 %, and the fit of a pendulum made up for that with a static level 1.5 % too high.
 KNOTS = np.array([0.0, 0.170, 0.398, 1.056, 1.376, 1.735, 2.284])
-CURVE = np.array([1.0, 0.9776, 0.8592, 0.3210, 0.1438, 0.0429, 0.0])
+CURVE = np.array([1.0, 0.9776, 0.8592, 0.3210, 0.1438, 0.0429, 0.0])  # heights of the curve at these knots
 
 
 class Stribeck(Effect):

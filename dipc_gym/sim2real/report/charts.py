@@ -19,7 +19,7 @@ Kind = Literal["line", "dots", "area"]
 Tone = Literal["observed", "nominal", "before", "after", "shade"]
 
 WIDTH, HEIGHT = 2000, 1000  # of the box; twice the pixels of the widest chart
-PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
+PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}  # of units, by powers of ten
 PREFIXED = ("m", "rad", "N", "V", "A", "s")  # units that a prefix may stand before
 
 

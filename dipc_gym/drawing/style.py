@@ -1,4 +1,4 @@
-"""One look for one compensator in every figure and film: a colour and a dash that go together.
+"""One look for all figures, and one for each compensator in every figure and film: a colour and a dash.
 
 Colours are those of Okabe and Ito, "Color universal design" (2008), which people with any colour vision tell apart;
 dashes tell curves apart in print without colour, and where two colours are equally dark.
@@ -9,14 +9,33 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from dipc_gym.drawing.canvas import settings
-from dipc_gym.safety.files import whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+__all__ = [
+    "BLACK",
+    "BLUE",
+    "GREEN",
+    "GREY",
+    "LOOKS",
+    "NARROW",
+    "ORANGE",
+    "OTHERS",
+    "PURPLE",
+    "SIZES",
+    "SKY",
+    "VERMILION",
+    "WIDE",
+    "YELLOW",
+    "Look",
+    "of",
+    "text",
+    "write",
+]
 
 Dash = str | tuple[float, tuple[float, ...]]
 
@@ -26,6 +45,8 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
 )
 GREY = "#8A8F98"
 NARROW, WIDE = 3.4, 7.0  # inches: one column of a journal, and two
+SIZES = ((WIDE, ".png", 9), (WIDE, ".pdf", 8), (NARROW, "-narrow.pdf", 6))
+"""Of a figure: inches, what follows the stem of its file's name, points of its text."""
 
 
 @dataclass(frozen=True)
@@ -75,15 +96,29 @@ def of(name: str, among: tuple[str, ...] = ()) -> Look:
 
 
 @contextmanager
-def text(points: float) -> Iterator[None]:
-    """Set type and lines for paper, with fonts that journals take (TrueType, not Type 3)."""
+def text(points: float, **own: Any) -> Iterator[None]:
+    """Set type and lines for paper, with fonts that journals take (TrueType, not Type 3).
+
+    Args:
+        points: size of the text.
+        own: more settings of matplotlib, dots in their names as two underscores.
+    """
     look: Any = {"axes.linewidth": 0.6, "lines.linewidth": 1.0, "pdf.fonttype": 42, "grid.linewidth": 0.5}
-    with settings(look | {"font.size": points, "axes.titlesize": points, "legend.fontsize": points}):
+    look |= {"font.size": points, "axes.titlesize": points, "legend.fontsize": points}
+    with settings(look | {name.replace("__", "."): value for name, value in own.items()}):
         yield
 
 
-def write(made: Figure, path: Path) -> None:
-    """Write a figure, without its date: the same figure is the same file."""
-    kind = path.suffix[1:]
-    with whole(path) as file:
-        made.savefig(file, dpi=160, format=kind, metadata={"CreationDate": None} if kind == "pdf" else None)
+def write(made: Figure, file: BinaryIO, kind: str) -> None:
+    """Write a figure, without its date: the same figure is the same file.
+
+    Args:
+        made: the figure.
+        file: open for writing.
+        kind: `png`, `pdf` or `svg`.
+
+    Raises:
+        ValueError: matplotlib cannot write such a file.
+    """
+    dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+    made.savefig(file, dpi=160, format=kind, metadata=dates.get(kind))
