@@ -8,13 +8,12 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:
-    from dipc_gym.export.program import Program, Value
+from dipc_gym.dataflow import NoForm, Program, Value
 
 Array = npt.NDArray[np.float64]
 Signal = TypeVar("Signal", float, Array)
@@ -277,10 +276,8 @@ class Compensator(ABC):
             The motor voltage, V.
 
         Raises:
-            dipc_gym.export.program.NoForm: The formula cannot be written that way.
+            NoForm: The formula cannot be written that way.
         """
-        from dipc_gym.export.program import NoForm
-
         if type(self).voltage is not Compensator.voltage:
             raise NoForm("it overrides `voltage`, so it needs an `express` of its own")
         previous = program.previous("previous_velocity", velocity)

@@ -10,7 +10,7 @@ import numpy as np
 from dipc_gym.compensators.base import Array, Compensator, RigConstants, Samples, Signal, elementwise, numbers
 
 if TYPE_CHECKING:
-    from dipc_gym.export.program import Program, Value
+    from dipc_gym.dataflow import Program, Value
 
 KNOTS = 12
 """Each way from standstill, evenly spaced in the logarithm; with the one at zero, 25."""

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from dipc_gym.compensators.base import Array, Compensator, RigConstants, Samples, Signal, elementwise, numbers
 
 if TYPE_CHECKING:
-    from dipc_gym.export.program import Program, Value
+    from dipc_gym.dataflow import Program, Value
 
 MAX_MODELS = 10
 STEEPNESS = math.sqrt(20.0)

@@ -19,7 +19,7 @@ from dipc_gym.compensators.base import (
 from dipc_gym.compensators.lolimot import LOLIMOT
 
 if TYPE_CHECKING:
-    from dipc_gym.export.program import Program, Value
+    from dipc_gym.dataflow import Program, Value
 
 MAX_MODELS = 20
 """One call of a network of this size still takes less than 10 microseconds."""

@@ -14,7 +14,7 @@ from dipc_gym.compensators.memory import Remembering, Track, given
 from dipc_gym.plant import Friction
 
 if TYPE_CHECKING:
-    from dipc_gym.export.program import Program, Value
+    from dipc_gym.dataflow import Program, Value
 
 STEP = 0.001
 """Longest step of the bristle's integration, s."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from dipc_gym.compensators.static import Ideal
 
 if TYPE_CHECKING:
-    from dipc_gym.export.program import Program, Value
+    from dipc_gym.dataflow import Program, Value
 
 
 @dataclass(frozen=True)

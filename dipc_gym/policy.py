@@ -17,7 +17,7 @@ from dipc_gym.safety.files import write_whole
 from dipc_gym.safety.untrusted import Format
 
 if TYPE_CHECKING:
-    from dipc_gym.export.program import Program, Value
+    from dipc_gym.dataflow import Program, Value
 
 __all__ = ["ControllerError", "Evaluation", "Policy", "shipped"]
 

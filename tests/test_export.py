@@ -26,11 +26,12 @@ from dipc_gym.compensators import (
     StaticGain,
 )
 from dipc_gym.controllers import LQR, SB3Policy, lqr
+from dipc_gym.dataflow import NoForm, Program, Value
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.estimators import RigModel
+from dipc_gym.estimators.differences import FilteredDifference
 from dipc_gym.export import bundle, c, onnx
-from dipc_gym.export.parts import READINGS, FilteredDifference, Loop
-from dipc_gym.export.program import NoForm, Program, Value
+from dipc_gym.export.parts import READINGS, Loop
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.vector import DIPCFrictionVectorEnv
 from dipc_gym.wrappers import VectorEstimateState, VectorForceCommand

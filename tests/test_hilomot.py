@@ -8,7 +8,7 @@ import numpy as np
 
 from dipc_gym import compensators
 from dipc_gym.compensators import HILOMOT, LOLIMOT, RigConstants, Samples, hilomot
-from dipc_gym.export.program import Program
+from dipc_gym.dataflow import Program
 
 
 def diagonal(samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from dipc_gym import compensators
 from dipc_gym.cli import main
 from dipc_gym.compensators import CompensatorError, Curve, RigConstants, Samples
+from dipc_gym.dataflow import Program
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.export.program import Program
 from dipc_gym.identification.run import cart_model
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.training import inverse

@@ -19,7 +19,7 @@ from dipc_gym import mjcf
 from dipc_gym.mechanics.rigid import Rigid
 
 if TYPE_CHECKING:
-    from dipc_gym.export.program import Program, Value
+    from dipc_gym.dataflow import Program, Value
 
 Array = NDArray[np.float64]
 

@@ -42,7 +42,7 @@ class Code:
         exact: bool = False,
     ) -> None:
         self.module, self.tangents, self.width, self.exact = module, tangents, width, exact
-        self.flags = () if exact else FUSED
+        self.flags: tuple[str, ...] = () if exact else FUSED
         self.real = ir.VectorType(REAL, width) if width else REAL
         self.function = ir.Function(module, ir.FunctionType(returns or ir.VoidType(), arguments), name)
         if internal:

@@ -9,12 +9,9 @@ IEEE 754 defines, so a number's result does not depend on its neighbours.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, Self, TypeVar
 
 from llvmlite import ir
-
-if TYPE_CHECKING:
-    from dipc_gym.engine.values import Value
 
 # Adding it leaves no bits behind the point; the whole number is then in the last bits.
 _ROUNDING = 1.5 * 2.0**52
@@ -27,27 +24,44 @@ _QUARTER = (
     float.fromhex("0x1.0b4611a600000p-34"),
     float.fromhex("0x1.3198a2e037073p-69"),
 )
-_LEAST, _MOST = -708.0, 709.0  # exponents whose power of e a number holds
+LEAST, MOST = -708.0, 709.0  # exponents whose power of e a number holds
 
 
-def exp(x: Value) -> Value:
-    """Exponential; what would be below 1e-307 is that."""
-    from dipc_gym.engine.values import Value, maximum, minimum
+class Value(Protocol):
+    """What is asked of a number that writes code, such as `values.Value`."""
 
+    code: Any
+    primal: ir.Value
+
+    def beside(self, primal: ir.Value) -> Self:
+        """Another number of the same code."""
+
+    def __add__(self, other: Any) -> Self:
+        """The sum."""
+
+    def __sub__(self, other: Any) -> Self:
+        """The difference."""
+
+    def __mul__(self, other: Any) -> Self:
+        """The product."""
+
+
+Number = TypeVar("Number", bound=Value)
+
+
+def exp(x: Number) -> Number:
+    """Exponential of numbers from `LEAST` to `MOST`, whose powers of e a number holds."""
     code = x.code
-    x = minimum(maximum(x, _LEAST), _MOST)
     shifted, whole = _rounded(x * (1 / math.log(2)))
     rest = x - whole * _LN2[0] - whole * _LN2[1]
     series = _horner(rest, [1 / math.factorial(k) for k in range(14)])
     power = code.at.shl(_bits(shifted), _constant(code, _EXPONENT))
     one = code.at.bitcast(code.constant(1.0), _whole(code))
-    return Value(code, code.at.bitcast(code.at.add(power, one), code.real)) * series
+    return x.beside(code.at.bitcast(code.at.add(power, one), code.real)) * series
 
 
-def sin_cos(x: Value) -> tuple[Value, Value]:
+def sin_cos(x: Number) -> tuple[Number, Number]:
     """Sine and cosine, of angles up to a million."""
-    from dipc_gym.engine.values import Value
-
     code, at = x.code, x.code.at
     shifted, whole = _rounded(x * (2 / math.pi))
     rest = x
@@ -60,23 +74,23 @@ def sin_cos(x: Value) -> tuple[Value, Value]:
     one, two = _constant(code, 1), _constant(code, 2)
     odd = at.icmp_unsigned("==", at.and_(quarters, one), one)
 
-    def signed(number: Value, by: Any) -> Value:
+    def signed(number: Number, by: Any) -> Number:
         flip = at.shl(at.and_(by, two), _constant(code, 62))
-        return Value(code, at.bitcast(at.xor(at.bitcast(number.primal, _whole(code)), flip), code.real))
+        return x.beside(at.bitcast(at.xor(at.bitcast(number.primal, _whole(code)), flip), code.real))
 
-    sine = Value(code, at.select(odd, c.primal, s.primal))
-    cosine = Value(code, at.select(odd, s.primal, c.primal))
+    sine = x.beside(at.select(odd, c.primal, s.primal))
+    cosine = x.beside(at.select(odd, s.primal, c.primal))
     return signed(sine, quarters), signed(cosine, at.add(quarters, one))
 
 
-def _rounded(x: Value) -> tuple[Value, Value]:
+def _rounded(x: Number) -> tuple[Number, Number]:
     """A number whose last bits are the nearest whole number, and that whole number."""
     shifted = x + _ROUNDING
     return shifted, shifted - _ROUNDING
 
 
-def _horner(x: Value, coefficients: list[float]) -> Value:
-    total = x.code.value(coefficients[-1])
+def _horner(x: Number, coefficients: list[float]) -> Number:
+    total: Number = x.code.value(coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
         total = total * x + coefficient
     return total

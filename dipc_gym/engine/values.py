@@ -11,15 +11,12 @@ NumPy's functions work on values (NEP 13 and 18), so that a law written for arra
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from llvmlite import ir
 
 from dipc_gym.engine import elementary
-
-if TYPE_CHECKING:
-    from dipc_gym.engine.code import Code
 
 LANES = 8
 REAL, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
@@ -29,6 +26,36 @@ VOID = ir.VoidType()
 FUSED = ("contract",)  # a product and a sum may become one rounding
 
 Number = Any  # a Value, or a Python number
+
+
+class Code(Protocol):
+    """What a number asks of the function that it stands in, a `code.Code`.
+
+    Attributes:
+        at: where the next instruction goes.
+        flags: of every sum and product.
+        tangents: whether numbers carry derivatives.
+        width: 0, or how many simulations go side by side.
+        exact: whether each operation is rounded by itself.
+    """
+
+    at: ir.IRBuilder
+    flags: tuple[str, ...]
+    tangents: bool
+    width: int
+    exact: bool
+
+    def value(self, number: Number) -> Value:
+        """A number as a value."""
+
+    def splat(self, number: ir.Value) -> ir.Value:
+        """The same number in all lanes."""
+
+    def call(self, name: str, *numbers: ir.Value) -> ir.Value:
+        """A function of real numbers from the C library."""
+
+    def intrinsic(self, name: str, *numbers: ir.Value) -> ir.Value:
+        """One of LLVM's own functions of real numbers."""
 
 
 class Value:
@@ -44,6 +71,10 @@ class Value:
     def plain(self) -> Value:
         """The number without its tangent."""
         return Value(self.code, self.primal)
+
+    def beside(self, primal: ir.Value) -> Value:
+        """Another number of the same code, without a tangent."""
+        return Value(self.code, primal)
 
     def _scaled(self, by: ir.Value) -> ir.Value | None:
         """The tangent times a number."""
@@ -203,7 +234,7 @@ def sin_cos(x: Value) -> tuple[Value, Value]:
 def exp(x: Value) -> Value:
     """Exponential."""
     if x.code.width:
-        return elementary.exp(x)
+        return elementary.exp(minimum(maximum(x, elementary.LEAST), elementary.MOST))
     primal = x.code.call("exp", x.primal)
     return x._chain(primal, lambda: primal)
 

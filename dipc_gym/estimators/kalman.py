@@ -9,12 +9,13 @@ import numpy as np
 from scipy import linalg
 
 from dipc_gym.controllers import lqr
+from dipc_gym.dataflow import NoForm
 from dipc_gym.estimators.base import Array, Command, Estimator, RigModel
 from dipc_gym.estimators.late import Late
 from dipc_gym.plant import Friction
 
 if TYPE_CHECKING:
-    from dipc_gym.export.program import Program, Value
+    from dipc_gym.dataflow import Program, Value
 
 FLOOR = 1e-16
 """Added to the process noise of every state: the Riccati equation wants each to be moved by something."""
@@ -101,10 +102,8 @@ class CompensatedKalman(Kalman):
         """Nothing: what it asks of the compensator, a program does not know.
 
         Raises:
-            dipc_gym.export.program.NoForm: always.
+            NoForm: always.
         """
-        from dipc_gym.export.program import NoForm
-
         raise NoForm("it asks the compensator for the friction at two velocities; `kalman` has a form")
 
 

@@ -11,7 +11,7 @@ from dipc_gym.controllers import lqr
 from dipc_gym.estimators.base import LARGEST, Array
 
 if TYPE_CHECKING:
-    from dipc_gym.export.program import Program, Value
+    from dipc_gym.dataflow import Program, Value
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,10 +15,11 @@ import dipc_gym
 from dipc_gym import compensators, controllers, estimators
 from dipc_gym.compensators import Compensator, StaticGain
 from dipc_gym.controllers import Controller
+from dipc_gym.dataflow import Program
 from dipc_gym.env import DoublePendulumEnv
+from dipc_gym.estimators.differences import FilteredDifference
 from dipc_gym.export import c, onnx
-from dipc_gym.export.parts import READINGS, Estimator, FilteredDifference, Loop
-from dipc_gym.export.program import Program
+from dipc_gym.export.parts import READINGS, Estimator, Loop
 from dipc_gym.plant import Plant
 from dipc_gym.policy import FORMAT, SCHEMA, Policy
 from dipc_gym.safety.files import write_whole

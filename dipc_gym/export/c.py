@@ -9,7 +9,7 @@ from string import Template
 
 import numpy as np
 
-from dipc_gym.export.program import ELEMENTWISE, REDUCTIONS, Floats, NoForm, Program, Step
+from dipc_gym.dataflow import ELEMENTWISE, REDUCTIONS, Floats, NoForm, Program, Step
 
 DEEPEST = 5
 """Operations that may stand in one expression; more are hard to read."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dipc_gym.export.program import BINARY, Program, Step
+from dipc_gym.dataflow import BINARY, Program, Step
 
 OPSET = 18
 """Of ONNX Runtime 1.14, of 2023, and later."""

@@ -8,10 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import kernels
 from dipc_gym.compensators import Compensator
 from dipc_gym.controllers import Controller
-from dipc_gym.export.program import NoForm, Program, Value
+from dipc_gym.dataflow import NoForm, Program, Value
 
 Array = NDArray[np.float64]
 
@@ -41,38 +40,6 @@ class Estimator(Protocol):
             voltage: of the last period, V; 0 in the first.
             force: that was wanted then, N.
         """
-
-
-@dataclass(frozen=True)
-class FilteredDifference:
-    """The rates that `DIPC-Friction-v0` observes: differences of readings through a first-order low-pass.
-
-    Attributes:
-        time_constant: of the low-pass, s; 0 is the bare difference.
-        period: control period, s.
-
-    Example:
-        >>> program = Program()
-        >>> readings = program.join(*(program.input(name) for name in READINGS))
-        >>> none = program.constant(0.0)
-        >>> program.output("seen", FilteredDifference(0.0, 0.01).express(program, readings, none, none))
-        >>> memory = program.memory()
-        >>> for x in (0.0, 0.02):
-        ...     seen, memory = program.run({"cart": [x], "pole1": [0.0], "pole2": [0.0]}, memory)
-        >>> seen["seen"][3].item()
-        2.0
-    """
-
-    time_constant: float
-    period: float
-
-    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
-        """Readings and their filtered rates; zero in the first period."""
-        keep, gain = kernels.velocity_gains(self.time_constant, self.period)
-        last, rates = program.previous("last_readings", readings), program.state("rates", np.zeros(3))
-        now = keep * rates + gain * (readings - last)
-        program.update(rates, now)
-        return program.join(readings, now)
 
 
 @dataclass(frozen=True)

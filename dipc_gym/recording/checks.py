@@ -15,7 +15,7 @@ from dipc_gym.recording.tables import RecordingError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from dipc_gym.recording import Recording
+    from dipc_gym.recording.record import Recording
 
 ORDERS = range(3, 8)  # of the differences that remove the motion
 FEWEST = 10  # samples that noise can be estimated from

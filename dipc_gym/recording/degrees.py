@@ -14,7 +14,7 @@ from dipc_gym.mjcf import is_hinge
 from dipc_gym.recording.tables import RecordingError
 
 if TYPE_CHECKING:
-    from dipc_gym.recording import Recording
+    from dipc_gym.recording.record import Recording
 
 TURNS = 2.0  # either way, that a joint with a weight on it seldom makes
 BEYOND = 3.0  # times its range, where a joint has one

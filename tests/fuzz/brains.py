@@ -19,9 +19,9 @@ from dipc_gym import compensators, controllers, estimators, runs
 from dipc_gym.compensators import LLNF, CompensatorError, FitFigures, InputRange
 from dipc_gym.controllers import ControllerError
 from dipc_gym.controllers.normalisation import Statistics
+from dipc_gym.dataflow import NoForm
 from dipc_gym.estimators.files import EstimatorError
 from dipc_gym.export import bundle
-from dipc_gym.export.program import NoForm
 from dipc_gym.identification import Sweep
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Evaluation, Policy

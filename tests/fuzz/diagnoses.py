@@ -16,8 +16,8 @@ from rigs import MODEL, code_folder, stuck
 from target import BOTH, Target, as_json, finite
 
 from dipc_gym import mjcf, recording
+from dipc_gym.dataflow import NoForm
 from dipc_gym.export import law
-from dipc_gym.export.program import NoForm
 from dipc_gym.sim2real import SavedError, redraw
 from dipc_gym.sim2real.effects.law import described
 
