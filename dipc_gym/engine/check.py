@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import mjcf
 from dipc_gym.engine.layout import Head, Joint
 from dipc_gym.engine.program import Program, Uncovered
 from dipc_gym.engine.run import rates
@@ -106,5 +107,5 @@ def _inert(model: mujoco.MjModel, data: mujoco.MjData) -> bool:
 
 def _sizes(model: mujoco.MjModel) -> Array:
     """How far joints are moved: angles by about a radian, slides by about the model's size."""
-    slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
-    return np.where(slides, 0.1 * model.stat.extent, 1.0)
+    hinges = np.array([mjcf.is_hinge(model, joint) for joint in range(model.njnt)], dtype=bool)
+    return np.where(hinges, 1.0, 0.1 * model.stat.extent)

@@ -19,6 +19,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import mjcf
+
 Array = NDArray[np.float64]
 Number = Any
 Vector = list[Number]
@@ -98,7 +100,7 @@ def tree_of(model: mujoco.MjModel) -> tuple[Tree, Array]:
     for link in links:
         for part in (slice(14, 17), slice(17, 23), slice(24, 27)):
             link[part][np.abs(link[part]) < _EXACT * np.abs(link[part]).max(initial=0.0)] = 0.0
-    return Tree(tuple(parents), tuple(bool(k == mujoco.mjtJoint.mjJNT_SLIDE) for k in model.jnt_type)), numbers
+    return Tree(tuple(parents), tuple(not mjcf.is_hinge(model, joint) for joint in range(model.njnt))), numbers
 
 
 def _matrices(turns: Array) -> Array:

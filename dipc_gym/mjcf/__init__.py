@@ -3,6 +3,7 @@
 from dipc_gym.mjcf.model import (
     INPUTS,
     PREFIX,
+    Units,
     base_joints,
     check_supported,
     commanded,
@@ -16,6 +17,7 @@ from dipc_gym.mjcf.model import (
     spread_out,
     texts,
     touching_pair,
+    units,
 )
 from dipc_gym.mjcf.scan import MjcfError
 from dipc_gym.mjcf.source import Source, as_source, compile, from_text, quiet_mujoco, read
@@ -25,6 +27,7 @@ __all__ = [
     "PREFIX",
     "MjcfError",
     "Source",
+    "Units",
     "as_source",
     "base_joints",
     "check_supported",
@@ -43,4 +46,5 @@ __all__ = [
     "spread_out",
     "texts",
     "touching_pair",
+    "units",
 ]

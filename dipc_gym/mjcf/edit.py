@@ -143,11 +143,14 @@ class Document:
         """The model's time step, s."""
         return float(self.get_option("timestep"))
 
+    def is_hinge(self, joint: ET.Element) -> bool:
+        """Whether a joint turns; see `mjcf.is_hinge`."""
+        return self.effective(joint, "type", "hinge") == "hinge"
+
     def angle(self, joint: ET.Element, radians: float) -> float:
         """A position of a joint as this file writes it: in degrees for hinges, unless the compiler says radian."""
-        hinge = self.effective(joint, "type", "hinge") == "hinge"
         in_degrees = all(c.get("angle", "degree") == "degree" for c in self.root.iterfind("compiler"))
-        return math.degrees(radians) if hinge and in_degrees else radians
+        return math.degrees(radians) if self.is_hinge(joint) and in_degrees else radians
 
     # ------------------------------------------------------------------------------------------------- editing
 

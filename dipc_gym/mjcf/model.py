@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -78,6 +78,40 @@ def commanded(model: mujoco.MjModel) -> int:
 def is_hinge(model: mujoco.MjModel, joint: str | int) -> bool:
     """Whether a joint turns, and is measured in rad and N m; else it slides, in m and N."""
     return bool(model.jnt_type[model.joint(joint).id] == mujoco.mjtJoint.mjJNT_HINGE)
+
+
+class Units(NamedTuple):
+    """What a joint's numbers are in.
+
+    Attributes:
+        force: `N`, or `N m` where it turns.
+        length: `m` or `rad`.
+        inertia: `kg` or `kg m^2`.
+    """
+
+    force: str
+    length: str
+    inertia: str
+
+
+def units(model: mujoco.MjModel, joint: str | int) -> Units:
+    """Units of a joint, by whether it turns or slides.
+
+    Args:
+        model: compiled.
+        joint: name or number of a hinge or a slide.
+
+    Raises:
+        KeyError: there is no joint of that name.
+
+    Example:
+        >>> model = mujoco.MjModel.from_xml_string(
+        ...     '<mujoco><worldbody><body><joint name="arm"/><geom size="1"/></body></worldbody></mujoco>'
+        ... )
+        >>> units(model, "arm").force
+        'N m'
+    """
+    return Units("N m", "rad", "kg m^2") if is_hinge(model, joint) else Units("N", "m", "kg")
 
 
 def passive_actuators(model: mujoco.MjModel) -> list[int]:

@@ -6,7 +6,7 @@ import math
 
 import mujoco
 
-from dipc_gym.mjcf import is_hinge
+from dipc_gym.mjcf import units
 from dipc_gym.safety.naming import suggestion
 
 _TURN = 2 * math.pi
@@ -68,8 +68,8 @@ def of_sensor(model: mujoco.MjModel, name: str) -> str:
         joints = [int(model.actuator_trnid[of, 0])] if on_joint and abs(model.actuator_gear[of, 0]) == 1 else []
     else:
         return ""
-    units = {"rad" if is_hinge(model, joint) else "m" for joint in joints}
-    if len(units) != 1:
+    lengths = {units(model, joint).length for joint in joints}
+    if len(lengths) != 1:
         return ""
     speed = what in (int(kind.mjSENS_JOINTVEL), int(kind.mjSENS_TENDONVEL), int(kind.mjSENS_ACTUATORVEL))
-    return units.pop() + ("/s" if speed else "")
+    return lengths.pop() + ("/s" if speed else "")

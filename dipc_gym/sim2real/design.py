@@ -342,8 +342,7 @@ def _listed(keys: Sequence[str]) -> str:
 
 
 def _length(structure: Structure, joint: str) -> str:
-    model = structure.model
-    return "rad" if mjcf.is_hinge(model, joint) else "m"
+    return mjcf.units(structure.model, joint).length
 
 
 def _unit(structure: Structure, like: Recording, actuator: int) -> str:

@@ -86,7 +86,7 @@ def beside(document: Document, name: str, at: str, inertia: float) -> str:
         Name of the part's joint.
     """
     joint = document.joint(at)
-    hinge = document.effective(joint, "type", "hinge") == "hinge"
+    hinge = document.is_hinge(joint)
     turned = inertia if hinge else 1e-6
     own = _alongside(document, document.fresh(name), at, 1e-3 if hinge else inertia, turned)
     document.set(joint, armature=float(document.effective(joint, "armature", "0")) - inertia)

@@ -138,4 +138,4 @@ def _unit(model: mujoco.MjModel, one: str) -> str:
     kind, _, name = one.partition(" ")
     if kind == "command":
         return ""
-    return ("rad" if mjcf.is_hinge(model, name) else "m") + ("/s" if kind == "velocity" else "")
+    return mjcf.units(model, name).length + ("/s" if kind == "velocity" else "")

@@ -51,9 +51,7 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
             continue
         joint = model.joint(name)
         dof = int(joint.dofadr[0])
-        turning = mjcf.is_hinge(model, name)
-        force, length = ("N m", "rad") if turning else ("N", "m")
-        inertia = "kg m^2" if turning else "kg"
+        force, length, inertia = mjcf.units(model, name)
         # Friction is the least known of all: a bearing's damping may be a guess that is off by a factor of fifty.
         for attribute, value, unit, sigma in (
             ("damping", model.dof_damping[dof], f"{force} s/{length}", 1.5),
