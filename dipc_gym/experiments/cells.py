@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,13 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import compensators, controllers, estimators, mjcf, runs
+from dipc_gym import compensators, controllers, estimators, runs
 from dipc_gym.compensators import FallbackWarning, OutOfRangeWarning
 from dipc_gym.controllers import lqr, normalisation
 from dipc_gym.estimators import EstimateWarning
 from dipc_gym.identification import Sweep
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Policy
+from dipc_gym.provenance import digest
 from dipc_gym.runs import Course, Identification, Impulse, MotorFault, identify
 from dipc_gym.safety import intact
 
@@ -262,11 +262,7 @@ def fingerprints(*paths: str | None) -> dict[str, str]:
     """
     named = [path for path in paths if path is not None]
     named += [str(normalisation.place(path)) for path in named if path.endswith(".zip")]
-    return {path: _digest(Path(path)) for path in named if Path(path).is_file()}
-
-
-def _digest(file: Path) -> str:
-    return mjcf.read(file).sha256 if file.suffix == ".xml" else hashlib.sha256(file.read_bytes()).hexdigest()
+    return {path: digest(Path(path)) for path in named if Path(path).is_file()}
 
 
 def with_estimator(controller: str, estimator: str) -> str:

@@ -6,7 +6,6 @@ is left is the model's: wrong parameters, absent physics, or a time step too lon
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from dipc_gym import mjcf
 from dipc_gym import physics as custom
 from dipc_gym import recording as recordings
 from dipc_gym.drawing.canvas import settings
-from dipc_gym.provenance import versions
+from dipc_gym.provenance import made_with
 from dipc_gym.recording import Recording
 from dipc_gym.recording import units as si
 from dipc_gym.safety.files import whole
@@ -79,7 +78,7 @@ class Replay:
         sensors: errors, in the model's order.
         windows: what was predicted.
         predicted: readings, (n, m, ns).
-        inputs: sha256 of every file that took part.
+        inputs: sha256 of the model, with all that it includes, and of the recording.
     """
 
     model: Path
@@ -128,11 +127,7 @@ class Replay:
                 {"start": float(t), "error": float(e)} for t, e in zip(self.windows.start, errors, strict=True)
             ],
             "notes": list(self.recording.notes),
-            "provenance": {
-                "versions": versions("mujoco", "numpy"),
-                "timestep": self.step,
-                "inputs": dict(self.inputs),
-            },
+            "provenance": made_with("mujoco", "numpy", timestep=self.step, inputs=self.inputs),
         }
 
     def table(self) -> str:
@@ -263,9 +258,6 @@ def replay(
     prepared = prepare(source, physics, [read], stepping, length=window, threads=threads)
     problem = prepared.problem
     _, predicted = correct_initial(problem, fit(problem, prepared.structure))
-    inputs = {str(model): hashlib.sha256(Path(model).read_bytes()).hexdigest()}
-    inputs |= {name: hashlib.sha256(data).hexdigest() for name, data in source.files.items()}
-    inputs[str(recording)] = read.sha256
     return Replay(
         Path(model),
         read,
@@ -274,7 +266,7 @@ def replay(
         _sensor_errors(problem.windows, predicted, physics.model, read.sensor_names),
         problem.windows,
         predicted,
-        inputs,
+        {str(model): source.sha256, str(recording): read.sha256},
     )
 
 
