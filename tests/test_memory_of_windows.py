@@ -16,8 +16,9 @@ from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.simulation.batch import Stepping, simulate
 from dipc_gym.sim2real.simulation.operators import play, swing
+from dipc_gym.sim2real.simulation.windows import cut
 
 ELEMENTS = ((0.004, 0.02), (1.5, 2.5))  # m and N
 HIDDEN = {
@@ -94,6 +95,16 @@ def test_windows_begin_with_what_the_motion_before_left(effect: str) -> None:
     assert without.error > 20
     assert right.error < 0.03 * without.error
     assert np.sqrt(np.median(right.mse)) < 2
+
+
+@pytest.mark.parametrize("stepping", [Stepping(0.001, RK4), Stepping(0.001)], ids=["engine", "mujoco"])
+@pytest.mark.parametrize("effect", ["friction.hysteresis", "load.swinging"])
+def test_windows_without_their_motions_are_refused(effect: str, stepping: Stepping) -> None:
+    """Neither simulator begins with springs unbent and loads at rest where nobody knows."""
+    rig = written(effect)
+    windows = cut([record(rig, sweep(4.0), 0.5)], np.ones(1), 0.25, (0.0, 1.0))
+    with pytest.raises(ValueError, match="depends on its motion; give the windows"):
+        simulate([rig], windows, np.zeros((1, len(windows), 2)), stepping, base=["cart"])
 
 
 def test_a_creeping_spring_is_maxwells_element() -> None:

@@ -23,8 +23,7 @@ from dipc_gym.recording.held import held_mean
 from dipc_gym.sim2real.simulation.commands import first_moments, per_step
 from dipc_gym.sim2real.simulation.compiled import compiled, predicted
 from dipc_gym.sim2real.simulation.dry_friction import DryFriction
-from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
-from dipc_gym.sim2real.simulation.memory import along, bends, loads, swings, yielding
+from dipc_gym.sim2real.simulation.memory import Joints, Places, begin, yielding
 from dipc_gym.sim2real.simulation.windings import steady_currents
 from dipc_gym.sim2real.simulation.windows import Windows
 
@@ -176,60 +175,41 @@ class _Runs:
         _spread(self.sims, models, which)
         self.dry = DryFriction(self.sims, level[which]) if located else None
         self._names = tuple(base)
-        self._base, self._hidden, self._leaders = _addresses(models[0], base)
+        self._joints = Joints.of(models[0], base)
 
     def begin(self, at: int, initial: Array) -> None:
         """Begin `at` steps after each window's start, from positions and velocities (variants, n, 2 nb)."""
-        begin = self.windows.start + at * self.step
-        self.sims.time[:] = (begin - self.late.max(axis=1, keepdims=True)).ravel()
-        _warm_windings(self.sims, self.variants, self.delays, self.windows)
-        self._place(initial)
-        self._remember()
-
-    def _remember(self) -> None:
-        """Give springs that yield and loads that swing what they remember of the motion before."""
-        model, windows, sims = self.variants[0].model, self.windows, self.sims
-        bent, swung, leaders = yielding(model), loads(model), mjcf.followers(model)
-        if not bent and not swung:
-            return
-        for i, motion in enumerate(windows.motions):
-            mine = np.tile(windows.source == i, len(self.variants))
-            begin = sims.time.reshape(len(self.variants), len(windows))[0, windows.source == i]
-            for tendon in bent:
-                joints, coefficients = zip(*along(model, tendon), strict=True)
-                length = sims.qpos[mine][:, list(joints)] @ np.array(coefficients)
-                first = int(model.tendon_plasticadr[tendon])
-                rest = length - bends(self.variants, tendon, motion, begin).ravel()
-                sims.plastic[mine, first] = sims.plastic[mine, first + 1] = rest
-            for name, load in swung.items():
-                apart, faster = swings(self.variants, load, self._names.index(leaders[name]), motion, begin)
-                sims.qpos[mine, load.at] += apart.ravel()
-                sims.qvel[mine, load.at] += faster.ravel()
+        windows, sims = self.windows, self.sims
+        sims.time[:] = (windows.start + at * self.step - self.late.max(axis=1, keepdims=True)).ravel()
+        time = sims.time.reshape(len(self.variants), len(windows))[0]
+        begin(self._places(), initial, self.variants, windows, self._names, self.delays, time)
 
     def put_back(self, initial: Array) -> None:
         """Put the joints at positions and velocities (variants, n, 2 nb).
 
-        Whatever hides behind a gap keeps its place relative to them.
+        Whatever hides behind a gap keeps its place relative to them, and springs that yield stay as bent as they are.
         """
-        qpos, qvel = self.sims.qpos, self.sims.qvel
-        before = qpos.copy()
-        apart = qpos[:, self._hidden] - qpos[:, self._leaders]
-        faster = qvel[:, self._hidden] - qvel[:, self._leaders]
-        self._place(initial)
-        qpos[:, self._hidden] += apart
-        qvel[:, self._hidden] += faster
-        model = self.variants[0].model
-        for tendon in yielding(model):  # stays as bent as it is
-            first = int(model.tendon_plasticadr[tendon])
-            for joint, coefficient in along(model, tendon):
-                moved = coefficient * (qpos[:, joint] - before[:, joint])
-                self.sims.plastic[:, first : first + 2] += moved[:, None]
+        places, (_, hidden, leaders) = self._places(), self._joints
+        before = places.position.copy()
+        each = (places.position, places.velocity)
+        apart = [state[..., hidden] - state[..., leaders] for state in each]
+        places.put(self._joints, initial)
+        for state, kept in zip(each, apart, strict=True):
+            state[..., hidden] += kept
+        places.stay_bent(self.sims.model, places.position - before)
 
-    def _place(self, initial: Array) -> None:
-        qpos, qvel, nb = self.sims.qpos, self.sims.qvel, len(self._base)
-        flat = initial.reshape(-1, 2 * nb)
-        qpos[:, self._base], qvel[:, self._base] = flat[:, :nb], flat[:, nb:]
-        qpos[:, self._hidden], qvel[:, self._hidden] = qpos[:, self._leaders], qvel[:, self._leaders]
+    def _places(self) -> Places:
+        """Where the batch holds what windows begin with."""
+        sims, model = self.sims, self.sims.model
+        count = (len(self.variants), len(self.windows))
+        plastic = sims.plastic.reshape(*count, sims.plastic.shape[1])
+        first = [int(model.tendon_plasticadr[tendon]) for tendon in yielding(model)]
+        return Places(
+            sims.qpos.reshape(*count, model.nq),
+            sims.qvel.reshape(*count, model.nv),
+            sims.act.reshape(*count, model.na),
+            [plastic[..., k : k + 2] for k in first],
+        )
 
     def readings(self) -> Array:
         """What the model's sensors say now, (sims, nsensordata)."""
@@ -376,32 +356,6 @@ def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArra
         if all(value.tobytes() == first for value in values[1:]):
             continue
         sims.expand(name)[...] = np.stack(values)[which].reshape(sims.expand(name).shape)
-
-
-def _addresses(model: mujoco.MjModel, base: Sequence[str]) -> tuple[list[int], list[int], list[int]]:
-    """Where the base joints stand, those hidden behind a gap or a spring, and the base joint that each follows.
-
-    Positions and velocities have the same addresses: all joints are hinges and slides.
-    """
-    leaders = mjcf.followers(model)
-    hidden = sorted(leaders)
-    each = (base, hidden, [leaders[name] for name in hidden])
-    at, behind, lead = ([int(model.joint(name).dofadr[0]) for name in names] for names in each)
-    return at, behind, lead
-
-
-def _warm_windings(sims: mjbatch.Batch, variants: Sequence[Physics], delays: Array, windows: Windows) -> None:
-    """Give every winding that heats the temperature it has at the simulation's start; its motor's first activation."""
-    n = len(windows)
-    for motor in heating_motors(variants[0].model):
-        if len(windows.motions) != len(windows.recordings):
-            name = variants[0].model.actuator(motor).name
-            raise ValueError(f"how hot {name} is depends on its motion; give the windows their recordings' motions")
-        temperature = sims.act[:, int(variants[0].model.actuator_actadr[motor])]
-        for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
-            mine = np.tile(windows.source == i, len(variants))
-            begin = sims.time.reshape(len(variants), n)[0, windows.source == i]
-            temperature[mine] = winding_temperatures(variants, delays, motor, recording, motion, begin).ravel()
 
 
 def _sense(physics: Physics, readings: Array, track: Array | None, step: float) -> Array:

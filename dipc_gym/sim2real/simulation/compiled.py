@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -17,12 +17,9 @@ from dipc_gym.engine.layout import Head, Sensor
 from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.physics import Moment, Physics
-from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
-from dipc_gym.sim2real.simulation.memory import along, bends, loads, swings, yielding
+from dipc_gym.sim2real.simulation.memory import Joints, Places, begin, yielding
 
 if TYPE_CHECKING:
-    from dipc_gym.recording import Recording
-    from dipc_gym.sim2real.simulation.motion import Motion
     from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -56,15 +53,6 @@ class Compiled:
     def model(self) -> mujoco.MjModel:
         """The first variant's model."""
         return self.variants[0].model
-
-    @property
-    def _dofs(self) -> tuple[list[int], list[int], list[int]]:
-        """Where the base joints stand, those that follow one of them, and which each of these follows."""
-        leaders = mjcf.followers(self.model)
-        hidden = sorted(leaders)
-        each = (self.base, hidden, [leaders[name] for name in hidden])
-        at, behind, lead = ([int(self.model.joint(name).dofadr[0]) for name in names] for names in each)
-        return at, behind, lead
 
     @property
     def _lags(self) -> list[tuple[int, list[int], Array]]:
@@ -109,10 +97,9 @@ class Compiled:
             initial: states, (variants, windows, nx).
             commands: of all recordings.
         """
-        windows, codes = self.windows, self.program.codes
+        windows = self.windows
         clock = windows.start + at
-        delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + codes[Head.CONTROLS]]
-        most = float(delays.max(initial=0.0))
+        most = float(self._delays.max(initial=0.0))
         first, count = np.zeros((2, len(windows)), dtype=np.int64)
         begin = 0
         for i, recording in enumerate(windows.recordings):
@@ -144,17 +131,23 @@ class Compiled:
                     return True
         return False
 
+    @property
+    def _delays(self) -> Array:
+        """Delay of each control, s, (variants, nu)."""
+        codes = self.program.codes
+        return self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + codes[Head.CONTROLS]]
+
+    def _places(self, states: Array) -> Places:
+        """Where states (..., nx) hold what windows begin with."""
+        nv, na = self.model.nv, self.model.na
+        rests = [states[..., rest, None] for rest, _ in self._yielding]
+        return Places(states[..., :nv], states[..., nv : 2 * nv], states[..., 2 * nv : 2 * nv + na], rests)
+
     def begun(self, at: float, initial: Array) -> Array:
         """States (variants, windows, nx) that begin at positions and velocities of base joints (variants, n, 2 nb)."""
-        base, hidden, leaders = self._dofs
-        n, nb = self.model.nv, len(base)
         states = np.zeros((len(self.variants), len(self.windows), self.program.nx))
-        for part in (0, 1):
-            states[..., [part * n + k for k in base]] = initial[..., part * nb : (part + 1) * nb]
-            states[..., [part * n + k for k in hidden]] = states[..., [part * n + k for k in leaders]]
-        self._heat(states, at)
-        self._bend(states, at)
-        self._swing(states, at)
+        time = self.windows.start + at - self.parameters[0, self.program.codes[Head.LATE]]
+        begin(self._places(states), initial, self.variants, self.windows, self.base, self._delays, time)
         for lag, read, weights in self._lags:
             states[..., lag] = states[..., read] @ weights
         return states
@@ -165,56 +158,17 @@ class Compiled:
         What hides behind a gap keeps its place relative to them, springs that yield stay as bent as they are, and what
         a sensor remembers moves along. All of it is linear, so tangents are put back in the same way.
         """
-        base, hidden, leaders = self._dofs
+        base, hidden, leaders = Joints.of(self.model, self.base)
         n, nb = self.model.nv, len(base)
         out = states.copy()
         for part in (0, 1):
             at, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
             out[..., at] = initial[..., part * nb : (part + 1) * nb]
             out[..., behind] += out[..., lead] - states[..., lead]
-        for rest, tendon in self._yielding:
-            for joint, coefficient in along(self.model, tendon):
-                out[..., rest] += coefficient * (out[..., joint] - states[..., joint])
+        self._places(out).stay_bent(self.model, out[..., :n] - states[..., :n])
         for lag, read, weights in self._lags:
             out[..., lag] += (out[..., read] - states[..., read]) @ weights
         return out
-
-    def _heat(self, states: Array, at: float) -> None:
-        """Give every winding that heats the temperature that it has `at` seconds after each window's start."""
-        codes = self.program.codes
-        for motor in heating_motors(self.model):
-            state = 2 * self.model.nv + int(self.model.actuator_actadr[motor])
-            delays = self.parameters[:, codes[Head.DELAYS] : codes[Head.DELAYS] + codes[Head.CONTROLS]]
-            for mine, recording, motion, begin in self._passes(at, f"how hot {self.model.actuator(motor).name} is"):
-                args = (self.variants, delays, motor, recording, motion, begin)
-                states[:, mine, state] = winding_temperatures(*args)
-
-    def _bend(self, states: Array, at: float) -> None:
-        """Give every spring that yields the rest at which it is bent as the motion before has left it."""
-        for state, tendon in self._yielding:
-            joints, coefficients = zip(*along(self.model, tendon), strict=True)
-            length = states[..., list(joints)] @ np.array(coefficients)
-            for mine, _, motion, begin in self._passes(at, f"how far {self.model.tendon(tendon).name} is bent"):
-                states[:, mine, state] = length[:, mine] - bends(self.variants, tendon, motion, begin)
-
-    def _swing(self, states: Array, at: float) -> None:
-        """Give every load that swings the motion against its joint that it has come to."""
-        leaders = mjcf.followers(self.model)
-        for name, load in loads(self.model).items():
-            lead = self.base.index(leaders[name])
-            for mine, _, motion, begin in self._passes(at, f"how {name} swings"):
-                apart, faster = swings(self.variants, load, lead, motion, begin)
-                states[:, mine, load.at] += apart
-                states[:, mine, self.model.nv + load.at] += faster
-
-    def _passes(self, at: float, what: str) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion, Array]]:
-        """Each recording with its motion, which windows are its own, and the times `at` seconds after their starts."""
-        windows = self.windows
-        if len(windows.motions) != len(windows.recordings):
-            raise ValueError(f"{what} depends on its motion; give the windows their recordings' motions")
-        for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
-            mine = windows.source == i
-            yield mine, recording, motion, windows.start[mine] + at - self.parameters[0, self.program.codes[Head.LATE]]
 
     def sampled(self) -> tuple[Array, Array]:
         """Sample times of every sensor (windows, sensors, samples), and how long windows are simulated for them."""

@@ -1,15 +1,16 @@
-"""What a window begins with that no sensor shows, where that remembers longer than any warm-up lasts.
+"""What a window begins with, in either simulator: what its sensors show, and what no sensor shows.
 
-A spring that yields keeps its rest until it is bent as far the other way; a load that swings, swings on for seconds,
-and a spring that creeps takes as long. All follow from how the joints moved before: one pass over the whole recording
-gives what they are at each window's start, as it does for the heat of a winding. A recording is taken to begin with
-springs unbent and loads at rest.
+Some of the latter remembers longer than any warm-up lasts. A spring that yields keeps its rest until it is bent as far
+the other way; a load that swings, swings on for seconds, and a spring that creeps takes as long. All follow from how
+the joints moved before: one pass over the whole recording gives what they are at each window's start, as it does for
+the heat of a winding. A recording is taken to begin with springs unbent and loads at rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,8 +18,11 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.physics import Physics
+from dipc_gym.recording import Recording
+from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.operators import play, swing
+from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
 
@@ -122,3 +126,109 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
             known[rates] = swing(pull, drag, *moved, time, ground=ground)
         out[:, v] = known[rates]
     return out
+
+
+# ------------------------------------------------------------------------------------------- how windows begin
+
+
+class Joints(NamedTuple):
+    """Where joints stand among positions, and likewise among velocities: all are hinges and slides.
+
+    Attributes:
+        base: joints that initial states describe.
+        hidden: behind a gap or a spring.
+        leaders: the base joint that each of these follows.
+    """
+
+    base: list[int]
+    hidden: list[int]
+    leaders: list[int]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, base: Sequence[str]) -> Joints:
+        """Those of a model, by the names of its base joints."""
+        followed = mjcf.followers(model)
+        hidden = sorted(followed)
+        each = (base, hidden, [followed[name] for name in hidden])
+        return cls(*([int(model.joint(name).dofadr[0]) for name in names] for names in each))
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where a simulator keeps what its windows begin with: views of its own arrays, in its own order.
+
+    Attributes:
+        position: of all joints, m or rad, (variants, n, nv).
+        velocity: m/s or rad/s, (variants, n, nv).
+        activation: of actuators, (variants, n, na); for a winding that heats, K above its surroundings.
+        rests: length at which each of the springs that yield is unbent, m or rad; (variants, n, k) with k times the
+            same number.
+    """
+
+    position: Array
+    velocity: Array
+    activation: Array
+    rests: Sequence[Array]
+
+    def put(self, joints: Joints, initial: Array) -> None:
+        """Put base joints at positions and velocities (variants, n, 2 nb), and what hides where its leader is."""
+        nb = len(joints.base)
+        for state, at in ((self.position, initial[..., :nb]), (self.velocity, initial[..., nb:])):
+            state[..., joints.base] = at
+            state[..., joints.hidden] = state[..., joints.leaders]
+
+    def stay_bent(self, model: mujoco.MjModel, moved: Array) -> None:
+        """Let springs that yield stay as bent as they are, where joints were moved by `moved`, (variants, n, nv)."""
+        for rest, tendon in zip(self.rests, yielding(model), strict=True):
+            for joint, coefficient in along(model, tendon):
+                rest += (coefficient * moved[..., joint])[..., None]
+
+
+def begin(
+    places: Places,
+    initial: Array,
+    variants: Sequence[Physics],
+    windows: Windows,
+    base: Sequence[str],
+    delays: Array,
+    time: Array,
+) -> None:
+    """Let windows begin as their initial states say, and with what the motion before has left.
+
+    Args:
+        places: to fill.
+        initial: positions and velocities of the base joints, (variants, n, 2 nb).
+        variants: one model with different parameters.
+        windows: where recordings and their motions are.
+        base: names of the nb base joints.
+        delays: of each variant's controls, s, (variants, nu).
+        time: at which each window begins in its recording, s, (n,).
+
+    Raises:
+        ValueError: what it begins with depends on the motion before, and the windows have no motions.
+    """
+    model = variants[0].model
+    places.put(Joints.of(model, base), initial)
+    for motor in heating_motors(model):
+        temperature = places.activation[..., int(model.actuator_actadr[motor])]
+        for mine, recording, motion in _passes(windows, f"how hot {model.actuator(motor).name} is"):
+            temperature[:, mine] = winding_temperatures(variants, delays, motor, recording, motion, time[mine])
+    for rest, tendon in zip(places.rests, yielding(model), strict=True):
+        joints, coefficients = zip(*along(model, tendon), strict=True)
+        length = places.position[..., list(joints)] @ np.array(coefficients)
+        for mine, _, motion in _passes(windows, f"how far {model.tendon(tendon).name} is bent"):
+            rest[:, mine] = (length[:, mine] - bends(variants, tendon, motion, time[mine]))[..., None]
+    leaders = mjcf.followers(model)
+    for name, load in loads(model).items():
+        for mine, _, motion in _passes(windows, f"how {name} swings"):
+            apart, faster = swings(variants, load, base.index(leaders[name]), motion, time[mine])
+            places.position[:, mine, load.at] += apart
+            places.velocity[:, mine, load.at] += faster
+
+
+def _passes(windows: Windows, what: str) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion]]:
+    """Which windows are of each recording, the recording, and its motion."""
+    if len(windows.motions) != len(windows.recordings):
+        raise ValueError(f"{what} depends on its motion; give the windows their recordings' motions")
+    for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
+        yield windows.source == i, recording, motion

@@ -26,7 +26,8 @@ class Windows:
         observed: readings, (n, m, ns); zero where `valid` is False.
         valid: which samples exist, (n, m); windows of irregular recordings differ in count.
         noise: standard deviation of each sensor's noise, (ns,).
-        motions: of the base joints in each recording; only motors that heat need them.
+        motions: of the base joints in each recording; needed where what a window begins with depends on the motion
+            before, as the heat of a motor does.
     """
 
     recordings: tuple[Recording, ...]
