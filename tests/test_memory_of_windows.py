@@ -17,8 +17,8 @@ from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
-from dipc_gym.sim2real.simulation.operators import play, swing
 from dipc_gym.sim2real.simulation.windows import cut
+from dipc_gym.sim2real.unseen.operators import play, swing
 
 ELEMENTS = ((0.004, 0.02), (1.5, 2.5))  # m and N
 HIDDEN = {

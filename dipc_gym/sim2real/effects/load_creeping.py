@@ -9,7 +9,7 @@ import numpy as np
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.coupling import couple, node
-from dipc_gym.sim2real.simulation.operators import swing
+from dipc_gym.sim2real.unseen.operators import swing
 
 TIMES = np.geomspace(0.03, 5.0, 24)  # s, tried by regression
 APART = 0.5  # of the logarithms of two first guesses

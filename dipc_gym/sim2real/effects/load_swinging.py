@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.coupling import beside, couple, free_inertia
-from dipc_gym.sim2real.simulation.operators import swing
+from dipc_gym.sim2real.unseen.operators import swing
 
 Array = NDArray[np.float64]
 

@@ -21,8 +21,9 @@ from dipc_gym import mjcf
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_at
-from dipc_gym.sim2real.simulation.memory import along, bends, yielding
+from dipc_gym.sim2real.simulation.memory import bends
 from dipc_gym.sim2real.simulation.motion import Motion
+from dipc_gym.sim2real.unseen.parts import along, yielding
 
 Array = NDArray[np.float64]
 

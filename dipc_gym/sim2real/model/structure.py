@@ -19,7 +19,7 @@ from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.base import Effect, Parameter
 from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
 from dipc_gym.sim2real.model.parameters import ModelParameter
-from dipc_gym.sim2real.simulation.memory import loads
+from dipc_gym.sim2real.unseen.parts import loads
 
 Array = NDArray[np.float64]
 

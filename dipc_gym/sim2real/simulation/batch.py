@@ -23,9 +23,10 @@ from dipc_gym.recording.held import held_mean
 from dipc_gym.sim2real.simulation.commands import first_moments, per_step
 from dipc_gym.sim2real.simulation.compiled import compiled, predicted
 from dipc_gym.sim2real.simulation.dry_friction import DryFriction
-from dipc_gym.sim2real.simulation.memory import Joints, Places, begin, yielding
+from dipc_gym.sim2real.simulation.memory import Joints, Places, begin
 from dipc_gym.sim2real.simulation.windings import steady_currents
 from dipc_gym.sim2real.simulation.windows import Windows
+from dipc_gym.sim2real.unseen.parts import yielding
 
 Array = NDArray[np.float64]
 

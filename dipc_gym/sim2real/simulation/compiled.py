@@ -17,7 +17,8 @@ from dipc_gym.engine.layout import Head, Sensor
 from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.physics import Moment, Physics
-from dipc_gym.sim2real.simulation.memory import Joints, Places, begin, yielding
+from dipc_gym.sim2real.simulation.memory import Joints, Places, begin
+from dipc_gym.sim2real.unseen.parts import yielding
 
 if TYPE_CHECKING:
     from dipc_gym.sim2real.simulation.windows import Windows

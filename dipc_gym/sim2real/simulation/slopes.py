@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dipc_gym.engine import program
 from dipc_gym.physics import Extra, Physics
 from dipc_gym.sim2real.simulation.heat import heating_motors
-from dipc_gym.sim2real.simulation.memory import loads, yielding
+from dipc_gym.sim2real.unseen.parts import loads, yielding
 
 Array = NDArray[np.float64]
 
