@@ -68,10 +68,10 @@ class Diagnose:
         from dipc_gym.recording.degrees import refuse_degrees
         from dipc_gym.recording.tables import check_format
         from dipc_gym.safety.alone import alone
+        from dipc_gym.safety.files import finite
         from dipc_gym.sim2real.diagnosis import diagnose
         from dipc_gym.sim2real.model.parameters import Wishes
         from dipc_gym.sim2real.report import folder
-        from dipc_gym.sim2real.result import finite
 
         if self.jobs < 0:
             raise ValueError(f"--jobs {self.jobs}: give the number of threads, or 0 for all cores")

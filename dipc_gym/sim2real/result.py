@@ -431,20 +431,6 @@ class Diagnosis:
         }
 
 
-def finite(value: Any) -> Any:
-    """A value as JSON can hold it: numbers that are not finite become null.
-
-    Example:
-        >>> finite({"error": float("inf"), "at": ["cart", 2.0]})
-        {'error': None, 'at': ['cart', 2.0]}
-    """
-    if isinstance(value, dict):
-        return {key: finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _same_length(record: object, *names: str) -> None:
     values = [(name, getattr(record, name)) for name in names]
     lengths = {name: np.shape(value) for name, value in values if value is not None}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dipc_gym.drawing.canvas import settings
-from dipc_gym.safety.files import whole, write_json, write_whole
+from dipc_gym.safety.files import finite, whole, write_json, write_whole
 
 
 def write_report(out: Path, scores: Mapping[str, Any], *, seed: int) -> None:
@@ -21,19 +21,10 @@ def write_report(out: Path, scores: Mapping[str, Any], *, seed: int) -> None:
         scores: from `dipc_gym.trials.score.score`.
         seed: of the trials, for the record.
     """
-    write_json(out / "report.json", _finite({"seed": seed, **scores}))
+    write_json(out / "report.json", finite({"seed": seed, **scores}))
     write_whole(out / "report.md", markdown(scores, seed=seed).encode())
     if scores["trials"]:
         figure(scores, out / "report.png")
-
-
-def _finite(value: Any) -> Any:
-    """JSON has neither NaN nor infinity."""
-    if isinstance(value, Mapping):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _share(rate: Mapping[str, Any]) -> str:

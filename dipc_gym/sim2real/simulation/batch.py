@@ -7,6 +7,7 @@ would replace this file alone.
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -153,7 +154,7 @@ class _Runs:
     ) -> None:
         self.variants, self.windows = variants, windows
         self.step = grid_step(windows, stepping)
-        models = [stepping.on(_copy(variant.model), self.step) for variant in variants]
+        models = [stepping.on(copy.copy(variant.model), self.step) for variant in variants]
         self.delays = np.stack([_take_delays(model) for model in models])
         # Seen from the sensor that reads latest, commands act later by as much, and all others read ahead of it: so a
         # window begins with the state that this sensor shows, and nothing before it has to be simulated.
@@ -305,12 +306,6 @@ def _forward_to_the_middle(sims: mjbatch.Batch, step: float) -> None:
     sims.qvel[:] += step / 2 * sims.qacc
     sims.forward()
     sims.qpos[:], sims.qvel[:] = place, speed
-
-
-def _copy(model: mujoco.MjModel) -> mujoco.MjModel:
-    import copy
-
-    return copy.copy(model)
 
 
 def _take_delays(model: mujoco.MjModel) -> Array:
