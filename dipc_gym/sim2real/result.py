@@ -349,7 +349,7 @@ class Diagnosis:
     """What was found; `to_dict` is diagnosis.json, `improved` the text of improved.xml.
 
     Attributes:
-        verdict: one of `report.VERDICTS`.
+        verdict: one of `report.page.VERDICTS`.
         sentence: what happened, for the rig's owner.
         located: where the unexplained force sits.
         missing: effects, the strongest first.

@@ -48,7 +48,7 @@ def _times(quartiles: Mapping[str, Any]) -> str:
 
 
 def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
-    """Tables for the README.
+    """Tables of the report, `report.md`.
 
     Args:
         scores: from `dipc_gym.trials.score.score`.

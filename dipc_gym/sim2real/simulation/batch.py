@@ -1,7 +1,7 @@
-"""Simulate windows of recordings with many variants of a model at once: the one place where fits meet MuJoCo.
+"""Simulate windows of recordings with many variants of a model at once: by the engine, or by MuJoCo's batch.
 
-Everything above this file sees a function from models and initial states to predicted readings. A faster simulator
-would replace this file alone.
+Everything above this file sees a function from models and initial states to predicted readings. The engine, behind
+`compiled`, simulates what it covers under RK4; the rest is left to MuJoCo, here.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Stepping:
         timestep: s; with an integrator the longest, shortened so that a whole number of steps fits one sample.
         integrator: MuJoCo's, or None for the model as its owner runs it: with its own, at this very step, read between
             two steps where a sample lies there. With one of its choice, dry friction is not left to MuJoCo's constraint
-            either, but to `stick.DryFriction`, which locates reversals inside the step.
+            either, but to `dry_friction.DryFriction`, which locates reversals inside the step.
     """
 
     timestep: float
