@@ -87,7 +87,7 @@ class Diagnose:
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         fitted = recording.read_all(self.recordings, model, mapping=mapping, units=units)
         judged = recording.read_all(self.held_out, model, mapping=mapping, units=units)
-        refuse_degrees([*fitted, *judged], model, [*units, *(mapping.get(column, "") for column in units)])
+        refuse_degrees([*fitted, *judged], model)
         wishes = Wishes(self.fix, {key: _spread(key, text) for key, text in pairs("prior", self.prior).items()})
         with alone(self.out):
             folder.check_free(self.out, self.overwrite)  # a run that was at work there may just have ended
