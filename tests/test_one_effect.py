@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 
 from dipc_gym import mjcf, recording
@@ -29,3 +31,11 @@ def test_an_effect_that_the_model_has_already_is_fitted_nowhere() -> None:
     model = mjcf.from_text((FOLDER / "arm.xml").read_text().replace("<joint ", '<joint frictionloss="0.1" '))
     run = recording.read(FOLDER / "run_1.csv", mjcf.compile(model))
     assert fit_effect(catalogue()["friction.coulomb"], model, [run]) == []
+
+
+def test_angles_that_look_like_degrees_are_refused_with_what_to_say() -> None:
+    model = mjcf.read(FOLDER / "arm.xml")
+    run = recording.read(FOLDER / "run_1.csv", mjcf.compile(model))
+    wrong = replace(run, sensors=np.degrees(run.sensors), sha256="")
+    with pytest.raises(recording.RecordingError, match=r"looks like degrees; read it with units={'angle': 'deg'} if"):
+        fit_effect(catalogue()["friction.coulomb"], model, [wrong])

@@ -20,7 +20,7 @@ from dipc_gym import mjcf
 from dipc_gym import recording as recordings
 from dipc_gym.recording import Recorder, Recording, RecordingError, files, noise, read, resample_commands, tables, write
 from dipc_gym.recording.checks import counted_on, quantum
-from dipc_gym.recording.degrees import refuse_degrees
+from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
 from dipc_gym.recording.held import ROUNDING
 from dipc_gym.recording.record import LARGEST
 from dipc_gym.recording.units import FACTORS, factor
@@ -537,6 +537,12 @@ def test_what_looks_like_degrees_stops_until_the_unit_is_told(tmp_path: Path, mo
     with pytest.raises(RecordingError, match=r"log\.csv: sensor 'pole' reaches .* --unit pole=deg .* --unit pole=rad"):
         refuse_degrees([read(in_degrees, weight)], weight, ())
     refuse_degrees([read(in_degrees, weight)], weight, ("pole",))
+    for unit in ("deg", "rad"):
+        refuse_degrees([read(in_degrees, weight, units={"pole": unit})], weight)
+    part = read(in_degrees, weight, units={"cart": "mm"}).slice(0, 1500)
+    assert part.told == ("cart",)
+    with pytest.raises(RecordingError, match=r"read it with units={'pole': 'deg'} if .* told=\('pole',\)"):
+        refuse_degrees([part], weight, mend=IN_PYTHON)
     refuse_degrees([read(save(tmp_path / "rad.csv", table(columns)), weight)], weight, ())
     refuse_degrees([read(in_degrees, model)], model, ())  # nothing weighs on this pole: it may turn as it likes
     limited = mjcf.compile(RIG.replace('name="pole" axis', 'range="-30 30" name="pole" axis'))

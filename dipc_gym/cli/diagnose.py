@@ -69,10 +69,10 @@ class Diagnose:
         from dipc_gym.recording.degrees import refuse_degrees
         from dipc_gym.recording.tables import check_format
         from dipc_gym.safety.alone import alone
+        from dipc_gym.safety.files import finite
         from dipc_gym.sim2real.diagnosis import diagnose
         from dipc_gym.sim2real.model.parameters import Wishes
         from dipc_gym.sim2real.report import folder
-        from dipc_gym.sim2real.result import finite
 
         if self.jobs < 0:
             raise ValueError(f"--jobs {self.jobs}: give the number of threads, or 0 for all cores")
@@ -88,7 +88,7 @@ class Diagnose:
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         fitted = recording.read_all(self.recordings, model, mapping=mapping, units=units)
         judged = recording.read_all(self.held_out, model, mapping=mapping, units=units)
-        refuse_degrees([*fitted, *judged], model, [*units, *(mapping.get(column, "") for column in units)])
+        refuse_degrees([*fitted, *judged], model)
         wishes = Wishes(self.fix, {key: _spread(key, text) for key, text in pairs("prior", self.prior).items()})
         with alone(self.out):
             folder.check_free(self.out, self.overwrite)  # a run that was at work there may just have ended

@@ -1,6 +1,6 @@
 """MJCF from strangers: read it, and compile it under limits.
 
-A model file is hostile input. `read` and `from_text` scan the text and load every file it names (see `mjcf_scan`);
+A model file is hostile input. `read` and `from_text` scan the text and load every file it names (see `scan`);
 `compile` first tries the result in a child process with limits on time and memory, then compiles it here. MuJoCo is
 given the loaded files by name, so that what was checked is what is compiled.
 """

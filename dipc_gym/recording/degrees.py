@@ -21,6 +21,11 @@ BEYOND = 3.0  # times its range, where a joint has one
 MOST = 1.1 * 360.0  # beyond this it would be many turns in degrees too
 SMOOTH = 0.05  # s over which a reading is taken for a cubic, to know its acceleration
 SAMPLES = 2000  # at which accelerations are compared
+ON_COMMAND_LINE = "say --unit {name}=deg if these are, or --unit {name}=rad if they are not"
+IN_PYTHON = (
+    "read it with units={{{name!r}: 'deg'}} if these are, or 'rad' if they are not (a Recording made by hand says "
+    "told=({name!r},), with its angles in rad)"
+)
 CLEARLY = 0.5  # share of the error in degrees below which a model's accelerations say that an angle is in radians
 
 
@@ -50,13 +55,16 @@ def look_like_degrees(recording: Recording, model: mujoco.MjModel) -> list[str]:
     return found if found and not _turns(recording, model, found) else []
 
 
-def refuse_degrees(recordings: Iterable[Recording], model: mujoco.MjModel, told: Iterable[str]) -> None:
+def refuse_degrees(
+    recordings: Iterable[Recording], model: mujoco.MjModel, told: Iterable[str] = (), *, mend: str = ON_COMMAND_LINE
+) -> None:
     """Stop where angles look like degrees, unless their unit was told.
 
     Args:
-        recordings: as `recording.read` gives them.
+        recordings: in SI units; each knows which units were told when it was read.
         model: of the rig.
-        told: sensors and columns that a unit was given for.
+        told: further sensors and columns that a unit was given for.
+        mend: what to say in either case, with `{name}` for the sensor.
 
     Raises:
         RecordingError: with the file, the sensor, and what to say in either case.
@@ -64,11 +72,11 @@ def refuse_degrees(recordings: Iterable[Recording], model: mujoco.MjModel, told:
     told = set(told)
     for recording in recordings:
         for name in look_like_degrees(recording, model):
-            if not told & {name, f"sensor:{name}"}:
+            if name not in recording.told and not told & {name, f"sensor:{name}"}:
                 peak = float(np.max(np.abs(recording.sensors[:, recording.sensor_names.index(name)])))
                 raise RecordingError(
                     f"{recording.path or recording.name}: sensor {name!r} reaches {peak:.4g} rad, which looks like "
-                    f"degrees; say --unit {name}=deg if these are, or --unit {name}=rad if they are not"
+                    f"degrees; {mend.format(name=name)}"
                 )
 
 

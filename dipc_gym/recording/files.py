@@ -81,6 +81,7 @@ def read(
         path=path,
         ignored=ignored,
         sha256=table.sha256,
+        told=tuple(name for name in sensor if SENSOR + name in factors),
     )
     return replace(recording, notes=(*notes, *checks.notes(recording, model)))
 

@@ -41,6 +41,7 @@ class Recording:
         ignored: columns of the file that the model does not know.
         notes: what the owner should know about this recording, in sentences.
         sha256: digest of the file, or of the numbers where there is none.
+        told: sensors whose unit was told; they are believed, whatever their numbers look like.
 
     Raises:
         RecordingError: shapes that do not fit, numbers that are not finite, time that does not increase.
@@ -56,6 +57,7 @@ class Recording:
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     sha256: str = ""
+    told: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         where = str(self.path or self.name)

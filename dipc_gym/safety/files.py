@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -77,6 +78,20 @@ def write_whole(path: str | Path, content: bytes) -> None:
     """
     with whole(path) as file:
         file.write(content)
+
+
+def finite(value: Any) -> Any:
+    """A value as JSON can hold it: numbers that are not finite become null.
+
+    Example:
+        >>> finite({"error": float("inf"), "at": ["cart", 2.0]})
+        {'error': None, 'at': ['cart', 2.0]}
+    """
+    if isinstance(value, Mapping):
+        return {key: finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_json(path: str | Path, value: Any) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
+from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
 from dipc_gym.sim2real.effects import Effect
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import fit
@@ -68,7 +69,7 @@ def fit_effect(
 
     Raises:
         mjcf.MjcfError: the model cannot be treated.
-        RecordingError: the recordings hold no window.
+        RecordingError: the recordings hold no window, or angles look like degrees and no unit was told.
 
     Example:
         >>> from dipc_gym.sim2real import catalogue, fit_effect
@@ -79,6 +80,7 @@ def fit_effect(
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given = physics.load(source)
     mjcf.check_supported(given.model, source.name)
+    refuse_degrees(recordings, given.model, mend=IN_PYTHON)
     step = min(WINDOWS.coarsest, *(r.period for r in recordings))
     ready = prepare(source, given, recordings, Stepping(step, mujoco.mjtIntegrator.mjINT_RK4), threads=threads)
     fitted = ready.problem.pick(np.arange(0, len(ready.problem.windows), 2))

@@ -349,7 +349,7 @@ class Diagnosis:
     """What was found; `to_dict` is diagnosis.json, `improved` the text of improved.xml.
 
     Attributes:
-        verdict: one of `report.VERDICTS`.
+        verdict: one of `report.page.VERDICTS`.
         sentence: what happened, for the rig's owner.
         located: where the unexplained force sits.
         missing: effects, the strongest first.
@@ -429,20 +429,6 @@ class Diagnosis:
             "notes": list(self.notes),
             "provenance": self.provenance,
         }
-
-
-def finite(value: Any) -> Any:
-    """A value as JSON can hold it: numbers that are not finite become null.
-
-    Example:
-        >>> finite({"error": float("inf"), "at": ["cart", 2.0]})
-        {'error': None, 'at': ['cart', 2.0]}
-    """
-    if isinstance(value, dict):
-        return {key: finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _same_length(record: object, *names: str) -> None:

@@ -78,7 +78,7 @@ def prepare(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
 
 
 def _flat(training: dict[str, Any]) -> dict[str, Any]:
-    """A note with the fields of its recipe beside the others, as `recipe.steps`, and without its files' digests."""
+    """A note with the fields of its recipe beside the others, and without its files' digests."""
     recipe = {"engine": "mujoco", "episode": training["recipe"]["stage"], **training["recipe"]}  # notes may be older
     training = {"task": "balance", "estimator": None, "plan": "tvlqr", **training}
     return {key: value for key, value in training.items() if key not in ("recipe", "files")} | {

@@ -123,7 +123,7 @@ def steady(model: mujoco.MjModel) -> Law:
     """Measure a rig with locked poles in steady motion.
 
     Args:
-        model: as `identification.cart_model` gives it.
+        model: as `identification.run.cart_model` gives it.
 
     Raises:
         ValueError: the motor has no effect, or not a single voltage for each force.

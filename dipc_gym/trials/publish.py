@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dipc_gym.drawing import style
-from dipc_gym.safety.files import whole, write_json, write_whole
+from dipc_gym.safety.files import finite, whole, write_json, write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,21 +25,12 @@ def write_report(out: Path, scores: Mapping[str, Any], *, seed: int) -> None:
         scores: from `dipc_gym.trials.score.score`.
         seed: of the trials, for the record.
     """
-    write_json(out / "report.json", _finite({"seed": seed, **scores}))
+    write_json(out / "report.json", finite({"seed": seed, **scores}))
     write_whole(out / "report.md", markdown(scores, seed=seed).encode())
     if scores["trials"]:
         for width, end, points in style.SIZES:
             with style.text(points), whole(out / f"report{end}") as file:
                 style.write(figure(scores, width), file, end.rpartition(".")[2])
-
-
-def _finite(value: Any) -> Any:
-    """JSON has neither NaN nor infinity."""
-    if isinstance(value, Mapping):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _share(rate: Mapping[str, Any]) -> str:
@@ -63,7 +54,7 @@ def _times(quartiles: Mapping[str, Any]) -> str:
 
 
 def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
-    """Tables for the README.
+    """Tables of the report, `report.md`.
 
     Args:
         scores: from `dipc_gym.trials.score.score`.

@@ -131,7 +131,7 @@ def position_noise(physics: Physics, noise: Array) -> Array:
 
 
 def steady_length(problem: Problem, structure: Structure, longest: float) -> float:
-    """Length, s, within which initial errors stay below `GROWTH` times their size in most windows.
+    """Length, s, within which initial errors stay below `ESTIMATION.growth` times their size in most windows.
 
     Args:
         problem: windows of the longest length.

@@ -10,10 +10,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from dipc_gym.safety.files import write_whole
+from dipc_gym.safety.files import finite, write_whole
 from dipc_gym.safety.places import inside
 from dipc_gym.sim2real.report import page, saved
-from dipc_gym.sim2real.result import Details, Diagnosis, finite
+from dipc_gym.sim2real.result import Details, Diagnosis
 
 DIAGNOSIS, DETAILS, PAGE = "diagnosis.json", "report.json", "report.html"
 OWN = ("improved.xml", DETAILS, PAGE, DIAGNOSIS)

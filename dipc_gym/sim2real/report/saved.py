@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.safety import intact
+from dipc_gym.safety.files import finite
 from dipc_gym.safety.untrusted import Format, Reader
 from dipc_gym.sim2real.report.page import VERDICTS
-from dipc_gym.sim2real.result import Candidate, Details, Mismatch, SensorResidual, Trace, finite
+from dipc_gym.sim2real.result import Candidate, Details, Mismatch, SensorResidual, Trace
 
 Array = NDArray[np.float64]
 

@@ -1,12 +1,13 @@
-"""Simulate windows of recordings with many variants of a model at once: the one place where fits meet MuJoCo.
+"""Simulate windows of recordings with many variants of a model at once: by the engine, or by MuJoCo's batch.
 
-Everything above this file sees a function from models and initial states to predicted readings. A faster simulator
-would replace this file alone.
+Everything above this file sees a function from models and initial states to predicted readings. The engine, behind
+`compiled`, simulates what it covers under RK4; the rest is left to MuJoCo, here.
 """
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,7 +46,7 @@ class Stepping:
         timestep: s; with an integrator the longest, shortened so that a whole number of steps fits one sample.
         integrator: MuJoCo's, or None for the model as its owner runs it: with its own, at this very step, read between
             two steps where a sample lies there. With one of its choice, dry friction is not left to MuJoCo's constraint
-            either, but to `stick.DryFriction`, which locates reversals inside the step.
+            either, but to `dry_friction.DryFriction`, which locates reversals inside the step.
     """
 
     timestep: float
@@ -153,7 +154,7 @@ class _Runs:
     ) -> None:
         self.variants, self.windows = variants, windows
         self.step = grid_step(windows, stepping)
-        models = [stepping.on(_copy(variant.model), self.step) for variant in variants]
+        models = [stepping.on(copy.copy(variant.model), self.step) for variant in variants]
         self.delays = np.stack([_take_delays(model) for model in models])
         # Seen from the sensor that reads latest, commands act later by as much, and all others read ahead of it: so a
         # window begins with the state that this sensor shows, and nothing before it has to be simulated.
@@ -305,12 +306,6 @@ def _forward_to_the_middle(sims: mjbatch.Batch, step: float) -> None:
     sims.qvel[:] += step / 2 * sims.qacc
     sims.forward()
     sims.qpos[:], sims.qvel[:] = place, speed
-
-
-def _copy(model: mujoco.MjModel) -> mujoco.MjModel:
-    import copy
-
-    return copy.copy(model)
 
 
 def _take_delays(model: mujoco.MjModel) -> Array:
