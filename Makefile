@@ -31,8 +31,9 @@ trial-laws: .venv/for-rivals
 rivals: .venv/for-rivals
 	$(BIN)/dipc-gym trial --out runs/trial --jobs 2 --rivals
 
+# Three workers on two cores: some tests wait, for a browser, for Ray, for a process that is killed.
 test: .venv/installed
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 3 --dist worksteal
 
 # 20,000 damaged and hostile files, with a count at the end; the tests try a few hundred for each reader.
 fuzz: .venv/installed
