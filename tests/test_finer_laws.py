@@ -187,7 +187,7 @@ def test_friction_that_warms_up_is_named_with_its_formula() -> None:
     hidden = FrictionOfTime(stamps.tolist(), (2.0 + 2.5 * (1 - np.exp(-stamps / 5.0))).tolist())
     hidden.edit(document, "cart", hidden.guess)
     rig = physics.from_model(mjcf.compile(document.text()))
-    runs = [record(rig, sweep(strength), 20.0, noise=(1e-5,), step=1e-4) for strength in (4.0, 5.0)]
+    runs = [record(rig, sweep(strength), 20.0, noise=(5e-5,)) for strength in (4.0, 5.0)]
     few = [catalogue()[name] for name in ("friction.coulomb", "friction.speed", "friction.time", "drag.quadratic")]
     found = diagnose(mjcf.from_text(CART), runs[:1], runs[1:], effects=few)
     assert [(one.effect, one.at) for one in found.missing if one.effect != "unknown"] == [("friction.time", "cart")]
@@ -199,5 +199,5 @@ def test_friction_that_warms_up_is_named_with_its_formula() -> None:
     assert term["scale"] == pytest.approx(5.0, rel=0.1)
     assert term["factors"][0] == pytest.approx(-2.5, rel=0.05)
     assert found.held_out is not None
-    assert found.held_out.improved < 0.01 * found.held_out.recalibrated
+    assert found.held_out.improved < 1.2 < 0.05 * found.held_out.recalibrated
     assert found.to_dict()["needs_dipc_gym"]
