@@ -334,6 +334,7 @@ class Program:
         return count
 
 
+# What each operation costs a microcontroller, for one number.
 _COSTS = {
     "add": {"additions": 1},
     "subtract": {"additions": 1},

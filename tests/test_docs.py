@@ -167,14 +167,11 @@ def hooks(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 # In files that are being rewritten.
-STILL_WITHOUT_REASON = {"LANES", "_LIMITLESS", "PERIODS", "_COSTS", "VOLTAGES", "SCALES"}
-
-
 def test_every_constant_says_what_it_is_for(hooks: ModuleType) -> None:
     """In whatever folder it is: of the packages, all are walked."""
     files = [path for package in hooks.PACKAGES for path in (pages.ROOT / package).rglob("*.py")]
     bare = {one.name: pages.name(path) for path in files for one in hooks.constants(path) if not one.meaning.strip()}
-    assert {name: path for name, path in bare.items() if name not in STILL_WITHOUT_REASON} == {}
+    assert bare == {}
 
 
 def test_a_constant_without_a_reason_is_noticed(hooks: ModuleType, tmp_path: Path) -> None:

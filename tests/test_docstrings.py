@@ -33,7 +33,6 @@ OTHERS = (  # what others call something: MJCF and MuJoCo, Gymnasium, stable-bas
 )
 EXAMPLES = ("at.attribute", "cart.mass", "place.attribute", "servo.pos", "servo.vel", "template.max_models")
 STANDS_FOR = re.compile(r"(NAME|STEM)\b|(NAME|STEM)_")  # something that the reader puts in
-TO_BE_MENDED = {"dipc_gym/sim2real/selection/sketches.py": {"choice.core"}}
 
 
 @dataclass
@@ -183,8 +182,7 @@ def test_names_in_backticks_are_of_something_that_there_is(path: Path) -> None:
     said = [*docstrings(tree_of(path)), *comments(path.read_text())]
     names = [(line, name) for line, one in said for name in QUOTED.findall(one)]
     gone = {f"line {line}": name for line, name in names if not exists(name)}
-    left = TO_BE_MENDED.get(pages.name(path), set())
-    assert {line: name for line, name in gone.items() if name not in left} == {}
+    assert gone == {}
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dipc_gym import mjcf, recording
-from dipc_gym.sim2real import catalogue, fit_effect
+from dipc_gym.sim2real import catalogue, diagnose, fit_effect
 
 FOLDER = Path(__file__).resolve().parent.parent / "examples" / "diagnose"
 
@@ -39,3 +39,6 @@ def test_angles_that_look_like_degrees_are_refused_with_what_to_say() -> None:
     wrong = replace(run, sensors=np.degrees(run.sensors), sha256="")
     with pytest.raises(recording.RecordingError, match=r"looks like degrees; read it with units={'angle': 'deg'} if"):
         fit_effect(catalogue()["friction.coulomb"], model, [wrong])
+    for recordings, held_out in (([wrong], []), ([run], [wrong])):
+        with pytest.raises(recording.RecordingError, match="looks like degrees; read it with units="):
+            diagnose(model, recordings, held_out)

@@ -18,7 +18,7 @@ from dipc_gym.physics import Physics
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-_LIMITLESS = 1e30
+_LIMITLESS = 1e30  # stands for no limit: no state comes near it
 
 
 class Uncovered(Exception):  # no error: another simulator takes over

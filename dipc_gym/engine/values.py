@@ -18,7 +18,7 @@ from llvmlite import ir
 
 from dipc_gym.engine import elementary
 
-LANES = 8
+LANES = 8  # rigs to an instruction: eight doubles are what AVX-512 holds, and two of AVX2
 REAL, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 POINTER = ir.PointerType()
 VECTOR = ir.VectorType(REAL, LANES)

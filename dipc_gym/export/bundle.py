@@ -26,7 +26,7 @@ from dipc_gym.safety.files import write_whole
 
 Array = NDArray[np.float64]
 
-PERIODS = 400
+PERIODS = 400  # of the test vectors: two seconds, in which every memory has been filled and emptied
 TOLERANCE = 1e-12
 """V; how far the C code may be from Python in double precision. Rounding alone makes a hundredth of it."""
 INPUTS = {

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dipc_gym import mjcf
-from dipc_gym.provenance import versions
+from dipc_gym.provenance import made_with
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.design import propose
 from dipc_gym.sim2real.effects import Effect, catalogue
@@ -131,8 +131,8 @@ def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) 
     nominal, recalibrated, given = base.nominal, base.recalibrated, case.given
     if base.fine is not None:
         tell(f"note: {sentences.own_step(given.physics.model.opt.timestep, base.fine)}")
-    off = f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}"
-    tell(StageEnd(off, "baseline"))
+    said = f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}"
+    tell(StageEnd(said, "baseline"))
     if recalibrated.error > CONVENTIONS.gross * base.partition.problem.motion:
         others, off = conventions.differing(
             given.source,
@@ -188,9 +188,5 @@ def _provenance(given: Given, withheld: Withheld, seed: int) -> dict[str, Any]:
     source = given.source
     inputs = {str(source.path.name if source.path else "model"): source.sha256}
     inputs |= {str(r.path or r.name): r.sha256 for r in (*given.recordings, *withheld.recordings)}
-    return {
-        "versions": versions("mujoco", "numpy", "scipy"),
-        "timestep": given.physics.model.opt.timestep,
-        "inputs": inputs,
-        "seed": seed,
-    }
+    step = given.physics.model.opt.timestep
+    return made_with("mujoco", "numpy", "scipy", timestep=step, inputs=inputs, seed=seed)

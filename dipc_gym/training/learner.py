@@ -26,6 +26,7 @@ from dipc_gym.training.task import Training
 
 Array = NDArray[np.float64]
 
+# By which observations are divided, so that a network sees numbers of size one.
 SCALES = {
     "balance": np.array([0.1, 0.05, 0.05, 0.5, 0.5, 0.5]),  # m, rad and their rates: what balancing looks like
     "swing-up": np.array([0.2, 1.0, 0.3, 1.0, 0.3, 1.0, 3.0, 3.0]),  # m, cosines and sines, rates

@@ -6,6 +6,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -231,7 +232,7 @@ def _inertial(document: Document, model: mujoco.MjModel, name: str) -> ET.Elemen
     """The `<inertial>` of a body, with its numbers; one is made where geoms have stood for it."""
     element, body = document.body(name), model.body(name)
     inertial = element.find("inertial")
-    own = {"mass": float(body.mass[0]), "diaginertia": list(body.inertia)}
+    own: dict[str, Any] = {"mass": float(body.mass[0]), "diaginertia": list(body.inertia)}
     if inertial is None:
         inertial = document.add(element, "inertial", pos=list(body.ipos), quat=list(body.iquat), **own)
         element.remove(inertial)

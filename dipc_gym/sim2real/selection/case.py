@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording, RecordingError
+from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
@@ -152,12 +153,13 @@ def gather(
 
     Raises:
         mjcf.MjcfError: the model cannot be treated.
-        RecordingError: what is held out is fitted as well.
+        RecordingError: what is held out is fitted as well, or angles look like degrees and no unit was told.
         ValueError: a wish names no parameter of the model.
     """
     loaded = physics.load(source)
     mjcf.check_supported(loaded.model, source.name)
     data.check_apart(recordings, held_out)
+    refuse_degrees([*recordings, *held_out], loaded.model, mend=IN_PYTHON)
     whole, tested = data.from_zero(recordings), data.from_zero(held_out)
     notes = [f"{r.name}: {note}" for r in (*whole, *tested) for note in r.notes]
     fitted = whole if tested else [data.until(r, WINDOWS.test) for r in whole]

@@ -110,7 +110,7 @@ def keeping_up(fitter: Fitter, sketched: Sequence[Start], current: Fit) -> list[
 
 
 def plain_first(sketched: Sequence[Start], error: float) -> list[Start]:
-    """Without those far from the noise that elaborate one which would go before them (`choice.core`).
+    """Without those far from the noise that elaborate one which would go before them (`choice.choose`).
 
     A law of any shape does not wait: how near it comes shows when it is as fine as it may be.
 
