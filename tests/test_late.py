@@ -29,7 +29,7 @@ from dipc_gym.sim2real.report import page
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.verdict import details, findings, improve, judge, judgement
-from dipc_gym.sim2real.verdict.late import Late
+from dipc_gym.sim2real.verdict.guarded import Guarded
 
 FEW = [catalogue()[name] for name in ("friction.coulomb", "drag.quadratic")]
 
@@ -71,7 +71,7 @@ def test_late_stages_that_fail_lose_nothing_that_was_found(
     def fail(*_: Any, **__: Any) -> Any:
         raise OverflowError("math range error")
 
-    monkeypatch.setattr(Late, "strict", False)
+    monkeypatch.setattr(Guarded, "strict", False)
 
     for where, name in STAGES[stages]:
         monkeypatch.setattr(where, name, fail)
@@ -91,7 +91,7 @@ def test_ctrl_c_in_a_late_stage_keeps_what_was_found_and_the_second_stops() -> N
     def interrupt() -> int:
         raise KeyboardInterrupt
 
-    late = Late(stop)
+    late = Guarded(stop)
     assert late("It", interrupt, lambda: 7) == 7
     assert stop.asked
     with pytest.raises(KeyboardInterrupt):

@@ -86,7 +86,7 @@ def test_sysid_finds_wrong_numbers(tmp_path):
     sysid = pytest.importorskip("mujoco.sysid")
     if not hasattr(sysid, "optimize"):
         pytest.skip("mujoco[sysid] is not installed")
-    from dipc_gym.trials.plant import index
+    from dipc_gym.trials.entries import index
     from dipc_gym.trials.refit import refit
 
     def worn(plant):

@@ -17,7 +17,7 @@ pytest.importorskip("numba")
 
 import dipc_gym
 from dipc_gym.trials import attempt, catalogue, generate, grade, integrator, prediction, publish, rigs, run, score
-from dipc_gym.trials.plant import SIZE, index
+from dipc_gym.trials.entries import SIZE, index
 
 PACKAGE = Path(dipc_gym.__file__).parent
 PYTHON = sys.executable

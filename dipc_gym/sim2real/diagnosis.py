@@ -30,8 +30,8 @@ from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.stages import StageEnd
 from dipc_gym.sim2real.verdict import conventions, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
+from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.judgement import files_of, judgement
-from dipc_gym.sim2real.verdict.late import Late
 from dipc_gym.sim2real.verdict.settings import CONVENTIONS
 
 
@@ -88,7 +88,7 @@ def diagnose(
     except CannotTell as why:
         return _cannot_tell(why, given, provenance)
     stop = Stop(tell)
-    late = Late(stop)
+    late = Guarded(stop)
     search, located = begin_search(case, base, list(effects if effects is not None else catalogue().values()), stop)
     late("Whether more is missing", search.run, lambda: base.recalibrated)
     ended = search.outcome

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from dipc_gym.trials.entries import index
 from dipc_gym.trials.hidden import Effect, Parameter
-from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import Rig
 
 

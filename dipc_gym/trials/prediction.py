@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dipc_gym.trials import integrator
+from dipc_gym.trials.entries import index
 from dipc_gym.trials.hidden import Effect, Parameter
-from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig
 
 WINDOW = 125  # samples of a window that is predicted

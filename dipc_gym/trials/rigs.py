@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.trials import integrator
-from dipc_gym.trials.plant import SIZE, index
+from dipc_gym.trials.entries import SIZE, index
 
 Array = NDArray[np.float64]
 

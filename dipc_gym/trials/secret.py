@@ -10,8 +10,8 @@ import numpy as np
 
 from dipc_gym.trials import rigs, shapes
 from dipc_gym.trials.catalogue import effects, unknowns
+from dipc_gym.trials.entries import index
 from dipc_gym.trials.hidden import RIVALS, SETS, Effect, Hidden, draw
-from dipc_gym.trials.plant import index
 from dipc_gym.trials.prediction import ONES, WINDOW, Recording, Windows, fit, predict, record, rms, standard_parameters
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig, excitation
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dipc_gym.trials import integrator
 from dipc_gym.trials.catalogue import creeping, unknowns, warming
+from dipc_gym.trials.entries import index
 from dipc_gym.trials.hidden import Effect, Parameter
-from dipc_gym.trials.plant import index
 from dipc_gym.trials.rigs import Rig
 
 NARROWEST, WIDEST = 0.08, 0.6

@@ -17,7 +17,7 @@ from dipc_gym.sim2real.unseen.operators import play
 
 WIDTHS = np.geomspace(2e-3, 1.0, 28)  # over which an element is bent, in ranges of the joint's motion
 MOST, MOST_ELEMENTS = 6, 12  # elements that forces tell of, and that simulation may
-TELLING = 1e-3  # share of the force that an element must give
+LEAST_SHARE = 1e-3  # share of the force that an element must give
 
 
 class Hysteresis(Law):
@@ -57,7 +57,7 @@ class Hysteresis(Law):
         enough = spared(nothing, min(left for _, left in path))
         kept = next(one for one, left in path if left <= enough)
         forces = _weights(bent[:, kept], beside, evidence.force)[: len(kept)]
-        strong = forces > TELLING * evidence.force_scale
+        strong = forces > LEAST_SHARE * evidence.force_scale
         if not strong.any():
             return None
         return widths[kept][strong], forces[strong]

@@ -1,6 +1,6 @@
 """Fit a structure to windows of recordings by multiple shooting.
 
-What remains of each window after its start is eliminated is a quadratic in the structure's parameters; screening and
+What remains of each window after its initial state is eliminated is a quadratic in the structure's parameters; screening and
 intervals work on these quadratics without simulating again.
 """
 

@@ -133,9 +133,9 @@ def _with_changes(
     """What the engine simulates at z and at the probes, and how its parameters change with z, (p, k); at z alone where
     that is known.
     """
-    here, values = structure.physics(z), structure.numbers(z)
+    here, values = structure.physics(z), structure.all_values(z)
     known, maps = structure.worked_out.get(Slopes), maps_of(here)
-    apart = [structure.numbers(probe) - values for probe in probes]
+    apart = [structure.all_values(probe) - values for probe in probes]
     by_step = np.array([moved[i] / steps[i] for i, moved in enumerate(apart)])
     held, by_value = np.zeros(len(probes), dtype=bool), None
     if isinstance(known, Slopes) and len(probes):

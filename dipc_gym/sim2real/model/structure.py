@@ -148,7 +148,7 @@ class Structure:
     def clip(self, z: Array) -> Array:
         """The nearest mapped parameters within bounds."""
         out = z.copy()
-        for i, (slot, value) in enumerate(zip(self.slots, self.numbers(z).tolist(), strict=True)):
+        for i, (slot, value) in enumerate(zip(self.slots, self.all_values(z).tolist(), strict=True)):
             if value in (slot.low, slot.high) and (not slot.log or value > 0):
                 out[i] = slot.mapped(value)
             if slot.above:
@@ -177,9 +177,9 @@ class Structure:
 
     def values(self, z: Array) -> dict[str, float]:
         """Every free parameter by key."""
-        return dict(zip((slot.key for slot in self.slots), self.numbers(z).tolist(), strict=True))
+        return dict(zip((slot.key for slot in self.slots), self.all_values(z).tolist(), strict=True))
 
-    def numbers(self, z: Array) -> Array:
+    def all_values(self, z: Array) -> Array:
         """Every free parameter, (p,)."""
         return np.asarray(_unmapped(z, *self._mapping))
 
@@ -237,12 +237,12 @@ class Structure:
 
     @property
     def warm(self) -> float:
-        """S to simulate before a window."""
+        """How long to simulate before a window, s."""
         return max([self._own_warm, *(term.effect.warm for term in self.terms)])
 
     @functools.cached_property
     def _own_warm(self) -> float:
-        """S that the nominal model needs: windings, bristles, lagging sensors and joints behind a gap remember."""
+        """How long the nominal model needs, s: windings, bristles, lagging sensors and joints behind a gap remember."""
         if self._hides:
             return SWING if np.any(self.model.tendon_stiffness > 0) else SETTLE
         return MODEL.warm if self.model.na > 0 or self._own_lag else 0.0

@@ -23,13 +23,13 @@ def attend(progress: Progress, scorer: Scorer) -> Progress:
         progress: of the search.
         scorer: compares on its windows.
     """
-    if ranking.quiet(progress.current):
+    if ranking.mostly_at_noise(progress.current):
         progress = _around_outliers(progress, scorer)
     partition = progress.partition
     windows = partition.problem.windows.join(partition.comparison.windows)
     mse = scorer.over(partition).mse(progress.current)
     progress = progress.keeping(data.without_echoes(windows, mse))
-    if not ranking.quiet(progress.current):
+    if not ranking.mostly_at_noise(progress.current):
         return progress
     partition = progress.partition
     new = np.setdiff1d(data.outliers(progress.current.mse), partition.subset)

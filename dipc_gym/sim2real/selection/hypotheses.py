@@ -64,7 +64,7 @@ def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> 
     levels = {joint: level for joint, level in friction.items() if level > 0}
     terms, found = current.structure.terms, []
     # Where few data are, a law of any shape is off, and windows stand out in which nothing happened.
-    events = ranking.quiet(current) and not any(term.effect.free for term in terms)
+    events = ranking.mostly_at_noise(current) and not any(term.effect.free for term in terms)
     for effect in question.effects:
         if (effect.once and not events) or (effect.free and phase < Phase.SHAPES):
             continue

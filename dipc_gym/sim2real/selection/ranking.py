@@ -20,9 +20,9 @@ Array = NDArray[np.float64]
 Start = tuple[Tried, Fit]  # a hypothesis, and the fit that it was laid over
 
 
-def quiet(fitted: Fit) -> bool:
+def mostly_at_noise(fitted: Fit) -> bool:
     """Whether most windows are at the noise, so that one in which something happened stands out."""
-    return float(np.median(fitted.mse)) < SCORE.quiet
+    return float(np.median(fitted.mse)) < SCORE.usual
 
 
 def alike(difference: Improvement, gained: float) -> bool:

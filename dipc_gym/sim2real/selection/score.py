@@ -71,7 +71,7 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp], forces: tuple[Arra
     if len(sums) < 3:
         return Improvement(mean, math.inf)
     each = sums / sizes
-    shows = usual < SCORE.quiet and int(np.sum(each > SCORE.large)) >= SCORE.telling and not np.any(each < -SCORE.large)
+    shows = usual < SCORE.usual and int(np.sum(each > SCORE.large)) >= SCORE.blocks and not np.any(each < -SCORE.large)
     spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
     return Improvement(mean, float(spread) * _few_blocks(len(sums)), shows)
 

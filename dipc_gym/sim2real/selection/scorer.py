@@ -65,9 +65,9 @@ class Scorer:
         """How much better `new` predicts than `old`, over fitted and comparison windows together.
 
         There are far fewer parameters than windows, so what fitting flatters is little; three times as many windows
-        tell more. `compare_apart` asks the comparison windows alone. Far from the noise the balance of forces counts
-        too: a short recording of a large machine holds few windows, and other masses move it nearly as its friction
-        does, but they do not balance its motors.
+        tell more. `compare_on_others` asks the comparison windows alone. Far from the noise the balance of forces
+        counts too: a short recording of a large machine holds few windows, and other masses move it nearly as its
+        friction does, but they do not balance its motors.
         """
         after, before = self.mse(new), self.mse(old)
         forces = (self._force(new), self._force(old)) if forces_count(new, old, after, before) else None
@@ -92,13 +92,13 @@ class Scorer:
             self._forces[id(fitted)] = (weakref.ref(fitted), known)
         return known
 
-    def compare_apart(self, new: Fit, old: Fit) -> Improvement:
+    def compare_on_others(self, new: Fit, old: Fit) -> Improvement:
         """How much better `new` predicts the comparison windows, which neither was fitted to."""
         return compare(self.comparison_mse(new), self.comparison_mse(old), self.partition.comparison.blocks)
 
     def confirmed(self, new: Fit, old: Fit) -> bool:
         """Whether the comparison windows alone are better predicted too."""
-        return self.compare_apart(new, old).gain > SCORE.worth / 2
+        return self.compare_on_others(new, old).gain > SCORE.worth / 2
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain.
@@ -119,12 +119,12 @@ class Scorer:
         """
         if term.effect.once:
             fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
-            return ranking.quiet(current) and float(np.sum(fall)) > SEARCH.once
+            return ranking.mostly_at_noise(current) and float(np.sum(fall)) > SEARCH.once
         return self.settles(fitted, current) or self.better(fitted, current)
 
     def settles(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit leaves none of the few windows standing out that do where all others are at the noise."""
-        return settled(self.mse(fitted), self.mse(current)) and ranking.quiet(current)
+        return settled(self.mse(fitted), self.mse(current)) and ranking.mostly_at_noise(current)
 
     def earns(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit comes down to the noise, or takes a good part of what is left."""

@@ -46,8 +46,8 @@ class ScoreSettings:
         alike: standard errors within which two fits are not told apart
         worth: smallest improvement of the mean log square error that is worth an effect
         share: part of a gain within which another fit predicts as well
-        quiet: usual square error up to which windows are at the noise
-        telling: blocks that tell two fits apart at the noise, if no other says the opposite
+        usual: usual square error up to which windows are at the noise
+        blocks: blocks that tell two fits apart at the noise, if no other says the opposite
         at_floor: times the noise: a structure that predicts as well as this lacks nothing
         at_noise: times the noise: nothing is left that would tell an elaboration from what it elaborates
     """
@@ -58,8 +58,8 @@ class ScoreSettings:
     alike: float = 2.0
     worth: float = 0.02
     share: float = 0.02
-    quiet: float = 1.5
-    telling: int = 3
+    usual: float = 1.5
+    blocks: int = 3
     at_floor: float = 1.2
     at_noise: float = 1.05
 

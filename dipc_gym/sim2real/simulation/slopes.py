@@ -20,22 +20,22 @@ from dipc_gym.sim2real.unseen.parts import loads, yielding
 
 Array = NDArray[np.float64]
 
-_FORETOLD = 1e-7  # share of what the numbers moved a parameter by, to which an affine map foretells it
+_FORETOLD = 1e-7  # share of what the values moved a parameter by, to which an affine map foretells it
 _ROUNDING = 4 * np.finfo(float).eps  # share of itself, to which a parameter is known
-_MOVED = 1e-12  # share of itself from which a number has moved
+_MOVED = 1e-12  # share of itself from which a value has moved
 
 
 @dataclass(frozen=True)
 class Slopes:
-    """The map near some numbers.
+    """The map from values of a hypothesis to parameters of the program, near some values.
 
     Attributes:
-        program: of the structure, right for all numbers that were tried.
-        values: numbers of the hypothesis, (p,).
+        program: of the structure, right for all values that were tried.
+        values: of the hypothesis, (p,).
         parameters: of the program there, then `maps_of` the model, (k,).
-        by_value: their change per unit of each number, (p, k).
-        apart: what the numbers differed by to tell it, (p,).
-        tables: which law's table each number is a value of, -1 for none, (p,).
+        by_value: their change per unit of each value, (p, k).
+        apart: what the values differed by to tell it, (p,).
+        tables: which law's table each value stands in, -1 for none, (p,).
     """
 
     program: program.Program
@@ -46,9 +46,13 @@ class Slopes:
     tables: NDArray[np.intp]
 
     def told(self, values: Array, parameters: Array) -> NDArray[np.bool_]:
-        """Whose slopes hold at other numbers (p,), at which parameters (k,) are these, (p,).
+        """For each value of the hypothesis, whether its slope holds at other values too, (p,).
 
-        Only a step in which every number moves tells: a product of two is affine along one of them. Values of a table
+        Args:
+            values: the other values, (p,).
+            parameters: of the program at these, (k,).
+
+        Only a step in which every value moves tells: a product of two is affine along one of them. Values of a table
         multiply nothing.
         """
         moved, held = values - self.values, np.ones(len(values), dtype=bool)
@@ -68,7 +72,7 @@ class Slopes:
 
 
 def begins_alike(physics: Physics) -> bool:
-    """Whether simulations begin at the same states whatever the numbers: no winding heats, nothing remembers longer."""
+    """Whether simulations begin at the same states whatever the values: no winding heats, nothing remembers longer."""
     model = physics.model
     return not (heating_motors(model) or yielding(model) or loads(model))
 

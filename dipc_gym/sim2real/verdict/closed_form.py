@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Term:
+class Basis:
     """A kind of term: how it looks at nonlinear parameters, and which starts these have.
 
     Attributes:
@@ -51,23 +51,23 @@ def _column(x: Array) -> Array:
 
 
 GRAMMAR = (
-    Term("line", (), lambda x, _: _column(x), lambda low, high: [()]),
-    Term("Gaussian", ("at", "width"), lambda x, p: _column(np.exp(-0.5 * ((x - p[0]) / p[1]) ** 2)), _spots),
-    Term("step", ("at", "width"), lambda x, p: _column(np.tanh((x - p[0]) / p[1])), _spots),
-    Term(
+    Basis("line", (), lambda x, _: _column(x), lambda low, high: [()]),
+    Basis("Gaussian", ("at", "width"), lambda x, p: _column(np.exp(-0.5 * ((x - p[0]) / p[1]) ** 2)), _spots),
+    Basis("step", ("at", "width"), lambda x, p: _column(np.tanh((x - p[0]) / p[1])), _spots),
+    Basis(
         "sine",
         ("wavelength",),
         lambda x, p: np.stack([np.sin(2 * np.pi * x / p[0]), np.cos(2 * np.pi * x / p[0])], axis=1),
         lambda low, high: [((high - low) / count,) for count in (0.7, 1, 1.5, 2, 3, 4, 6, 8)],
     ),
-    Term(
+    Basis(
         "power",
         ("power",),
         lambda x, p: _column(np.abs(x) ** min(max(p[0], 0.05), 8.0)),
         lambda low, high: [(0.5,), (1.5,), (2.0,), (3.0,)],
         one_sided=True,
     ),
-    Term(
+    Basis(
         "exponential",
         ("scale",),
         lambda x, p: _column(np.exp(-np.abs(x) / max(abs(p[0]), 1e-12))),
@@ -176,7 +176,7 @@ def formulas(x: Array, values: Array, precision: Array, samples: int) -> list[Fo
     return [formula for formula, _, _ in (*plainer, last)]
 
 
-def _fitted(terms: Sequence[Term], x: Array, values: Array, root: Array) -> tuple[Formula, float, int]:
+def _fitted(terms: Sequence[Basis], x: Array, values: Array, root: Array) -> tuple[Formula, float, int]:
     """A formula of these terms, the squares that it leaves, and how many parameters it has."""
     low, high = float(x[0]), float(x[-1])
     target, best = root @ values, (math.inf, np.zeros(0), np.zeros(0))

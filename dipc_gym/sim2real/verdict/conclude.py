@@ -149,7 +149,7 @@ def _believable(
     for term in upheld.structure.terms:
         if term.effect.of_no_kind:  # no name, whatever it is worth
             continue
-        gained = judge.apart(search, upheld, search.fitter.without(upheld, term.key))
+        gained = judge.on_untouched(search, upheld, search.fitter.without(upheld, term.key))
         if gained.gain < max(VERDICT.named, gained.error):
             unnamed.add(term.key)
             notes.append(sentences.no_name(term, gained.gain))

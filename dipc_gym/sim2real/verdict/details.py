@@ -197,7 +197,7 @@ def _candidate(search: Searched, tried: Tried, status: Status) -> Candidate:
     first = search.progress.path[0]
     if tried.fitted is not None:
         error = tried.fitted.error
-        gain = search.scorer.compare_apart(tried.fitted, first)
+        gain = search.scorer.compare_on_others(tried.fitted, first)
     else:  # the windows of a sketch are among the worse ones
         subset = search.partition.known_to(tried.sketch)
         error = tried.sketch.error * first.error / float(np.sqrt(np.mean(first.mse[subset])))

@@ -121,7 +121,7 @@ def _better(search: Searched, swapped: Fit, full: Fit) -> bool:
     if gained.clear:
         return search.scorer.confirmed(swapped, full)
     closely = search.scorer.comparison_error(swapped) < SCORE.at_floor and len(swapped.z) <= len(full.z)
-    return closely and gained.told and search.scorer.compare_apart(swapped, full).gain > 0
+    return closely and gained.told and search.scorer.compare_on_others(swapped, full).gain > 0
 
 
 def _stand_ins(
@@ -244,7 +244,7 @@ def fair(search: Searched, fitted: Fit) -> Problem:
     return validation.pick(there) if there.any() else search.partition.comparison
 
 
-def apart(search: Searched, new: Fit, old: Fit) -> Improvement:
+def on_untouched(search: Searched, new: Fit, old: Fit) -> Improvement:
     """How much better one fit predicts than another on windows that no fit has touched, validation among them."""
     untouched, validation = search.partition.comparison, fair(search, new)
     after, before = search.scorer.comparison_mse(new), search.scorer.comparison_mse(old)

@@ -25,7 +25,7 @@ from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.details import details, predictions, sensor_fits
-from dipc_gym.sim2real.verdict.late import Late
+from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ def judgement(
     found: Conclusion,
     located: Sequence[Located],
     provenance: dict[str, Any],
-    late: Late,
+    late: Guarded,
 ) -> tuple[Diagnosis, Conclusion]:
     """Judge what a search came to by test data.
 
@@ -128,7 +128,7 @@ class _Chosen:
     windows: Problem
 
 
-def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, late: Late) -> _Chosen:
+def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, late: Guarded) -> _Chosen:
     """Fit at half the step, and choose by validation data what predicts best; nothing is chosen after that."""
     coarse, windows = found.fitted, replace(test.problem, stepping=base.partition.problem.stepping)
     nominal, recalibrated = base.nominal, base.recalibrated
@@ -181,7 +181,7 @@ class _Measured:
     notes: list[str] = field(default_factory=list)
 
 
-def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Late) -> _Measured:
+def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guarded) -> _Measured:
     search, found, three, final = last.search, last.found, last.three, last.found.fitted
     open_choice = late(
         "Whether other parameters would do",
@@ -232,7 +232,7 @@ class _Named:
     notes: list[str]
 
 
-def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Located], late: Late) -> _Named:
+def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Located], late: Guarded) -> _Named:
     search, found, final, errors = last.search, last.found, last.found.fitted, measured.test
     modelled = [term for term in final.structure.terms if term.effect.of_no_kind]
     terms = [term for term in final.structure.terms if term not in modelled and term.key not in found.unnamed]

@@ -14,7 +14,7 @@ from dipc_gym.sim2real.selection.stop import Stop
 T = TypeVar("T")
 
 
-class Late:
+class Guarded:
     """Runs stages and keeps notes on those that were left out.
 
     Attributes:
