@@ -1,7 +1,7 @@
 """Fit a structure to windows of recordings by multiple shooting.
 
-What remains of each window after its initial state is eliminated is a quadratic in the structure's parameters; screening and
-intervals work on these quadratics without simulating again.
+What remains of each window after its initial state is eliminated is a quadratic in the structure's parameters;
+screening and intervals work on these quadratics without simulating again.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """From recordings and a model to the windows that are predicted: noise, motion, window length, uncertainty of initial
 states.
 
-A window must be long enough for physics to show above the noise, and so short that its initial state is not forgotten: on a
-rig that balances or tumbles, an initial error grows exponentially, and what it explains away grows with it.
+A window must be long enough for physics to show above the noise, and so short that its initial state is not forgotten:
+on a rig that balances or tumbles, an initial error grows exponentially, and what it explains away grows with it.
 """
 
 from __future__ import annotations
