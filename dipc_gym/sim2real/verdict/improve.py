@@ -92,7 +92,7 @@ def place_units(structure: Structure, term: Term) -> dict[str, str]:
     units = {}
     for p in term.effect.parameters:
         unit = p.unit
-        if hinge and term.effect.id != "motor.cogging":
+        if hinge and p.translated:
             unit = _angular(unit)
         if unit == "reading":
             unit = of_sensor(model, term.at)
