@@ -537,6 +537,19 @@ def test_a_number_further_off_than_plausible_is_told_and_can_be_allowed() -> Non
     assert not [note for note in allowed.notes if "Without any new physics" in note]
 
 
+def test_a_slow_recording_is_noted_and_asked_for_again() -> None:
+    """At 50 Hz, what commands between two rows did is taken for physics, and a repeated command would not tell."""
+    quick = run(4, 10, 4.0)
+    slow = replace(quick, name="slow", time=quick.time * 0.02 / quick.period, sha256="")
+    given, _ = gather(mjcf.from_text(NOMINAL), [quick, slow], (), Wishes())
+    (note,) = (note for note in given.notes if "between two rows" in note)
+    assert note.startswith("slow: sampled at 50 Hz")
+    assert "record at 200 Hz or more" in note
+    for verdict in ("unexplained", "partly explained"):
+        assert "200 Hz or more" in sentences.next_experiment(verdict, [], slow=True)
+        assert "one short command" in sentences.next_experiment(verdict, [])
+
+
 def test_a_rig_at_rest_tells_nothing() -> None:
     still = run(4, 10, 0.0)
     rng = np.random.default_rng(0)
