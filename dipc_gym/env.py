@@ -489,7 +489,7 @@ def _own_rig() -> mjcf.Source:
 def _checked_model(path: str | Path) -> mjcf.Source:
     source = mjcf.read(path)
     model = mjcf.compile(source)
-    controls = mjcf.controls(model)
+    controls = mjcf.controls(model, source.name)
     if "motor" not in controls:
         raise mjcf.MjcfError(f"{source.name}: no actuator 'motor' with a control; there are {controls}")
     # A plant is written into a single text that says the time step, wherever the model has it from.

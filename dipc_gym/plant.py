@@ -115,7 +115,10 @@ class Friction:
     def __post_init__(self) -> None:
         _physical(self, "stribeck_velocity", "bristle_stiffness", "coulomb", "static", "bristle_damping", "viscous")
         if self.static < self.coulomb:
-            raise PlantError(f"friction.static is {self.static:g} N, below friction.coulomb {self.coulomb:g} N")
+            raise PlantError(
+                f"friction.static is {self.static:g} N, below friction.coulomb {self.coulomb:g} N; set friction.static "
+                "as well, to at least that"
+            )
         if self.static > 0 and self.coulomb == 0:
             raise PlantError("friction.coulomb is 0 while friction.static is not; set both to 0 for no dry friction")
 

@@ -116,6 +116,11 @@ def test_notes_of_the_recording_that_is_trained_from_are_told(
         (["train-policy", "--out", "new", "--resume"], "no training to go on with"),
         (["train", "--out", "new.txt"], "new.txt: this is written as .json"),
         (["render", "--out", "new.gif", "--map", "x=cart"], "--recording"),
+        (["trial", "--out", "new", "--count", "two"], "--count two: it must be a whole number"),
+        (["trial", "--out", "new", "--limit=long"], "--limit long: it must be a number"),
+        (["compare", "--out", "new", "--seeds", "0"], "--seeds is 0; it must be 1 or more"),
+        (["compare", "--out", "new", "--seconds", "0"], "--seconds is 0; it must be more than 0"),
+        (["compare", "--out", "new", "--estimator", ","], "--estimator names none"),
         (["compare", "--out", "new", "--compensator", "x,y"], "there is no compensator 'x'"),
         (["train", "--out", "full/file"], "exists"),
         (["train", "--out", "new.json", "--compensator", "x"], "there is no compensator 'x'"),
@@ -146,6 +151,33 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert "Traceback" not in said
     assert (tmp_path / "full" / "file").read_text() == "precious"
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
+
+
+def test_arguments_are_checked_before_what_has_to_be_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for module in ("dipc_gym.trials.run", "dipc_gym.trials.generate"):
+        monkeypatch.setitem(sys.modules, module, None)  # as where numba is missing
+    assert main(["trial", "--out", str(tmp_path / "new"), "--count", "0"]) == 2
+    assert "--count is 0" in capsys.readouterr().err
+
+
+def test_diagnose_says_what_is_wrong_with_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What a first try gets wrong: the order of the files, the unit of time, an actuator without a name."""
+    folder = Path(__file__).resolve().parent.parent / "examples" / "diagnose"
+    model, good, late, bare = folder / "arm.xml", folder / "run_1.csv", tmp_path / "ms.csv", tmp_path / "bare.xml"
+    header, *rows = good.read_text().splitlines()
+    assert header.startswith("time,")
+    cells = [row.split(",", 1) for row in rows]
+    late.write_text("\n".join([header, *(f"{1e3 * float(time)!r},{rest}" for time, rest in cells)]))
+    bare.write_text(model.read_text().replace('<dcmotor name="motor"', "<dcmotor"))
+    for arguments, says in (
+        ((good, model), "run_1.csv: is no MJCF"),
+        ((model, late), "or is time in milliseconds? Then say --unit time=ms"),
+        ((bare, good), "bare.xml: actuator 0 has no name"),
+    ):
+        assert main(["diagnose", *map(str, arguments), "--out", str(tmp_path / "found")]) == 2
+        assert says in capsys.readouterr().err
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

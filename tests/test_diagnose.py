@@ -120,15 +120,29 @@ def few() -> list[object]:
 @pytest.fixture(scope="module")
 def sticky(few: list[object]) -> Diagnosis:
     """A cart whose dry friction the model leaves out."""
-    return diagnose(mjcf.from_text(NOMINAL), [run(1, 20, 3.0)], effects=few)  # type: ignore[arg-type]
+    model = replace(mjcf.from_text(NOMINAL), path=Path("pend.xml"))
+    return diagnose(model, [run(1, 20, 3.0)], effects=few)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
 def wrong_damping() -> Diagnosis:
     text = NOMINAL.replace('damping="40"', 'damping="60"')
-    found = diagnose(mjcf.from_text(text), [run(2, 12, 0.0)], effects=[catalogue()["friction.coulomb"]])
+    tried = [catalogue()[name] for name in ("friction.coulomb", "timing.sensor_lag:delay")]
+    found = diagnose(mjcf.from_text(text), [run(2, 12, 0.0)], effects=tried)
     assert found.verdict == "recalibrated", found.sentence
     return found
+
+
+def test_the_report_names_the_file_and_says_what_is_written_beside_the_level(sticky: Diagnosis) -> None:
+    assert sticky.details is not None
+    assert sticky.details.difference.startswith("--- pend.xml\n+++ improved.xml\n")
+    assert "noslip_iterations and solreffriction both make MuJoCo's soft friction hold at rest." in sticky.improved
+
+
+def test_forms_of_an_effect_are_told_apart_in_the_report(wrong_damping: Diagnosis) -> None:
+    """Two forms of one effect at one place had been one line twice."""
+    assert wrong_damping.details is not None
+    assert "timing.sensor_lag:delay" in [one.effect for one in wrong_damping.details.candidates]
 
 
 def test_names_dry_friction_and_its_level(sticky: Diagnosis, tmp_path: Path) -> None:
@@ -535,6 +549,19 @@ def test_a_number_further_off_than_plausible_is_told_and_can_be_allowed() -> Non
     assert allowed.verdict == "recalibrated"
     assert allowed.recalibrated[0]["value"] == pytest.approx(MASS, rel=0.002)
     assert not [note for note in allowed.notes if "Without any new physics" in note]
+
+
+def test_a_slow_recording_is_noted_and_asked_for_again() -> None:
+    """At 50 Hz, what commands between two rows did is taken for physics, and a repeated command would not tell."""
+    quick = run(4, 10, 4.0)
+    slow = replace(quick, name="slow", time=quick.time * 0.02 / quick.period, sha256="")
+    given, _ = gather(mjcf.from_text(NOMINAL), [quick, slow], (), Wishes())
+    (note,) = (note for note in given.notes if "between two rows" in note)
+    assert note.startswith("slow: sampled at 50 Hz")
+    assert "record at 200 Hz or more" in note
+    for verdict in ("unexplained", "partly explained"):
+        assert "200 Hz or more" in sentences.next_experiment(verdict, [], slow=True)
+        assert "one short command" in sentences.next_experiment(verdict, [])
 
 
 def test_a_rig_at_rest_tells_nothing() -> None:

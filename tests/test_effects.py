@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 import re
@@ -20,7 +21,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import Effect, catalogue
-from dipc_gym.sim2real.effects.base import Evidence
+from dipc_gym.sim2real.effects.base import Evidence, Parameter
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.motor_map import CommandMap
@@ -481,6 +482,17 @@ def test_a_dead_zone_is_told_in_the_unit_of_the_command(actuator: str, unit: str
     units = place_units(Structure(Document(source), mjcf.compile(source), ("slide", "hinge")), term)
     assert units == {"width": unit}
     assert effect.sentence("m", term.guess, units).endswith(f"below {f'0.25 {unit}'.strip()} do nothing.")
+
+
+def test_a_unit_is_translated_at_a_hinge_unless_it_says_that_it_stays() -> None:
+    source = mjcf.from_text(
+        '<mujoco><worldbody><body><joint name="elbow"/><geom size="1"/></body></worldbody></mujoco>'
+    )
+    effect = copy.copy(catalogue()["load.constant"])
+    effect.parameters = (Parameter("inertia", "kg"), Parameter("mass", "kg", translated=False))
+    structure = Structure(Document(source), mjcf.compile(source), ("elbow",))
+    units = place_units(structure, Term(effect, "elbow", {"inertia": 1.0, "mass": 1.0}))
+    assert units == {"inertia": "kg m^2", "mass": "kg"}
 
 
 @pytest.mark.parametrize("name", HOSTILE)

@@ -331,8 +331,16 @@ def test_controls_are_counted_by_mujoco_and_not_by_actuators() -> None:
 
 def test_an_actuator_without_a_name_is_refused() -> None:
     model = mjcf.compile(rig(more='<actuator><motor joint="cart"/></actuator>'))
-    with pytest.raises(mjcf.MjcfError, match="actuator 0 has no name"):
+    with pytest.raises(mjcf.MjcfError, match=r"^actuator 0 has no name"):
         mjcf.controls(model)
+    with pytest.raises(mjcf.MjcfError, match=r"^mine\.xml: actuator 0 has no name"):
+        mjcf.check_supported(model, "mine.xml")
+
+
+def test_a_recording_in_the_place_of_the_model_is_told(tmp_path: Path) -> None:
+    (tmp_path / "run_1.csv").write_text("time,motor\n0,1\n")
+    with pytest.raises(mjcf.MjcfError, match=r"run_1\.csv: is no MJCF .* the model comes first, then recordings"):
+        mjcf.read(tmp_path / "run_1.csv")
 
 
 def test_scalar_sensors_leave_out_vectors_and_the_unnamed() -> None:

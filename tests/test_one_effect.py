@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +11,40 @@ import numpy as np
 import pytest
 
 from dipc_gym import mjcf, recording
-from dipc_gym.sim2real import catalogue, diagnose, fit_effect
+from dipc_gym.sim2real import Document, Effect, Evidence, Parameter, Values, catalogue, diagnose, fit_effect
 
 FOLDER = Path(__file__).resolve().parent.parent / "examples" / "diagnose"
+
+
+class Bob(Effect):
+    """A mass on a joint's body: as a geom, which counts no more once the body has an `<inertial>`, or as a body."""
+
+    id = "load.bob"
+    place = "joint"
+    parameters = (Parameter("mass", "kg", low=0.0),)
+
+    def __init__(self, as_body: bool) -> None:
+        self.as_body = as_body
+
+    def guesses(self, evidence: Evidence) -> list[Values]:
+        return [{"mass": 0.05}]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        body = next(body for body in document.root.iter("body") if document.joint(at) in list(body))
+        body = ET.SubElement(body, "body") if self.as_body else body
+        ET.SubElement(body, "geom", type="sphere", size="0.01", pos="0.1 0 0", mass=str(values["mass"]))
+
+    def sentence(self, at: str, values: Values, unit: dict[str, str]) -> str:
+        return f"A bob of {values['mass']:.3g} {unit['mass']} at {at}."
+
+
+def test_an_effect_that_changes_no_prediction_is_refused_and_not_fitted() -> None:
+    model = mjcf.read(FOLDER / "arm.xml")
+    run = recording.read(FOLDER / "run_1.csv", mjcf.compile(model))
+    with pytest.raises(ValueError, match=r"load\.bob at shoulder changes no prediction: does something override its"):
+        fit_effect(Bob(as_body=False), model, [run])
+    (found,) = fit_effect(Bob(as_body=True), model, [run])  # the mend that the page names
+    assert found.values["mass"] != 0.05
 
 
 def test_finds_the_level_and_writes_a_model_that_has_it() -> None:

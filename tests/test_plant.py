@@ -92,6 +92,7 @@ def test_none_leaves_the_model_alone() -> None:
     [
         ({"friction": {"coulomb": -1.0}}, "friction.coulomb is -1"),
         ({"friction": {"static": 1.0}}, "friction.static is 1 N, below friction.coulomb"),
+        ({"friction": {"coulomb": 50}}, "below friction.coulomb 50 N; set friction.static as well"),
         ({"friction": {"coulomb": 0.0}}, "friction.coulomb is 0 while"),
         ({"friction": {"stribeck_velocity": 0.0}}, "friction.stribeck_velocity is 0"),
         ({"friction": {"wet": 1.0}}, "unknown field 'friction.wet'"),

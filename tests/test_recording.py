@@ -271,7 +271,7 @@ def test_a_missing_column_lists_both_sides(tmp_path: Path, model: mujoco.MjModel
     columns = run()
     columns["theta"] = columns.pop("pole")
     message = refused(save(tmp_path / "r.csv", table(columns)), model)
-    assert "no column for ['sensor:pole']" in message
+    assert "no column for ['pole']" in message
     assert "the file has ['time', 'motor', 'cart', 'theta']" in message
     assert "controls ['motor'] and sensors ['cart', 'pole']" in message
     assert "--map" in message
@@ -281,8 +281,12 @@ def test_a_misspelt_column_is_told_from_others(tmp_path: Path, model: mujoco.MjM
     columns = run()
     columns["ploe"] = columns.pop("pole")
     path = save(tmp_path / "r.csv", table(columns))
-    assert refused(path, model).endswith("; did you mean 'ploe'?")
+    assert refused(path, model).endswith("; did you mean --map ploe=pole?")
     assert "did you mean 'motor'?" in refused(path, model, mapping={"mot": "motor"})  # which is a column too
+    shared = mjcf.compile(RIG.replace('motor name="motor"', 'motor name="cart"'))
+    del columns["cart"]
+    message = refused(save(tmp_path / "r.csv", table(columns)), shared)
+    assert "no column for ['ctrl:cart', 'sensor:cart', 'pole']" in message  # the prefix where two share a name
 
 
 def test_unknown_columns_are_ignored_and_listed_whatever_they_hold(tmp_path: Path, model: mujoco.MjModel) -> None:
@@ -565,6 +569,7 @@ def test_a_pole_that_goes_round_and_round_is_no_angle_in_degrees(tmp_path: Path)
     assert pole.max() > 4 * math.pi
     columns = {"time": time, "motor": motor, "cart": cart, "pole": pole}
     refuse_degrees([read(save(tmp_path / "turns.csv", table(columns)), weight)], weight, ())
+    assert not any("pole" in note for note in read(tmp_path / "turns.csv", weight).notes)
     swings = save(tmp_path / "swings.csv", table({**columns, "pole": np.degrees(0.3 * np.sin(2 * time))}))
     with pytest.raises(RecordingError, match="looks like degrees"):
         refuse_degrees([read(swings, weight)], weight, ())
@@ -573,6 +578,8 @@ def test_a_pole_that_goes_round_and_round_is_no_angle_in_degrees(tmp_path: Path)
 def test_suspect_units_are_noted(tmp_path: Path, model: mujoco.MjModel) -> None:
     columns = run(2000)
     assert "--unit pole=deg" in noted(tmp_path, model, pole=np.degrees(columns["pole"]))
+    turned = save(tmp_path / "r.csv", table({**columns, "pole": np.degrees(columns["pole"])}))
+    assert read(turned, model, units={"pole": "rad"}).notes == ()  # told that it is none
     assert "--unit cart=mm" in noted(tmp_path, model, cart=1e3 * columns["cart"])
     assert "--unit time=ms" in noted(tmp_path, model, time=1e3 * columns["time"])
     assert "leaves its ctrlrange -24 to 24" in noted(tmp_path, model, motor=10 * columns["motor"])

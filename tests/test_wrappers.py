@@ -187,6 +187,10 @@ def test_what_cannot_be_wrapped_is_refused(tmp_path: Path) -> None:
 def test_a_kind_of_compensator_has_to_be_fitted_first() -> None:
     with pytest.raises(CompensatorError, match=r"fit it to a rig: ForceCommand\(env, .*identify\(\)\.fit\('llnf'\)\)"):
         ForceCommand(rig(), "llnf")
+    with pytest.raises(CompensatorError, match=r"ForceCommand\(env, dipc_gym\.runs\.compensator\(\"none\"\)\)"):
+        ForceCommand(rig(), "none")
+    with pytest.raises(CompensatorError, match=r"takes a compensator, its dictionary, or the path .*, not None"):
+        ForceCommand(rig(), None)  # type: ignore[arg-type]
     with pytest.raises(CompensatorError, match="did you mean 'llnf'"):
         ForceCommand(rig(), "lnlf")
 

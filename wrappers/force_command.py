@@ -152,7 +152,17 @@ def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path
     Raises:
         compensators.CompensatorError: a file or dictionary is broken, or a kind is named that has to be fitted first.
     """
+    if not isinstance(compensator, Compensator | Mapping | str | Path):
+        raise CompensatorError(
+            f"ForceCommand takes a compensator, its dictionary, or the path of a saved one, not {compensator!r}; "
+            'for none, give dipc_gym.runs.compensator("none")'
+        )
     if isinstance(compensator, str) and not compensator.endswith(".json") and not Path(compensator).exists():
+        if compensator == "none":
+            raise CompensatorError(
+                "'none' is a kind of compensator, which has to know the rig's gain; give "
+                'ForceCommand(env, dipc_gym.runs.compensator("none"))'
+            )
         if compensator in compensators.names():
             mend = f"fit it to a rig: ForceCommand(env, dipc_gym.runs.identify().fit({compensator!r}))"
             raise CompensatorError(f"{compensator!r} is a kind of compensator; {mend}, or give the path of a saved one")

@@ -85,6 +85,7 @@ class Diagnose:
         source = mjcf.read(self.model)
         folder.check_names(source.files)
         model = mjcf.compile(source)
+        mjcf.check_supported(model, source.name)
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         fitted = recording.read_all(self.recordings, model, mapping=mapping, units=units)
         judged = recording.read_all(self.held_out, model, mapping=mapping, units=units)

@@ -32,7 +32,7 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
 
 
 def check_choices(command: type, arguments: Sequence[str]) -> None:
-    """Refuse a value that is none of an option's choices, with the one that was probably meant.
+    """Refuse a value that is none of an option's choices, with the one that was meant, and a word for a number.
 
     Args:
         command: dataclass of the subcommand; fields with choices are `Literal`.
@@ -41,13 +41,27 @@ def check_choices(command: type, arguments: Sequence[str]) -> None:
     Raises:
         ValueError: it is none of them.
     """
-    choices = {f"--{name.replace('_', '-')}": tuple(_choices(hint)) for name, hint in get_type_hints(command).items()}
+    hints = {f"--{name.replace('_', '-')}": hint for name, hint in get_type_hints(command).items()}
+    choices = {option: tuple(_choices(hint)) for option, hint in hints.items()}
     for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
         option, equals, value = argument.partition("=")
         named = choices.get(option.replace("_", "-"), ())
         value = value if equals else following
         if named and value and not value.startswith("-") and value not in named:
             raise ValueError(f"{option} {value}: it can be {' or '.join(named)}{suggestion(value, named)}")
+        _check_number(option, hints.get(option.replace("_", "-")), value)
+
+
+def _check_number(option: str, hint: Any, value: str) -> None:
+    """Refuse a word where an option takes a number."""
+    kinds = (hint, *get_args(hint))
+    kind = next((kind for kind in (int, float) if kind in kinds), None)
+    if kind is None or get_origin(hint) is tuple or not value or value.startswith("-") or value == "None":
+        return
+    try:
+        kind(value)
+    except ValueError:
+        raise ValueError(f"{option} {value}: it must be a {'whole ' * (kind is int)}number") from None
 
 
 def _choices(hint: Any) -> Iterator[str]:

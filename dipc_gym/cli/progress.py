@@ -9,8 +9,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TextIO
 
-from dipc_gym.sim2real.stages import StageEnd
-
 # How many times as long as a stage what follows it takes, at least and at most. How long a search takes depends on how
 # many effects there are to find: beside the time until it began it took 7 times as long where nothing was missing
 # (practice trial p01), and 35 times where friction was (p02). Beside the round that found its last effect, what came
@@ -31,6 +29,7 @@ class Progress:
         clock: seconds.
 
     Example:
+        >>> from dipc_gym.sim2real.stages import StageEnd
         >>> with Progress(sys.stdout, clock=iter([0.0, 2.0, 8.0, 8.0]).__next__) as tell:
         ...     tell("156 windows of 0.25 s")
         ...     tell(StageEnd("as given, the model is off by 9 x noise", "baseline"))
@@ -64,10 +63,11 @@ class Progress:
         """Print a line, and what is left if a stage ended with it."""
         now = self._clock() - self._began
         self._print(now, line)
-        if not isinstance(line, StageEnd):
+        stage = getattr(line, "stage", "")  # of a `sim2real.stages.StageEnd`, which help must not load
+        if stage not in FACTORS:
             return
         took = now - self._marks[-1]
-        least, most = FACTORS[line.stage]
+        least, most = FACTORS[stage]
         self._range = now + least * took, now + most * took
         self._marks.append(now)
         self._print(now, f"{self.left()}, by how long this took")

@@ -47,6 +47,8 @@ class Trial:
         """Generate, diagnose, score, print the table."""
         if self.full and self.laws:
             raise ValueError("--full and --laws are two different trials: choose one")
+        if self.count is not None and self.count < 1:  # before imports, which may ask to install something
+            raise ValueError(f"--count is {self.count}; it is the number of trials, 1 or more")
         which: dict[str, Any] = {"count": self.count, "full": self.full, "laws": self.laws}
         if self.rivals:
             from dipc_gym.trials.generate import plans

@@ -133,10 +133,12 @@ class Comparison:
                 cannot be used.
         """
         parts = {"controllers": self.controllers, "compensators": self.compensators, "estimators": self.estimators}
-        if self.seeds < 1 or not self.seconds > 0 or not all(parts.values()):
-            raise ValueError(
-                "a comparison needs at least one controller, compensator, estimator and seed, and a positive length"
-            )
+        if self.seeds < 1:
+            raise ValueError(f"--seeds is {self.seeds}; it must be 1 or more")
+        if not self.seconds > 0:
+            raise ValueError(f"--seconds is {self.seconds:g}; it must be more than 0")
+        if empty := [kind.removesuffix("s") for kind, names in parts.items() if not names]:
+            raise ValueError(f"--{empty[0]} names none; give one or more, with commas between")
         for kind, names in parts.items():
             labels = [label(name) for name in names]
             if twice := sorted({name for name in labels if labels.count(name) > 1}):

@@ -29,11 +29,15 @@ SUPPORTED = (
 )
 
 
-def controls(model: mujoco.MjModel) -> list[str]:
+def controls(model: mujoco.MjModel, where: str = "") -> list[str]:
     """Names of the model's controls, in the order of `data.ctrl`.
 
     A passive actuator (`input="none"`) has no control and no name here. One with several inputs has one name for
     each: `servo.pos`, `servo.vel`. Controls of elements that `<custom>` calls passive come last and are left out.
+
+    Args:
+        model: compiled.
+        where: what messages call it, as its file.
 
     Raises:
         MjcfError: an actuator with a control has no name.
@@ -46,7 +50,8 @@ def controls(model: mujoco.MjModel) -> list[str]:
             continue
         first, count = int(model.actuator_ctrladr[actuator]), int(model.actuator_ctrlnum[actuator])
         if count and not name:
-            raise MjcfError(f"actuator {actuator} has no name; recordings are matched by name, so give it one")
+            said = f"actuator {actuator} has no name; recordings are matched by name, so give it one"
+            raise MjcfError(f"{where}: {said}" if where else said)
         for k in range(count):
             part = mujoco.mj_actuatorInputName(model, actuator, k) or str(k)
             names[first + k] = name if count == 1 else f"{name}.{part}"
@@ -200,7 +205,8 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
         name: what messages call it, as its file.
 
     Raises:
-        MjcfError: free or ball joints, flexible bodies, geoms that can touch, no joint, or no named scalar sensor.
+        MjcfError: free or ball joints, flexible bodies, geoms that can touch, no joint, no named scalar sensor, or an
+            actuator with a control and no name.
     """
     for joint in range(model.njnt):
         kind = int(model.jnt_type[joint])  # a NumPy integer in a tuple of MuJoCo's enums is not found
@@ -213,6 +219,7 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
         raise MjcfError(f"{name}: the model has no joints, so nothing in it moves. {SUPPORTED}")
     if not scalar_sensors(model):
         raise MjcfError(f"{name}: the model has no named scalar sensor, such as <jointpos name=.../>. {SUPPORTED}")
+    controls(model, name)
     pair = touching_pair(model)
     if pair:
         raise MjcfError(

@@ -26,6 +26,7 @@ from dipc_gym.mjcf.scan import MjcfError, load_text, scan
 CPU_LIMIT = 20  # seconds of computing for the trial compilation
 WALL_LIMIT = 60  # seconds on the clock for the trial compilation
 MEMORY_LIMIT = 2 << 30  # bytes of address space for the trial compilation
+TABLES = (".csv", ".parquet", ".npz")  # recordings, which are easily named where the model belongs
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,8 @@ def read(path: str | Path) -> Source:
             reaches outside its folder, names a file that is not there, or multiplies into too many elements.
     """
     path = Path(path)
+    if path.suffix.lower() in TABLES and path.is_file():
+        raise MjcfError(f"{path}: is no MJCF but a recording, by its name; the model comes first, then recordings")
     text = load_text(path, str(path))
     return Source(path, path.parent, text, scan(text, str(path), path.parent))
 

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf import is_hinge
+from dipc_gym.recording.degrees import turns
 from dipc_gym.recording.tables import RecordingError
 
 if TYPE_CHECKING:
@@ -133,7 +134,9 @@ def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:
         for name, values in zip(names, table.T, strict=True):
             found += _dead_or_clipped(f"{kind} {name!r}", values)
     for name, values in zip(recording.sensor_names, recording.sensors.T, strict=True):
-        found += _odd_unit(name, values, model)
+        odd = [] if name in recording.told else _odd_unit(name, values, model)
+        # Degrees are foretold by no model in radians: where accelerations agree with it, a pole goes round.
+        found += odd if odd and not _goes_round(recording, model, name) else []
     return (*found, *_odd_rates(recording, model), *_beyond_limits(recording, model))
 
 
@@ -205,6 +208,12 @@ def _odd_unit(name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> 
         return []
     unit, word, short = ("rad", "degrees", "deg") if hinge else ("m", "millimetres", "mm")
     return [f"sensor {name!r} reaches {peak:.4g} {unit}; if these are {word}, say --unit {name}={short}"]
+
+
+def _goes_round(recording: Recording, model: mujoco.MjModel, name: str) -> bool:
+    """Whether a hinge without limits goes beyond what is usual, as the model says that it must."""
+    joint = int(model.sensor(name).objid[0])
+    return is_hinge(model, joint) and not model.jnt_limited[joint] and turns(recording, model, [name])
 
 
 def _odd_rates(recording: Recording, model: mujoco.MjModel) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 
 from dipc_gym.recording.tables import RecordingError
@@ -48,10 +49,22 @@ def match_columns(
     order = ["time", *(COMMAND + name for name in ctrl), *(SENSOR + name for name in sensor)]
     missing = [channel for channel in order if channel not in found]
     if missing:
+        # As a file and --map may call them: without a prefix where the model has one of that name alone.
+        plain = [next((n for n, meant in channels_of.items() if meant == [c] and n != c), c) for c in missing]
         left = [column for column in names if column not in found.values()]
-        near = suggestion(missing[0].removeprefix(COMMAND).removeprefix(SENSOR), left)
-        raise RecordingError(f"{where}: no column for {missing}; {sides}; rename them or use --map COLUMN=NAME{near}")
+        raise RecordingError(
+            f"{where}: no column for {plain}; {sides}; rename them or use --map COLUMN=NAME{_near(plain, left)}"
+        )
     return {channel: found[channel] for channel in order}
+
+
+def _near(missing: Sequence[str], left: Sequence[str]) -> str:
+    """The end of a message about names without a column: the mapping that was probably meant."""
+    for name in missing:
+        near = difflib.get_close_matches(name.removeprefix(COMMAND).removeprefix(SENSOR), left, n=1)
+        if near:
+            return f"; did you mean --map {near[0]}={name}?"
+    return ""
 
 
 def unit_factors(where: str, wanted: Mapping[str, str], units: Mapping[str, str]) -> dict[str, float]:

@@ -52,7 +52,7 @@ def look_like_degrees(recording: Recording, model: mujoco.MjModel) -> list[str]:
             suspect = 2 * math.pi * TURNS < peak <= MOST and _weighs(model, joint)
         if suspect:
             found.append(name)
-    return found if found and not _turns(recording, model, found) else []
+    return found if found and not turns(recording, model, found) else []
 
 
 def refuse_degrees(
@@ -80,7 +80,7 @@ def refuse_degrees(
                 )
 
 
-def _turns(recording: Recording, model: mujoco.MjModel, names: list[str]) -> bool:
+def turns(recording: Recording, model: mujoco.MjModel, names: list[str]) -> bool:
     """Whether a model's accelerations say that these angles are in radians: a pole may well go round and round."""
     columns = [recording.sensor_names.index(name) for name in names]
     in_degrees = recording.sensors.copy()

@@ -15,13 +15,16 @@ from dipc_gym.recording import Recording
 from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
 from dipc_gym.sim2real.effects import Effect
 from dipc_gym.sim2real.estimation import unexplained
-from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.estimation.segments import prepare
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Term, carry
 from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict.improve import place_units
+
+NOTHING = 1e-9  # times the noise: predictions that change by less do not change
 
 
 @dataclass(frozen=True)
@@ -65,9 +68,11 @@ def fit_effect(
         threads: of the simulations; 0 for all cores.
 
     Returns:
-        The fits, the one with the smallest error first; none where the effect makes no sense at any place.
+        The fits, the one with the smallest error first; none where the effect makes no sense at any place. A place
+        where it changes no prediction is left out, as friction at a joint that never moves.
 
     Raises:
+        ValueError: no parameter of the effect changes a prediction, at any place.
         mjcf.MjcfError: the model cannot be treated.
         RecordingError: the recordings hold no window, or angles look like degrees and no unit was told.
 
@@ -90,7 +95,7 @@ def fit_effect(
     error_without = fit(comparison, free, without.z, most=0).error
     seen = unexplained.scene(without.structure.physics(without.z), recordings, ready.motions)
 
-    found = []
+    found, dead = [], []
     for at in unexplained.places(effect, given.model, ready.structure.base, recordings[0]):
         fits = [
             fit(fitted, structure, carry(free, without.z, structure), without.initial)
@@ -101,8 +106,32 @@ def fit_effect(
             continue
         best = min(fits, key=lambda one: one.error)
         (term,) = best.structure.terms
+        if not any(_acts(fitted, one, without) for one in fits):
+            dead.append(at)
+            continue
         values, units = best.structure.term_values(best.z, term), place_units(best.structure, term)
         error = fit(comparison, best.structure, best.z, most=0).error
         sentence, improved = term.effect.sentence(at, values, units), best.structure.write(best.z).text()
         found.append(EffectFit(effect.id, at, error_without, error, values, units, sentence, improved))
+    if dead and not found:
+        raise ValueError(
+            f"{effect.id} at {', '.join(dead)} changes no prediction: does something override its edit, as an "
+            "<inertial> does a geom's mass?"
+        )
     return sorted(found, key=lambda one: one.error)
+
+
+def _acts(problem: Problem, found: Fit, without: Fit) -> bool:
+    """Whether predictions change with any parameter of the effect that is fitted; True where none is."""
+    structure, own = found.structure, slice(len(found.structure.model_parameters), None)
+    begun = carry(without.structure, without.z, structure)
+    if not len(begun[own]):
+        return True
+    tries = [begun]
+    for moved in (found.z[own], begun[own] + 1.0, begun[own] - 1.0):
+        tries.append(begun.copy())
+        tries[-1][own] = moved
+    initial = np.repeat(without.initial[None], len(tries), axis=0)
+    readings = np.nan_to_num(predict(problem, structure, [structure.clip(z) for z in tries], initial))
+    apart = np.where(problem.windows.valid[..., None], readings[1:] - readings[0], 0.0)
+    return bool(np.any(np.abs(apart) > NOTHING * problem.windows.noise))

@@ -248,7 +248,7 @@ class Candidate:
     """A hypothesis and what became of it.
 
     Attributes:
-        effect: id.
+        effect: id, with the form of the effect after a colon where it has several.
         at: place.
         words: the effect in plain words.
         status: what became of it.

@@ -25,7 +25,7 @@ class Parameter:
 
     Attributes:
         name: as reports call it.
-        unit: SI; `N` stands for N m, `m` for rad and so on where the joint is a hinge.
+        unit: SI, as for a slide; where the joint is a hinge, N becomes N m, m rad, and kg kg m^2.
         low: smallest allowed value.
         high: largest allowed value.
         log: whether ratios rather than differences matter, as for stiffnesses and time constants.
@@ -36,6 +36,7 @@ class Parameter:
         step: a sizeable change of a parameter that has no natural zero, as a time; 0 where its own size tells.
         sigma: standard deviation, in steps, of its prior about the first guess; values of a table have one, for a knot
             that no motion comes near would else be free.
+        translated: whether its unit is another one at a hinge; False for a mass that stays one in kg, an arm in m.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Parameter:
     above: str = ""
     step: float = 0.0
     sigma: float = math.inf
+    translated: bool = True
 
 
 @dataclass(frozen=True)

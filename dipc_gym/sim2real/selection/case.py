@@ -161,7 +161,7 @@ def gather(
     data.check_apart(recordings, held_out)
     refuse_degrees([*recordings, *held_out], loaded.model, mend=IN_PYTHON)
     whole, tested = data.from_zero(recordings), data.from_zero(held_out)
-    notes = [f"{r.name}: {note}" for r in (*whole, *tested) for note in r.notes]
+    notes = [f"{r.name}: {note}" for r in (*whole, *tested) for note in r.notes] + data.slowly([*whole, *tested])
     fitted = whole if tested else [data.until(r, WINDOWS.test) for r in whole]
     withheld = Withheld(tuple(tested or whole), (0.0 if tested else WINDOWS.test, 1.0))
     parameters = model_parameters(document := Document(source), loaded.model)

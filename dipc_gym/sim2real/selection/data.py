@@ -50,6 +50,21 @@ def from_zero(recordings: Sequence[Recording]) -> list[Recording]:
     ]
 
 
+def sampled_slowly(recording: Recording) -> bool:
+    """Whether it has fewer samples a second than commands need that change at any time."""
+    return recording.period * WINDOWS.slow * WINDOWS.rate > 1
+
+
+def slowly(recordings: Sequence[Recording]) -> list[str]:
+    """Notes on recordings that are sampled slowly."""
+    return [
+        f"{r.name}: sampled at {1 / r.period:.3g} Hz; a command that changed between two rows is not in the file, and "
+        f"looks like physics that the model lacks; record at {WINDOWS.rate:g} Hz or more"
+        for r in recordings
+        if sampled_slowly(r)
+    ]
+
+
 def until(recording: Recording, share: float) -> Recording:
     """A recording up to a share of its duration; it keeps its name, its file and the digest of that."""
     count = int(np.searchsorted(recording.time, recording.time[0] + share * recording.duration)) or 1

@@ -19,6 +19,8 @@ class WindowSettings:
         plenty: windows, from which on the first ones can be spared
         late: time before a window, s, in which commands must be known: they may act late
         apart: time, s, from one window to another that is not beside it
+        rate: samples a second that the documentation asks for, Hz
+        slow: share of it below which a recording is said to be sampled slowly
     """
 
     test: float = 0.75
@@ -30,6 +32,8 @@ class WindowSettings:
     plenty: int = 36
     late: float = 0.05
     apart: float = 0.05
+    rate: float = 200.0
+    slow: float = 0.9
 
 
 WINDOWS = WindowSettings()

@@ -193,7 +193,7 @@ def _candidate(search: Searched, tried: Tried, status: Status) -> Candidate:
     effect = tried.term.effect
     words = (effect.__doc__ or "").split("\n")[0].rstrip(".")
     if tried.sketch is None:
-        return Candidate(effect.name, tried.term.at, words, "screened out")
+        return Candidate(effect.id, tried.term.at, words, "screened out")
     first = search.progress.path[0]
     if tried.fitted is not None:
         error = tried.fitted.error
@@ -203,7 +203,7 @@ def _candidate(search: Searched, tried: Tried, status: Status) -> Candidate:
         error = tried.sketch.error * first.error / float(np.sqrt(np.mean(first.mse[subset])))
         gain = compare(tried.sketch.mse, first.mse[subset], search.partition.problem.blocks[subset])
     spread = gain.error if np.isfinite(gain.error) else None
-    return Candidate(effect.name, tried.term.at, words, status, error, gain.gain, spread)
+    return Candidate(effect.id, tried.term.at, words, status, error, gain.gain, spread)
 
 
 def _residuals(w: Windows, before: Array, after: Array | None) -> Iterator[SensorResidual]:
@@ -259,8 +259,6 @@ def _autocorrelation(residual: Array, valid: NDArray[np.bool_], lags: int) -> Ar
 def _difference(source: mjcf.Source, improved: str) -> str:
     if improved == source.text:
         return ""
-    before = Document(source).text()
-    lines = difflib.unified_diff(
-        before.splitlines(), improved.splitlines(), "model.xml", "improved.xml", lineterm="", n=2
-    )
+    before, name = Document(source).text(), source.path.name if source.path else "model.xml"
+    lines = difflib.unified_diff(before.splitlines(), improved.splitlines(), name, "improved.xml", lineterm="", n=2)
     return "\n".join(lines)

@@ -61,6 +61,7 @@ def improved_model(
             n.key: abs(change) >= VERDICT.negligible for n, change in zip(structure.model_parameters, z, strict=False)
         }
         lines.append("Refitted: " + ", ".join(key if far else f"{key} (hardly)" for key, far in moved.items()) + ".")
+    lines += _at_rest(Document(source), document)
     lines.append(sentences.as_written(said, errors))
     if option.refitted:
         lines.append(
@@ -75,6 +76,17 @@ def improved_model(
         return source.text, said, note
     document.comment("Changed by dipc-gym diagnose.", *lines)
     return document.text(), said, note
+
+
+def _at_rest(given: Document, improved: Document) -> list[str]:
+    """A sentence on what dry friction sets beside its level, where it sets any of it."""
+    option, attribute = "noslip_iterations", "solreffriction"
+    soft, stiff = ([joint.get(attribute) for joint in d.root.iter("joint")] for d in (given, improved))
+    names = [option] if given.get_option(option) != improved.get_option(option) else []
+    names += [attribute] if soft != stiff else []
+    if not names:
+        return []
+    return [f"{' and '.join(names)} {'both make' if len(names) > 1 else 'makes'} MuJoCo's soft friction hold at rest."]
 
 
 def _stiff(structure: Structure, z: Array) -> bool:
@@ -92,7 +104,7 @@ def place_units(structure: Structure, term: Term) -> dict[str, str]:
     units = {}
     for p in term.effect.parameters:
         unit = p.unit
-        if hinge and term.effect.id != "motor.cogging":
+        if hinge and p.translated:
             unit = _angular(unit)
         if unit == "reading":
             unit = of_sensor(model, term.at)

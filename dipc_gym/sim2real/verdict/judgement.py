@@ -20,6 +20,7 @@ from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.result import Details, Diagnosis, Errors, Located, Missing, SensorFit
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.case import Case, Test
+from dipc_gym.sim2real.selection.data import sampled_slowly
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
@@ -99,7 +100,12 @@ def judgement(
         written,
         sensors,
         measured.force,
-        sentences.next_experiment(verdict, named.missing, others=bool(measured.changed and others)),
+        sentences.next_experiment(
+            verdict,
+            named.missing,
+            others=bool(measured.changed and others),
+            slow=any(sampled_slowly(r) for r in (*case.given.recordings, *last.windows.windows.recordings)),
+        ),
         improved,
         files_of(source, improved),
         tuple([*notes, step_note] if step_note else notes),

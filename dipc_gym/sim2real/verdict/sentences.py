@@ -9,7 +9,7 @@ from typing import Any
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import AsWritten, Errors, Missing, SensorFit, scaled
-from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.selection.settings import SCORE, WINDOWS
 from dipc_gym.sim2real.verdict.conventions import Convention
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -113,13 +113,14 @@ def _shown(value: float, unit: str, *, bare: bool = False) -> str:
     return f"{number:.3g}" if bare else f"{number:.3g} {name}".strip()
 
 
-def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = False) -> str:
+def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = False, slow: bool = False) -> str:
     """What to record to settle what is left.
 
     Args:
         verdict: see `judge.verdict`.
         missing: effects that were found.
         others: whether other model parameters than those that changed would have done as well.
+        slow: whether a recording is sampled slowly; see `data.sampled_slowly`.
     """
     open_ = [(m, s) for m in missing for s in m.same_here]
     if open_:
@@ -140,6 +141,11 @@ def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = 
         return (
             "A law is a fit, not yet an understanding: record again with another load, speed or range, and see whether "
             "it still predicts. Where it does not, what it stands for depends on what was changed."
+        )
+    if verdict in ("partly explained", "unexplained") and slow:
+        return (
+            f"Record again at {WINDOWS.rate:g} Hz or more (see the notes): commands that changed between two rows are "
+            "in no file, and nothing can explain what they did."
         )
     if verdict in ("partly explained", "unexplained"):
         return (
