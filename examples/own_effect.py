@@ -2,7 +2,8 @@
 
 This one is drag that grows with the cube of speed, which no effect of the catalogue is. MuJoCo has it already (the
 third coefficient of a joint's damping), so stock MuJoCo loads what is found. `fit_effect` tries it alone, which is what
-you want while you write it; once it is registered, `diagnose` and the command line compare it with all the others.
+you want while you write it. Once it is registered, `dipc_gym.sim2real.diagnose` compares it with all the others in the
+same program; with `effects=` it compares those alone that you list. The command line knows the catalogue only.
 Run it: python examples/own_effect.py
 """
 

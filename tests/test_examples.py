@@ -43,6 +43,13 @@ def test_example_runs(file: str, tmp_path: Path) -> None:
     assert done.stdout
 
 
+def test_an_own_effect_is_promised_where_it_is_tried() -> None:
+    """It is registered in a program: the command line is another one, and never hears of it."""
+    said = " ".join((EXAMPLES / "own_effect.py").read_text(encoding="utf-8").split('"""')[1].split())
+    assert "The command line knows the catalogue only" in said
+    assert "the command line compare" not in said
+
+
 def test_recordings_of_the_arm_are_what_the_script_beside_them_makes(tmp_path: Path) -> None:
     folder = EXAMPLES / "diagnose"
     subprocess.run([sys.executable, str(folder / "record.py"), "--out", str(tmp_path)], check=True, capture_output=True)
