@@ -203,6 +203,7 @@ def _trial_files() -> dict[str, bytes]:
 
 def _trial(folder: Path) -> None:
     """What `trial` does when started again, up to the work itself."""
+    from dipc_gym.safety.files import finite
     from dipc_gym.trials import generate, publish, rivals, run, score
     from dipc_gym.trials.secret import Plan
 
@@ -215,7 +216,7 @@ def _trial(folder: Path) -> None:
     )
     if made and not open_ones:
         scores = score.score(folder, [plan.name])
-        json.dumps(publish._finite(scores), allow_nan=False)
+        json.dumps(finite(scores), allow_nan=False)
         publish.markdown(scores, seed=1)
     if made and rivals._done(folder, plan.name) and not open_ones:
         row = rivals._row(folder, plan.name)
