@@ -73,8 +73,9 @@ def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
 def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
     """Which knots of a law data moved off the line between their neighbours, by twice the standard error of that, (p,).
 
-    Only those can be that were put there last; None where none was, and of a law of two inputs. All values of a law
-    together are known worse, for masses and gears scale with them.
+    Only those can be that were put there last; None where none was, and of a law of two inputs. The error is that
+    beside all other parameters as they are: where masses and gears scale with a law, the size of a bend is known as
+    badly as they are, but not that there is one.
     """
     own = [i for i, slot in enumerate(fitted.structure.slots) if slot.key.startswith(f"{key}.")]
     sigma = np.array([fitted.structure.slots[i].sigma for i in own])
@@ -82,14 +83,15 @@ def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
     effect = next(term.effect for term in fitted.structure.terms if term.key == key)
     if not isinstance(effect, Law) or not len(new):
         return None
-    off = np.zeros((len(new), len(fitted.z)))
+    off = np.zeros((len(new), len(own)))
     for row, k in enumerate(new):
-        off[row, [own[k - 1], own[k], own[k + 1]]] = -0.5, 1.0, -0.5
+        off[row, k - 1 : k + 2] = -0.5, 1.0, -0.5
     weight = weights(fitted.mse)
     curvature = fitted.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, fitted.quadratics.A), weight)
-    error = np.sqrt(np.einsum("ki,ij,kj->k", off, np.linalg.pinv(curvature, hermitian=True), off))
+    covariance = np.linalg.pinv(curvature[np.ix_(own, own)], hermitian=True)
+    error = np.sqrt(np.einsum("ki,ij,kj->k", off, covariance, off))
     told = np.zeros(len(own), dtype=bool)
-    told[new] = np.abs(off @ fitted.z) > 2 * error
+    told[new] = np.abs(off @ fitted.z[own]) > 2 * error
     return told
 
 
