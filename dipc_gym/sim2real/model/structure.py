@@ -17,7 +17,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.base import Effect, Parameter
-from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
+from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.prior import Prior
 from dipc_gym.sim2real.model.settings import MODEL
@@ -244,7 +244,7 @@ class Structure:
     def _own_warm(self) -> float:
         """How long the nominal model needs, s: windings, bristles, lagging sensors and joints behind a gap remember."""
         if self._hides:
-            return SWING if np.any(self.model.tendon_stiffness > 0) else SETTLE
+            return EFFECTS.swing if np.any(self.model.tendon_stiffness > 0) else EFFECTS.settle
         return MODEL.warm if self.model.na > 0 or self._own_lag else 0.0
 
     @functools.cached_property

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.recording import Recording, RecordingError
-from dipc_gym.sim2real.effects.coupling import SWING
+from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared
@@ -83,7 +83,7 @@ def known_past(prepared: Prepared) -> Prepared:
     """
     w = prepared.problem.windows
     since = w.start - np.array([recording.time[0] for recording in w.recordings])[w.source]
-    settled = since > SWING
+    settled = since > EFFECTS.swing
     return replace(
         prepared, problem=prepared.problem.pick(settled if settled.sum() >= WINDOWS.plenty else since > WINDOWS.late)
     )

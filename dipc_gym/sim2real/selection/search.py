@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.base import LEAVES
+from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.selection import ranking, rounds
@@ -172,7 +172,7 @@ class Search:
         """
         self.journal.go_back(tuple(path))
         current = self.progress.current
-        clocks = [term.key for term in current.structure.terms if term.effect.leaves < LEAVES]
+        clocks = [term.key for term in current.structure.terms if term.effect.leaves < EFFECTS.leaves]
         for key in clocks:
             current = self.fitter.without(current, key)
         if clocks:
