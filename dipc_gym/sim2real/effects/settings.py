@@ -19,6 +19,9 @@ class EffectSettings:
             they act alone may leave less; what effects of the state leave is no matter any more.
         settle: s of simulation until a rotor is where it would be, whatever it was given to start with
         swing: s of it until a rotor on a spring is, which swings on: with a twentieth of critical damping at 30 Hz
+        warm: s that bristles, currents, lags and delays need to reach their state: they take milliseconds, and the
+            slowest of them a few tens
+        fast: s, longest step for what moves within milliseconds, which a longer one would step over
         fine: relative change of a wavelength that is a sizeable one: it shifts the tenth wave by half of one
         faint: of what a joint transmits, below which an unexplained force gives no scale: it may be all noise
         uncertain: of the usual speed, over which the direction of motion is smoothed: an estimated velocity is off by
@@ -30,6 +33,8 @@ class EffectSettings:
     leaves: float = 1 / 3
     settle: float = 0.15
     swing: float = 0.45
+    warm: float = 0.06
+    fast: float = 5e-4
     fine: float = 0.05
     faint: float = 0.01
     uncertain: float = 0.05

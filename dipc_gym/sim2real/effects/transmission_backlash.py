@@ -26,7 +26,7 @@ class Backlash(Effect):
     )
     rivals = ("motor.deadzone", "transmission.compliance", "friction.coulomb", "timing.delay")
     linear = ("gap",)  # the load lags behind in proportion to the way that the rotor goes alone
-    finest = 5e-4
+    finest = EFFECTS.fast
     warm = EFFECTS.settle
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:

@@ -25,7 +25,7 @@ class Compliance(Effect):
         Parameter("rotor_inertia", "kg", 1e-12, log=True),
     )
     rivals = ("transmission.backlash", "motor.inductance", "timing.delay", "timing.sensor_lag")
-    finest = 5e-4
+    finest = EFFECTS.fast
     warm = EFFECTS.swing
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:

@@ -17,6 +17,7 @@ from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit, weights
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
 from dipc_gym.sim2real.estimation.shooting import typical
+from dipc_gym.sim2real.model.settings import MODEL
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.selection.score import compare
@@ -41,7 +42,7 @@ def changed_parameters(final: Fit, wide: Array) -> list[dict[str, Any]]:
         slot = final.structure.slots[i]
         value = slot.value(final.z[i])
         entry = {"parameter": parameter.attribute, "at": parameter.at, "was": parameter.value, "value": value}
-        if wide[i] <= VERDICT.widest:
+        if wide[i] <= MODEL.widest:
             entry |= {"low": slot.value(final.z[i] - wide[i]), "high": slot.value(final.z[i] + wide[i])}
         out.append(entry | {"unit": parameter.unit})
     return out

@@ -60,8 +60,6 @@ class VerdictSettings:
         widths: starts for its width, in lengths of the table
         singular: share of the largest, below which a direction of a table is not known at all
         at_limit: share of itself, from which a parameter stands at its limit
-        widest: half width of an interval, as a logarithm, from which on it says nothing; a parameter is mapped no
-            further
         free: standard deviation, as a logarithm, of a parameter of which nothing is known
         negligible: share of itself; a parameter that moves by less was right
         shorter: parts of the model's own step that are tried in turn where that is too coarse
@@ -93,7 +91,6 @@ class VerdictSettings:
     widths: tuple[float, ...] = (0.02, 0.07, 0.25)
     singular: float = 1e-10
     at_limit: float = 1e-3
-    widest: float = 50.0
     free: float = 1.0
     negligible: float = 2e-3
     shorter: tuple[int, ...] = (2, 4, 8, 16, 32)
