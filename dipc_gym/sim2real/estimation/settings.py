@@ -22,7 +22,23 @@ class EstimationSettings:
         rough_speed: share of the usual speed by which an initial velocity may be off as well
         blown_up: times the noise; a simulation that blew up is no worse than this
         block: s, within which neighbouring windows count as one when errors are compared
-        tries: of a step, each more damped than the one before
+        steps: of a fit, unless it is asked for more: from where others came to, most end sooner
+        from_afar: steps of a fit from nominal parameters, or to other windows than before: these may be far off
+        tolerance: share of its objective, by which a step must lower it to be followed by another: about a tenth of
+            what is worth an effect
+        tries: of a step, each more damped than the one before: the fifth is a fifth of a plain one, and where even that
+            is no better, derivatives mislead
+        damping: of the first step, and of the first after one that failed: a little: nearly a Newton step
+        damped: times, by which damping grows and falls: from next to none to much in few tries
+        least_damping: below it rounding decides, where parameters make up for each other
+        reach: of a step, in mapped parameters: none may do more than double, or change by a factor of e
+        still: largest step, in mapped parameters, that counts as none: reports show three digits
+        shorter: times, by which a step of the initial states is shorter that is tried beside the whole one: behind a
+            gap that goes too far
+        rounds: steps of the initial states of what is drawn or reported: what is left falls as the square with each
+        simulated: the same, at most, where several forms of a model are compared by how they come out
+        hidden: times the spread of an initial state, where a sensor with a bias or a lag tells the state only through
+            the model
         near: usual square error up to which a fit is near the noise
         typical: share of the windows that the usual square error is not below
         trusted: share of the fall that derivatives foretold, from which they are good for another step
@@ -44,7 +60,19 @@ class EstimationSettings:
     rough_speed: float = 0.05
     blown_up: float = 1e6
     block: float = 1.0
+    steps: int = 8
+    from_afar: int = 20
+    tolerance: float = 2e-3
     tries: int = 5
+    damping: float = 1e-3
+    damped: float = 8.0
+    least_damping: float = 1e-7
+    reach: float = 1.0
+    still: float = 1e-4
+    shorter: float = 3.0
+    rounds: int = 3
+    simulated: int = 2
+    hidden: float = 1e3
     near: float = 2.0
     typical: float = 0.8
     trusted: float = 0.5

@@ -63,7 +63,7 @@ def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
         structure = others.with_term(Term(effect, term.at, dict(guess)))
         begin = carry(others, kept, structure)
         try:
-            found.append(fit(fitter.problem, structure, begin, current.initial, most=8, tolerance=SEARCH.rough))
+            found.append(fit(fitter.problem, structure, begin, current.initial, tolerance=SEARCH.rough))
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             continue
     losses = ranking.losses([one.mse for one in found])

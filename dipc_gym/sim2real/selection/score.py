@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import loss, typical
 from dipc_gym.sim2real.selection.settings import SCORE
 
@@ -68,7 +69,7 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp], forces: tuple[Arra
     sizes = np.bincount(blocks)
     sums, sizes = sums[sizes > 0], sizes[sizes > 0]
     mean = float(np.sum(sums) / np.sum(sizes))
-    if len(sums) < 3:
+    if len(sums) < SCORE.fewest_blocks:
         return Improvement(mean, math.inf)
     each = sums / sizes
     shows = usual < SCORE.usual and int(np.sum(each > SCORE.large)) >= SCORE.blocks and not np.any(each < -SCORE.large)
@@ -78,7 +79,7 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp], forces: tuple[Arra
 
 def _fall(after: Array, before: Array) -> Array:
     """By how much the logarithms of mean squares (n,) fell; what is far below the usual hardly counts."""
-    usual = min(np.quantile(after, 0.8), np.quantile(before, 0.8)) or 1.0
+    usual = min(np.quantile(after, ESTIMATION.typical), np.quantile(before, ESTIMATION.typical)) or 1.0
     return loss(before, usual) - loss(after, usual)
 
 

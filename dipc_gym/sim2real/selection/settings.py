@@ -15,6 +15,8 @@ class WindowSettings:
         coarsest: longest step of the analysis, s
         still: times its noise that a joint has to move to tell anything
         most: windows fitted and compared on, two thirds and one third; more say little more
+        fewest: windows, six to fit and three to compare on: blocks of fewer give no standard error
+        every: so many-th window is compared on, and tells what a step costs
         outliers: windows in which something else happened, at most
         plenty: windows, from which on the first ones can be spared
         late: time before a window, s, in which commands must be known: they may act late
@@ -28,6 +30,8 @@ class WindowSettings:
     coarsest: float = 2e-3
     still: float = 10.0
     most: int = 72
+    fewest: int = 9
+    every: int = 3
     outliers: int = 6
     plenty: int = 36
     late: float = 0.05
@@ -51,6 +55,7 @@ class ScoreSettings:
         worth: smallest improvement of the mean log square error that is worth an effect
         share: part of a gain within which another fit predicts as well
         usual: usual square error up to which windows are at the noise
+        fewest_blocks: blocks that a standard error or an interval is taken from: two hardly have a spread
         blocks: blocks that tell two fits apart at the noise, if no other says the opposite
         at_floor: times the noise: a structure that predicts as well as this lacks nothing
         at_noise: times the noise: nothing is left that would tell an elaboration from what it elaborates
@@ -63,6 +68,7 @@ class ScoreSettings:
     worth: float = 0.02
     share: float = 0.02
     usual: float = 1.5
+    fewest_blocks: int = 3
     blocks: int = 3
     at_floor: float = 1.2
     at_noise: float = 1.05
@@ -96,6 +102,10 @@ class SearchSettings:
             shape is no accident: it does not wait for the plain one
         in_reach: times the noise, from which a fit may yet come down to it
         earns: share of the excess error that an effect must remove where it does not come down to the noise
+        sketched: steps of a sketch: enough to tell which hypotheses keep up, and no more
+        goes_on: steps of a sketch or fit that was still on its way, or whose windows are others now: a long valley
+            takes more than a fit has elsewhere
+        polished: steps of a fit that goes on until nothing changes; few fits need as many
         most_anew: steps of a fit that is begun anew, from guesses that may be far off
         laws: share of what effects brought, that their laws may leave
         kinds: of effects at all joints that are tried together in a round, the second beside the best one
@@ -125,6 +135,9 @@ class SearchSettings:
     far_better: float = 0.3
     in_reach: float = 3.0
     earns: float = 0.1
+    sketched: int = 5
+    goes_on: int = 15
+    polished: int = 25
     most_anew: int = 30
     laws: float = 0.02
     kinds: int = 2

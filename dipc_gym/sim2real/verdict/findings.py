@@ -16,6 +16,7 @@ from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit, weights
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.settings import MODEL
 from dipc_gym.sim2real.model.structure import Term
@@ -66,7 +67,11 @@ def beyond_limits(problem: Problem, validation: Problem, recalibrated: Fit) -> l
         replace(n, sigma=max(n.sigma, VERDICT.free)) if at else n for n, at in zip(parameters, stand, strict=True)
     )
     freed = fit(
-        problem, replace(recalibrated.structure, model_parameters=wider), recalibrated.z, recalibrated.initial, most=20
+        problem,
+        replace(recalibrated.structure, model_parameters=wider),
+        recalibrated.z,
+        recalibrated.initial,
+        most=ESTIMATION.from_afar,
     )
     error = judge.error_on(validation, freed)
     if error > SCORE.at_floor:

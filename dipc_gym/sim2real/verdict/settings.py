@@ -30,13 +30,49 @@ CONVENTIONS = ConventionSettings()
 
 
 @dataclass(frozen=True)
+class FormulaSettings:
+    """Decision constants of which formula says what a table says.
+
+    Attributes:
+        places: starts along the input, for a formula of what sits somewhere: no two of its widest start further apart
+            than they are wide
+        widths: starts for its width, in lengths of the table: of a narrow spot, a usual one, and one that fills it
+        waves: starts of a sine, in waves to the length of a table: more than eight no table of few knots tells
+        powers: starts of a power: a root, and what drags and bearings are said to have
+        flattest: power, below which one is a step
+        steepest: power, above which one is a wall
+        singular: share of the largest, below which a direction of a table is not known at all
+        followed: starts that are followed, of those that begin best: two terms have hundreds
+        most: values of a formula that a start may ask for: those that have not settled by then, wander
+    """
+
+    places: int = 7
+    widths: tuple[float, ...] = (0.02, 0.07, 0.25)
+    waves: tuple[float, ...] = (0.7, 1, 1.5, 2, 3, 4, 6, 8)
+    powers: tuple[float, ...] = (0.5, 1.5, 2.0, 3.0)
+    flattest: float = 0.05
+    steepest: float = 8.0
+    singular: float = 1e-10
+    followed: int = 6
+    most: int = 60
+
+
+FORMULAS = FormulaSettings()
+
+
+@dataclass(frozen=True)
 class VerdictSettings:
     """Decision constants of what is named, how sure it is, and the verdict.
 
     Attributes:
         swaps: effects that may give way to rivals after the search
+        rivals: effects of its round that are tried in the place of one, the likeliest first, for each costs a fit
+        rivals_left: the same where structure is left: names are provisional then, and telling them apart is worth less
+        light: of the largest load, added to each joint's before unexplained forces are compared with them: a joint that
+            carries next to nothing would have the largest share of any mismatch
+        bins: of a quantity, between which a force's variance is told: enough for a narrow pattern, and few enough for
+            hundreds of samples in each
         sure: quantile to which an interval reaches on either side: 90 % lie within
-        fewest_blocks: blocks that tell how much a parameter depends on which of them there are
         small: share of the motion within a window: a smaller mismatch is called missing physics only if it has a
             pattern
         pattern: share of the variance of the unexplained force that goes with something, from which it has one
@@ -56,9 +92,6 @@ class VerdictSettings:
         disagree: times the error of the recalibrated model, from which motion or forces are better, or worse, explained
         white: of the autocorrelation at every lag shown, below which residuals pass for noise; quantisation leaves a
             little
-        places: starts along the input, for a formula of what sits somewhere
-        widths: starts for its width, in lengths of the table
-        singular: share of the largest, below which a direction of a table is not known at all
         at_limit: share of itself, from which a parameter stands at its limit
         free: standard deviation, as a logarithm, of a parameter of which nothing is known
         negligible: share of itself; a parameter that moves by less was right
@@ -69,8 +102,11 @@ class VerdictSettings:
     """
 
     swaps: int = 3
+    rivals: int = 5
+    rivals_left: int = 3
+    light: float = 0.05
+    bins: int = 24
     sure: float = 0.95
-    fewest_blocks: int = 3
     small: float = 1e-3
     pattern: float = 0.1
     refuted: float = 1.05
@@ -87,9 +123,6 @@ class VerdictSettings:
     stronger: float = 1.3
     disagree: tuple[float, float] = (0.9, 1.1)
     white: float = 0.1
-    places: int = 7
-    widths: tuple[float, ...] = (0.02, 0.07, 0.25)
-    singular: float = 1e-10
     at_limit: float = 1e-3
     free: float = 1.0
     negligible: float = 2e-3
