@@ -195,7 +195,7 @@ def test_the_settings_page_has_what_decides(hooks: ModuleType) -> None:
         "| `EffectSettings.leaves` | `1 / 3` | share of the excess error that effects may leave and be named." in page
     )
     for row in (
-        "| `EstimationSettings.growth` | `10.0` | times its size that an initial error may grow to within a window |",
+        "| `EstimationSettings.growth` | `10.0` | times its size that an initial error may grow to within a window",
         "| `ScoreSettings.worth` | `0.02` | smallest improvement of the mean log square error that is worth an effect",
         "| `VerdictSettings.shorter` | `(2, 4, 8, 16, 32)` |",
     ):

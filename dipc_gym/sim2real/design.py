@@ -38,14 +38,15 @@ class DesignSettings:
     """Decision constants of which experiment is proposed next.
 
     Attributes:
-        duration: of the command, s
-        warming: the same where a temperature is in question, s
-        sizes: shares of the largest command that are tried
-        beyond: times the range visited that a command may use
-        enough: windows that a command is judged on
+        duration: of the command, s: two slow ramps and more
+        warming: the same where a temperature is in question, s: windings take about as long to warm
+        sizes: shares of the largest command that are tried: each is 0.7 of the one before, down to a twentieth
+        beyond: times the range visited that a command may use: what lies further on is not known, and may be a stop
+        enough: windows that a command is judged on: more say little more, and each command costs a fit for each rival
         telling: times the noise that a rival must be off by to be told from the likeliest in a minute or so
-        loosest: standard deviation of a mapped parameter of which nothing is known
-        open_loop: share of the usual command that may be added where a controller has to keep the rig up
+        loosest: standard deviation of a mapped parameter of which nothing is known: loose, and yet a number
+        open_loop: share of the usual command that may be added where a controller has to keep the rig up: more might
+            throw it over
         ramps: s, of one ramp up and down and back: slow, so that friction and gravity show and inertia does not
         triangles: s, of one triangle: many reversals, where friction shows
         steps: s, from one step to the next of the same sign: what swings or lags settles in the rest after it

@@ -10,18 +10,23 @@ class EstimationSettings:
     """Decision constants of estimation: windows, initial states, fits.
 
     Attributes:
-        window_length: of a window, s, unless the rig asks for shorter ones
-        growth: times its size that an initial error may grow to within a window
-        fewest_samples: that a window holds
+        window_length: of a window, s, unless the rig asks for shorter ones: forces then move a joint by many times its
+            noise, and what a model lacks has not yet led it elsewhere
+        growth: times its size that an initial error may grow to within a window: beyond, a straight line no longer
+            foretells what another initial state changes
+        fewest_samples: that a window holds: its initial state alone takes up two for each joint
         steady: share of the windows that must stay below that growth; the rest may tumble over a dead centre
         finest_reading: share of a sensor's range: nothing real is read to more than 24 bits, and no simulation is as
             exact
         loose: times the noise by which an initial position may be off its estimate; the window's own samples know
             better
-        differenced: time, s, over which a position's noise becomes a velocity's
-        rough_speed: share of the usual speed by which an initial velocity may be off as well
+        differenced: time, s, over which a position's noise becomes a velocity's: a sample at 500 Hz, so that no
+            estimated velocity is trusted too far
+        rough_speed: share of the usual speed by which an initial velocity may be off as well: smoothing rounds off
+            where motion turns round
         blown_up: times the noise; a simulation that blew up is no worse than this
-        block: s, within which neighbouring windows count as one when errors are compared
+        block: s, within which neighbouring windows count as one when errors are compared: what is wrong in one is as
+            wrong in the next
         steps: of a fit, unless it is asked for more: from where others came to, most end sooner
         from_afar: steps of a fit from nominal parameters, or to other windows than before: these may be far off
         tolerance: share of its objective, by which a step must lower it to be followed by another: about a tenth of
@@ -39,13 +44,17 @@ class EstimationSettings:
         simulated: the same, at most, where several forms of a model are compared by how they come out
         hidden: times the spread of an initial state, where a sensor with a bias or a lag tells the state only through
             the model
-        near: usual square error up to which a fit is near the noise
-        typical: share of the windows that the usual square error is not below
-        trusted: share of the fall that derivatives foretold, from which they are good for another step
-        lag: part of the log square error that initial states could still explain, from which they are corrected
-        far_out: times the usual square error, from which something else happened in a window
+        near: usual square error up to which a fit is near the noise, where derivatives can be believed
+        typical: share of the windows that the usual square error is not below: a fifth may be far off and do not set
+            the scale
+        trusted: share of the fall that derivatives foretold, from which they are good for another step: to work them
+            out anew costs a simulation for each parameter
+        lag: part of the log square error that initial states could still explain, from which they are corrected: as
+            much is worth an effect
+        far_out: times the usual square error, from which something else happened in a window: it is off by twice as
+            much as the others
         touch: finite difference of a mapped parameter where only the model's parameters are differenced, and the engine
-            knows the rest
+            knows the rest: small, for nothing has a kink there
         probe: finite difference of a mapped parameter; smaller ones drown in the kinks of dry friction
         averaged: time, s, over which forces are averaged: no acceleration is known faster than that
     """
