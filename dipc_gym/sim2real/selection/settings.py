@@ -14,8 +14,7 @@ class WindowSettings:
             to test with would be missing where the physics is to be found
         fit: share of what comes before the test data that is fitted; the rest validates: that only has to speak against
             an effect, and needs less
-        coarsest: longest step of the analysis, s: Runge-Kutta follows a swing of 5 Hz over a window to a millionth in
-            it
+        coarsest: longest step of the analysis, s: Runge-Kutta follows a swing of 5 Hz over a window to a millionth
         still: times its noise that a joint has to move to tell anything: an encoder goes a few steps in less
         most: windows fitted and compared on, two thirds and one third; more say little more
         fewest: windows, six to fit and three to compare on: blocks of fewer give no standard error
@@ -61,8 +60,8 @@ class ScoreSettings:
         large: improvement of the mean log square error (an error one fifth smaller) that no chance brings about
         alike: standard errors within which two fits are not told apart: chance stays within them nineteen times in
             twenty
-        worth: smallest improvement of the mean log square error that is worth an effect: an error a hundredth smaller,
-            which shows in no use of a model
+        worth: smallest improvement of the mean log square error that is worth an effect: an error a hundredth smaller;
+            less shows in no use of a model
         share: part of a gain within which another fit predicts as well: how fits end makes as much of a difference
         usual: usual square error up to which windows are at the noise: the noise itself may be off by a fifth
         fewest_blocks: blocks that a standard error or an interval is taken from: two hardly have a spread
@@ -97,8 +96,8 @@ class SearchSettings:
         subset: windows that a sketch has at least: fewer do not tell structures with a dozen parameters apart
         finalists: hypotheses, or pairs, sketched in a round: a straight line through a first guess ranks them only
             roughly, and each more costs a fit
-        foretold: share of the largest predicted gain from which a hypothesis is sketched: it seldom is off by a factor
-            of ten
+        foretold: share of the largest predicted gain from which a hypothesis is sketched: predictions are seldom off
+            by a factor of ten
         moved: of a mapped parameter, from which effects are also tried on top of the nominal ones: refitted ones may
             have taken over what an effect does
         scaled: share of a first guess, below which its best size by a straight line is not believed: a fit that begins
