@@ -188,6 +188,16 @@ def test_a_constant_without_a_reason_is_noticed(hooks: ModuleType, tmp_path: Pat
     }
 
 
+def test_a_stage_has_its_constants_in_one_place(hooks: ModuleType) -> None:
+    """The stages of the diagnosis keep none beside their settings, whatever its name."""
+    for stage in ("estimation", "model", "selection", "verdict"):
+        files = (pages.ROOT / "dipc_gym" / "sim2real" / stage).glob("*.py")
+        beside = {pages.name(path): [one.name for one in hooks.constants(path)] for path in files}
+        settings = beside.pop(f"dipc_gym/sim2real/{stage}/settings.py")
+        assert settings
+        assert not any(beside.values()), beside
+
+
 def test_the_settings_page_has_what_decides(hooks: ModuleType) -> None:
     """Made from the code: a constant of each kind is found, with its value and its reason."""
     page = hooks.settings()

@@ -45,3 +45,19 @@ class ExcitationSettings:
 
 
 EXCITATION = ExcitationSettings()
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Decision constants of what an identification run tells of mass, friction and delay.
+
+    Attributes:
+        fast: of the largest speed, above which dry friction is Coulomb's: below, it has a curve of its own
+        longest_delay: s, that is looked for: no motor drive answers later
+    """
+
+    fast: float = 0.2
+    longest_delay: float = 0.06
+
+
+RUN = RunSettings()

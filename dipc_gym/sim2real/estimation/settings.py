@@ -24,6 +24,7 @@ class EstimationSettings:
             estimated velocity is trusted too far
         rough_speed: share of the usual speed by which an initial velocity may be off as well: smoothing rounds off
             where motion turns round
+        at_rest: standard deviations of an initial velocity, below which a joint may as well start at rest
         blown_up: times the noise; a simulation that blew up is no worse than this
         block: s, within which neighbouring windows count as one when errors are compared: what is wrong in one is as
             wrong in the next
@@ -67,6 +68,7 @@ class EstimationSettings:
     loose: float = 5.0
     differenced: float = 0.002
     rough_speed: float = 0.05
+    at_rest: float = 2.0
     blown_up: float = 1e6
     block: float = 1.0
     steps: int = 8

@@ -94,7 +94,7 @@ class Shooting:
         """
         estimate, half = self.problem.initial, self.nb2 // 2
         still = estimate.copy()
-        still[np.abs(still) < 2 * self.problem.spread * (np.arange(self.nb2) >= half)] = 0.0
+        still[np.abs(still) < ESTIMATION.at_rest * self.problem.spread * (np.arange(self.nb2) >= half)] = 0.0
         residual, _, S = self.derivatives(z, initial, parameters=False)
         initial, residual = self.corrected(z, initial, residual, S, [still, estimate])
         _, columns, S = self.derivatives(z, initial, residual, parameters=parameters)

@@ -91,7 +91,7 @@ def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
     covariance = np.linalg.pinv(curvature[np.ix_(own, own)], hermitian=True)
     error = np.sqrt(np.einsum("ki,ij,kj->k", off, covariance, off))
     told = np.zeros(len(own), dtype=bool)
-    told[new] = np.abs(off @ fitted.z[own]) > 2 * error
+    told[new] = np.abs(off @ fitted.z[own]) > SCORE.alike * error
     return told
 
 

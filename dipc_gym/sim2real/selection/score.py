@@ -36,18 +36,18 @@ class Improvement:
     def clear(self) -> bool:
         """Better beyond chance, and by enough to matter; a large gain need not be as even over the windows."""
         return self.gain > SCORE.worth and (
-            self.shows or self.gain > (SCORE.clear if self.gain < SCORE.large else 1.0) * self.error
+            self.shows or self.gain > (SCORE.clear if self.gain < SCORE.large else SCORE.clear_at_large) * self.error
         )
 
     @property
     def told(self) -> bool:
         """Better beyond chance, by more than simulations of one and the same model may differ."""
-        return self.gain > max(SCORE.worth / 4, SCORE.clear * self.error)
+        return self.gain > max(SCORE.told, SCORE.clear * self.error)
 
     @property
     def alike(self) -> bool:
         """Not told from the other, or hardly better than it."""
-        return not self.shows and self.gain < max(SCORE.worth / 2, SCORE.alike * self.error)
+        return not self.shows and self.gain < max(SCORE.hardly, SCORE.alike * self.error)
 
 
 def compare(new: Array, old: Array, blocks: NDArray[np.intp], forces: tuple[Array, Array] | None = None) -> Improvement:

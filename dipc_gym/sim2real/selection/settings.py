@@ -18,8 +18,8 @@ class WindowSettings:
         still: times its noise that a joint has to move to tell anything: an encoder goes a few steps in less
         most: windows fitted and compared on, two thirds and one third; more say little more
         fewest: windows, six to fit and three to compare on: blocks of fewer give no standard error
-        every: so many-th window is compared on, and tells what a step costs: a third is enough to confirm what two
-            thirds found
+        every: so many-th window is compared on, is sketched with, and tells what a step costs: a third is enough to
+            confirm what two thirds found
         outliers: windows in which something else happened, at most: what happens more often is no event, and has to be
             explained
         plenty: windows, from which on the first ones can be spared: half of those that are used at most
@@ -56,12 +56,16 @@ class ScoreSettings:
     Attributes:
         clear: standard errors by which an improvement must stand out: of dozens of hypotheses, the best comes to two by
             chance
+        clear_at_large: the same of a large one, which need not be as even over the windows
         many: blocks of a second in a recording of the usual length; of fewer, more standard errors are asked for
         large: improvement of the mean log square error (an error one fifth smaller) that no chance brings about
         alike: standard errors within which two fits are not told apart: chance stays within them nineteen times in
             twenty
         worth: smallest improvement of the mean log square error that is worth an effect: an error a hundredth smaller;
             less shows in no use of a model
+        hardly: mean log square error, half of that: a gain of less is as good as none, and a hypothesis that foretells
+            less is not sketched
+        told: the same, a quarter: simulations of one and the same model may differ by as much
         share: part of a gain within which another fit predicts as well: how fits end makes as much of a difference
         usual: usual square error up to which windows are at the noise: the noise itself may be off by a fifth
         fewest_blocks: blocks that a standard error or an interval is taken from: two hardly have a spread
@@ -73,10 +77,13 @@ class ScoreSettings:
     """
 
     clear: float = 2.5
+    clear_at_large: float = 1.0
     many: int = 40
     large: float = 0.5
     alike: float = 2.0
     worth: float = 0.02
+    hardly: float = 0.01
+    told: float = 0.005
     share: float = 0.02
     usual: float = 1.5
     fewest_blocks: int = 3
@@ -94,8 +101,10 @@ class SearchSettings:
 
     Attributes:
         subset: windows that a sketch has at least: fewer do not tell structures with a dozen parameters apart
+        worst: windows with the largest errors, that are among these: what is missing may act there alone
         finalists: hypotheses, or pairs, sketched in a round: a straight line through a first guess ranks them only
             roughly, and each more costs a fit
+        finalists_at_noise: the same where nothing is left that they could explain
         foretold: share of the largest predicted gain from which a hypothesis is sketched: predictions are seldom off
             by a factor of ten
         moved: of a mapped parameter, from which effects are also tried on top of the nominal ones: refitted ones may
@@ -146,7 +155,9 @@ class SearchSettings:
     """
 
     subset: int = 18
+    worst: int = 4
     finalists: int = 6
+    finalists_at_noise: int = 3
     foretold: float = 0.1
     moved: float = 0.1
     scaled: float = 0.05

@@ -69,7 +69,8 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     inverse = np.linalg.pinv(without, hermitian=True)
     moved = np.einsum("bij,bj->bi", inverse, slope)
     half = stdtrit(count - 1, VERDICT.sure) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0))
-    told = np.einsum("nii->i", q.A) > 1.0  # else doubling a parameter would change less than the noise of one reading
+    # Else doubling a parameter would change less than the noise of one reading.
+    told = np.einsum("nii->i", q.A) > VERDICT.told
     return np.where(told, half, np.inf)
 
 

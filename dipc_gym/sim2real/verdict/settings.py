@@ -76,6 +76,7 @@ class VerdictSettings:
         bins: of a quantity, between which a force's variance is told: enough for a narrow pattern, and few enough for
             hundreds of samples in each
         sure: quantile to which an interval reaches on either side: 90 % lie within, which a dozen blocks can tell
+        told: squares of one reading's noise, that doubling a parameter has to change for data to know of it
         small: share of the motion within a window: a smaller mismatch is called missing physics only if it has a
             pattern, for every real recording holds a little
         pattern: share of the variance of the unexplained force that goes with something, from which it has one: chance
@@ -104,6 +105,7 @@ class VerdictSettings:
             explained: less than a tenth is how fits end
         white: of the autocorrelation at every lag shown, below which residuals pass for noise; quantisation leaves a
             little
+        lags: of the autocorrelation shown: half of a window of 0.25 s at 500 Hz
         at_limit: share of itself, from which a parameter stands at its limit: a fit that is held there stops within
             rounding of it
         free: standard deviation, as a logarithm, of a parameter of which nothing is known: a factor of three either way
@@ -123,6 +125,7 @@ class VerdictSettings:
     light: float = 0.05
     bins: int = 24
     sure: float = 0.95
+    told: float = 1.0
     small: float = 1e-3
     pattern: float = 0.1
     refuted: float = 1.05
@@ -139,6 +142,7 @@ class VerdictSettings:
     stronger: float = 1.3
     disagree: tuple[float, float] = (0.9, 1.1)
     white: float = 0.1
+    lags: int = 60
     at_limit: float = 1e-3
     free: float = 1.0
     negligible: float = 2e-3
