@@ -82,7 +82,7 @@ def test_the_network_learns_a_missing_force_and_leaves_a_complete_model_alone(tm
     assert network.learn(model, motions[:2], made.noise) is None
 
 
-def test_sysid_finds_wrong_numbers(tmp_path):
+def test_sysid_finds_wrong_parameters(tmp_path):
     sysid = pytest.importorskip("mujoco.sysid")
     if not hasattr(sysid, "optimize"):
         pytest.skip("mujoco[sysid] is not installed")

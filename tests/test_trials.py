@@ -595,7 +595,7 @@ def test_true_values_stand_under_the_names_that_are_printed(effect, numbers, pri
     assert (judged.inside, judged.printed) == (len(printed), len(printed))
 
 
-def test_false_alarms_wrong_numbers_and_the_unknown():
+def test_false_alarms_wrong_parameters_and_the_unknown():
     null = sealed("null", [])
     assert grade.grade(null, said(verdict="consistent"), FINE).alarm is False
     assert grade.grade(null, said(verdict="cannot tell"), FINE).alarm is False

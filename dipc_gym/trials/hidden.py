@@ -94,7 +94,7 @@ class Hidden:
             parameter.name: {"value": value, "unit": parameter.unit}
             for parameter, value in zip(self.effect.parameters, self.values, strict=True)
         }
-        if self.effect.alike:  # a shape, which no two people describe by the same numbers
+        if self.effect.alike:  # a shape, which no two people describe by the same parameters
             return {}
         if self.effect.name == "friction.stribeck":
             level, excess = self.values[0], self.values[1]
