@@ -224,11 +224,11 @@ class _Rig:
             self.problem.windows.noise,
             (still,) * k,
         )
-        start = np.tile(np.concatenate([self.rest, np.zeros(nb)]), (1, k, 1))
+        initial = np.tile(np.concatenate([self.rest, np.zeros(nb)]), (1, k, 1))
         finest = min(self.structure.finest, self.structure.own_finest, self.problem.stepping.timestep)
         stepping = replace(self.problem.stepping, timestep=finest)
         return simulate(
-            [self.physics], windows, start, stepping, base=self.structure.base, threads=self.problem.threads
+            [self.physics], windows, initial, stepping, base=self.structure.base, threads=self.problem.threads
         )[0]
 
     def positions(self, commands: Array) -> Array:

@@ -85,8 +85,9 @@ class Shooting:
     def settled(self, z: Array, initial: Array, *, parameters: bool) -> tuple[Array, Array, Array, Array]:
         """Corrected initial states, their residual, and `derivatives` there.
 
-        A joint that sticks may as well start at rest, and the estimate is asked again. Where a straight line did not
-        tell where to start, a second one is drawn from there, for each window whatever the others do.
+        Two other initial states are tried: the estimate, and the estimate with slow joints at rest, for a joint may
+        stick. Where a straight line did not tell the initial state, a second one is drawn from there, for each window
+        whatever the others do.
         """
         estimate, half = self.problem.initial, self.nb2 // 2
         still = estimate.copy()
