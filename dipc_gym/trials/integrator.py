@@ -398,9 +398,9 @@ def simulate(p, n, dt, step, drive, amplifier_gain, feedback, quantum, noise, st
     mode, rested = np.zeros(n, dtype=np.int64), np.zeros(n)
     filtered, rate = np.zeros(n), np.zeros(n)
     late = int(p[DELAY] / dt + 1e-9)
-    rest = p[DELAY] - late * dt
-    if rest < 1e-12:
-        rest = 0.0
+    remainder = p[DELAY] - late * dt
+    if remainder < 1e-12:
+        remainder = 0.0
     for k in range(count):
         time = k * dt
         if k == 0 or (every > 0 and k % every == 0):
@@ -468,9 +468,9 @@ def simulate(p, n, dt, step, drive, amplifier_gain, feedback, quantum, noise, st
         command[k] = u
         before = command[k - late - 1] if k - late - 1 >= 0 else 0.0
         now = command[k - late] if k - late >= 0 else 0.0
-        if rest > 0.0:
+        if remainder > 0.0:
             held = amplifier(p, before, amplifier_gain[k])
-            time = _advance(time, rest, step, s, held, p, n, mode, rested, work, mass)
+            time = _advance(time, remainder, step, s, held, p, n, mode, rested, work, mass)
         held = amplifier(p, now, amplifier_gain[k])
-        _advance(time, dt - rest, step, s, held, p, n, mode, rested, work, mass)
+        _advance(time, dt - remainder, step, s, held, p, n, mode, rested, work, mass)
     return q_log, v_log, y_log, slope_log, measured, command

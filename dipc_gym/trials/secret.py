@@ -226,13 +226,13 @@ class Secret:
         if len(self.hidden) < 2:
             return shares
         for out in self.hidden:
-            rest = [h for h in self.hidden if h is not out]
-            start = [value for h in rest for value in h.values]
+            others = [h for h in self.hidden if h is not out]
+            start = [value for h in others for value in h.values]
             found = fit(
                 windows[: self.shown],
                 references[: self.shown],
                 self.rig.plant,
-                [h.effect for h in rest],
+                [h.effect for h in others],
                 start,
                 effort=6,
             )

@@ -1,7 +1,7 @@
 """Estimate the joints' motion from the sensors, and the force that the model does not explain.
 
-These estimates propose: they give windows their initial states, and effects their first guesses; and they are drawn. What is decided is decided by
-simulation, since differentiated encoder noise biases any regression on accelerations.
+These estimates propose: they give windows their initial states, and effects their first guesses; and they are drawn.
+What is decided is decided by simulation, since differentiated encoder noise biases any regression on accelerations.
 """
 
 from __future__ import annotations
