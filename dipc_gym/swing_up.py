@@ -234,7 +234,7 @@ class SwingUpVectorEnv(DIPCFrictionVectorEnv):
         """What is observed of states (..., 6), (..., 8)."""
         return observed(state)
 
-    def _judge(self, period: Period, going: Mask) -> Period:
+    def _rewarded(self, period: Period, going: Mask) -> Period:
         infos = dict(period.infos)
         for name in super()._terms:
             del infos[name]

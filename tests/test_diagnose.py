@@ -487,7 +487,7 @@ def test_what_the_last_quarter_holds_moves_nothing_before_the_judgement() -> Non
     for sensors in (quiet.sensors, shaken):
         given, withheld = gather(mjcf.from_text(NOMINAL), [replace(quiet, sensors=sensors)], (), Wishes())
         cases.append(part(given, threads=1))
-        test = withheld.windows(cases[-1]).problem
+        test = withheld.test(cases[-1]).problem
         assert test.windows.start.min() >= cases[-1].given.recordings[0].time[-1]
     one, other = (case.prepared.problem for case in cases)
     np.testing.assert_array_equal(one.windows.noise, other.windows.noise)

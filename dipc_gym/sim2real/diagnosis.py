@@ -81,7 +81,7 @@ def diagnose(
     provenance = _provenance(given, withheld, seed)
     try:
         case = part(given, threads=threads)
-        test = withheld.windows(case)
+        test = withheld.test(case)
         tell(f"{len(case.prepared.problem.windows)} windows of {case.prepared.length:g} s")
         base = baseline(case)
         _check_conventions(case, base, tell)

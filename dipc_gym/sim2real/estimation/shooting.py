@@ -217,7 +217,7 @@ def typical(mse: Array) -> float:
 
     Errors are compared on this scale: below it they add up as squares do, above it as logarithms, so that a few
     windows in which something else happened decide nothing. Where no structure comes down to the noise, a median in
-    its place would let a structure win on the quiet half of the windows that fails wherever the motion is fast.
+    its place would let a structure win on the slow half of the windows that fails wherever the motion is fast.
     """
     return max(1.0, float(np.quantile(mse, ESTIMATION.typical)))
 

@@ -113,7 +113,7 @@ class Withheld:
     recordings: tuple[Recording, ...]
     span: tuple[float, float]
 
-    def windows(self, case: Case) -> Test:
+    def test(self, case: Case) -> Test:
         """Windows as long as those that are fitted, weighed by the same noise.
 
         Raises:
