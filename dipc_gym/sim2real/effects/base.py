@@ -128,8 +128,8 @@ Place = Literal["joint", "actuator", "sensor", "world"]
 
 # Share of the excess error that effects may leave and be named. In 160 blind trials, those that were there left 0.19 at
 # most, and those that stood in for physics of no catalogue 0.4 to 0.7, save one that left 0.2; what real rigs leave
-# beside friction that is known to be there is 0.25. Effects that are told by when they act alone may leave less; what
-# effects of the state leave is no matter any more.
+# beside friction that is known to be there is 0.25. Effects that are told by when they act alone may leave less; all
+# others are named however much they leave.
 LEAVES = 1 / 3
 
 

@@ -106,7 +106,7 @@ class Withheld:
     """What is tested with: recordings of their own, or the last part of each that is fitted.
 
     Attributes:
-        recordings: whole, for what a window begins with is a matter of all that was before it.
+        recordings: whole, for how a window begins depends on all that was before it.
         span: see `Test`.
     """
 

@@ -1,7 +1,7 @@
 """Conventions: which way is positive, where zero is, and what an angle is measured from.
 
-Whoever wires a rig decides, and whoever writes its model decides anew. Where the two differ, no physics makes up for
-it, and what is fitted over it is nonsense.
+Whoever wires a rig decides them, and whoever writes its model decides them anew. Where the two differ, no physics
+makes up for that, and what is fitted is nonsense.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def differing(
 
 
 def _begin(recording: Recording, seconds: float) -> Recording:
-    """The first seconds of a recording, and those that a window has to be late in it."""
+    """The first seconds of a recording that windows may be cut from."""
     return recording.slice(0, int(np.searchsorted(recording.time, recording.time[0] + WINDOWS.late + seconds)))
 
 
