@@ -23,7 +23,7 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term, names
 from dipc_gym.sim2real.selection.baseline import baseline
-from dipc_gym.sim2real.selection.case import gather, part
+from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase
 from dipc_gym.sim2real.selection.progress import Journal
@@ -34,6 +34,7 @@ from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.verdict import judge, judgement, sparse
 from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
 from dipc_gym.sim2real.verdict.settings import VERDICT
+from dipc_gym.sim2real.verdict.withheld import gather
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,11 @@ from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis, Errors, Located, SensorFit
-from dipc_gym.sim2real.selection.case import gather, part
+from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict import judge, sentences
+from dipc_gym.sim2real.verdict.withheld import gather
 
 MASS, DRAG, FORCE = 1.26, 40.0, 4.0  # kg, N s/m of bearing and back-EMF together, N/V
 NOMINAL = """<mujoco model="cart">
@@ -472,8 +473,8 @@ def test_held_out_data_test_and_choose_nothing(few: list[object]) -> None:
     assert [m.effect for m in found.missing if m.effect != "unknown"] == ["friction.coulomb"], found.sentence
     assert found.verdict == "partly explained"
     assert re.search(r"the error goes from .* mm at cart .*: from 1\.2 to", found.sentence)
-    assert found.train is not None
-    assert found.train.improved < 1.2
+    assert found.comparison is not None
+    assert found.comparison.improved < 1.2
     assert found.held_out is not None
     assert found.held_out.improved > 100
 
@@ -683,7 +684,7 @@ def test_command_line_writes_a_folder(tmp_path: Path, capsys: pytest.CaptureFixt
         "report.json",
     ]
     mujoco.MjModel.from_xml_path(str(out / "improved.xml"))
-    assert json.loads((out / "diagnosis.json").read_text())["schema"] == "dipc-gym/diagnosis/2"
+    assert json.loads((out / "diagnosis.json").read_text())["schema"] == "dipc-gym/diagnosis/3"
     assert cli.main(["diagnose", str(model), str(csv), "--out", str(out)]) == 2
     assert "not empty" in capsys.readouterr().err
 

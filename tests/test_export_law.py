@@ -85,7 +85,9 @@ def diagnosis(folder: Path, *keys: str) -> Path:
         law = effect.law_of(values, {p.name: "V" if "motor" in key else "N" for p in effect.parameters})
         name, _, at = key.partition("@")
         missing.append({"effect": name, "at": at, "law": law})
-    (folder / "diagnosis.json").write_text(json.dumps({"schema": laws.SCHEMA, "missing": missing}, allow_nan=False))
+    (folder / "diagnosis.json").write_text(
+        json.dumps({"schema": laws.SCHEMAS[-1], "missing": missing}, allow_nan=False)
+    )
     return folder / "diagnosis.json"
 
 

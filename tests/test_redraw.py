@@ -39,7 +39,7 @@ TABLE = LAW["table"]
 def keep(folder: Path, data: page.ReportData) -> Path:
     """Save what a page shows, as `save` does."""
     folder.mkdir(exist_ok=True)
-    said = {"schema": "dipc-gym/diagnosis/2", **data.diagnosis, "notes": list(data.notes)}
+    said = {"schema": "dipc-gym/diagnosis/3", **data.diagnosis, "notes": list(data.notes)}
     (folder / "diagnosis.json").write_text(json.dumps(said))
     (folder / "report.json").write_text(saved.text(saved.Drawn(data.model, data.command, data.details)))
     return folder
@@ -226,3 +226,13 @@ def test_what_is_kept_of_long_recordings_is_bounded(monkeypatch: pytest.MonkeyPa
         assert len(set(lengths)) <= 1  # no window is cut
     assert len(some.maps[0].time) <= 300 < len(whole.maps[0].time)
     assert some.residuals[0].statement == whole.residuals[0].statement  # told by all samples
+
+
+def test_a_diagnosis_of_an_earlier_schema_is_drawn_as_well(tmp_path: Path) -> None:
+    """The first two call the errors on comparison windows `train`."""
+    folder = keep(tmp_path, example(next(iter(RIGS))))
+    said = json.loads((folder / "diagnosis.json").read_text())
+    said["schema"], said["fit"]["train"] = "dipc-gym/diagnosis/2", said["fit"].pop("comparison")
+    now = redraw(folder).read_text(encoding="utf-8")
+    (folder / "diagnosis.json").write_text(json.dumps(said))
+    assert redraw(folder).read_text(encoding="utf-8") == now

@@ -190,7 +190,7 @@ def example(verdict: str = "explained", seed: int = 0) -> ReportData:
     noise = NOISE / float(np.sqrt(np.nanmean((s["nominal"] - s["observed"]) ** 2)))
     missing = {"explained": [STRIBECK], "partly explained": [STRIBECK, DELAY, UNKNOWN], "unexplained": [UNKNOWN]}
     diagnosis: dict[str, Any] = {
-        "schema": "dipc-gym/diagnosis/2",
+        "schema": "dipc-gym/diagnosis/3",
         "verdict": verdict,
         "sentence": SENTENCES[verdict],
         "located": [
@@ -203,7 +203,7 @@ def example(verdict: str = "explained", seed: int = 0) -> ReportData:
         "recalibrated": [{"parameter": "damping", "at": "slide", "was": 36.0, **interval(40.1, 0.4, "N s/m")}]
         if refit
         else [],
-        "fit": {"train": dict(held_out), "held_out": held_out, "noise_floor": noise}
+        "fit": {"comparison": dict(held_out), "held_out": held_out, "noise_floor": noise}
         if verdict != "cannot tell"
         else None,
         "next_experiment": "Move the cart at a steady 0.005, 0.01, 0.02 and 0.04 m/s in both directions, 10 s each: "

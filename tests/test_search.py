@@ -21,7 +21,7 @@ from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection.baseline import baseline
-from dipc_gym.sim2real.selection.case import gather, part
+from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.scorer import earned, settled
@@ -29,6 +29,7 @@ from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.simulation.windows import Windows
+from dipc_gym.sim2real.verdict.withheld import gather
 
 PLAIN = ("friction.coulomb", "load.constant", "drag.quadratic", "motor.deadzone")
 MANY = (*PLAIN, "friction.stribeck", "transmission.compliance", "disturbance.pulse")

@@ -14,10 +14,11 @@ from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.selection.baseline import baseline
-from dipc_gym.sim2real.selection.case import gather, part
+from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.verdict import sparse
+from dipc_gym.sim2real.verdict.withheld import gather
 
 
 @pytest.fixture(scope="module")

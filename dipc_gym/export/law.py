@@ -30,7 +30,7 @@ class LawError(ValueError):
 
 
 FORMAT = Format("diagnosis", "dipc-gym diagnose", "diagnose again", 50_000_000, LawError)
-SCHEMA = "dipc-gym/diagnosis/2"
+SCHEMAS = ("dipc-gym/diagnosis/2", "dipc-gym/diagnosis/3")
 MOST = 4096  # levels of a table
 KEY, LABEL = 200, 300  # characters of an effect's or a place's name, and of what speaks of such
 
@@ -187,9 +187,10 @@ def read(path: str | Path, key: str | None = None) -> Law:
         LawError: the file is no diagnosis, holds no such law, or one that is none.
     """
     found = FORMAT.read(path)
-    if not isinstance(found, dict) or found.get("schema") != SCHEMA or not isinstance(found.get("missing"), list):
+    if not isinstance(found, dict) or found.get("schema") not in SCHEMAS or not isinstance(found.get("missing"), list):
         raise LawError(
-            f"{path}: not a diagnosis of schema {SCHEMA}; give the diagnosis.json that dipc-gym diagnose wrote"
+            f"{path}: not a diagnosis of schema {' or '.join(SCHEMAS)}; give the diagnosis.json that dipc-gym diagnose "
+            "wrote"
         )
     laws = {}
     for i, one in enumerate(found["missing"]):

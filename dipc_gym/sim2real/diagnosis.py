@@ -20,11 +20,11 @@ from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.result import Design, Diagnosis, Located
 from dipc_gym.sim2real.selection.baseline import Baseline, baseline
-from dipc_gym.sim2real.selection.case import CannotTell, Case, Given, Withheld, gather, part
+from dipc_gym.sim2real.selection.case import CannotTell, Case, Given, part
 from dipc_gym.sim2real.selection.hypotheses import Question
 from dipc_gym.sim2real.selection.progress import Journal, Progress
 from dipc_gym.sim2real.selection.scorer import Scorer
-from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.search import Search, Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.stages import StageEnd
@@ -33,6 +33,7 @@ from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
 from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.judgement import files_of, judgement
 from dipc_gym.sim2real.verdict.settings import CONVENTIONS
+from dipc_gym.sim2real.verdict.withheld import Withheld, gather
 
 
 def diagnose(
@@ -80,6 +81,7 @@ def diagnose(
     for note in given.notes:  # minutes before the end: whoever made a mistake would rather know at once
         tell(f"note: {note}")
     provenance = _provenance(given, withheld, seed)
+    late = Guarded(Stop(tell))
     try:
         case = part(given, threads=threads)
         test = withheld.test(case)
@@ -88,23 +90,35 @@ def diagnose(
         _check_conventions(case, base, tell)
     except CannotTell as why:
         return _cannot_tell(why, given, provenance)
-    stop = Stop(tell)
-    late = Guarded(stop)
-    search, located = begin_search(case, base, list(effects if effects is not None else catalogue().values()), stop)
-    late("Whether more is missing", search.run, lambda: base.recalibrated)
-    ended = search.outcome
-    searched, found = late(
-        "What could stand in for the effects",
-        lambda: conclude(ended),
-        lambda: (ended, Conclusion(ended.progress.current)),
-    )
-    judged, concluded = judgement(case, base, test, searched, found, located, provenance, late)
+    searched, located = _search(case, base, list(effects if effects is not None else catalogue().values()), late)
+    searched, concluded = _conclude(searched, late)
+    judged, concluded = judgement(case, base, test, searched, concluded, located, late)
     proposed: Design | None = None
     if design:
         proposed = late("The next experiment", lambda: _design(case, base, concluded, seed), lambda: None)
-    provenance["seconds"] = round(time.monotonic() - began, 1)
     first = [sentences.own_step(given.physics.model.opt.timestep, base.fine)] if base.fine is not None else []
-    return replace(judged, notes=(*given.notes, *first, *judged.notes, *late.notes), design=proposed)
+    return replace(
+        judged,
+        notes=(*given.notes, *first, *judged.notes, *late.notes),
+        design=proposed,
+        provenance={**provenance, "seconds": round(time.monotonic() - began, 1)},
+    )
+
+
+def _search(case: Case, base: Baseline, effects: Sequence[Effect], late: Guarded) -> tuple[Searched, Sequence[Located]]:
+    """What a search comes to, also where Ctrl-C or an error ended it, and where the mismatch sits."""
+    search, located = begin_search(case, base, effects, late.stop)
+    late("Whether more is missing", search.run, lambda: base.recalibrated)
+    return search.outcome, located
+
+
+def _conclude(searched: Searched, late: Guarded) -> tuple[Searched, Conclusion]:
+    """What is left of a search; after an error all that it found, unasked what could stand in for it."""
+    return late(
+        "What could stand in for the effects",
+        lambda: conclude(searched),
+        lambda: (searched, Conclusion(searched.progress.current)),
+    )
 
 
 def _design(case: Case, base: Baseline, concluded: Conclusion, seed: int) -> Design:

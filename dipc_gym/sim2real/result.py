@@ -354,7 +354,7 @@ class Diagnosis:
         located: where the unexplained force sits.
         missing: effects, the strongest first.
         recalibrated: model parameters that had to change.
-        train: errors on windows between the fitted ones.
+        comparison: errors on windows between the fitted ones.
         held_out: errors on windows that no fit has touched, and that chose nothing.
         validation: errors on windows that no fit has touched, and that chose among models.
         written: errors of the improved model's file at its own step; None where that is the model as given.
@@ -374,7 +374,7 @@ class Diagnosis:
     located: tuple[Located, ...] = ()
     missing: tuple[Missing, ...] = ()
     recalibrated: tuple[dict[str, Any], ...] = ()
-    train: Errors | None = None
+    comparison: Errors | None = None
     held_out: Errors | None = None
     validation: Errors | None = None
     written: AsWritten | None = None
@@ -391,9 +391,9 @@ class Diagnosis:
     def to_dict(self) -> dict[str, Any]:
         """The contents of diagnosis.json."""
         fit: dict[str, Any] = {}
-        if self.train is not None and self.held_out is not None:
+        if self.comparison is not None and self.held_out is not None:
             fit = {
-                "train": self.train.relative(),
+                "comparison": self.comparison.relative(),
                 "held_out": self.held_out.relative(),
                 "noise_floor": round(1 / max(self.held_out.nominal, 1e-12), 6),
                 "held_out_in_noise": self.held_out.in_noise(),
@@ -414,7 +414,7 @@ class Diagnosis:
             if self.written is not None:
                 fit["as_written"] = self.written.to_dict()
         return {
-            "schema": "dipc-gym/diagnosis/2",
+            "schema": "dipc-gym/diagnosis/3",
             "verdict": self.verdict,
             "sentence": self.sentence,
             "located": [

@@ -167,7 +167,6 @@ def fit(
     shooting = Shooting(problem, structure)
     z = structure.clip(structure.first if z is None else z)
     prior = structure.prior
-    logs = np.array([slot.log for slot in structure.slots], dtype=bool)
     damping, steps, converged, exact = 1e-3, 0, False, True
 
     def penalised(mse: Array, z: Array, scale: float) -> float:
@@ -188,7 +187,7 @@ def fit(
         now, accepted = penalised(mse, z, scale), False
         for _ in range(ESTIMATION.tries):
             # No parameter may do more than double, or change by a factor of e.
-            reach = np.maximum(1.0, np.abs(z) * ~logs)
+            reach = structure.sizes(z)
             trial = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, reach)
             foretold = now - penalised(quadratics.after(trial - z) / problem.counts, trial, scale)
             ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))

@@ -185,8 +185,7 @@ class Shooting:
 
     def _probes(self, z: Array, size: float = ESTIMATION.probe) -> tuple[list[Array], Array]:
         """Parameters with one of them moved at a time, away from a bound, and by how much; infinite where it cannot."""
-        logs = np.array([slot.log for slot in self.structure.slots], dtype=bool)
-        steps = size * np.maximum(1.0, np.abs(z) * ~logs)
+        steps = size * self.structure.sizes(z)
         probes = []
         for unit, step in zip(np.eye(len(z)), steps, strict=True):
             up = self.structure.clip(z + step * unit)

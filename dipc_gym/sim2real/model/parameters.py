@@ -199,7 +199,7 @@ def _arm(model: mujoco.MjModel, name: str) -> Array | None:
     """
     body = model.body(name)
     joints = range(int(body.jntadr[0]), int(body.jntadr[0]) + int(body.jntnum[0]))
-    hinge = next((j for j in joints if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE), None)
+    hinge = next((j for j in joints if mjcf.is_hinge(model, j)), None)
     if hinge is None:
         return None
     away, axis = body.ipos - model.jnt_pos[hinge], model.jnt_axis[hinge]

@@ -75,6 +75,11 @@ class Slot:
     above: str = ""
     origin: float = 0.0
 
+    @property
+    def may_vanish(self) -> bool:
+        """Whether the parameter can be zero; what is mapped to its logarithm cannot."""
+        return not self.log
+
     def value(self, z: float) -> float:
         """The parameter of a mapped value."""
         return float(_unmapped(z, self.low, self.high, self.log, self.scale, self.fine, self.origin))
@@ -149,7 +154,7 @@ class Structure:
         """The nearest mapped parameters within bounds."""
         out = z.copy()
         for i, (slot, value) in enumerate(zip(self.slots, self.all_values(z).tolist(), strict=True)):
-            if value in (slot.low, slot.high) and (not slot.log or value > 0):
+            if value in (slot.low, slot.high) and (slot.may_vanish or value > 0):
                 out[i] = slot.mapped(value)
             if slot.above:
                 j = next(j for j, other in enumerate(self.slots) if other.key == slot.above)
@@ -192,6 +197,11 @@ class Structure:
             .T
         )
         return low, high, np.array([slot.log for slot in self.slots], dtype=bool), scale, fine, origin
+
+    def sizes(self, z: Array) -> Array:
+        """What steps of the mapped parameters are measured by, (p,): 1, or a parameter as large as it is."""
+        vanishing = np.array([slot.may_vanish for slot in self.slots], dtype=bool)
+        return np.asarray(np.maximum(1.0, np.abs(z) * vanishing))
 
     def term_values(self, z: Array, term: Term) -> dict[str, float]:
         """Parameters of one effect."""
@@ -309,7 +319,7 @@ def carry(old: Structure, z: Array, new: Structure) -> Array:
     """Mapped parameters of `new` that start where `old` stands, and at the guess where `old` has no such parameter."""
     values, out = old.values(z), new.first.copy()
     for i, slot in enumerate(new.slots):
-        if slot.key in values and not (slot.log and values[slot.key] <= 0):
+        if slot.key in values and (slot.may_vanish or values[slot.key] > 0):
             out[i] = slot.mapped(values[slot.key])
     return out
 

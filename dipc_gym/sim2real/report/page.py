@@ -129,7 +129,7 @@ def _parts(data: ReportData) -> dict[str, Any]:
 
 
 def _fit(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """Bars of the held-out error: label, value, width in percent; the floor's place; errors of the training data."""
+    """Bars of the held-out error: label, value, width in percent; the floor's place; errors of comparison windows."""
     fit = diagnosis.get("fit") or {}
     held_out, floor = fit.get("held_out") or {}, fit.get("noise_floor")
     labels = {
@@ -144,7 +144,7 @@ def _fit(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
     if written and as_given and written["held_out_in_noise"].get("improved") is not None:
         labels["written"] = f"improved.xml at its own step, {1e3 * written['timestep']:g} ms"
         known["written"] = written["held_out_in_noise"]["improved"] / as_given
-    train = fit.get("train") or {}
+    comparison = fit.get("comparison") or {}
     full = max([*known.values(), floor or 0.0, 1e-12]) * 1.02
     return {
         "bars": [{"key": k, "label": labels[k], "value": v, "width": 100 * v / full} for k, v in known.items()],
@@ -152,7 +152,7 @@ def _fit(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
         "floor_at": None if floor is None else 100 * floor / full,
         "first": known.get("nominal"),
         "last": next((known[k] for k in ("improved", "recalibrated", "nominal") if k in known), None),
-        "train": [(labels[k], train[k]) for k in labels if train.get(k) is not None],
+        "comparison": [(labels[k], comparison[k]) for k in labels if comparison.get(k) is not None],
         "sensors": [
             {
                 "name": name,

@@ -29,7 +29,7 @@ from dipc_gym.sim2real.result import Candidate, Details, Mismatch, SensorResidua
 Array = NDArray[np.float64]
 
 SCHEMA = "dipc-gym/report/1"
-DIAGNOSES = ("dipc-gym/diagnosis/1", "dipc-gym/diagnosis/2")
+DIAGNOSES = ("dipc-gym/diagnosis/1", "dipc-gym/diagnosis/2", "dipc-gym/diagnosis/3")
 LARGEST = 50_000_000  # bytes; what is drawn is bounded, a difference of long files may need most of it
 
 
@@ -170,6 +170,8 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
         reader.fail("verdict", f"is none of {', '.join(VERDICTS)}; {DIAGNOSIS.mend}")
     if said["fit"]:
         said["fit"] = _filled(said["fit"], _LATER)
+        if isinstance(said["fit"], dict) and "train" in said["fit"]:  # as the first two schemas call it
+            said["fit"]["comparison"] = said["fit"].pop("train")
         _check(path, {"fit": said["fit"]}, {"fit": _FIT})
     for i, missing in enumerate(said["missing"]):
         if missing["law"] is not None:
@@ -193,7 +195,7 @@ _ERRORS = {"nominal": _NUMBER, "recalibrated": _NUMBER, "improved": _NUMBER}
 _SENSOR = {"unit": str, "noise": _NUMBER, "motion": float, "error": _ERRORS, "share_of_motion": _ERRORS}
 _LATER = ("held_out_in_noise", "as_written", "held_out_by_sensor")  # of `fit`; the first schema has them not
 _FIT: intact.Shape = {
-    "train": _ERRORS,
+    "comparison": _ERRORS,
     "held_out": _ERRORS,
     "noise_floor": _NUMBER,
     "held_out_in_noise": (_ERRORS, None),

@@ -171,6 +171,6 @@ def _from_nothing(structure: Structure, z: Array) -> Array:
     begin, term = z.copy(), structure.terms[-1]
     grown = {f"{term.key}.{name}" for name in term.effect.linear}
     for i, slot in enumerate(structure.slots):
-        if slot.key in grown and not slot.log:
+        if slot.key in grown and slot.may_vanish:
             begin[i] = slot.mapped(0.0)
     return begin

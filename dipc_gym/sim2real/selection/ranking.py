@@ -71,7 +71,7 @@ def foretold_loss(fitted: Fit, terms: Sequence[Term], counts: Array) -> float:
     """
     slots, z, q = fitted.structure.slots, fitted.z, fitted.quadratics
     keys = tuple(f"{term.key}." for term in terms)
-    gone = [i for i, slot in enumerate(slots) if slot.key.startswith(keys) and not slot.log]
+    gone = [i for i, slot in enumerate(slots) if slot.key.startswith(keys) and slot.may_vanish]
     others = [i for i in range(len(z)) if i not in gone]
     weight = 1.0 / (1.0 + fitted.mse) / counts
     prior = fitted.structure.prior

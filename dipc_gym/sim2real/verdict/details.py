@@ -156,7 +156,8 @@ def _maps(structure: Structure, first: Scene, after: Scene | None, order: Sequen
     kept = _evenly(np.arange(len(first.time)), MOST_SAMPLES)
     for place, joint in enumerate(sorted(structure.base, key=list(order).index)):
         j = list(structure.base).index(joint)
-        units = ("N m", "rad") if mjcf.is_hinge(structure.model, joint) else ("N", "m")
+        of = mjcf.units(structure.model, joint)
+        units = of.force, of.length
         if place >= MOST_MAPS:
             yield Mismatch(joint, *units, NOTHING, NOTHING, NOTHING, NOTHING)
             continue

@@ -18,6 +18,7 @@ class Guarded:
     """Runs stages and keeps notes on those that were left out.
 
     Attributes:
+        stop: Ctrl-C, which it asks and is told by.
         strict: whether a failure ends the diagnosis; the tests set it, or they would pass whatever fails.
         notes: what the reader of the diagnosis should know, in sentences.
     """
@@ -25,7 +26,7 @@ class Guarded:
     strict: ClassVar[bool] = False
 
     def __init__(self, stop: Stop) -> None:
-        self._stop = stop
+        self.stop = stop
         self.notes: list[str] = []
 
     def __call__(self, what: str, stage: Callable[[], T], otherwise: Callable[[], T]) -> T:
@@ -42,7 +43,7 @@ class Guarded:
         try:
             return stage()
         except KeyboardInterrupt:
-            self._stop.ask("writing what was found")
+            self.stop.ask("writing what was found")
             return otherwise()
         except Exception as error:  # whatever it is, what was found before stands
             if self.strict:
@@ -53,5 +54,5 @@ class Guarded:
                 f"{what} could not be worked out ({why}) and is left out; what was found before stands. Please report "
                 "this with the files."
             )
-            self._stop.tell(f"note: {self.notes[-1]}")
+            self.stop.tell(f"note: {self.notes[-1]}")
             return otherwise()

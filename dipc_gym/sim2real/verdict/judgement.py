@@ -19,7 +19,7 @@ from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.result import Details, Diagnosis, Errors, Located, Missing, SensorFit
 from dipc_gym.sim2real.selection.baseline import Baseline
-from dipc_gym.sim2real.selection.case import Case, Test
+from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.data import sampled_slowly
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
@@ -28,6 +28,7 @@ from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.details import details, predictions, sensor_fits
 from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.settings import VERDICT
+from dipc_gym.sim2real.verdict.withheld import Test
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,6 @@ def judgement(
     search: Searched,
     found: Conclusion,
     located: Sequence[Located],
-    provenance: dict[str, Any],
     late: Guarded,
 ) -> tuple[Diagnosis, Conclusion]:
     """Judge what a search came to by test data.
@@ -51,7 +51,6 @@ def judgement(
         search: that has run.
         found: what it came to.
         located: where the mismatch sat before it.
-        provenance: versions, inputs, seed.
         late: runs stages, and keeps what was found where one fails.
 
     Returns:
@@ -94,7 +93,7 @@ def judgement(
         tuple(located),
         tuple(named.missing),
         tuple(measured.changed),
-        measured.train,
+        measured.comparison,
         measured.test,
         last.validation,
         written,
@@ -109,8 +108,7 @@ def judgement(
         improved,
         files_of(source, improved),
         tuple([*notes, step_note] if step_note else notes),
-        provenance,
-        behind,
+        details=behind,
     )
     return diagnosis, last.found
 
@@ -171,7 +169,7 @@ class _Measured:
     """Errors, and how sure parameters are.
 
     Attributes:
-        train: errors on the windows that were compared on.
+        comparison: errors on the windows that were compared on.
         test: on test data.
         force: of the inverse models there, at each joint.
         wide: half widths of the intervals of the mapped parameters, (p,).
@@ -179,7 +177,7 @@ class _Measured:
         notes: in sentences.
     """
 
-    train: Errors
+    comparison: Errors
     test: Errors
     force: dict[str, Errors]
     wide: Array
@@ -195,13 +193,13 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
         lambda: np.full(len(final.z), np.inf),
     )
     fitted = Errors(*(f.error for f in three))
-    train = late(
+    comparison = late(
         "The error on windows to compare on",
         lambda: Errors(*(search.scorer.comparison_error(f) for f in three)),
         lambda: fitted,
     )
     notes = list[str]()
-    if train.recalibrated > SCORE.at_floor and not search.stop.asked:
+    if comparison.recalibrated > SCORE.at_floor and not search.stop.asked:
         notes += late(
             "Whether parameters further off would do",
             lambda: findings.beyond_limits(base.partition.problem, search.partition.validation, base.recalibrated),
@@ -226,7 +224,7 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
         lambda: np.full(len(final.z), np.inf),
     )
     changed = late("Which parameters changed", lambda: findings.changed_parameters(final, wide), list[dict[str, Any]])
-    return _Measured(train, errors, force, wide, changed, notes)
+    return _Measured(comparison, errors, force, wide, changed, notes)
 
 
 @dataclass(frozen=True)
@@ -249,11 +247,11 @@ def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Loc
         len(measured.changed),
         len(found.unnamed),
         len(modelled),
-        measured.train.recalibrated,
+        measured.comparison.recalibrated,
     )
     notes = list[str]()
     if errors.nominal <= SCORE.at_floor and verdict == "unexplained":
-        notes.append(sentences.not_in_test(measured.train.recalibrated, errors.nominal))
+        notes.append(sentences.not_in_test(measured.comparison.recalibrated, errors.nominal))
     missing = late(
         "How much each effect is worth",
         lambda: findings.missing_effects(search, found, last.problem, errors, verdict, measured.wide),
