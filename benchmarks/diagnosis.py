@@ -111,7 +111,8 @@ def growth(file, threads):
         axis.set(xlabel=name, ylim=(0, None), xlim=(0, None))
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("processor time / s")
-    figure.savefig(file)
+    with file.open("wb") as out:
+        style.write(figure, out, file.suffix[1:] or "png")
 
 
 def main():

@@ -138,8 +138,8 @@ def grow(X: Array, y: Array, max_models: int, *, test: tuple[Array, Array] | Non
         error = (y - np.sum(validity * outputs, axis=0)) ** 2
         worst = int(np.argmax(validity @ error))
         mother = validity[worst]
-        rest = y - np.sum(validity * outputs, axis=0) + mother * outputs[worst]
-        cut = _best_cut(Z, y, rest, mother)
+        missed = y - np.sum(validity * outputs, axis=0) + mother * outputs[worst]
+        cut = _best_cut(Z, y, missed, mother)
         share = _sigmoid(Z @ cut)
         halves = np.stack([mother * share, mother * (1 - share)])
         validity = np.vstack([validity, halves[1:]])
@@ -162,15 +162,15 @@ def grow(X: Array, y: Array, max_models: int, *, test: tuple[Array, Array] | Non
     return Hierarchy(kept.cuts, kept.signs, kept.lines, np.array(errors))
 
 
-def _best_cut(Z: Array, y: Array, rest: Array, mother: Array) -> Array:
+def _best_cut(Z: Array, y: Array, missed: Array, mother: Array) -> Array:
     """Offset and direction of the sigmoid that lets two linear models fit best, from the best cut along an axis on.
 
-    `rest` is what the other cells leave of y.
+    `missed` is what the other cells leave of y.
     """
 
     def loss(cut: Array) -> float:
         share = _sigmoid(Z @ cut)
-        left = rest
+        left = missed
         for part in (mother * share, mother * (1 - share)):
             left = left - part * (Z @ _line(Z, y, part))
         return float(np.mean(left**2))

@@ -61,8 +61,8 @@ class LaggedLLNF(Remembering):
         inputs = [0, LAGS + 1]
         error, model = grown(inputs)
         while len(inputs) < table.shape[1]:
-            rest = [i for i in range(table.shape[1]) if i not in inputs]
-            (less, better), chosen = min(((grown([*inputs, i]), i) for i in rest), key=lambda found: found[0][0])
+            others = [i for i in range(table.shape[1]) if i not in inputs]
+            (less, better), chosen = min(((grown([*inputs, i]), i) for i in others), key=lambda found: found[0][0])
             if not less < (1 - SMALLEST_GAIN) * error:
                 break
             inputs, error, model = [*inputs, chosen], less, better

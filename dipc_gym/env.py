@@ -72,7 +72,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
     At every step and at reset: `reward_survive`, the four costs, `voltage` (V, as applied), `clipped`, `friction`
     (N, dry friction on the cart, negative when it acts towards negative x), `time` (s) and `diverged`.
 
-    ## Starting state
+    ## Initial state
     At rest, cart and absolute angles uniform within 0.02 (m, rad) of upright. `reset(options=...)` takes:
 
     - `start`: `"upright"` (default) or `"hanging"`, both within 0.02;

@@ -537,14 +537,14 @@ def _alike(extra: Extra, x: Array) -> Array:
 
 def _is_surface(extra: Extra) -> bool:
     """Whether the numbers of a residual law are those of one, and what it depends on is said."""
-    head, rest = extra.data[:3], extra.data[3:]
+    head, remainder = extra.data[:3], extra.data[3:]
     if len(head) < 3 or not 1 <= len(extra.inputs) <= 2 or head[0] <= 0:
         return False
     if not (np.all(head[1:] == np.round(head[1:])) and head[1] >= 2 and len(extra.inputs) <= head[2] <= MOST_LEVELS):
         return False
     m, n = int(head[1]), int(head[2])
-    sorted_ = _increase(rest[:m]) and _increase(rest[m : m + n])
-    return bool(m * n <= MOST_LEVELS and len(rest) == m + n + m * n and sorted_)
+    sorted_ = _increase(remainder[:m]) and _increase(remainder[m : m + n])
+    return bool(m * n <= MOST_LEVELS and len(remainder) == m + n + m * n and sorted_)
 
 
 def _inputs(model: mujoco.MjModel, effect: str, at: str) -> tuple[tuple[str, int], ...]:

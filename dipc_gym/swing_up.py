@@ -70,7 +70,7 @@ class SwingUpEnv(DoublePendulumEnv):
     At every step and at reset: the four terms, `at_goal` (both poles within 0.35 rad of it), `voltage` (V, as applied),
     `clipped`, `friction` (N, dry friction on the cart), `time` (s) and `diverged`. Terms are 0 at a reset.
 
-    ## Starting state
+    ## Initial state
     At rest, cart and angles uniform within 0.02 (m, rad) of the equilibrium `start`. With `anywhere`, which helps to
     learn, the cart is within 0.225 m, the poles have any angle, and all move, by up to 0.5 m/s and 5 rad/s. Where
     `start` is states, such as those of a planned motion, one is drawn, and positions vary by 0.02 about it.
@@ -234,7 +234,7 @@ class SwingUpVectorEnv(DIPCFrictionVectorEnv):
         """What is observed of states (..., 6), (..., 8)."""
         return observed(state)
 
-    def _judge(self, period: Period, going: Mask) -> Period:
+    def _rewarded(self, period: Period, going: Mask) -> Period:
         infos = dict(period.infos)
         for name in super()._terms:
             del infos[name]

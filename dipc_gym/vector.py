@@ -272,7 +272,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         """What is observed now, (num_envs, k), as an array of its own."""
         return self.observation_of(self._rigs.observations())
 
-    def _judge(self, period: Period, going: Mask) -> Period:
+    def _rewarded(self, period: Period, going: Mask) -> Period:
         """What the task makes of a period, in the place of the balancing one's rewards and terms."""
         return period
 
@@ -284,7 +284,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
 
     def _advance(self, asked: Array, going: Mask) -> tuple[Array, Mask, Mask, dict[str, Any]]:
         """Step the rows that are `going`; what comes back for the others means nothing."""
-        period = self._judge(self._rigs.advance(asked, going, self._noise_of if self._noisy else None), going)
+        period = self._rewarded(self._rigs.advance(asked, going, self._noise_of if self._noisy else None), going)
         self._steps += going
         limit = self.max_episode_steps
         truncated = np.zeros_like(going) if limit is None else going & (self._steps >= limit)

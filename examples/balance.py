@@ -20,7 +20,7 @@ class Arguments:
     seconds: float = 20.0
     """length of a run"""
     seed: int = 0
-    """of the starting state"""
+    """of the initial state"""
 
 
 def largest_deviations(env: gymnasium.Env, seconds: float, seed: int) -> np.ndarray:

@@ -25,7 +25,7 @@ class Arguments:
     compensator: str = "llnf"
     """none, feedforward, mlp, llnf or ideal"""
     seed: int = 0
-    """of weights, exploration and starting states"""
+    """of weights, exploration and initial states"""
     steps: int = 768_000
     """control periods to learn from"""
     num_envs: int = 32

@@ -177,13 +177,13 @@ def test_names_dry_friction_and_its_level(sticky: Diagnosis, tmp_path: Path) -> 
     assert "what the owner wrote" in found.improved
 
 
-def test_numbers_that_hold_at_the_step_of_the_file_are_written_as_they_are(wrong_damping: Diagnosis) -> None:
+def test_parameters_that_hold_at_the_step_of_the_file_are_written_as_they_are(wrong_damping: Diagnosis) -> None:
     written = mujoco.MjModel.from_xml_string(wrong_damping.improved)
     assert written.dof_damping[0] == wrong_damping.recalibrated[0]["value"]
     assert "those that fine steps need" not in wrong_damping.improved
 
 
-def test_numbers_are_refitted_to_the_step_of_the_file_where_that_makes_up_for_it() -> None:
+def test_parameters_are_refitted_to_the_step_of_the_file_where_that_makes_up_for_it() -> None:
     """Under implicit integration 1 / (1 + h d / m) of a damped cart's speed outlasts a step, and not exp(-h d / m):
     another damping and gear move it alike, and only they. Its speed tells; its position would be half a step off.
     """
@@ -253,7 +253,7 @@ def test_drag_that_depends_on_direction_comes_after_dry_friction() -> None:
     assert forces == [pytest.approx(-6.0, rel=0.05), 0.0]
 
 
-def test_what_is_missing_does_not_move_numbers_that_were_right() -> None:
+def test_what_is_missing_does_not_move_parameters_that_were_right() -> None:
     """Mass, damping, gear and a spring predict alike when all are scaled; those that were given stay as they were."""
     names = ("load.spring", "load.constant", "friction.viscous")
     runs = [run(9, 20, 0.0, spring=20.0)]
@@ -293,8 +293,8 @@ def test_friction_that_gives_way_before_it_slips() -> None:
     mujoco.MjModel.from_xml_string(found.improved)
 
 
-def test_a_limit_that_refitted_numbers_spread_over_all_windows_is_found() -> None:
-    """The simulator as given predicts most windows perfectly; refitted, none. Its numbers were right."""
+def test_a_limit_that_refitted_parameters_spread_over_all_windows_is_found() -> None:
+    """The simulator as given predicts most windows perfectly; refitted, none. Its parameters were right."""
     names = ("motor.saturation", "friction.coulomb", "drag.quadratic", "motor.deadzone", "load.constant")
     found = diagnose(mjcf.from_text(NOMINAL), [run(1, 20, 0.0, most=16.0)], effects=[catalogue()[n] for n in names])
     assert [m.effect for m in found.missing] == ["motor.saturation"], found.sentence
@@ -488,7 +488,7 @@ def test_what_the_last_quarter_holds_moves_nothing_before_the_judgement() -> Non
     for sensors in (quiet.sensors, shaken):
         given, withheld = gather(mjcf.from_text(NOMINAL), [replace(quiet, sensors=sensors)], (), Wishes())
         cases.append(part(given, threads=1))
-        test = withheld.windows(cases[-1]).problem
+        test = withheld.test(cases[-1]).problem
         assert test.windows.start.min() >= cases[-1].given.recordings[0].time[-1]
     one, other = (case.prepared.problem for case in cases)
     np.testing.assert_array_equal(one.windows.noise, other.windows.noise)
@@ -497,7 +497,7 @@ def test_what_the_last_quarter_holds_moves_nothing_before_the_judgement() -> Non
     np.testing.assert_array_equal(one.windows.observed, other.windows.observed)
 
 
-def test_a_wrong_number_is_no_missing_physics(few: list[object]) -> None:
+def test_a_wrong_parameter_is_no_missing_physics(few: list[object]) -> None:
     found = diagnose(mjcf.from_text(NOMINAL), [run(3, 20, 0.0, drag=46.0)], effects=few)  # type: ignore[arg-type]
     assert found.verdict == "recalibrated", found.sentence
     assert found.missing == ()
@@ -505,7 +505,7 @@ def test_a_wrong_number_is_no_missing_physics(few: list[object]) -> None:
     assert found.recalibrated[0]["value"] == pytest.approx(46.0, rel=0.01)
 
 
-def test_which_numbers_were_wrong_is_left_open_where_it_is(few: list[object]) -> None:
+def test_which_parameters_were_wrong_is_left_open_where_it_is(few: list[object]) -> None:
     """Drive and drag were; with a heavier cart and either of them forces scale, and motion is the same."""
     found = diagnose(
         mjcf.from_text(NOMINAL.replace('gear="4"', 'gear="3.6"')), [run(3, 20, 4.0, drag=46.0)], effects=few
@@ -517,11 +517,11 @@ def test_which_numbers_were_wrong_is_left_open_where_it_is(few: list[object]) ->
     (note,) = (note for note in found.notes if "do not tell whether" in note)
     assert all(name in note for name in ("damping of cart", "mass of cart", "gear of motor"))
     right = {"damping": 46.0, "mass": 1.26, "gear": 4.0}
-    assert all(number["low"] < right[number["parameter"]] < number["high"] for number in found.recalibrated)
+    assert all(one["low"] < right[one["parameter"]] < one["high"] for one in found.recalibrated)
 
 
 @pytest.mark.parametrize(("others", "said"), [(False, "mass of cart. On"), (True, "mass of cart (or others")])
-def test_a_sentence_on_numbers_says_whether_others_would_do(others: bool, said: str) -> None:
+def test_a_sentence_on_parameters_says_whether_others_would_do(others: bool, said: str) -> None:
     errors, changed = Errors(9.0, 1.0, 1.0), [{"parameter": "mass", "at": "cart"}]
     assert said in sentences.in_one_sentence("recalibrated", [], changed, errors, others=others)
     assert ("weigh or measure" in sentences.next_experiment("recalibrated", [], others=others)) == others
@@ -536,7 +536,7 @@ def test_a_sentence_says_that_a_model_diverges() -> None:
     assert not re.search(r"\b(nan|inf)\b", said)
 
 
-def test_a_number_further_off_than_plausible_is_told_and_can_be_allowed() -> None:
+def test_a_parameter_further_off_than_plausible_is_told_and_can_be_allowed() -> None:
     """A mass of 1.26 kg where the model has 0.7: half as much again is as far as a refit goes unasked."""
     light, runs = mjcf.from_text(NOMINAL.replace('mass="1.26"', 'mass="0.7"')), [run(3, 12, 0.0)]
     known, drag = ("motor.gear", "cart.damping"), [catalogue()["drag.quadratic"]]

@@ -33,14 +33,32 @@ def registries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compensators.registry, "_KINDS", dict(compensators.registry._KINDS))
 
 
+def exported(to: Path) -> None:
+    """A loop, as a page has it written by a command."""
+    compensators.save(compensators.StaticGain(newtons_per_volt=4.0), to.parent / "none.json")
+    kind = {".h": "c", ".onnx": "onnx"}[to.suffix]
+    assert cli.main(["export", str(to.parent / "none.json"), "--to", kind, "--out", str(to)]) == 0
+
+
 @pytest.mark.usefixtures("registries")
 @pytest.mark.parametrize("path", WITH_PYTHON, ids=pages.name)
 def test_snippets_of_a_page_run_in_order(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "examples").symlink_to(pages.ROOT / "examples")
     monkeypatch.chdir(tmp_path)
+    if "onnxruntime" in pages.python(path):
+        pytest.importorskip("onnxruntime")
+        pytest.importorskip("onnx")
+        exported(tmp_path / "rig.onnx")
     space: dict[str, object] = {"__name__": "__main__"}
     for snippet in pages.blocks(path, "python"):
         exec(compile(snippet, pages.name(path), "exec"), space)
+
+
+@pytest.mark.parametrize("path", pages.PAGES, ids=pages.name)
+def test_a_language_goes_by_the_name_that_the_tests_know(path: Path) -> None:
+    """A block of Python labelled `py` would be run by nobody."""
+    labels = re.findall(r"^ *```(\w+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(labels) <= {"python", "bash", "c", "csv", "text"}
 
 
 def lines_of_shell(path: Path) -> list[str]:
@@ -113,8 +131,7 @@ def test_commands_stand_in_blocks_that_name_their_language(path: Path) -> None:
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 @pytest.mark.parametrize("path", [path for path in pages.PAGES if pages.blocks(path, "c")], ids=pages.name)
 def test_c_of_a_page_compiles_beside_an_exported_loop(path: Path, tmp_path: Path) -> None:
-    compensators.save(compensators.StaticGain(newtons_per_volt=4.0), tmp_path / "none.json")
-    assert cli.main(["export", str(tmp_path / "none.json"), "--to", "c", "--out", str(tmp_path / "rig.h")]) == 0
+    exported(tmp_path / "rig.h")
     for k, snippet in enumerate(pages.blocks(path, "c")):
         (tmp_path / f"{k}.c").write_text(snippet)
         subprocess.run(["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-c", f"{k}.c"], cwd=tmp_path, check=True)
@@ -166,7 +183,6 @@ def hooks(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("hooks")
 
 
-# In files that are being rewritten.
 def test_every_constant_says_what_it_is_for(hooks: ModuleType) -> None:
     """In whatever folder it is: of the packages, all are walked."""
     files = [path for package in hooks.PACKAGES for path in (pages.ROOT / package).rglob("*.py")]

@@ -71,7 +71,7 @@ CONTRACT = [
     "motor.map",
     "residual.force",
 ]
-# Numbers with which an effect does nothing. A rotor of its own always adds inertia: see the transmissions below.
+# Parameters with which an effect does nothing. A rotor of its own always adds inertia: see the transmissions below.
 NEUTRAL: dict[str, Mapping[str, float]] = {
     "friction.asymmetric:viscous": {"drag": 0},
     "motor.saturation:torque": {"limit": 1e3},
@@ -149,7 +149,7 @@ def guesses(effect: Effect, rig: str, at: str) -> list[Mapping[str, float]]:
 
 
 def neutral(effect: Effect) -> Mapping[str, float]:
-    """Numbers with which an effect does nothing."""
+    """Parameters with which an effect does nothing."""
     if isinstance(effect, CommandMap):
         return dict(zip((p.name for p in effect.parameters), effect.knots, strict=True))
     return {p.name: 0.0 for p in effect.parameters} if effect.free else NEUTRAL[effect.id]

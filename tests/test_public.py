@@ -7,6 +7,7 @@ import importlib
 import importlib.util
 import inspect
 import json
+import pkgutil
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,8 @@ from types import ModuleType
 import pages
 import pytest
 from pages import ROOT
+
+import dipc_gym
 
 REFERENCE = sorted((ROOT / "docs" / "reference").glob("*.md"))
 PUBLIC = {name for page in REFERENCE for name in re.findall(r"^::: (dipc_gym[\w.]*)$", page.read_text(), re.MULTILINE)}
@@ -106,6 +109,7 @@ def test_dotted_names_in_the_text_of_pages_exist(path: Path) -> None:
         assert _found(dotted) is not None, dotted
 
 
+HOUSES = sorted(f"dipc_gym.{one.name}" for one in pkgutil.iter_modules(dipc_gym.__path__) if one.ispkg)
 INSIDE = {"docs/engine.md", "docs/security.md"}  # which say how the package works, and name its parts
 
 
@@ -114,6 +118,16 @@ def test_dotted_names_that_pages_offer_are_public(path: Path) -> None:
     for dotted in re.findall(r"`(dipc_gym(?:\.\w+)+)[`(]", path.read_text()):
         module, _, name = dotted.rpartition(".")
         assert dotted in PUBLIC or not not_public(module, name), dotted
+
+
+@pytest.mark.parametrize("path", [path for path in pages.PAGES if pages.name(path) not in INSIDE], ids=pages.name)
+def test_names_without_the_package_before_them_are_public(path: Path) -> None:
+    """`designs.limit_cycle` in a page: no module to import for whoever reads it."""
+    for dotted in re.findall(r"`(\w+(?:\.\w+)+)(?<!\.json)(?<!\.py)[`(]", path.read_text()):
+        homes = [package for package in ("dipc_gym", *HOUSES) if is_module(f"{package}.{dotted.split('.')[0]}")]
+        for full in (f"{package}.{dotted}" for package in homes if not dotted.startswith("dipc_gym.")):
+            module, _, name = full.rpartition(".")
+            assert _found(full) is None or full in PUBLIC or not not_public(module, name), dotted
 
 
 def test_the_overview_of_the_reference_lists_every_module() -> None:

@@ -229,7 +229,7 @@ def test_dfki_lacks_friction_at_its_joints_and_more() -> None:
 
 
 def test_uw_lacks_nothing() -> None:
-    """Its published model explains it; at most its numbers move."""
+    """Its published model explains it; at most its parameters move."""
     found = diagnosed("uw_double", "free_swing.csv", "friction.coulomb", "drag.quadratic")
     assert found.verdict in ("consistent", "recalibrated")
     assert not found.missing

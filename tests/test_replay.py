@@ -134,7 +134,7 @@ def test_without_noise_the_right_model_is_exact_and_nothing_breaks(tmp_path: Pat
     assert wrong.sensors[0].error > 100 * right.sensors[0].error
 
 
-def test_a_wrong_number_shows_in_the_sensor_it_touches_most(tmp_path: Path) -> None:
+def test_a_wrong_parameter_shows_in_the_sensor_it_touches_most(tmp_path: Path) -> None:
     done = replay(*files(tmp_path, hanging(damping=4.0), Run().of(hanging(damping=5.0))))
     assert done.sensors[0].ratio > 10
     assert done.sensors[0].ratio > done.sensors[1].ratio

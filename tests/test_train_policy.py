@@ -96,7 +96,7 @@ def test_learning_makes_it_stand_longer() -> None:
     learner.learn(0, lambda: None)
     after = evaluate(learner.policy(), rig, runs=20, seconds=20.0)
     longer = np.array(after.held) > np.array(before.held)
-    assert longer.sum() >= 17  # of 20 starting states; by chance that happens once in 770 times
+    assert longer.sum() >= 17  # of 20 initial states; by chance that happens once in 770 times
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])

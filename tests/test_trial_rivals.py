@@ -20,17 +20,17 @@ def rig_with(tmp_path, effect=None, values=(), *, rig=CART, nominal=None):
     """Three recordings of a rig as a trial has them, and the generator's own view of the last."""
     rng = np.random.default_rng(3)
     made = rigs.RIGS[rig](rng)
-    plant = made.plant
+    parameters = made.parameters
     if effect is not None:
         one = next(e for e in catalogue.effects(made) if e.name == effect)
-        plant = one.apply(plant, np.asarray(values, dtype=float))
+        parameters = one.apply(parameters, np.asarray(values, dtype=float))
     recordings = [
-        prediction.record(made, plant, rigs.excitation(made, kind, rng), prediction.ONES, rng)
+        prediction.record(made, parameters, rigs.excitation(made, kind, rng), prediction.ONES, rng)
         for kind in ("chirp", "noise", "steps")
     ]
     for name, recording in zip(("train_1", "train_2", "test"), recordings, strict=True):
         write_csv(tmp_path / f"{name}.csv", made, recording)
-    given = made.plant if nominal is None else nominal(made.plant.copy())
+    given = made.parameters if nominal is None else nominal(made.parameters.copy())
     (tmp_path / "nominal.xml").write_text(rigs.nominal_xml(made, given))
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "nominal.xml"))
     motions = [replayed.Motion.read(tmp_path / f"{name}.csv") for name in ("train_1", "train_2", "test")]
@@ -43,17 +43,17 @@ def first(motion, windows_=24):
     return replace(motion, **{name: getattr(motion, name)[part] for name in ("command", "measured", "q", "v", "a")})
 
 
-def generators_error(rig, plant, recording):
-    seen = prediction.Windows(rig, recording, rig.plant)
-    rest = seen.residual(prediction.predict(rig, plant, recording), recording.measured)
-    return prediction.rms(rest[: 24 * replayed.WINDOW * rig.count])
+def generators_error(rig, parameters, recording):
+    seen = prediction.Windows(rig, recording, rig.parameters)
+    residual = seen.residual(prediction.predict(rig, parameters, recording), recording.measured)
+    return prediction.rms(residual[: 24 * replayed.WINDOW * rig.count])
 
 
 @pytest.mark.parametrize(("rig", "effect", "values"), [("upright", None, ()), ("pendulum", "drag.quadratic", (0.01,))])
 def test_windows_in_mujoco_say_what_the_generator_says(tmp_path, rig, effect, values):
     """Two integrators, two estimates of the starts, one error."""
     made, model, motions, recordings = rig_with(tmp_path, effect, values, rig=rig)
-    there = generators_error(made, made.plant, recordings[2])
+    there = generators_error(made, made.parameters, recordings[2])
     assert (there < 1.1) == (effect is None)
     assert replayed.error(model, motions[2], made.noise) == pytest.approx(there, rel=0.01)
 
@@ -82,16 +82,16 @@ def test_the_network_learns_a_missing_force_and_leaves_a_complete_model_alone(tm
     assert network.learn(model, motions[:2], made.noise) is None
 
 
-def test_sysid_finds_wrong_numbers(tmp_path):
+def test_sysid_finds_wrong_parameters(tmp_path):
     sysid = pytest.importorskip("mujoco.sysid")
     if not hasattr(sysid, "optimize"):
         pytest.skip("mujoco[sysid] is not installed")
     from dipc_gym.trials.entries import index
     from dipc_gym.trials.refit import refit
 
-    def worn(plant):
-        plant[index("damping", 0)] *= 0.5
-        return plant
+    def worn(parameters):
+        parameters[index("damping", 0)] *= 0.5
+        return parameters
 
     made, model, motions, _ = rig_with(tmp_path, nominal=worn)
     assert replayed.error(model, motions[2], made.noise) > 5

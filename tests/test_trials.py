@@ -25,14 +25,14 @@ GENERATOR = ("integrator", "rigs", "hidden", "catalogue", "shapes", "prediction"
 
 
 def cart(**joint):
-    plant = np.zeros(SIZE)
-    plant[[index("m0"), index("resistance"), index("gravity"), index("kt")]] = 2.0, 1.0, 9.81, 1.0
+    parameters = np.zeros(SIZE)
+    parameters[[index("m0"), index("resistance"), index("gravity"), index("kt")]] = 2.0, 1.0, 9.81, 1.0
     for name, value in joint.items():
-        plant[index(name, 0)] = value
-    return plant
+        parameters[index(name, 0)] = value
+    return parameters
 
 
-def run_plant(plant, command, *, joints=1, start=None, speed=None, step=5e-5, dt=0.002, gain=None):
+def simulated(parameters, command, *, joints=1, start=None, speed=None, step=5e-5, dt=0.002, gain=None):
     count = len(command)
     start = np.zeros(joints) if start is None else np.asarray(start, dtype=float)
     q0 = np.tile(start, (count, 1))
@@ -40,7 +40,7 @@ def run_plant(plant, command, *, joints=1, start=None, speed=None, step=5e-5, dt
     if speed is not None:
         v0[0] = speed
     return integrator.simulate(
-        plant, joints, dt, step, np.asarray(command, dtype=float), np.ones(count) if gain is None else gain,
+        parameters, joints, dt, step, np.asarray(command, dtype=float), np.ones(count) if gain is None else gain,
         integrator.NO_FEEDBACK, np.full(joints, 1e-9), np.zeros((count, joints)), q0, v0, q0, 0,
     )  # fmt: skip
 
@@ -98,25 +98,25 @@ def test_the_tool_does_not_know_the_generator():
 # --- physics -------------------------------------------------------------------------------------------------
 
 
-def acceleration(plant, q, v, force=0.0):
+def acceleration(parameters, q, v, force=0.0):
     state = np.zeros(integrator.STATE_SIZE)
     state[: len(q)], state[3 : 3 + len(v)] = q, v
     out, hold, rhs = np.zeros_like(state), np.zeros(3), np.zeros(3)
     free = np.full(len(q), integrator.FREE)
-    integrator.derivative(0.0, state, force, plant, len(q), free, out, hold, np.zeros((3, 3)), rhs)
+    integrator.derivative(0.0, state, force, parameters, len(q), free, out, hold, np.zeros((3, 3)), rhs)
     return out[3 : 3 + len(q)].copy()
 
 
 def test_equations_of_motion_follow_from_the_lagrangian():
     sympy = pytest.importorskip("sympy")
     rig = rigs.hanging(np.random.default_rng(0))
-    plant = rig.plant.copy()
-    plant[index("tilt")] = 0.3
-    plant[[index("kt"), index("ke"), index("resistance")]] = 1.0, 0.0, 1.0
+    parameters = rig.parameters.copy()
+    parameters[index("tilt")] = 0.3
+    parameters[[index("kt"), index("ke"), index("resistance")]] = 1.0, 0.0, 1.0
     t = sympy.Symbol("t")
     q = [sympy.Function(f"q{i}")(t) for i in range(3)]
     m0, m1, m2, c1, c2, i1, i2, l1 = (
-        float(plant[index(n)]) for n in ("m0", "m1", "m2", "com1", "com2", "inertia1", "inertia2", "length1")
+        float(parameters[index(n)]) for n in ("m0", "m1", "m2", "com1", "com2", "inertia1", "inertia2", "length1")
     )
     gx, gz = 9.81 * math.sin(0.3), -9.81 * math.cos(0.3)
     a1, a2 = q[1], q[1] + q[2]
@@ -131,8 +131,8 @@ def test_equations_of_motion_follow_from_the_lagrangian():
     )
     rng = np.random.default_rng(1)
     places, speeds = rng.uniform(-3, 3, 3), rng.uniform(-4, 4, 3)
-    damping = np.array([plant[index("damping", j)] for j in range(3)])
-    found = acceleration(plant, places, speeds, force=2.5)
+    damping = np.array([parameters[index("damping", j)] for j in range(3)])
+    found = acceleration(parameters, places, speeds, force=2.5)
     values = {q[i].diff(t, 2): found[i] for i in range(3)}
     values |= {q[i].diff(t): speeds[i] for i in range(3)}
     for i in range(3):
@@ -141,9 +141,9 @@ def test_equations_of_motion_follow_from_the_lagrangian():
         assert float(number) == pytest.approx((2.5 if i == 0 else 0.0) - damping[i] * speeds[i], abs=1e-9)
 
 
-def energy(plant, q, v):
+def energy(parameters, q, v):
     m0, m1, m2, c1, c2, i1, i2, l1 = (
-        plant[index(n)] for n in ("m0", "m1", "m2", "com1", "com2", "inertia1", "inertia2", "length1")
+        parameters[index(n)] for n in ("m0", "m1", "m2", "com1", "com2", "inertia1", "inertia2", "length1")
     )
     a1, a2, w1, w2 = q[:, 1], q[:, 1] + q[:, 2], v[:, 1], v[:, 1] + v[:, 2]
     x1, z1 = v[:, 0] + c1 * np.cos(a1) * w1, -c1 * np.sin(a1) * w1
@@ -154,14 +154,14 @@ def energy(plant, q, v):
 
 
 def test_energy_stays_without_losses_and_only_falls_with_dry_friction():
-    plant = rigs.hanging(np.random.default_rng(0)).plant.copy()
-    plant[[index("damping", j) for j in range(3)]] = 0.0
-    plant[index("ke")] = 0.0
-    q, v = run_plant(plant, np.zeros(2500), joints=3, start=(0.0, 2.0, 0.5))[:2]
-    assert np.ptp(energy(plant, q, v)) < 1e-7
-    plant[[index("coulomb", j) for j in range(3)]] = 0.3, 0.01, 0.005
-    q, v = run_plant(plant, np.zeros(2500), joints=3, start=(0.0, 2.0, 0.5))[:2]
-    lost = energy(plant, q, v)
+    parameters = rigs.hanging(np.random.default_rng(0)).parameters.copy()
+    parameters[[index("damping", j) for j in range(3)]] = 0.0
+    parameters[index("ke")] = 0.0
+    q, v = simulated(parameters, np.zeros(2500), joints=3, start=(0.0, 2.0, 0.5))[:2]
+    assert np.ptp(energy(parameters, q, v)) < 1e-7
+    parameters[[index("coulomb", j) for j in range(3)]] = 0.3, 0.01, 0.005
+    q, v = simulated(parameters, np.zeros(2500), joints=3, start=(0.0, 2.0, 0.5))[:2]
+    lost = energy(parameters, q, v)
     assert np.diff(lost).max() < 1e-9
     friction = np.array([0.3, 0.01, 0.005])
     work = np.concatenate([[0], np.cumsum(np.abs(v[1:] + v[:-1]) / 2 @ friction) * 0.002])
@@ -169,82 +169,82 @@ def test_energy_stays_without_losses_and_only_falls_with_dry_friction():
 
 
 def test_a_sliding_cart_stops_where_coulomb_says_and_then_rests():
-    plant = cart(coulomb=3.0)
-    q, v = run_plant(plant, np.zeros(1000), speed=0.8)[:2]
+    parameters = cart(coulomb=3.0)
+    q, v = simulated(parameters, np.zeros(1000), speed=0.8)[:2]
     assert q[-1, 0] == pytest.approx(0.8**2 / (2 * 1.5), rel=1e-9)
     assert np.all(v[600:] == 0.0)
     assert np.all(q[600:] == q[-1])
 
 
 def test_static_friction_holds_below_its_level_and_breaks_away_at_it():
-    plant = cart(coulomb=2.0, excess=1.0, stribeck_speed=0.05)
+    parameters = cart(coulomb=2.0, excess=1.0, stribeck_speed=0.05)
     ramp = np.linspace(0.0, 4.0, 2001)
-    q, v = run_plant(plant, ramp)[:2]
+    q, v = simulated(parameters, ramp)[:2]
     moving = np.flatnonzero(v[:, 0])[0]
     assert ramp[moving - 2] <= 3.0 < ramp[moving]
     assert np.all(q[:moving] == 0.0)
     # Once it slides only the kinetic level is left.
-    q, v = run_plant(plant, np.full(2000, 3.2))[:2]
+    q, v = simulated(parameters, np.full(2000, 3.2))[:2]
     assert (v[-1, 0] - v[-501, 0]) / (500 * 0.002) == pytest.approx((3.2 - 2.0) / 2.0, rel=1e-3)
 
 
 def test_bristles_deflect_before_they_slip_and_end_at_the_level():
-    plant = cart(coulomb=2.0, excess=1.0, stribeck_speed=0.05, bristle=1e4, bristle_damping=80.0, damping=1.0)
+    parameters = cart(coulomb=2.0, excess=1.0, stribeck_speed=0.05, bristle=1e4, bristle_damping=80.0, damping=1.0)
     # Pushed slowly the bristle follows dz/dx = 1 - s z / level, so x = -level / s ln(1 - force / level).
-    q = run_plant(plant, np.minimum(np.linspace(0.0, 3.0, 4000), 1.5), step=1e-4)[0]
+    q = simulated(parameters, np.minimum(np.linspace(0.0, 3.0, 4000), 1.5), step=1e-4)[0]
     assert q[-1, 0] == pytest.approx(-3.0 / 1e4 * math.log(1 - 1.5 / 3.0), rel=0.02)
-    _, v = run_plant(plant, np.full(10_000, 4.0), step=5e-5)[:2]
+    _, v = simulated(parameters, np.full(10_000, 4.0), step=5e-5)[:2]
     assert v[-1, 0] == pytest.approx(4.0 - 2.0, rel=1e-3)
 
 
 def test_held_commands_fractional_delay_and_sensor_lag_against_the_closed_form():
     """Of m a = u - b v with u = 1 from the delay on."""
-    plant = cart(damping=4.0)
-    plant[index("delay")] = 0.0137
-    q, _, reading = run_plant(plant, np.ones(500))[:3]
+    parameters = cart(damping=4.0)
+    parameters[index("delay")] = 0.0137
+    q, _, reading = simulated(parameters, np.ones(500))[:3]
     t = np.maximum(np.arange(500) * 0.002 - 0.0137, 0.0)
     exact = t / 4 - (1 - np.exp(-2 * t)) / 8
     np.testing.assert_allclose(q[:, 0], exact, atol=1e-12)
-    plant[index("delay")] = 0.0
-    plant[index("lag", 0)] = 0.0137
-    reading = run_plant(plant, np.ones(500))[2]
+    parameters[index("delay")] = 0.0
+    parameters[index("lag", 0)] = 0.0137
+    reading = simulated(parameters, np.ones(500))[2]
     np.testing.assert_allclose(reading[:, 0], exact, atol=3e-8)
-    plant[index("lag", 0)] = 0.0
-    plant[index("filter", 0)] = 0.02
-    q, _, reading = run_plant(plant, np.ones(6000), step=1e-3)[:3]
+    parameters[index("lag", 0)] = 0.0
+    parameters[index("filter", 0)] = 0.02
+    q, _, reading = simulated(parameters, np.ones(6000), step=1e-3)[:3]
     assert q[-1, 0] - reading[-1, 0] == pytest.approx(0.02 / 4, rel=1e-5)
 
 
 def test_winding_current_heat_and_limits():
-    plant = cart(damping=5.0)
-    plant[[index("inductance"), index("resistance"), index("ke")]] = 0.01, 2.0, 0.0
-    v = run_plant(plant, np.full(3000, 4.0))[1]
+    parameters = cart(damping=5.0)
+    parameters[[index("inductance"), index("resistance"), index("ke")]] = 0.01, 2.0, 0.0
+    v = simulated(parameters, np.full(3000, 4.0))[1]
     # Constant force after L/R = 5 ms: the speed lags by that time.
     assert v[-1, 0] == pytest.approx(4.0 / 2.0 / 5.0, rel=1e-6)
-    plant[[index("heat_coefficient"), index("heat_resistance"), index("heat_time")]] = 0.004, 10.0, 0.3
-    v = run_plant(plant, np.full(3000, 4.0))[1]
+    parameters[[index("heat_coefficient"), index("heat_resistance"), index("heat_time")]] = 0.004, 10.0, 0.3
+    v = simulated(parameters, np.full(3000, 4.0))[1]
     warm = 2.0 * (1 + 0.004 * 10.0 * 4.0**2 / (2.0 * 1.24))
     rise = 1.0
     for _ in range(100):  # the fixed point of R = R0 (1 + a Rth u^2 / R)
         rise = 1 + 0.004 * 10.0 * 4.0**2 / (2.0 * rise)
     assert abs(warm - 2.0 * rise) < 0.2
     assert v[-1, 0] == pytest.approx(4.0 / (2.0 * rise) / 5.0, rel=1e-4)
-    plant = cart(damping=5.0)
-    plant[index("dead")], plant[index("vlimit")] = 0.5, 2.0
-    v = run_plant(plant, np.full(3000, 9.0))[1]
+    parameters = cart(damping=5.0)
+    parameters[index("dead")], parameters[index("vlimit")] = 0.5, 2.0
+    v = simulated(parameters, np.full(3000, 9.0))[1]
     assert v[-1, 0] == pytest.approx(2.0 / 5.0)
-    plant[index("vlimit")] = 0.0
-    assert run_plant(plant, np.full(300, 0.49))[0][-1, 0] == 0.0
+    parameters[index("vlimit")] = 0.0
+    assert simulated(parameters, np.full(300, 0.49))[0][-1, 0] == 0.0
 
 
 def test_backlash_lets_the_rotor_run_and_compliance_rings_at_its_frequency():
-    plant = cart()
-    plant[[index("m0"), index("rotor"), index("stiffness"), index("gap")]] = 1.5, 0.5, 2e5, 0.01
-    q = run_plant(plant, np.ones(200))[0]
+    parameters = cart()
+    parameters[[index("m0"), index("rotor"), index("stiffness"), index("gap")]] = 1.5, 0.5, 2e5, 0.01
+    q = simulated(parameters, np.ones(200))[0]
     # The rotor crosses half the gap, 5 mm at 2 m/s^2, before anything moves.
     assert np.flatnonzero(np.abs(q[:, 0]) > 1e-9)[0] * 0.002 == pytest.approx(math.sqrt(2 * 0.005 / 2.0), abs=0.003)
-    plant[[index("gap"), index("stiffness")]] = 0.0, 400.0
-    v = run_plant(plant, np.ones(5000))[1][:, 0]
+    parameters[[index("gap"), index("stiffness")]] = 0.0, 400.0
+    v = simulated(parameters, np.ones(5000))[1][:, 0]
     ringing = v - 0.5 * np.arange(5000) * 0.002
     crossings = np.count_nonzero(np.diff(np.sign(ringing - ringing.mean()))) / 2 / 10.0
     reduced = 1.5 * 0.5 / 2.0
@@ -259,8 +259,8 @@ def test_the_nominal_model_is_the_same_in_mujoco(name):
     count = 1000
     command = rigs.excitation(rig, "chirp", rng)[:count]
     start = np.asarray(rig.start)
-    q = run_plant(rig.plant, command if name != "upright" else 0 * command, joints=rig.count, start=start)[0]
-    model = mujoco.MjModel.from_xml_string(rigs.nominal_xml(rig, rig.plant))
+    q = simulated(rig.parameters, command if name != "upright" else 0 * command, joints=rig.count, start=start)[0]
+    model = mujoco.MjModel.from_xml_string(rigs.nominal_xml(rig, rig.parameters))
     assert model.nu == 1
     assert model.nsensor == rig.count
     model.opt.timestep, model.opt.integrator = 1e-4, mujoco.mjtIntegrator.mjINT_RK4
@@ -286,9 +286,9 @@ def test_every_effect_shows_at_its_largest_and_keeps_the_balance_of_units(name):
     rng = np.random.default_rng(2)
     rig = rigs.RIGS[name](rng)
     drive = rigs.excitation(rig, "chirp", rng)
-    clean = prediction.record(rig, rig.plant, drive, prediction.ONES, np.random.default_rng(0), step=2.5e-4)
-    seen = prediction.Windows(rig, clean, rig.plant)
-    assert prediction.rms(seen.residual(prediction.predict(rig, rig.plant, clean), clean.reading)) < 1e-2
+    clean = prediction.record(rig, rig.parameters, drive, prediction.ONES, np.random.default_rng(0), step=2.5e-4)
+    seen = prediction.Windows(rig, clean, rig.parameters)
+    assert prediction.rms(seen.residual(prediction.predict(rig, rig.parameters, clean), clean.reading)) < 1e-2
     for effect in [*catalogue.effects(rig), *catalogue.unknowns(rig)]:
         if not effect.parameters:
             continue
@@ -296,8 +296,8 @@ def test_every_effect_shows_at_its_largest_and_keeps_the_balance_of_units(name):
         largest = np.array([n.low if low or n.name == "frequency" else n.high for n in effect.parameters])
         if effect.name == "transmission.compliance":
             largest = np.array([n.low for n in effect.parameters])
-        plant = effect.apply(rig.plant, largest)
-        changed = seen.residual(prediction.predict(rig, plant, clean), clean.reading)
+        parameters = effect.apply(rig.parameters, largest)
+        changed = seen.residual(prediction.predict(rig, parameters, clean), clean.reading)
         blind = effect.name == "sensor.gain" and rig.count == 1 and name == "cart"
         assert blind or prediction.rms(changed) > 1.0, (effect.name, effect.at, effect.kind)
 
@@ -595,7 +595,7 @@ def test_true_values_stand_under_the_names_that_are_printed(effect, numbers, pri
     assert (judged.inside, judged.printed) == (len(printed), len(printed))
 
 
-def test_false_alarms_wrong_numbers_and_the_unknown():
+def test_false_alarms_wrong_parameters_and_the_unknown():
     null = sealed("null", [])
     assert grade.grade(null, said(verdict="consistent"), FINE).alarm is False
     assert grade.grade(null, said(verdict="cannot tell"), FINE).alarm is False

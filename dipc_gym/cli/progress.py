@@ -20,9 +20,8 @@ class Progress:
     """Prints what a diagnosis tells, and, on a terminal, keeps a line alive that says how long it has to go.
 
     The estimate is a range, for nobody knows how many effects there are to find. Into a log goes one line for each
-    stage, and no line twice. Where
-    nothing can be written any more (a log on a full disk, a pipe whose reader has gone), it is silent: what is found
-    matters more.
+    stage, and no line twice. Where nothing can be written any more (a log on a full disk, a pipe whose reader has
+    gone), it is silent: what is found matters more.
 
     Args:
         out: where to.

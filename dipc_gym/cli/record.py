@@ -41,7 +41,7 @@ class Record:
     model: str | None = None
     """MJCF file of the rig"""
     seed: int = 0
-    """of starting state and noise"""
+    """of initial state and noise"""
     overwrite: bool = False
     """replace the file if it exists"""
 
@@ -103,7 +103,7 @@ class Render:
     model: str | None = None
     """MJCF file of the rig"""
     seed: int = 0
-    """of starting state and noise"""
+    """of initial state and noise"""
     overwrite: bool = False
     """replace the file if it exists"""
 

@@ -182,10 +182,10 @@ def _solver(motion: Motion, length: float, pieces: int) -> tuple[Any, Any]:
         "f": length * (EFFORT * ca.sumsqr(U) + CENTRE * ca.sumsqr(X[0, :])),
         "g": ca.vertcat(ca.vec(gaps), *(ca.vec(each) for each in forces)),
     }
-    quiet: dict[str, Any] = {
+    options: dict[str, Any] = {
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
         "print_time": False,
         "ipopt.max_iter": ITERATIONS,
     }
-    return ca.nlpsol("plan", "ipopt", problem, quiet), step
+    return ca.nlpsol("plan", "ipopt", problem, options), step

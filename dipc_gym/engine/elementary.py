@@ -53,8 +53,8 @@ def exp(x: Number) -> Number:
     """Exponential of numbers from `LEAST` to `MOST`, whose powers of e a number holds."""
     code = x.code
     shifted, whole = _rounded(x * (1 / math.log(2)))
-    rest = x - whole * _LN2[0] - whole * _LN2[1]
-    series = _horner(rest, [1 / math.factorial(k) for k in range(14)])
+    remainder = x - whole * _LN2[0] - whole * _LN2[1]
+    series = _horner(remainder, [1 / math.factorial(k) for k in range(14)])
     power = code.at.shl(_bits(shifted), _constant(code, _EXPONENT))
     one = code.at.bitcast(code.constant(1.0), _whole(code))
     return x.beside(code.at.bitcast(code.at.add(power, one), code.real)) * series
@@ -64,11 +64,11 @@ def sin_cos(x: Number) -> tuple[Number, Number]:
     """Sine and cosine, of angles up to a million."""
     code, at = x.code, x.code.at
     shifted, whole = _rounded(x * (2 / math.pi))
-    rest = x
+    remainder = x
     for part in _QUARTER:
-        rest = rest - whole * part
-    square = rest * rest
-    s = rest * _horner(square, [(-1) ** k / math.factorial(2 * k + 1) for k in range(9)])
+        remainder = remainder - whole * part
+    square = remainder * remainder
+    s = remainder * _horner(square, [(-1) ** k / math.factorial(2 * k + 1) for k in range(9)])
     c = _horner(square, [(-1) ** k / math.factorial(2 * k) for k in range(9)])
     quarters = _bits(shifted)
     one, two = _constant(code, 1), _constant(code, 2)

@@ -126,7 +126,7 @@ class Balancing:
         trained: the compensator itself, as a dictionary.
         plant: the rig.
         model: its MJCF file; None is the package's.
-        seed: of starting state and noise.
+        seed: of initial state and noise.
         seconds: length of the run, s.
         exact_state: balance with the exact state instead of encoder readings.
         files: what `fingerprints` says of the files that the above names.

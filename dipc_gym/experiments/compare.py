@@ -1,6 +1,6 @@
 """The paper's experiment, over many rigs: identify friction, train compensators, balance, and compare.
 
-A seed stands for a rig of the same build: its friction, its encoder noise and its starting state are drawn from
+A seed stands for a rig of the same build: its friction, its encoder noise and its initial state are drawn from
 `Spread`. Each rig is identified, its compensators are trained on that run, and every controller then balances it with
 every compensator.
 """
@@ -71,7 +71,7 @@ class Spread:
         noise: the standard deviation of encoder noise is drawn uniformly between 0 and this, counts; a quarter of a
             count is what the phase error of an incremental encoder comes to.
 
-    The starting state is the environment's: uniform within 0.02 m and 0.02 rad of upright.
+    The initial state is the environment's: uniform within 0.02 m and 0.02 rad of upright.
     """
 
     friction: float = 0.2

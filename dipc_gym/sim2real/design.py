@@ -166,8 +166,8 @@ def propose(
     warms = any(term.effect.id == "motor.thermal" for structure, _ in structures for term in structure.terms)
     count = round((DESIGN.warming if warms else DESIGN.duration) / period)
     time = np.round(np.arange(count) * period, 9)
-    rest, low, high = _visited(motions)
-    rig = _Rig(likeliest, problem, recordings[0], time, rest, low, high)
+    usual, low, high = _visited(motions)
+    rig = _Rig(likeliest, problem, recordings[0], time, usual, low, high)
     if not rig.stays(np.zeros((1, len(time), len(recordings[0].actuator_names))))[0]:
         return _beside_a_controller(structures, recordings, time, seed)
     found = [
@@ -179,7 +179,7 @@ def propose(
     moved = np.ptp(rig.positions(rig.commands(best)[None])[0], axis=0)
     units = [_length(likeliest[0], name) for name in likeliest[0].base]
     reach = [f"{name} over {way:.3g} {u}" for name, way, u in zip(likeliest[0].base, moved, units, strict=True)]
-    begin = [f"{name} at {at:.3g} {u}" for name, at, u in zip(likeliest[0].base, rest, units, strict=True)]
+    begin = [f"{name} at {at:.3g} {u}" for name, at, u in zip(likeliest[0].base, usual, units, strict=True)]
     return Design(
         f"{_question(structures)} send {recordings[0].actuator_names[best.actuator]} {best.words}, of up to "
         f"{best.size:.3g}{_unit(likeliest[0], recordings[0], best.actuator)}, for {time[-1] + period:.0f} s, from rest "
@@ -218,17 +218,17 @@ class _Rig:
         problem: Problem,
         like: Recording,
         time: Array,
-        rest: Array,
+        usual: Array,
         low: Array,
         high: Array,
     ) -> None:
-        self.structure, self.problem, self.like, self.time, self.rest = likeliest[0], problem, like, time, rest
+        self.structure, self.problem, self.like, self.time, self.usual = likeliest[0], problem, like, time, usual
         self.physics = self.structure.physics(likeliest[1])
         self.low, self.high = low, high
 
     def instead(self, other: tuple[Structure, Array]) -> _Rig:
         """Another structure in its place."""
-        return _Rig(other, self.problem, self.like, self.time, self.rest, self.low, self.high)
+        return _Rig(other, self.problem, self.like, self.time, self.usual, self.low, self.high)
 
     def commands(self, candidate: _Candidate) -> Array:
         """All actuators' commands (m, nu) of a candidate."""
@@ -237,9 +237,9 @@ class _Rig:
         return out
 
     def readings(self, commands: Array) -> Array:
-        """What the sensors would read (k, m, ns) under commands (k, m, nu), from rest."""
-        nb, m = len(self.rest), len(self.time)
-        still = Motion(self.time, np.tile(self.rest, (m, 1)), np.zeros((m, nb)), np.zeros((m, nb)))
+        """What the sensors would read (k, m, ns) under commands (k, m, nu), from rest at the usual positions."""
+        nb, m = len(self.usual), len(self.time)
+        still = Motion(self.time, np.tile(self.usual, (m, 1)), np.zeros((m, nb)), np.zeros((m, nb)))
         runs = tuple(_recording(self.like, self.time, c) for c in commands)
         k = len(runs)
         windows = Windows(
@@ -252,11 +252,11 @@ class _Rig:
             self.problem.windows.noise,
             (still,) * k,
         )
-        start = np.tile(np.concatenate([self.rest, np.zeros(nb)]), (1, k, 1))
+        initial = np.tile(np.concatenate([self.usual, np.zeros(nb)]), (1, k, 1))
         finest = min(self.structure.finest, self.structure.own_finest, self.problem.stepping.timestep)
         stepping = replace(self.problem.stepping, timestep=finest)
         return simulate(
-            [self.physics], windows, start, stepping, base=self.structure.base, threads=self.problem.threads
+            [self.physics], windows, initial, stepping, base=self.structure.base, threads=self.problem.threads
         )[0]
 
     def positions(self, commands: Array) -> Array:

@@ -63,7 +63,8 @@ def diagnose(
 
     Raises:
         mjcf.MjcfError: the model cannot be treated.
-        RecordingError: the recordings hold no window, or what is held out is fitted as well.
+        RecordingError: the recordings hold no window, what is held out is fitted as well, or angles look like degrees
+            and no unit was told.
         ValueError: a wish names no parameter of the model, or a design is asked for and there is no actuator.
 
     Example:
@@ -77,13 +78,13 @@ def diagnose(
     given, withheld = gather(source, recordings, held_out, wishes or Wishes())
     if design and not given.recordings[0].actuator_names:
         raise ValueError("the rig has no actuator that could be commanded")
-    for note in given.notes:  # whoever gave degrees for radians would rather know at once
+    for note in given.notes:  # minutes before the end: whoever made a mistake would rather know at once
         tell(f"note: {note}")
     provenance = _provenance(given, withheld, seed)
     late = Guarded(Stop(tell))
     try:
         case = part(given, threads=threads)
-        test = withheld.windows(case)
+        test = withheld.test(case)
         tell(f"{len(case.prepared.problem.windows)} windows of {case.prepared.length:g} s")
         base = baseline(case)
         _check_conventions(case, base, tell)

@@ -26,7 +26,7 @@ def evaluate(
     Args:
         policy: what commands.
         rig: what is balanced.
-        runs: how many, with starting states of their own.
+        runs: how many, with initial states of their own.
         seconds: length of a run, s.
         first_seed: of the first run, the others counting up.
 

@@ -32,7 +32,7 @@ class Training:
             observation. Where the recipe has `exact_state`, it learns without.
         plan: of a swing-up: `tvlqr`, the motion that comes along, from hanging to upright, or a file that `dipc-gym
             plan` wrote. Episodes begin along it.
-        seed: of weights, exploration, starting states and identification.
+        seed: of weights, exploration, initial states and identification.
         limit: largest force that the policy may command, N; for voltage, what exerts it on the blocked cart.
         plant: file of the rig's plant; None is the default rig. Numbers may be distributions.
         model: MJCF file of the rig; None is the package's.

@@ -104,7 +104,7 @@ def _drive(rig: Rig) -> list[Effect]:
         Parameter("excess", n, index("excess", 0), 0.01 * force, 0.4 * force),
         Parameter("stribeck_speed", f"{m}/s", index("stribeck_speed", 0), 0.02 * speed, 0.15 * speed),
     )
-    own = rig.plant[index("m0")]
+    own = rig.parameters[index("m0")]
     # Bristles deflect by a few thousandths of the range before they slip.
     bristle = 0.15 * force / (0.003 * span)
     part = ("friction.coulomb",)
@@ -160,13 +160,13 @@ def _mass(rig: Rig) -> Effect:
     """More or less mass on the driven body."""
     at = rig.joints[0]
     if rig.name == "pendulum":
-        com = rig.plant[index("com1")]
-        m1 = rig.plant[index("m1")]
+        com = rig.parameters[index("com1")]
+        m1 = rig.parameters[index("m1")]
         extra = Parameter(
             "mass", "kg", index("m0"), 0.003 * m1, 0.4 * m1, factor=com**2, also=((index("mgl"), 9.81 * com),)
         )
         return Effect("inertia.mass", at, (extra,))
-    own = rig.plant[index("m0")]
+    own = rig.parameters[index("m0")]
     return Effect(
         "inertia.mass", at, (Parameter("mass", "kg" if rig.linear else "kg m^2", index("m0"), 0.003 * own, 0.4 * own),)
     )
@@ -174,11 +174,11 @@ def _mass(rig: Rig) -> Effect:
 
 def _motor(rig: Rig) -> list[Effect]:
     """Effects at the motor."""
-    plant, at = rig.plant, rig.joints[0]
+    parameters, at = rig.parameters, rig.joints[0]
     n, m = _units(rig, 0)
     force, speed, span = rig.force[0], rig.speed[0], rig.span[0]
     volt = "V" if rig.voltage_driven else "N m"
-    own, rotor = plant[index("m0")], rig.rotor
+    own, rotor = parameters[index("m0")], rig.rotor
     shared = rotor * (own - rotor) / own
     shaft = (index("rotor"), rotor), (index("m0"), -rotor)
     contact = rotor * 700.0**2
@@ -222,10 +222,10 @@ def _motor(rig: Rig) -> list[Effect]:
         ),
     ]
     if not rig.voltage_driven:
-        gain = plant[index("kt")]
+        gain = parameters[index("kt")]
         back = Parameter("back_emf", "N m s/rad", index("ke"), 0.001 * force / speed / gain, 0.3 * force / speed / gain)
         return [*found, Effect("motor.back_emf", "motor", (back,), also_at=(at,))]
-    resistance, ke, kt = plant[index("resistance")], plant[index("ke")], plant[index("kt")]
+    resistance, ke, kt = parameters[index("resistance")], parameters[index("ke")], parameters[index("kt")]
     stall = rig.command * kt / resistance
     cogging = (
         Parameter("amplitude", n, index("cog_size"), 0.001 * force, 0.25 * force),

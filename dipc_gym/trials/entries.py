@@ -32,7 +32,7 @@ SIZE = JOINT_BASE + MAX_JOINTS * JOINT_SIZE
 
 
 def index(name: str, joint: int | None = None) -> int:
-    """Place of a parameter in the plant vector.
+    """Place of a parameter in that vector.
 
     Args:
         name: one of `GLOBAL`, or one of `JOINT` together with `joint`.

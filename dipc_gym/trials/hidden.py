@@ -16,7 +16,7 @@ class Parameter:
     Attributes:
         name: its natural name, such as `level`.
         unit: its unit.
-        place: its place in the plant vector; `factor` times the parameter is added there.
+        place: its place in the vector of a rig's parameters; `factor` times the parameter is added there.
         low: smallest value, or smallest magnitude for `signed`.
         high: largest.
         kind: `log`, `signed` (log-uniform magnitude, either sign) or `uniform`.
@@ -49,7 +49,7 @@ class Effect:
         name: id, such as `friction.coulomb`, or `unknown`.
         at: joint, actuator, sensor or body name, or `world`.
         parameters: its parameters; the first one is its size.
-        fixed: plant entries that come with it, added: (place, value).
+        fixed: entries of that vector that come with it, added: (place, value).
         also_at: other places that name the same thing.
         includes: ids that are honest parts of it.
         kind: for `unknown`, which one.
@@ -65,9 +65,9 @@ class Effect:
     kind: str = ""
     alike: tuple[str, ...] = ()
 
-    def apply(self, plant: Array, values: Array) -> Array:
-        """The plant with this effect added."""
-        result = plant.copy()
+    def apply(self, parameters: Array, values: Array) -> Array:
+        """Parameters with this effect added."""
+        result = parameters.copy()
         for place, value in self.fixed:
             result[place] += value
         for parameter, value in zip(self.parameters, values, strict=True):
@@ -84,9 +84,9 @@ class Hidden:
     effect: Effect
     values: tuple[float, ...]
 
-    def apply(self, plant: Array) -> Array:
-        """The plant with this effect added."""
-        return self.effect.apply(plant, np.asarray(self.values))
+    def apply(self, parameters: Array) -> Array:
+        """Parameters with this effect added."""
+        return self.effect.apply(parameters, np.asarray(self.values))
 
     def parameters(self) -> dict[str, dict[str, float | str]]:
         """Natural parameters with units; a static level is also given as such."""
@@ -94,7 +94,7 @@ class Hidden:
             parameter.name: {"value": value, "unit": parameter.unit}
             for parameter, value in zip(self.effect.parameters, self.values, strict=True)
         }
-        if self.effect.alike:  # a shape, which no two people describe by the same numbers
+        if self.effect.alike:  # a shape, which no two people describe by the same parameters
             return {}
         if self.effect.name == "friction.stribeck":
             level, excess = self.values[0], self.values[1]

@@ -7,7 +7,7 @@ Between events the state is advanced by a fourth-order Runge-Kutta step. Dry fri
 (cf. Karnopp, "Computer simulation of stick-slip friction in mechanical dynamic systems", 1985, but without his
 velocity band): a joint slides in one direction or is held exactly; the instant at which a sliding velocity
 crosses zero is found, the joint is then held, and it breaks away when the force that holds it exceeds the
-static level. A plant is one flat vector of parameters, see `dipc_gym.trials.entries`.
+static level. Parameters are one flat vector, see `dipc_gym.trials.entries`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from dipc_gym.trials.compiler import numba
 from dipc_gym.trials.entries import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_JOINTS
 
-# Places in the plant vector, and within a joint's part of it.
+# Places in the vector of parameters, and within a joint's part of it.
 (
     M0, M1, M2, COM1, COM2, INERTIA1, INERTIA2, LENGTH1, GRAVITY, TILT, MGL,
     KT, KE, RESISTANCE, INDUCTANCE, DEAD, VLIMIT, FLIMIT, COG_SIZE, COG_WAVE, COG_PHASE,
@@ -369,7 +369,7 @@ def simulate(p, n, dt, step, drive, amplifier_gain, feedback, quantum, noise, st
     """Run a rig, or its windows, over a whole recording.
 
     Args:
-        p: plant vector, see `dipc_gym.trials.entries`.
+        p: parameters, see `dipc_gym.trials.entries`.
         n: number of joints, 1 or 3.
         dt: sample time, s. Commands are held for one sample.
         step: largest integration step, s.
@@ -398,9 +398,9 @@ def simulate(p, n, dt, step, drive, amplifier_gain, feedback, quantum, noise, st
     mode, rested = np.zeros(n, dtype=np.int64), np.zeros(n)
     filtered, rate = np.zeros(n), np.zeros(n)
     late = int(p[DELAY] / dt + 1e-9)
-    rest = p[DELAY] - late * dt
-    if rest < 1e-12:
-        rest = 0.0
+    remainder = p[DELAY] - late * dt
+    if remainder < 1e-12:
+        remainder = 0.0
     for k in range(count):
         time = k * dt
         if k == 0 or (every > 0 and k % every == 0):
@@ -468,9 +468,9 @@ def simulate(p, n, dt, step, drive, amplifier_gain, feedback, quantum, noise, st
         command[k] = u
         before = command[k - late - 1] if k - late - 1 >= 0 else 0.0
         now = command[k - late] if k - late >= 0 else 0.0
-        if rest > 0.0:
+        if remainder > 0.0:
             held = amplifier(p, before, amplifier_gain[k])
-            time = _advance(time, rest, step, s, held, p, n, mode, rested, work, mass)
+            time = _advance(time, remainder, step, s, held, p, n, mode, rested, work, mass)
         held = amplifier(p, now, amplifier_gain[k])
-        _advance(time, dt - rest, step, s, held, p, n, mode, rested, work, mass)
+        _advance(time, dt - remainder, step, s, held, p, n, mode, rested, work, mass)
     return q_log, v_log, y_log, slope_log, measured, command

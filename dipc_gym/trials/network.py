@@ -66,12 +66,12 @@ def unexplained(model: mujoco.MjModel, motion: Motion) -> Array:
     speed = np.concatenate([np.zeros((1, model.nv)), np.cumsum(modelled, axis=0)[:-1]]) * motion.step
     way = np.cumsum(speed + 0.5 * motion.step * modelled, axis=0)
     way = np.concatenate([np.zeros((1, model.nv)), way[:-1]]) * motion.step
-    rest = motion.a - savgol_filter(way, SMOOTH, 3, deriv=2, delta=motion.step, axis=0)
-    out = np.empty_like(rest)
+    missed = motion.a - savgol_filter(way, SMOOTH, 3, deriv=2, delta=motion.step, axis=0)
+    out = np.empty_like(missed)
     for k in range(len(out)):
         data.qpos[:] = motion.q[k]
         mujoco.mj_forward(model, data)
-        mujoco.mj_mulM(model, data, out[k], rest[k])
+        mujoco.mj_mulM(model, data, out[k], missed[k])
     return out
 
 

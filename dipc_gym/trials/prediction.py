@@ -27,7 +27,7 @@ class Recording:
     """One recording with what no encoder shows.
 
     Attributes:
-        plant: the parameters it was made with.
+        parameters: those it was made with.
         command: shape (samples,).
         gain: factor on the command, shape (samples,).
         q: joint positions, shape (samples, joints).
@@ -37,7 +37,7 @@ class Recording:
         measured: what is written.
     """
 
-    plant: Array
+    parameters: Array
     command: Array
     gain: Array
     q: Array
@@ -47,30 +47,30 @@ class Recording:
     measured: Array
 
 
-def step_size(rig: Rig, plant: Array, largest: float) -> float:
-    """Integration step that a plant's fastest mode and its jumps in time allow, s."""
+def step_size(rig: Rig, parameters: Array, largest: float) -> float:
+    """Integration step that the fastest mode and the jumps in time allow, s."""
     step = largest
-    if plant[index("inductance")] > 0:
-        step = min(step, 2 * plant[index("inductance")] / plant[index("resistance")])
-    bristle, level = plant[index("bristle", 0)], plant[index("coulomb", 0)]
+    if parameters[index("inductance")] > 0:
+        step = min(step, 2 * parameters[index("inductance")] / parameters[index("resistance")])
+    bristle, level = parameters[index("bristle", 0)], parameters[index("coulomb", 0)]
     if bristle > 0:
         step = min(step, max(0.5 * level / (bristle * 4 * rig.speed[0]), 1e-5))
-    stiffness, rotor, driven = plant[[index("stiffness"), index("rotor"), index("m0")]]
+    stiffness, rotor, driven = parameters[[index("stiffness"), index("rotor"), index("m0")]]
     if stiffness > 0:
         step = min(step, 0.4 * np.sqrt(rotor * driven / (rotor + driven) / stiffness))
-    if any(plant[index("pulse_size", joint)] for joint in range(rig.count)):
+    if any(parameters[index("pulse_size", joint)] for joint in range(rig.count)):
         step = min(step, 5e-4)
     return float(step)
 
 
 def record(
-    rig: Rig, plant: Array, drive: Array, gain: Array, rng: np.random.Generator, step: float = FINE
+    rig: Rig, parameters: Array, drive: Array, gain: Array, rng: np.random.Generator, step: float = FINE
 ) -> Recording:
     """Run the rig and keep everything.
 
     Args:
         rig: the rig.
-        plant: its true parameters.
+        parameters: the true ones.
         drive: excitation, shape (SAMPLES,).
         gain: factor on the command, shape (SAMPLES,).
         rng: source of the sensor noise.
@@ -80,19 +80,19 @@ def record(
     noise = rig.white * rng.standard_normal(shape)
     start = np.tile(np.asarray(rig.start, dtype=float), (SAMPLES, 1))
     q, v, reading, slope, measured, command = integrator.simulate(
-        plant, rig.count, SAMPLE_TIME, step_size(rig, plant, step), drive, gain, rig.feedback, rig.quantum, noise,
-        start, np.zeros(shape), start, 0,
+        parameters, rig.count, SAMPLE_TIME, step_size(rig, parameters, step), drive, gain, rig.feedback, rig.quantum,
+        noise, start, np.zeros(shape), start, 0,
     )  # fmt: skip
-    return Recording(plant, command, gain, q, v, reading, slope, measured)
+    return Recording(parameters, command, gain, q, v, reading, slope, measured)
 
 
-def _starts(rig: Rig, plant: Array, recording: Recording) -> tuple[Array, Array]:
-    """Joint states that a plant's sensors say were there, from noise-free readings."""
+def _starts(rig: Rig, parameters: Array, recording: Recording) -> tuple[Array, Array]:
+    """Joint states that a rig of these parameters would read so, from noise-free readings."""
     time = np.arange(SAMPLES) * SAMPLE_TIME
     q, v = np.empty_like(recording.q), np.empty_like(recording.v)
     for joint in range(rig.count):
         y, slope = recording.reading[:, joint], recording.slope[:, joint]
-        lag, filtered = plant[index("lag", joint)], plant[index("filter", joint)]
+        lag, filtered = parameters[index("lag", joint)], parameters[index("filter", joint)]
         if lag > 0:
             from scipy.interpolate import CubicHermiteSpline
 
@@ -101,33 +101,33 @@ def _starts(rig: Rig, plant: Array, recording: Recording) -> tuple[Array, Array]
             y, slope = spline(later), spline(later, 1)
         if filtered > 0:
             y, slope = y + filtered * slope, slope + filtered * np.gradient(slope, SAMPLE_TIME)
-        scale = 1 + plant[index("gain", joint)]
-        q[:, joint] = (y - plant[index("bias", joint)]) / scale
+        scale = 1 + parameters[index("gain", joint)]
+        q[:, joint] = (y - parameters[index("bias", joint)]) / scale
         v[:, joint] = slope / scale
     return q, v
 
 
 def predict(
-    rig: Rig, plant: Array, recording: Recording, *, gain: Array = ONES, true_start: bool = False,
+    rig: Rig, parameters: Array, recording: Recording, *, gain: Array = ONES, true_start: bool = False,
     shift: tuple[Array, Array] | None = None,
 ) -> Array:  # fmt: skip
-    """Readings that a plant predicts window by window, shape (samples, joints).
+    """Readings as predicted window by window, shape (samples, joints).
 
     Args:
         rig: the rig.
-        plant: the parameters that predict.
+        parameters: those that predict.
         recording: where the windows start, and the command.
         gain: factor on the command.
-        true_start: start from the true states instead of what this plant's sensors say.
+        true_start: start from the true states instead of what the readings say.
         shift: added to the start positions and velocities.
     """
-    q, v = (recording.q, recording.v) if true_start else _starts(rig, plant, recording)
+    q, v = (recording.q, recording.v) if true_start else _starts(rig, parameters, recording)
     if shift is not None:
         q, v = q + shift[0], v + shift[1]
-    start_y = recording.reading / (1 + plant[[index("gain", j) for j in range(rig.count)]])
+    start_y = recording.reading / (1 + parameters[[index("gain", j) for j in range(rig.count)]])
     return np.asarray(
         integrator.simulate(
-            plant, rig.count, SAMPLE_TIME, step_size(rig, plant, COARSE), recording.command, gain,
+            parameters, rig.count, SAMPLE_TIME, step_size(rig, parameters, COARSE), recording.command, gain,
             integrator.NO_FEEDBACK, rig.quantum, np.zeros_like(q), q, v, start_y, WINDOW,
         )[2]
     )  # fmt: skip
@@ -139,12 +139,12 @@ class Windows:
     Args:
         rig: the rig.
         recording: the recording.
-        plant: the plant whose response to its start is projected out (its dry friction is left out).
+        parameters: of the rig whose response to its start is projected out (without its dry friction).
     """
 
-    def __init__(self, rig: Rig, recording: Recording, plant: Array) -> None:
+    def __init__(self, rig: Rig, recording: Recording, parameters: Array) -> None:
         self.rig, self.recording = rig, recording
-        smooth = plant.copy()
+        smooth = parameters.copy()
         for joint in range(rig.count):
             smooth[index("coulomb", joint)] = 0.0
         base = predict(rig, smooth, recording)
@@ -174,37 +174,37 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def standard_parameters(rig: Rig, plant: Array) -> list[Parameter]:
+def standard_parameters(rig: Rig, parameters: Array) -> list[Parameter]:
     """The model's parameters that anybody refits: damping, motor constant, driven mass, known dry friction."""
-    parameters = []
+    refitted = []
     for j, at in enumerate(rig.joints):
-        scale = max(plant[index("damping", j)], 0.01 * rig.force[j] / rig.speed[j])
-        parameters.append(Parameter(f"damping.{at}", "", index("damping", j), 0, 0, "change", scale))
-    kt, ke = plant[index("kt")], plant[index("ke")]
-    parameters.append(Parameter("motor_constant", "", index("kt"), 0, 0, "change", kt, ((index("ke"), ke),)))
+        scale = max(parameters[index("damping", j)], 0.01 * rig.force[j] / rig.speed[j])
+        refitted.append(Parameter(f"damping.{at}", "", index("damping", j), 0, 0, "change", scale))
+    kt, ke = parameters[index("kt")], parameters[index("ke")]
+    refitted.append(Parameter("motor_constant", "", index("kt"), 0, 0, "change", kt, ((index("ke"), ke),)))
     # A pendulum's mass stands in its inertia and in its weight.
-    weight = ((index("mgl"), plant[index("mgl")]),) if rig.name == "pendulum" else ()
-    parameters.append(Parameter("mass", "", index("m0"), 0, 0, "change", plant[index("m0")], weight))
+    weight = ((index("mgl"), parameters[index("mgl")]),) if rig.name == "pendulum" else ()
+    refitted.append(Parameter("mass", "", index("m0"), 0, 0, "change", parameters[index("m0")], weight))
     for j, at in enumerate(rig.joints):
-        level = plant[index("coulomb", j)]
+        level = parameters[index("coulomb", j)]
         if level > 0:
-            parameters.append(Parameter(f"coulomb.{at}", "", index("coulomb", j), 0, 0, "change", level))
-    return parameters
+            refitted.append(Parameter(f"coulomb.{at}", "", index("coulomb", j), 0, 0, "change", level))
+    return refitted
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A refitted plant.
+    """A refitted rig.
 
     Attributes:
-        plant: its parameters.
+        parameters: all of them.
         values: of the effect's parameters, none for a mere refit.
         error: windowed difference from the reference on the fitted recordings, noise units.
         end: where the solver stopped, for going on from there.
         converged: whether it stopped by itself.
     """
 
-    plant: Array
+    parameters: Array
     values: tuple[float, ...]
     error: float
     end: Array
@@ -212,7 +212,7 @@ class Fit:
 
 
 def fit(
-    windows: Sequence[Windows], references: Sequence[Array], plant: Array, effects: Sequence[Effect],
+    windows: Sequence[Windows], references: Sequence[Array], parameters: Array, effects: Sequence[Effect],
     start: Sequence[float], *, effort: int = 10, own: Sequence[Parameter] | None = None, onward: Fit | None = None,
 ) -> Fit:  # fmt: skip
     """Fit the standard parameters, and those of added effects, to readings.
@@ -223,8 +223,8 @@ def fit(
     Args:
         windows: one for each recording.
         references: readings to be predicted, one for each recording.
-        plant: start for the standard parameters.
-        effects: added to it.
+        parameters: of the rig; where the standard ones begin.
+        effects: added to them.
         start: values of the effects' parameters to start from.
         effort: largest number of Jacobians.
         own: parameters of the model to refit; all `standard_parameters` if None.
@@ -234,7 +234,7 @@ def fit(
 
     rig = windows[0].rig
     if own is None:
-        own = standard_parameters(rig, plant)
+        own = standard_parameters(rig, parameters)
     added = [parameter for effect in effects for parameter in effect.parameters]
     logarithmic = np.array([parameter.kind == "log" for parameter in added], dtype=bool)
     begin = np.asarray(start, dtype=float)
@@ -249,12 +249,12 @@ def fit(
     x0 = np.concatenate([np.zeros(len(own)), neutral]) if onward is None else onward.end
 
     def split(x: Array) -> tuple[Array, Array]:
-        result = plant.copy()
+        result = parameters.copy()
         for parameter, change in zip(own, x[: len(own)], strict=True):
             result[parameter.place] = max(result[parameter.place] + parameter.factor * change, 0.0)
             for place, factor in parameter.also:
                 result[place] = max(result[place] + factor * change, 0.0)
-        result[index("m0")] = max(result[index("m0")], 0.05 * plant[index("m0")])
+        result[index("m0")] = max(result[index("m0")], 0.05 * parameters[index("m0")])
         raw = x[len(own) :] * scale
         values = np.where(logarithmic, np.exp(np.clip(np.where(logarithmic, raw, 0.0), low, high)), raw)
         done = 0

@@ -80,15 +80,15 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
 
     def scaled(params, predicted, measured, model, return_pred_all, state=None):  # type: ignore[no-untyped-def]
         # A rollout's first reading is that before its first step, and the last command is not stepped.
-        rest = (measured.data[:-1] - predicted.data) / noise
-        return np.clip(np.nan_to_num(rest, nan=1e4), -1e4, 1e4), predicted, measured
+        residual = (measured.data[:-1] - predicted.data) / noise
+        return np.clip(np.nan_to_num(residual, nan=1e4), -1e4, 1e4), predicted, measured
 
     def residual(x: Array, params: ParameterDict):  # type: ignore[no-untyped-def]
-        rest, *more = model_residual(
+        residual, *more = model_residual(
             x, params, lambda p: apply_param_modifiers(p, spec), sequences, scaled, n_threads=1, resample_true=False
         )  # fmt: skip
         variants = x.shape[1] if x.ndim > 1 else 1
-        by_window = rest.T.reshape(variants, len(sequences), -1)
+        by_window = residual.T.reshape(variants, len(sequences), -1)
         flat = without_start(by_window, bases).reshape(variants, -1)
         return [flat.T if x.ndim > 1 else flat[0]], *more
 

@@ -124,9 +124,9 @@ def from_starts(
     return plain, np.linalg.qr(np.nan_to_num(changes, nan=0.0, posinf=0.0, neginf=0.0))[0]
 
 
-def without_start(rest: Array, basis: Array) -> Array:
+def without_start(residual: Array, basis: Array) -> Array:
     """Residuals (..., windows, values) without what a better start would remove."""
-    return np.asarray(rest - np.einsum("wij,...wj->...wi", basis, np.einsum("wij,...wi->...wj", basis, rest)))
+    return np.asarray(residual - np.einsum("wij,...wj->...wi", basis, np.einsum("wij,...wi->...wj", basis, residual)))
 
 
 def error(model: mujoco.MjModel, motion: Motion, noise: Array, force: Force | None = None) -> float:

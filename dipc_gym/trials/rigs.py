@@ -29,7 +29,7 @@ class Rig:
         name: `cart` (poles locked), `hanging`, `upright`, `motor_axis` or `pendulum`.
         joints: joint names; the first one is driven.
         linear: whether the driven joint is a slide.
-        plant: its parameters, see `dipc_gym.trials.integrator`.
+        parameters: as one flat vector, see `dipc_gym.trials.entries`.
         gear: motor turns per unit of the driven joint.
         voltage_driven: a DC motor; otherwise the command is a torque.
         rotor: inertia of the motor seen at the joint, of which the simulator knows (`armature`) if `knows_rotor`.
@@ -44,7 +44,7 @@ class Rig:
     name: str
     joints: tuple[str, ...]
     linear: bool
-    plant: Array
+    parameters: Array
     gear: float
     voltage_driven: bool
     rotor: float
@@ -80,23 +80,23 @@ class Rig:
         return np.sqrt(self.quantum**2 / 12 + self.white**2)
 
 
-def _plant(**numbers: float) -> Array:
-    plant = np.zeros(SIZE)
+def _parameters(**numbers: float) -> Array:
+    parameters = np.zeros(SIZE)
     for name, value in numbers.items():
-        plant[index(name)] = value
-    return plant
+        parameters[index(name)] = value
+    return parameters
 
 
 def cart(rng: np.random.Generator) -> Rig:
     """The paper's cart with its poles locked."""
     vary = _spread(rng, 4)
     constant = 0.06 * PULLEY * vary[0]
-    plant = _plant(m0=1.26 * vary[1], gravity=9.81, kt=constant, ke=constant, resistance=1.2 * vary[2])
-    plant[index("damping", 0)] = 21.4 * vary[3]
+    parameters = _parameters(m0=1.26 * vary[1], gravity=9.81, kt=constant, ke=constant, resistance=1.2 * vary[2])
+    parameters[index("damping", 0)] = 21.4 * vary[3]
     feedback = integrator.NO_FEEDBACK.copy()
     feedback[0] = 7.62
     return Rig(
-        "cart", ("cart",), True, plant, PULLEY, True, 0.3 * plant[0], False,
+        "cart", ("cart",), True, parameters, PULLEY, True, 0.3 * parameters[0], False,
         3.0, (12.0,), (0.3,), (0.15,), feedback, (0.0,),
     )  # fmt: skip
 
@@ -104,14 +104,14 @@ def cart(rng: np.random.Generator) -> Rig:
 def _double_pendulum(rng: np.random.Generator) -> tuple[Array, Array]:
     vary = _spread(rng, 6)
     constant = 0.06 * PULLEY * vary[0]
-    plant = _plant(
+    parameters = _parameters(
         m0=0.50041 * vary[1], m1=0.63443 * vary[2], m2=0.12516 * vary[3], com1=0.2, com2=0.28125,
         inertia1=0.0279472 * vary[2], inertia2=0.00329965 * vary[3], length1=0.4, gravity=9.81,
         kt=constant, ke=constant, resistance=1.2 * vary[4],
     )  # fmt: skip
     for joint, value in enumerate((21.4 * vary[5], 1e-4, 1e-4)):
-        plant[index("damping", joint)] = value
-    return plant, vary
+        parameters[index("damping", joint)] = value
+    return parameters, vary
 
 
 DOUBLE_PENDULUM_JOINTS = ("cart", "pole1", "pole2")
@@ -119,21 +119,21 @@ DOUBLE_PENDULUM_JOINTS = ("cart", "pole1", "pole2")
 
 def hanging(rng: np.random.Generator) -> Rig:
     """The whole rig with its poles hanging."""
-    plant, _ = _double_pendulum(rng)
+    parameters, _ = _double_pendulum(rng)
     feedback = integrator.NO_FEEDBACK.copy()
     feedback[0] = 7.62
     return Rig(
-        "hanging", DOUBLE_PENDULUM_JOINTS, True, plant, PULLEY, True, 0.3 * plant[0], False,
+        "hanging", DOUBLE_PENDULUM_JOINTS, True, parameters, PULLEY, True, 0.3 * parameters[0], False,
         1.5, (6.0, 0.03, 0.015), (0.15, 1.0, 2.0), (0.07, 0.25, 0.5), feedback, (0.0, np.pi, 0.0),
     )  # fmt: skip
 
 
 def upright(rng: np.random.Generator) -> Rig:
     """The whole rig balanced by a state feedback on what the encoders say; their noise reaches the command."""
-    plant, _ = _double_pendulum(rng)
+    parameters, _ = _double_pendulum(rng)
     return Rig(
-        "upright", DOUBLE_PENDULUM_JOINTS, True, plant, PULLEY, True, 0.3 * plant[0], False,
-        0.9, (3.5, 0.03, 0.015), (0.05, 0.05, 0.05), (0.02, 0.006, 0.004), balance(plant), (0.0, 0.01, -0.02),
+        "upright", DOUBLE_PENDULUM_JOINTS, True, parameters, PULLEY, True, 0.3 * parameters[0], False,
+        0.9, (3.5, 0.03, 0.015), (0.05, 0.05, 0.05), (0.02, 0.006, 0.004), balance(parameters), (0.0, 0.01, -0.02),
     )  # fmt: skip
 
 
@@ -141,10 +141,10 @@ def motor_axis(rng: np.random.Generator) -> Rig:
     """A DC motor that turns a disc."""
     vary = _spread(rng, 5)
     disc, rotor = 1.5e-4 * vary[0], 5e-5 * vary[1]
-    plant = _plant(m0=disc + rotor, kt=0.05 * vary[2], ke=0.05 * vary[2], resistance=2.0 * vary[3])
-    plant[index("damping", 0)] = 2e-4 * vary[4]
+    parameters = _parameters(m0=disc + rotor, kt=0.05 * vary[2], ke=0.05 * vary[2], resistance=2.0 * vary[3])
+    parameters[index("damping", 0)] = 2e-4 * vary[4]
     return Rig(
-        "motor_axis", ("axis",), False, plant, 1.0, True, rotor, True,
+        "motor_axis", ("axis",), False, parameters, 1.0, True, rotor, True,
         3.0, (0.05,), (40.0,), (6.0,), integrator.NO_FEEDBACK, (0.0,),
     )  # fmt: skip
 
@@ -153,16 +153,18 @@ def pendulum(rng: np.random.Generator) -> Rig:
     """One driven pendulum, by a torque motor or by a geared DC motor."""
     vary = _spread(rng, 5)
     mass, com = 0.3 * vary[0], 0.25
-    plant = _plant(m0=mass * com**2 + 0.002 * vary[1], m1=mass, com1=com, mgl=mass * 9.81 * com, resistance=1.0)
+    parameters = _parameters(
+        m0=mass * com**2 + 0.002 * vary[1], m1=mass, com1=com, mgl=mass * 9.81 * com, resistance=1.0
+    )
     geared = bool(rng.random() < 0.5)
     if geared:
         constant = 10 * 0.05 * vary[2]
-        plant[[index("kt"), index("ke"), index("resistance")]] = constant, constant, 1.5 * vary[3]
+        parameters[[index("kt"), index("ke"), index("resistance")]] = constant, constant, 1.5 * vary[3]
     else:
-        plant[index("kt")] = 1.0
-    plant[index("damping", 0)] = (0.02 if geared else 0.03) * vary[4]
+        parameters[index("kt")] = 1.0
+    parameters[index("damping", 0)] = (0.02 if geared else 0.03) * vary[4]
     return Rig(
-        "pendulum", ("pendulum",), False, plant, 10.0 if geared else 1.0, geared, 0.25 * plant[0], False,
+        "pendulum", ("pendulum",), False, parameters, 10.0 if geared else 1.0, geared, 0.25 * parameters[0], False,
         1.4 if geared else 0.25, (0.35,), (2.0,), (0.6,), integrator.NO_FEEDBACK, (0.0,),
     )  # fmt: skip
 
@@ -175,7 +177,7 @@ def _spread(rng: np.random.Generator, count: int) -> Array:
     return np.asarray(np.exp(0.12 * rng.standard_normal(count)))
 
 
-def balance(plant: Array) -> Array:
+def balance(parameters: Array) -> Array:
     """State feedback that balances the upright double pendulum (LQR on the equations linearised there).
 
     The slope of each reading is a filtered difference with a time constant of about 14 ms.
@@ -187,7 +189,7 @@ def balance(plant: Array) -> Array:
         full[:6] = state
         out, hold, rhs = np.zeros_like(full), np.zeros(3), np.zeros(3)
         free = np.full(3, integrator.FREE)
-        integrator.derivative(0.0, full, voltage, plant, 3, free, out, hold, np.zeros((3, 3)), rhs)
+        integrator.derivative(0.0, full, voltage, parameters, 3, free, out, hold, np.zeros((3, 3)), rhs)
         return out[:6].copy()
 
     step = 1e-5
@@ -232,13 +234,13 @@ def excitation(rig: Rig, kind: str, rng: np.random.Generator) -> Array:
     raise ValueError(f"unknown excitation {kind!r}")
 
 
-def motor_constant(rig: Rig, plant: Array) -> float:
+def motor_constant(rig: Rig, parameters: Array) -> float:
     """N m/A at the motor's own shaft."""
-    return float(plant[index("kt")] / rig.gear)
+    return float(parameters[index("kt")] / rig.gear)
 
 
-def nominal_xml(rig: Rig, plant: Array) -> str:
-    """The simulator that is given away: the rig's structure with the parameters of `plant`, as MJCF text."""
+def nominal_xml(rig: Rig, parameters: Array) -> str:
+    """The simulator that is given away: the rig's structure with these parameters, as MJCF text."""
     model = ElementTree.Element(
         "mujoco", model={"hanging": "dipc_rig", "upright": "dipc_rig"}.get(rig.name, f"{rig.name}_rig")
     )
@@ -250,20 +252,20 @@ def nominal_xml(rig: Rig, plant: Array) -> str:
 
     def body(parent: ElementTree.Element, joint: int, kind: str, axis: str, **inertial: str) -> ElementTree.Element:
         name = rig.joints[joint]
-        place = {"pos": f"0 0 {number(plant[index('length1')])}"} if joint == 2 else {}
+        place = {"pos": f"0 0 {number(parameters[index('length1')])}"} if joint == 2 else {}
         element = ElementTree.SubElement(parent, "body", place, name=name)
         ElementTree.SubElement(element, "inertial", inertial)
         dof = ElementTree.SubElement(
-            element, "joint", name=name, type=kind, axis=axis, damping=number(plant[index("damping", joint)])
+            element, "joint", name=name, type=kind, axis=axis, damping=number(parameters[index("damping", joint)])
         )
         if joint == 0 and rig.knows_rotor:
             dof.set("armature", number(rig.rotor))
-        if plant[index("coulomb", joint)] > 0:
-            dof.set("frictionloss", number(plant[index("coulomb", joint)]))
+        if parameters[index("coulomb", joint)] > 0:
+            dof.set("frictionloss", number(parameters[index("coulomb", joint)]))
             dof.set("solreffriction", "0.002 1")
         return element
 
-    m0 = plant[index("m0")]
+    m0 = parameters[index("m0")]
     if rig.name == "motor_axis":
         disc = m0 - rig.rotor
         body(
@@ -276,7 +278,7 @@ def nominal_xml(rig: Rig, plant: Array) -> str:
             diaginertia=f"{number(disc)} {number(disc)} {number(disc)}",
         )
     elif rig.name == "pendulum":
-        mass, com = plant[index("m1")], plant[index("com1")]
+        mass, com = parameters[index("m1")], parameters[index("com1")]
         own = m0 - mass * com**2
         body(
             world, 0, "hinge", "0 1 0", pos=f"0 0 {number(-com)}", mass=number(mass),
@@ -285,21 +287,23 @@ def nominal_xml(rig: Rig, plant: Array) -> str:
     else:
         parent = body(world, 0, "slide", "1 0 0", pos="0 0 0", mass=number(m0), diaginertia="1e-3 1e-3 1e-3")
         for joint in range(1, rig.count):
-            own = number(plant[index(f"inertia{joint}")])
+            own = number(parameters[index(f"inertia{joint}")])
             parent = body(
-                parent, joint, "hinge", "0 1 0", pos=f"0 0 {number(plant[index(f'com{joint}')])}",
-                mass=number(plant[index(f"m{joint}")]), diaginertia=f"{own} {own} 1e-4",
+                parent, joint, "hinge", "0 1 0", pos=f"0 0 {number(parameters[index(f'com{joint}')])}",
+                mass=number(parameters[index(f"m{joint}")]), diaginertia=f"{own} {own} 1e-4",
             )  # fmt: skip
     actuators = ElementTree.SubElement(model, "actuator")
     if rig.voltage_driven:
         motor = ElementTree.SubElement(
             actuators, "dcmotor", name="motor", joint=rig.joints[0], gear=number(rig.gear),
-            resistance=number(plant[index("resistance")]), motorconst=number(motor_constant(rig, plant)),
+            resistance=number(parameters[index("resistance")]), motorconst=number(motor_constant(rig, parameters)),
         )  # fmt: skip
         if rig.count == 3:
             motor.set("ctrlrange", "-24 24")
     else:
-        ElementTree.SubElement(actuators, "motor", name="motor", joint=rig.joints[0], gear=number(plant[index("kt")]))
+        ElementTree.SubElement(
+            actuators, "motor", name="motor", joint=rig.joints[0], gear=number(parameters[index("kt")])
+        )
     sensors = ElementTree.SubElement(model, "sensor")
     for name in rig.joints:
         ElementTree.SubElement(sensors, "jointpos", name=name, joint=name)
@@ -307,6 +311,6 @@ def nominal_xml(rig: Rig, plant: Array) -> str:
     return ElementTree.tostring(model, encoding="unicode") + "\n"
 
 
-def with_plant(rig: Rig, plant: Array) -> Rig:
+def with_parameters(rig: Rig, parameters: Array) -> Rig:
     """The same rig with other parameters."""
-    return replace(rig, plant=plant)
+    return replace(rig, parameters=parameters)

@@ -170,12 +170,12 @@ def markdown(rows: Sequence[Mapping[str, Any]], *, seed: int) -> str:
         ],
         "smaller effects": [r for r in rows if r["kind"] in ("single", "pair") and r["size"] < CLEAR],
         "unknown physics": [r for r in rows if r["kind"] == "unknown"],
-        "wrong numbers": [r for r in rows if r["kind"] == "wrong"],
+        "wrong parameters": [r for r in rows if r["kind"] == "wrong"],
     }
     titles = {"nominal": "model as given", **NAMES, "diagnose": "`dipc-gym diagnose`", "truth": "true structure"}
     says = {
         "nominal": "nothing",
-        "sysid": "its numbers; no structure",
+        "sysid": "its parameters; no structure",
         "network": "nothing",
         "diagnose": "what, where, how much",
         "truth": "",

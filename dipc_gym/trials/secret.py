@@ -73,12 +73,12 @@ class Secret:
         known = bool(rng.random() < 0.15) and plan.rig in ("cart", "motor_axis", "pendulum")
         known = known and plan.effect not in LEVELS and not plan.laws
         if known:
-            plant = rig.plant.copy()
-            plant[index("coulomb", 0)] = rig.force[0] * np.exp(rng.uniform(np.log(0.05), np.log(0.25)))
-            rig = rigs.with_plant(rig, plant)
+            parameters = rig.parameters.copy()
+            parameters[index("coulomb", 0)] = rig.force[0] * np.exp(rng.uniform(np.log(0.05), np.log(0.25)))
+            rig = rigs.with_parameters(rig, parameters)
         hidden = _choose(plan, rig, rng, known)
         once = any(h.effect.name == "disturbance.pulse" for h in hidden) and bool(rng.random() < 0.5)
-        true = rig.plant
+        true = rig.parameters
         for one in hidden:
             true = one.apply(true)
         recordings = []
@@ -89,11 +89,11 @@ class Secret:
         )
         for number, kind in enumerate(kinds):
             gain = _wander(rng) if any("wanders" in h.effect.kind for h in hidden) else ONES
-            plant = true.copy()
+            parameters = true.copy()
             if once and number != 0:
-                plant[[index("pulse_size", j) for j in range(rig.count)]] = 0.0
-            recordings.append(record(rig, plant, excitation(rig, str(kind), rng), gain, rng))
-        nominal = rig.plant
+                parameters[[index("pulse_size", j) for j in range(rig.count)]] = 0.0
+            recordings.append(record(rig, parameters, excitation(rig, str(kind), rng), gain, rng))
+        nominal = rig.parameters
         wrong: list[dict[str, float | str]] = []
         if plan.kind == "wrong":
             nominal, wrong = _perturb(rig, rng)
@@ -105,9 +105,11 @@ class Secret:
     def _tune(self) -> None:
         """Refit the simulator to the recordings, as its owner would, unless nothing would be left to find."""
         rig, train = self.rig, self.recordings[:2]
-        windows = [Windows(rig, r, rig.plant) for r in train]
-        own = [n for n in standard_parameters(rig, rig.plant) if n.name.split(".")[0] in ("damping", "motor_constant")]
-        nominal = fit(windows, [r.measured for r in train], rig.plant, [], [], effort=8, own=own).plant
+        windows = [Windows(rig, r, rig.parameters) for r in train]
+        own = [
+            n for n in standard_parameters(rig, rig.parameters) if n.name.split(".")[0] in ("damping", "motor_constant")
+        ]
+        nominal = fit(windows, [r.measured for r in train], rig.parameters, [], [], effort=8, own=own).parameters
         left = [w.residual(predict(rig, nominal, r), r.reading) for w, r in zip(windows, train, strict=True)]
         if rms(np.concatenate(left)) > FAINTEST:
             self.nominal, self.tuned = nominal, True
@@ -137,31 +139,31 @@ class Secret:
             return True
         moved = 0.0
         for recording in self.recordings[:2]:
-            windows = Windows(self.rig, recording, self.rig.plant)
+            windows = Windows(self.rig, recording, self.rig.parameters)
             # A tuned or a wrong simulator says nothing about the effect itself: compare with the rig's parameters.
-            base = self.nominal if self.wrong else self.rig.plant
+            base = self.nominal if self.wrong else self.rig.parameters
             moved = max(moved, rms(windows.residual(predict(self.rig, base, recording), recording.reading)))
         return moved > FAINTEST
 
     def answer(self, plan: Plan) -> dict[str, object]:
         """Everything the scorer needs."""
         rig, train, test = self.rig, self.recordings[:2], self.recordings[2]
-        windows = [Windows(rig, r, rig.plant) for r in self.recordings]
+        windows = [Windows(rig, r, rig.parameters) for r in self.recordings]
         references = [r.reading for r in train]
         refit = fit(windows[:2], references, self.nominal, [], [])
 
-        def moved(plant: Array, which: int) -> float:
+        def moved(parameters: Array, which: int) -> float:
             recording = self.recordings[which]
-            return rms(windows[which].residual(predict(rig, plant, recording), recording.reading))
+            return rms(windows[which].residual(predict(rig, parameters, recording), recording.reading))
 
-        def error(plant: Array, *, truth: bool = False) -> float:
+        def error(parameters: Array, *, truth: bool = False) -> float:
             gain = test.gain if truth else ONES
-            prediction = predict(rig, plant, test, gain=gain, true_start=truth)
+            prediction = predict(rig, parameters, test, gain=gain, true_start=truth)
             return rms(windows[2].residual(prediction, test.measured))
 
         # A knock that struck one training recording is to be found there; the held-out one has none.
         judged = 0 if self.once else 2
-        share = moved(refit.plant, judged)
+        share = moved(refit.parameters, judged)
         from_nominal = moved(self.nominal, judged)
         limit = SAME * min(1.0, from_nominal)
         shown = windows[: self.shown], references[: self.shown]
@@ -202,13 +204,13 @@ class Secret:
             "drive": {
                 "gear": rig.gear,
                 "rotor": rig.rotor,
-                **{name: float(rig.plant[index(name)]) for name in ("kt", "resistance")},
+                **{name: float(rig.parameters[index(name)]) for name in ("kt", "resistance")},
             },
             "held_out_predictable": not self.once and (plan.kind != "unknown" or plan.laws),
             "test_error": {
                 "nominal": error(self.nominal),
-                "recalibrated": error(refit.plant),
-                "truth": error(test.plant, truth=True),
+                "recalibrated": error(refit.parameters),
+                "truth": error(test.parameters, truth=True),
             },
             "noise": dict(zip(rig.joints, rig.noise.tolist(), strict=True)),
             "window": WINDOW * SAMPLE_TIME,
@@ -217,7 +219,7 @@ class Secret:
     def _signal(self, windows: Windows) -> float:
         """What the command does within a window, in noise units: recorded motion less the free motion of the rig."""
         recording = windows.recording
-        free = predict(self.rig, self.rig.plant, replace(recording, command=np.zeros(SAMPLES)))
+        free = predict(self.rig, self.rig.parameters, replace(recording, command=np.zeros(SAMPLES)))
         return rms(windows.residual(free, recording.reading))
 
     def _shares(self, windows: Sequence[Windows], references: Sequence[Array], judged: int) -> dict[str, float]:
@@ -226,18 +228,18 @@ class Secret:
         if len(self.hidden) < 2:
             return shares
         for out in self.hidden:
-            rest = [h for h in self.hidden if h is not out]
-            start = [value for h in rest for value in h.values]
+            others = [h for h in self.hidden if h is not out]
+            start = [value for h in others for value in h.values]
             found = fit(
                 windows[: self.shown],
                 references[: self.shown],
-                self.rig.plant,
-                [h.effect for h in rest],
+                self.rig.parameters,
+                [h.effect for h in others],
                 start,
                 effort=6,
             )
             recording = self.recordings[judged]
-            difference = windows[judged].residual(predict(self.rig, found.plant, recording), recording.reading)
+            difference = windows[judged].residual(predict(self.rig, found.parameters, recording), recording.reading)
             shares[f"{out.effect.name}@{out.effect.at}"] = rms(difference)
         return shares
 
@@ -246,7 +248,7 @@ class Secret:
     ) -> list[dict[str, str]]:  # fmt: skip
         """Other names that explain the noise-free training readings as well as the truth does."""
         others = [h for h in self.hidden if h is not hidden]
-        base = self.rig.plant
+        base = self.rig.parameters
         without = rms(
             np.concatenate(
                 [w.residual(predict(self.rig, base, w.recording), r) for w, r in zip(windows, references, strict=True)]
@@ -296,9 +298,9 @@ class Secret:
             for rivals in itertools.product(*(self._places_of(name, hidden) for name in names)):
                 start = [value for rival in rivals for value in _starts(rival, hidden)[0]]
                 together = [*(h.effect for h in others), *rivals]
-                trying = fit(windows, references, self.rig.plant, together, [*kept, *start], effort=4)
+                trying = fit(windows, references, self.rig.parameters, together, [*kept, *start], effort=4)
                 if limit < trying.error < 0.3 * recalibrated and not trying.converged:
-                    trying = fit(windows, references, self.rig.plant, together, [*kept, *start], onward=trying)
+                    trying = fit(windows, references, self.rig.parameters, together, [*kept, *start], onward=trying)
                 if trying.error <= limit:
                     found.append([{"effect": rival.name, "at": rival.at} for rival in rivals])
         return found
@@ -385,7 +387,7 @@ def _wander(rng: np.random.Generator) -> Array:
 
 def _perturb(rig: Rig, rng: np.random.Generator) -> tuple[Array, list[dict[str, float | str]]]:
     """A simulator with the right structure and one or two wrong parameters."""
-    nominal = rig.plant.copy()
+    nominal = rig.parameters.copy()
     at = rig.joints[0]
     places: dict[str, tuple[str, list[int]]] = {
         "damping": (at, [index("damping", 0)]),

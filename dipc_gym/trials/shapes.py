@@ -24,7 +24,7 @@ def named(rig: Rig) -> list[Effect]:
     """
     at, force, speed, span = rig.joints[0], rig.force[0], rig.speed[0], rig.span[0]
     n, m = ("N", "m") if rig.linear else ("N m", "rad")
-    middle, own = rig.start[0], rig.plant[index("m0")]
+    middle, own = rig.start[0], rig.parameters[index("m0")]
     level = Parameter("level", n, index("coulomb", 0), 0.02 * force, 0.3 * force)
     found = [
         _law(

@@ -35,8 +35,8 @@ class AlongTheWay(Effect):
         hats = [np.interp(evidence.position, at, row) for row in np.eye(KNOTS)]
         parts = evidence.along(*(-evidence.direction * hat for hat in hats))
         level = evidence.dry_level
-        rest = parts if evidence.level is None else level + parts
-        levels = np.clip(rest, 0.1 * level, 3 * level)
+        found = parts if evidence.level is None else level + parts
+        levels = np.clip(found, 0.1 * level, 3 * level)
         return [{"first": first, "last": last} | {f"level_{k + 1}": float(x) for k, x in enumerate(levels)}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:

@@ -40,8 +40,8 @@ class Viscous(Effect):
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Damping of the joint."""
         joint = document.joint(at)
-        rest = document.effective(joint, "damping").split()[1:]
-        document.set(joint, damping=" ".join([repr(float(values["coefficient"])), *rest]))
+        others = document.effective(joint, "damping").split()[1:]
+        document.set(joint, damping=" ".join([repr(float(values["coefficient"])), *others]))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

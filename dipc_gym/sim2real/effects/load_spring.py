@@ -31,8 +31,8 @@ class Spring(Effect):
         k, _ = evidence.along(-(evidence.position - centre), -evidence.velocity)
         typical = evidence.force_scale / reach
         k = float(np.clip(k, 0.05 * typical, 2 * typical))
-        rest = float(np.clip(centre + np.mean(evidence.force) / k, centre - 3 * reach, centre + 3 * reach))
-        return [{"stiffness": k, "rest": rest if abs(rest) > 0.1 * reach else 0.1 * reach}]
+        unbent = float(np.clip(centre + np.mean(evidence.force) / k, centre - 3 * reach, centre + 3 * reach))
+        return [{"stiffness": k, "rest": unbent if abs(unbent) > 0.1 * reach else 0.1 * reach}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Stiffness and rest position of the joint."""

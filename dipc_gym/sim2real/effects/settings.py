@@ -16,7 +16,7 @@ class EffectSettings:
         leaves: share of the excess error that effects may leave and be named. In 160 blind trials, those that were
             there left 0.19 at most, and those that stood in for physics of no catalogue 0.4 to 0.7, save one that left
             0.2; what real rigs leave beside friction that is known to be there is 0.25. Effects that are told by when
-            they act alone may leave less; what effects of the state leave is no matter any more.
+            they act alone may leave less; all others are named however much they leave
         settle: s of simulation until a rotor is where it would be, whatever it was given to start with
         swing: s of it until a rotor on a spring is, which swings on: with a twentieth of critical damping at 30 Hz
         warm: s that bristles, currents, lags and delays need to reach their state: they take milliseconds, and the

@@ -194,7 +194,7 @@ def fit(
             tries = np.stack([s + ahead, s + ahead / ESTIMATION.shorter, s, problem.initial])
             moved, after = shooting.best_initial(tries, shooting.residuals([trial] * len(tries), tries))
             # What the initial states can still explain does not speak against parameters: behind a gap, or where a
-            # joint sticks, a straight line does not foretell where a window has to start.
+            # joint sticks, a straight line does not foretell the initial state that a window needs.
             lagged = shooting.lags(moved, after, S)
             if lagged:
                 moved, after = shooting.corrected(trial, moved, after, S)

@@ -57,7 +57,7 @@ def prepare(
     span: tuple[float, float] = (0.0, 1.0),
     threads: int = 0,
 ) -> Prepared:
-    """Cut recordings into windows and estimate where each starts.
+    """Cut recordings into windows and estimate the initial state of each.
 
     Args:
         source: text of the model.

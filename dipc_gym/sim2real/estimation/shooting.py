@@ -89,8 +89,9 @@ class Shooting:
     def settled(self, z: Array, initial: Array, *, parameters: bool) -> tuple[Array, Array, Array, Array]:
         """Corrected initial states, their residual, and `derivatives` there.
 
-        A joint that sticks may as well start at rest, and the estimate is asked again. Where a straight line did not
-        tell where to start, a second one is drawn from there, for each window whatever the others do.
+        Two other initial states are tried: the estimate, and the estimate with slow joints at rest, for a joint may
+        stick. Where a straight line did not tell the initial state, a second one is drawn from there, for each window
+        whatever the others do.
         """
         estimate, half = self.problem.initial, self.nb2 // 2
         still = estimate.copy()
@@ -219,7 +220,7 @@ def typical(mse: Array) -> float:
 
     Errors are compared on this scale: below it they add up as squares do, above it as logarithms, so that a few
     windows in which something else happened decide nothing. Where no structure comes down to the noise, a median in
-    its place would let a structure win on the quiet half of the windows that fails wherever the motion is fast.
+    its place would let a structure win on the slow half of the windows that fails wherever the motion is fast.
     """
     return max(1.0, float(np.quantile(mse, ESTIMATION.typical)))
 

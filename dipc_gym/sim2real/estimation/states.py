@@ -1,7 +1,7 @@
 """Estimate the joints' motion from the sensors, and the force that the model does not explain.
 
-These estimates propose: they start windows and first guesses, and they are drawn. What is decided is decided by
-simulation, since differentiated encoder noise biases any regression on accelerations.
+These estimates propose: they give windows their initial states, and effects their first guesses; and they are drawn.
+What is decided is decided by simulation, since differentiated encoder noise biases any regression on accelerations.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 class Undetermined(ValueError):
-    """The sensors do not determine the joints, so there is no state to start a simulation from.
+    """The sensors do not determine the joints, so a simulation has no initial state.
 
     Attributes:
         reason: why, in words.

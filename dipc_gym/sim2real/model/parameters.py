@@ -164,8 +164,8 @@ def _first_of(kind: str, name: str, attribute: str, sign: float = 1.0) -> Callab
 
     def write(document: Document, value: float) -> None:
         element = document.joint(name) if kind == "joint" else document.actuator(name)
-        rest = document.effective(element, attribute).split()[1:]
-        document.set(element, **{attribute: " ".join([text(sign * value), *rest])})
+        others = document.effective(element, attribute).split()[1:]
+        document.set(element, **{attribute: " ".join([text(sign * value), *others])})
 
     return write
 

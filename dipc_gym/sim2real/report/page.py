@@ -102,7 +102,7 @@ def render(data: ReportData) -> str:
 
 def _parts(data: ReportData) -> dict[str, Any]:
     """What the template shows, drawn and sorted."""
-    shown, rest, screened = _candidates(data.details.candidates)
+    shown, left, screened = _candidates(data.details.candidates)
     first: Tone = "nominal" if data.details.before == "nominal" else "before"
     return {
         "first": first,
@@ -119,7 +119,7 @@ def _parts(data: ReportData) -> dict[str, Any]:
             "residuals": data.details.residuals[MOST_RESIDUALS:],
         },
         "candidates": shown,
-        "candidates_left": rest,
+        "candidates_left": left,
         "screened": screened,
         "difference": _difference(data.details.difference),
     }

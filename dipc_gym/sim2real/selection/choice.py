@@ -37,8 +37,8 @@ def choose(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Fit | None:
 def _tells(term: Term, fitted: Fit, current: Fit) -> bool:
     """Whether an effect brings most of what is left, if a law of any shape acts on its joint.
 
-    What a law of no kind leaves is what its table cannot hold, and near the noise that holds for any law; whatever
-    depends on the same takes up some of that.
+    A law of no kind leaves what its table cannot hold, and so does any law near the noise. Every effect that depends on
+    the same quantities takes up some of that.
     """
     near = current.error < SEARCH.in_reach
     laws = [t.at for t in current.structure.terms if t.effect.of_no_kind or (t.effect.free and near)]
@@ -49,10 +49,10 @@ def _tells(term: Term, fitted: Fit, current: Fit) -> bool:
 
 
 def _named(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
-    """What has a name, in the place of a law of no kind, where it brings most of what that does.
+    """An effect with a name in the place of a law of no kind, if it brings most of what that does.
 
-    A table of whatever goes with what is left takes a little more than any name, also where the name is right; but a
-    name that brings less than half of that only picks up what something unknown leaves in its way.
+    A law of no kind predicts a little better than any effect with a name, also where the name is right. But a name that
+    brings less than half of that only picks up a part of something unknown.
     """
     if not chosen.term.effect.of_no_kind or chosen.fitted is None:
         return chosen
@@ -72,8 +72,8 @@ def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:
 def _core(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
     """The plainer effect that a chosen one elaborates, where it alone brings most of the improvement.
 
-    Friction that varies with position takes up some of what a lacking second effect leaves. What it adds to plain
-    friction is asked again when the rest is in place.
+    Friction that varies with position takes up some of what a second effect, still missing, leaves. What it adds to
+    plain friction is asked again when all others are in place.
     """
     assert chosen.fitted is not None
     if common_error(chosen.fitted.mse) < SCORE.at_floor:

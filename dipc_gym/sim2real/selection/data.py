@@ -77,9 +77,9 @@ def until(recording: Recording, share: float) -> Recording:
 
 
 def known_past(prepared: Prepared) -> Prepared:
-    """Without windows at the beginning of a recording: a late command, or a rotor that swings, is of before it.
+    """Without windows at the beginning of a recording, in which commands and swings from before it may still act.
 
-    Of a short recording, windows that a swinging rotor would need are kept.
+    A swinging rotor asks for more time than a late command; a short recording is cut for the command alone.
     """
     w = prepared.problem.windows
     since = w.start - np.array([recording.time[0] for recording in w.recordings])[w.source]
@@ -138,8 +138,8 @@ def eventful(windows: Windows, mse: Array, aside: Windows, aside_mse: Array) -> 
 def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
     """Which windows to keep, (n,): all but those of other recordings at the time of outliers.
 
-    Each recording has a clock of its own. What happened once happened in one of them, and an effect that has a time
-    would be held against the others.
+    Each recording has a clock of its own. An event happened in one of them alone, at a time that says nothing of the
+    others; they would refute it.
 
     Args:
         windows: of all recordings.

@@ -84,11 +84,10 @@ class Fitter:
     def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.
 
-        A sketch that was still on its way, and not at the noise, goes on first: a step on a subset costs a third, and
-        on all of them a gap or a contact far from its place holds a fit fast. None as well where it then does not earn
-        its place beside `current` even on the subset. What comes near the noise goes on until nothing changes, and is
-        begun anew where it stays there: the last stretch may be a long valley, at whose end a name is decided, or a
-        wrong one.
+        A sketch that had not converged and is not at the noise goes on first, on the subset: a step there costs a
+        third, and on all windows a fit sticks where a gap or a contact is far from its place. None as well if it then
+        does not earn its place beside `current` on the subset. A fit that comes near the noise goes on until nothing
+        changes, and is begun anew if it stays above it: the last steps may be slow, and they decide the name.
         """
         try:
             subset = self.partition.known_to(sketch)
@@ -107,7 +106,7 @@ class Fitter:
         """A fit of several effects, or what comes of their first guesses and nominal parameters if that predicts
         better.
 
-        What an effect took on while another was missing may hold it fast where it is.
+        An effect may be stuck at parameters that made up for another one while that was missing.
         """
         structure = fitted.structure
         if fitted.error <= SCORE.at_floor or len(structure.terms) < 2:
@@ -164,7 +163,7 @@ def _left(fitted: Fit) -> float:
 
 
 def _stuck(sketch: Fit, base: Fit, subset: NDArray[np.intp]) -> bool:
-    """Whether a law predicts worse than nothing: its first shape, told by forces, was too far off for a few steps."""
+    """Whether a law predicts worse than nothing: its first shape was so far off that a few steps did not mend it."""
     effect = sketch.structure.terms[-1].effect
     return effect.free and bool(effect.linear) and _left(sketch) > mean_loss(base.mse[subset], 1.0)
 

@@ -22,9 +22,8 @@ from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 def sketched(fitter: Fitter, screened: Screened, current: Fit) -> Fit | None:
     """The best sketch with one or two kinds of effect at several joints; None where there are no two such.
 
-    A kind that gains little alone, in whose place other masses and gears do nearly as well, may be what another kind
-    lacks: so two kinds are asked whatever either gains. Those are sketched of which a straight line through first
-    guesses foretells most.
+    Two kinds are tried together whatever either gains alone: other masses and gears may do nearly as well as one kind,
+    and still it may be what another kind lacks. Sketched are those whose predicted gains are largest.
 
     Args:
         fitter: fits it.

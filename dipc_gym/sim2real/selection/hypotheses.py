@@ -36,7 +36,7 @@ class Question:
     Attributes:
         effects: the catalogue.
         joints: base joints.
-        look: gives the evidence for a fit, and with it the times, s, at which outlier windows begin.
+        look: gives the scene of a fit, from which evidence is taken; times, s, at which outlier windows begin go along.
     """
 
     effects: Sequence[Effect]
@@ -60,7 +60,7 @@ class Screened:
 
 
 def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> list[Term]:
-    """Every effect at every place it can act, with first guesses; what happens once only where all is quiet."""
+    """Every effect at every place it can act, with first guesses; events only where most windows are at the noise."""
     friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in question.joints}
     levels = {joint: level for joint, level in friction.items() if level > 0}
     terms, found = current.structure.terms, []
@@ -72,7 +72,7 @@ def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> 
         if phase == Phase.NO_KIND and not effect.of_no_kind:
             continue
         # No other recording shares a law of the clock: laws of the state go before it, down to near the noise.
-        # What happened once is asked for only where all else is quiet.
+        # What happened once is asked for only where all else is at the noise.
         clock = effect.leaves < EFFECTS.leaves and not effect.once
         if phase >= Phase.SHAPES and clock and current.error > SEARCH.in_reach:
             continue
@@ -87,7 +87,7 @@ def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> 
 
 
 def _without_plainer(question: Question, current: Fit, effect: Effect, at: str, scene: Scene) -> Scene:
-    """The evidence less what a law would replace: its shape has to take that on. Levels of friction it is told."""
+    """The scene less what a law would replace, whose shape takes that on; levels of friction stay."""
     kept = current.structure
     for term in kept.terms:
         if term.at == at and term.effect.id in effect.contains and not term.effect.levels:

@@ -37,8 +37,8 @@ def promising(fitter: Fitter, screened: Sequence[Screened]) -> list[Pair]:
 def sketched(fitter: Fitter, pairs: Sequence[Pair], current: Fit) -> list[tuple[Fit, Fit]]:
     """What each pair was laid over, and its sketch, of those that can be simulated and may be needed.
 
-    What takes fine steps, and fell short of its predicted gain beside one effect, is not tried beside others: a gap
-    that is not there takes up a little of anything, and each try of it the time of ten others.
+    An effect that takes fine steps is not tried beside a second one if it fell short of its predicted gain beside the
+    first: a gap that is not there takes up a little of anything, and each try costs as much as ten others.
     """
     found: list[tuple[Fit, Fit]] = []
     short: set[str] = set()

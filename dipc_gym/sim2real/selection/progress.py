@@ -37,9 +37,9 @@ class Partition:
 
     @property
     def validation(self) -> Problem:
-        """Windows later than all that are fitted or compared on, but for those in which something odd happened once.
+        """Windows later than all that are fitted or compared on, without those in which something happened once.
 
-        Of recordings too short to hold any, the windows compared on.
+        Where recordings are too short to hold any, the windows compared on.
         """
         windows = self.aside.windows
         late = windows.start >= self.borders[windows.source]
@@ -92,7 +92,7 @@ class Progress:
         return self.path[-1]
 
     def taking_in(self, new: Problem) -> Progress:
-        """With some more windows to fit; what is known already learns what it says of them."""
+        """With some more windows to fit; the fits that are kept are evaluated on them as well."""
         if not len(new.windows):
             return self
 
@@ -112,7 +112,7 @@ class Progress:
         )
 
     def informed(self, path: Sequence[Fit]) -> tuple[Fit, ...]:
-        """Fits that were accepted before, as they are on the windows of now: some may have come, or gone."""
+        """Fits that were accepted before, on the present windows: some may have come, or gone."""
         problem = self.partition.problem
         if all(len(fitted.mse) == len(problem.windows) for fitted in path):
             return tuple(path)
@@ -160,7 +160,7 @@ class Journal:
         self.progress = replace(self.progress, path=self.progress.informed(path))
 
     def begin(self, tried: Sequence[Tried]) -> None:
-        """Note the hypotheses of a new round; of those before only what they came to is asked again."""
+        """Note the hypotheses of a new round; of earlier rounds only the results are kept."""
         before = [[one.result() for one in earlier] for earlier in self.progress.rounds]
         self.progress = replace(self.progress, rounds=(*before, tried))
 

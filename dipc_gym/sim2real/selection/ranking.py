@@ -113,7 +113,7 @@ def subset(mse: Array) -> NDArray[np.intp]:
 def cost(fitted: Fit | None) -> tuple[int, int, int, int]:
     """What the simpler of two structures has less of: parameters, effects, and effects that stock MuJoCo lacks.
 
-    Of names for one and the same model, what acts at a joint goes before what a motor or a sensor would have to do.
+    Among names for one and the same model, an effect at a joint goes before one at a motor or a sensor.
     """
     assert fitted is not None
     effects = [term.effect for term in fitted.structure.terms]

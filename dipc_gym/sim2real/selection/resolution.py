@@ -37,7 +37,7 @@ def refined(fitter: Fitter, current: Fit, key: str, tell: Callable[[str], None] 
 def _finer(fitter: Fitter, current: Fit, key: str) -> Fit | None:
     """A fit with one law made finer that predicts clearly better; None where there is none.
 
-    Halves of a stretch may gain nothing where its quarters do: a narrow spot begins to show when knots are as near.
+    If halves of a stretch gain nothing, quarters are tried: a narrow spot shows only when knots are as near.
     """
     tried: Fit | None = current
     for _ in range(SEARCH.ahead):

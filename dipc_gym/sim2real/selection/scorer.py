@@ -103,7 +103,7 @@ class Scorer:
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain.
 
-        Motion alone: of two that balance forces, which of them does so more closely names neither.
+        Motion alone counts: of two that balance forces, the closer balance is no reason to prefer one.
         """
         return ranking.alike(self._by_motion(best, other), self._by_motion(best, current).gain)
 
@@ -115,7 +115,7 @@ class Scorer:
     def stands_out(self, term: Term, fitted: Fit, current: Fit) -> bool:
         """Whether a fit with one more effect is clearly better.
 
-        What happened once shows in a window or two, fitted or not; it is believed where all others are at the noise.
+        An event shows in a window or two, fitted or not; it is believed if all other windows are at the noise.
         """
         if term.effect.once:
             fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
@@ -186,7 +186,7 @@ def earned(after: Array, before: Array, *, small: bool) -> bool:
 def settled(after: Array, before: Array) -> bool:
     """Whether none of the outliers among mean square errors (n,) is left.
 
-    What acts in few windows can be told from nothing by no mean over windows, and from a push by leaving none.
+    No mean over windows shows an effect that acts in few of them. It is told from a push by leaving no outlier.
     """
     outliers = data.outliers(before)
     fall = np.log1p(before[outliers]) - np.log1p(after[outliers])
@@ -194,7 +194,7 @@ def settled(after: Array, before: Array) -> bool:
 
 
 def enough(begin: Fit, current: Fit) -> bool:
-    """Whether what is left at the noise is so little beside what effects took away that their laws may leave it.
+    """Whether what is left near the noise is little enough, beside what effects took away, for their laws to leave it.
 
     No law is exact to the last percent: a contact is not a spring and a damper, a bristle not a bristle.
     """

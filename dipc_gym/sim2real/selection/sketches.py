@@ -58,7 +58,7 @@ def at_noise(sketched: Sequence[Start]) -> bool:
 def _sketches(
     fitter: Fitter, first: Sequence[Start], starts: Mapping[str, Sequence[Start]], current: Fit
 ) -> list[Start]:
-    """Sketches of several hypotheses, plain ones first, for what elaborates one that leaves nothing needs none."""
+    """Sketches of several hypotheses, plain ones first: what elaborates one that leaves nothing needs none."""
     sketched: list[Start] = []
     for finalist, base in sorted(first, key=lambda start: len(start[0].term.effect.parameters)):
         structure = base.structure.with_term(finalist.term)
@@ -71,8 +71,8 @@ def _sketches(
 def _sketched(fitter: Fitter, tries: Sequence[Start], current: Fit) -> list[Start]:
     """The best sketch of one hypothesis, if any, from the largest predicted gain on.
 
-    A fit that brings less than screening foretold is stuck, unless it leaves nothing; then the next start is tried as
-    well. So is the next shape of a law of no kind: which inputs are the right ones screening hardly tells.
+    A fit that brings less than its predicted gain is stuck, unless it leaves nothing; then the next start is tried as
+    well. So is the next shape of a law of no kind, for screening hardly tells which inputs are the right ones.
     """
     sketches: list[Start] = []
     before = current.mse[fitter.subset]
@@ -92,8 +92,8 @@ def _sketched(fitter: Fitter, tries: Sequence[Start], current: Fit) -> list[Star
 def keeping_up(fitter: Fitter, sketched: Sequence[Start], current: Fit) -> list[Start]:
     """Those whose sketches come near the best one, and the plainer ones that these elaborate.
 
-    What takes fine steps has to come nearer. Where the best is at the noise, what is far from it needs no more fitting,
-    and nothing plainer goes first.
+    One that takes fine steps has to come nearer. Where the best is at the noise, those far from it need no more
+    fitting, and no plainer one is added.
     """
     before = current.mse[fitter.subset]
     losses = ranking.losses([before, *(t.sketch.mse for t, _ in sketched if t.sketch is not None)])
@@ -110,9 +110,9 @@ def keeping_up(fitter: Fitter, sketched: Sequence[Start], current: Fit) -> list[
 
 
 def plain_first(sketched: Sequence[Start], error: float) -> list[Start]:
-    """Without those far from the noise that elaborate one which would go before them (`choice.choose`).
+    """Without those far from the noise that elaborate a plain one which would go before them (`choice.choose`).
 
-    A law of any shape does not wait: how near it comes shows when it is as fine as it may be.
+    A law of any shape stays: how near the noise it comes shows only when it is as fine as it may be.
 
     Args:
         sketched: hypotheses with sketches, and what they were laid over.

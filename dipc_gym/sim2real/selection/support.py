@@ -1,4 +1,4 @@
-"""Which windows stay where the laws of a fit have data: what a law says elsewhere is no prediction of anybody's."""
+"""Which windows stay where the laws of a fit have data: elsewhere a law does not claim to predict."""
 
 from __future__ import annotations
 

@@ -38,8 +38,8 @@ class Conclusion:
 def conclude(search: Searched) -> tuple[Searched, Conclusion]:
     """Judge the effects that a search accepted; rivals that predict clearly better, or need less, take their places.
 
-    Which of two effects is there may show only when a third is in place, which was added after one of them. What
-    validation data strike off ends that: the search would only add it again.
+    Rivals are compared again at the end, for a third effect, added later, may be needed to tell two apart. That ends as
+    soon as validation data strike an effect off: the search would only add it again.
 
     Args:
         search: that has run.
@@ -81,7 +81,7 @@ def _successor(search: Searched, upheld: Fit, rivals: list[judge.Rival]) -> judg
 def _alone(search: Searched, rival: judge.Rival, upheld: Fit) -> judge.Rival:
     """A rival that is the same model, without what is idle beside it.
 
-    A constant force on one pole and the other's sensor with a bias can be together what one biased sensor is alone.
+    For example, a constant force on one pole and a bias of the other's sensor can be what one biased sensor is alone.
     """
     terms = rival.fitted.structure.terms
     if len(terms) < 2 or search.stop.asked:
@@ -98,8 +98,8 @@ def _upheld(search: Searched) -> tuple[Fit, Fit, list[str], frozenset[str]]:
     """The last accepted fit that validation data do not speak against, also with the fewest model parameters changed;
     notes on what they strike off, and the keys of effects that stay without a name.
 
-    What the best of dozens of effects takes up of structure that no catalogue has need not be there the next time.
-    Validation data may strike an effect off; they never add one.
+    The best of dozens of effects always takes up some structure that no catalogue has, and this need not be there in
+    other data. Validation data may strike an effect off; they never add one.
     """
     path, notes = search.progress.path, list[str]()
     upheld = path[-1]
@@ -129,10 +129,10 @@ def _believable(
     """A fit without effects of the clock that only stand in for what is left beside them; which of its effects stay
     without a name, and notes on both.
 
-    What is told from other causes by when it acts alone (a push, a motor that heats) is a law of the clock, which no
-    other recording of the rig shares: it stays only where next to nothing is left. A law of the state is named where
-    windows that no fit has touched are better predicted with it than without it, all else refitted, by more than their
-    standard error; that it is no chance, the search has told by all windows. How much is left beside it is no matter.
+    An effect that is told from other causes by when it acts alone (a push, a motor that heats) stays only where next to
+    nothing is left: no other recording of the rig shares it. All other effects are named if windows that no fit has
+    touched are better predicted with them than without, all else refitted, by more than the standard error. How much is
+    left beside them does not matter; that they are no chance, the search has told by all windows.
     """
     recalibrated = judge.error_on(validation, search.progress.path[0])
     notes = list[str]()
@@ -160,7 +160,7 @@ def _with_fewest_parameters(search: Searched, fitted: Fit, validation: Problem) 
     """A fit with the fewest model parameters changed, as long as validation data do not speak for the others; its
     error.
 
-    Where few windows tell a parameter, the others may not miss it.
+    A parameter that shows in few windows only may not be missed in the others.
     """
     fewest = sparse.fewest_parameters(search, fitted)
     error = judge.error_on(validation, fewest)

@@ -1,7 +1,7 @@
 """Conventions: which way is positive, where zero is, and what an angle is measured from.
 
-Whoever wires a rig decides, and whoever writes its model decides anew. Where the two differ, no physics makes up for
-it, and what is fitted over it is nonsense.
+Whoever wires a rig decides them, and whoever writes its model decides them anew. Where the two differ, no physics
+makes up for that, and what is fitted is nonsense.
 """
 
 from __future__ import annotations
@@ -118,17 +118,17 @@ def differing(
     first = recordings[0]
     some = [_begin(recording, CONVENTIONS.seconds / min(len(recordings), 2)) for recording in recordings[:2]]
 
-    def windows(convention: Convention | None) -> Prepared:
-        counted = some if convention is None else [convention.applied(recording) for recording in some]
+    def counted(convention: Convention | None) -> Prepared:
+        given = some if convention is None else [convention.applied(recording) for recording in some]
         stepping, threads = prepared.problem.stepping, prepared.problem.threads
-        again = prepare(source, physics, counted, stepping, length=prepared.length, threads=threads)
+        again = prepare(source, physics, given, stepping, length=prepared.length, threads=threads)
         return data.known_past(again)
 
-    as_counted = windows(None).problem
+    as_counted = counted(None).problem
     without = min(common_error(evaluate(as_counted, one.structure, one.z)[0]) for one in fits)
     tried: list[tuple[float, Convention]] = []
     for convention in possible(physics, first.actuator_names, first.sensor_names):
-        again = windows(convention)
+        again = counted(convention)
         error = common_error(fit(again.problem, again.structure).mse)
         if error < CONVENTIONS.decides * without:
             tried.append((error, convention))
@@ -137,7 +137,7 @@ def differing(
 
 
 def _begin(recording: Recording, seconds: float) -> Recording:
-    """The first seconds of a recording, and those that a window has to be late in it."""
+    """The first seconds of a recording that windows may be cut from."""
     return recording.slice(0, int(np.searchsorted(recording.time, recording.time[0] + WINDOWS.late + seconds)))
 
 

@@ -264,7 +264,7 @@ def _each_once(named: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def with_unknown(
     missing: list[Missing], errors: Errors, search: Searched, final: Fit, joints: Sequence[str]
 ) -> list[Missing]:
-    """Add what no effect of the catalogue explains; first, if what was found merely stands in for it."""
+    """Add what no effect of the catalogue explains; it comes first if what was found merely stands in for it."""
     left = max(errors.improved - 1, 0.0) / max(errors.recalibrated - 1, 1e-9)
     place = judge.locate(search.question.look(final), joints)[0]
     unknown = Missing(

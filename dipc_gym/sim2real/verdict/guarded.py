@@ -1,4 +1,4 @@
-"""Late stages of a diagnosis, none of which may cost what the search found before it.
+"""Late stages of a diagnosis; whatever happens in one, what the search found before is kept.
 
 After many minutes of search come a dozen stages that judge, compare and word what was found. One that fails, or that
 Ctrl-C ends, is left out and said to be; the others go on.

@@ -130,7 +130,7 @@ def _stand_ins(
 ) -> Iterator[tuple[list[Term], Structure, Tried | None]]:
     """Effects to try in the place of one, the structure with them, and what its round made of it if it was tried.
 
-    Where structure is left, names are provisional, and telling them from what had little to gain is worth less.
+    Where structure is left, names are provisional, and fewer rivals are tried.
     """
     everything = {t.key: t for round_ in search.progress.rounds for t in round_}
     own = next((r for r in search.progress.rounds if any(t.key == term.key and t.fitted for t in r)), [])

@@ -63,19 +63,19 @@ def judgement(
     improved, written, step_note = late(
         "What the improved model costs at its own step",
         lambda: improve.improved_model(
-            source, case.given.physics, last.search.partition, last.windows, last.three, measured.test
+            source, case.given.physics, last.search.partition, last.problem, last.three, measured.test
         ),
         lambda: (final.structure.write(final.z).text(), None, ""),
     )
-    predicted = late("Predictions of test data", lambda: predictions(last.windows, *last.three), dict[str, Array])
+    predicted = late("Predictions of test data", lambda: predictions(last.problem, *last.three), dict[str, Array])
     sensors = late(
         "Errors in the units of the sensors",
-        lambda: sensor_fits(last.windows.windows, case.given.physics.model, predicted),
+        lambda: sensor_fits(last.problem.windows, case.given.physics.model, predicted),
         tuple[SensorFit, ...],
     )
     behind: Details | None = late(
         "What the report draws",
-        lambda: details(source, base, last.search, last.found, last.windows, located, improved, predicted),
+        lambda: details(source, base, last.search, last.found, last.problem, located, improved, predicted),
         lambda: None,
     )
     verdict, others = named.verdict, bool(last.found.others)
@@ -103,7 +103,7 @@ def judgement(
             verdict,
             named.missing,
             others=bool(measured.changed and others),
-            slow=any(sampled_slowly(r) for r in (*case.given.recordings, *last.windows.windows.recordings)),
+            slow=any(sampled_slowly(r) for r in (*case.given.recordings, *last.problem.windows.recordings)),
         ),
         improved,
         files_of(source, improved),
@@ -122,24 +122,24 @@ class _Chosen:
         found: what it came to.
         three: the model as given, recalibrated, and improved.
         validation: errors of the three on validation data; None where they could not be worked out.
-        windows: to test with, in the same steps.
+        problem: windows to test with, in the same steps.
     """
 
     search: Searched
     found: Conclusion
     three: tuple[Fit, Fit, Fit]
     validation: Errors | None
-    windows: Problem
+    problem: Problem
 
 
 def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, late: Guarded) -> _Chosen:
     """Fit at half the step, and choose by validation data what predicts best; nothing is chosen after that."""
-    coarse, windows = found.fitted, replace(test.problem, stepping=base.partition.problem.stepping)
+    coarse, problem = found.fitted, replace(test.problem, stepping=base.partition.problem.stepping)
     nominal, recalibrated = base.nominal, base.recalibrated
     if base.fine is None:
         # The search compares; what it came to is fitted, judged and reported at half the step.
         search, final = late("A fit at half the step", lambda: search.refined(coarse), lambda: (search, coarse))
-        windows = windows if final is coarse else replace(windows, finer=2)
+        problem = problem if final is coarse else replace(problem, finer=2)
         found = replace(found, fitted=final)
     refined = search, found
     found = late(
@@ -161,7 +161,7 @@ def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, lat
             "A fit to all windows", lambda: refined[0].whole(best.fitted), lambda: (refined[0], best.fitted)
         )
         found = replace(best, fitted=whole)
-    return _Chosen(search, found, (nominal, recalibrated, found.fitted), validation, windows)
+    return _Chosen(search, found, (nominal, recalibrated, found.fitted), validation, problem)
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
         )
     errors = late(
         "The error on test data",
-        lambda: Errors(*(judge.error_on(last.windows, f) for f in three)),
+        lambda: Errors(*(judge.error_on(last.problem, f) for f in three)),
         lambda: fitted,
     )
     force = late(
@@ -242,7 +242,7 @@ def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Loc
     terms = [term for term in final.structure.terms if term not in modelled and term.key not in found.unnamed]
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved),
-        judge.negligible(errors.recalibrated, last.windows.motion, located[0]),
+        judge.negligible(errors.recalibrated, last.problem.motion, located[0]),
         len(terms),
         len(measured.changed),
         len(found.unnamed),
@@ -254,7 +254,7 @@ def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Loc
         notes.append(sentences.not_in_test(measured.comparison.recalibrated, errors.nominal))
     missing = late(
         "How much each effect is worth",
-        lambda: findings.missing_effects(search, found, last.windows, errors, verdict, measured.wide),
+        lambda: findings.missing_effects(search, found, last.problem, errors, verdict, measured.wide),
         lambda: findings.named_alone(final),
     )
     if search.stop.asked:

@@ -50,14 +50,14 @@ class Withheld:
     """What is tested with: recordings of their own, or the last part of each that is fitted.
 
     Attributes:
-        recordings: whole, for what a window begins with is a matter of all that was before it.
+        recordings: whole, for how a window begins depends on all that was before it.
         span: see `Test`.
     """
 
     recordings: tuple[Recording, ...]
     span: tuple[float, float]
 
-    def windows(self, case: Case) -> Test:
+    def test(self, case: Case) -> Test:
         """Windows as long as those that are fitted, weighed by the same noise.
 
         Raises:

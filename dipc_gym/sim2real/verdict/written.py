@@ -47,7 +47,7 @@ class Option:
 
 
 @dataclass(frozen=True)
-class Judge:
+class Predictor:
     """Predicts windows as the owner of a file will.
 
     Attributes:
@@ -72,7 +72,7 @@ class Judge:
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return float("inf")
 
-    def at(self, step: float) -> Judge:
+    def at(self, step: float) -> Predictor:
         """The same windows in other steps of the model's own integrator, s."""
         return replace(self, own=replace(self.fine, stepping=Stepping(step), finer=1))
 
@@ -114,11 +114,11 @@ def written(
         fits: the model as given, recalibrated, and what was found.
     """
     chosen_by = partition.validation if len(partition.validation.windows) else partition.comparison
-    finely = Judge(chosen_by, chosen_by), Judge(test, test)
-    validation, held_out = (judge.at(timestep) for judge in finely)
+    finely = Predictor(chosen_by, chosen_by), Predictor(test, test)
+    validation, held_out = (predictor.at(timestep) for predictor in finely)
     nominal, recalibrated, final = fits
     plainer = [Option(one.structure, one.z, validation.error(one.structure, one.z)) for one in (nominal, recalibrated)]
-    here, there = (judge.error(final.structure, final.z) for judge in finely)
+    here, there = (predictor.error(final.structure, final.z) for predictor in finely)
     enough, told = (SCORE.at_floor * max(error, 1.0) for error in (here, there))
     as_found = Option(final.structure, final.z, validation.error(final.structure, final.z))
     physical, refitted = [as_found], list[Option]()
@@ -147,7 +147,7 @@ def written(
     return taken, said
 
 
-def _in_other_forms(found: Option, validation: Judge) -> list[Option]:
+def _in_other_forms(found: Option, validation: Predictor) -> list[Option]:
     """A model with each of its effects in turn in the form that predicts best beside those chosen before it."""
     options, best = list[Option](), found
     for k, term in enumerate(found.structure.terms):
@@ -168,7 +168,7 @@ def _forms(option: Option, k: int) -> Iterator[tuple[Structure, str]]:
         yield replace(structure, terms=(*terms[:k], term, *terms[k + 1 :])), form.element
 
 
-def _made_up(option: Option, problem: Problem, validation: Judge) -> list[Option]:
+def _made_up(option: Option, problem: Problem, validation: Predictor) -> list[Option]:
     """A model with parameters that make up for the step, if it can be fitted there."""
     with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
         again = fit(problem, option.structure, option.z, most=VERDICT.refit_steps)
@@ -177,7 +177,7 @@ def _made_up(option: Option, problem: Problem, validation: Judge) -> list[Option
     return []
 
 
-def _finer(option: Option, validation: Judge, enough: float) -> float | None:
+def _finer(option: Option, validation: Predictor, enough: float) -> float | None:
     """The longest of a few shorter steps at which a model predicts validation data well enough, s; None if none does.
 
     Errors fall no faster than with the square of the step: what that foretells to be too coarse is not tried.
