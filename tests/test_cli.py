@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dipc_gym
-from dipc_gym import compensators, estimators, recording
+from dipc_gym import compensators, estimators, policy, recording
 from dipc_gym.cli import COMMANDS, main
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.runs import identify
@@ -99,6 +99,20 @@ def test_notes_of_the_recording_that_is_trained_from_are_told(
     assert "--unit cart=mm" in capsys.readouterr().out
 
 
+OBSERVED = str(Path(policy.__file__).parent / "policies" / "ppo-observed.json")
+
+
+@pytest.mark.parametrize("controller", ["lqr_cart", OBSERVED])
+def test_a_run_is_recorded_through_an_estimator(controller: str, tmp_path: Path) -> None:
+    """A policy brings its own. After 10 s the cart strays as docs/rejection.md has it, by the worst of its rigs."""
+    out = tmp_path / "run.csv"
+    seen = [] if controller == OBSERVED else ["--estimator", "disturbance"]
+    run = ["--controller", controller, *seen, "--compensator", "observed", "--seconds", "20"]
+    assert main(["record", "--out", str(out), *run]) == 0
+    cart = np.loadtxt(out, delimiter=",", skiprows=1)[:, 2]
+    assert np.abs(cart[len(cart) // 2 :]).max() < (0.0115 if controller == "lqr_cart" else 0.045)
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -130,6 +144,9 @@ def test_notes_of_the_recording_that_is_trained_from_are_told(
         (["record", "--out", "new.csv", "--plant", "full/file"], "not JSON"),
         (["record", "--out", "new.mat", "--seconds", "0.5"], "new.mat"),
         (["record", "--out", "new.csv", "--compensator", "none", "--seconds", "inf"], "must be finite"),
+        (["record", "--out", "new.csv", "--compensator", "observed", "--seconds", "1"], "such as 'disturbance'"),
+        (["record", "--out", "new.csv", "--estimator", "disturbanse"], "did you mean 'disturbance'?"),
+        (["record", "--out", "new.csv", "--controller", OBSERVED, "--estimator", "kalman"], "--estimator disturbance"),
         (["render", "--out", "new.gif", "--compensator", "none", "--seconds", "0"], "at least one control period"),
         (["render", "--out", "new.png"], ".gif or .mp4"),
         (["render", "--out", "new.gif", "--model", "full/file"], "full/file"),

@@ -11,6 +11,7 @@ import tyro
 from dipc_gym.cli.options import ending, free, pairs
 
 if TYPE_CHECKING:
+    from dipc_gym.estimators import Estimator
     from dipc_gym.runs import Course
 
 
@@ -23,6 +24,7 @@ class Record:
 
     Try:
         dipc-gym record --out balance.csv --compensator llnf --seconds 20
+        dipc-gym record --out best.csv --controller lqr_cart --estimator disturbance --compensator observed
         dipc-gym record --out sweep.parquet --experiment identification
     """
 
@@ -34,6 +36,9 @@ class Record:
     """lqr, or a policy: our own (.json), or one of stable-baselines3 (.zip)"""
     compensator: str = "none"
     """a name, trained for this on a simulated run, or a saved compensator (.json)"""
+    estimator: str | None = None
+    """what the rig is seen through: a name, fitted for this, or a saved estimator (.json); without it that which a
+    policy was trained with, else the environment's own observation"""
     seconds: float = 80.0
     """length of a balancing run, s"""
     plant: str | None = None
@@ -56,9 +61,14 @@ class Record:
             run = runs.identify(self.plant, model=self.model, seed=self.seed).run
         else:
             brain = controllers.balancing(self.controller)
-            compensator = runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed)
             course = runs.balance(
-                brain, compensator, seconds=self.seconds, seed=self.seed, plant=self.plant, model=self.model
+                brain,
+                runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed),
+                seconds=self.seconds,
+                seed=self.seed,
+                plant=self.plant,
+                model=self.model,
+                estimator=_estimator(brain, self.estimator, self.plant, self.model, self.seed),
             )
             run = course.recording(self.out.stem)
             if course.fell:
@@ -94,6 +104,9 @@ class Render:
     """lqr, or a policy, our own (.json) or of stable-baselines3 (.zip); tvlqr, or a plan (.json), which swings up"""
     compensator: str = "none"
     """a name, trained for this on a simulated run, or a saved compensator (.json)"""
+    estimator: str | None = None
+    """what the rig is seen through: a name, fitted for this, or a saved estimator (.json); without it that which a
+    policy was trained with, else the environment's own observation"""
     seconds: float = 10.0
     """length, s"""
     magnify: float = 1.0
@@ -145,9 +158,10 @@ class Render:
                 seed=self.seed,
                 plant=self.plant,
                 model=self.model,
+                estimator=_estimator(brain, self.estimator, self.plant, self.model, self.seed),
             )
         found = runs.identify(self.plant, model=self.model, seed=self.seed)
-        sees = "rigid_body" if isinstance(brain, Tracking) else brain.estimator
+        sees = self.estimator or ("rigid_body" if isinstance(brain, Tracking) else brain.estimator)
         return runs.swing_up(
             brain,
             found.fit(self.compensator, seed=self.seed),
@@ -157,5 +171,16 @@ class Render:
             goal=brain.goal or "up-up",
             plant=self.plant,
             model=self.model,
-            estimator=None if sees is None else found.fit_estimator(sees, seed=self.seed),
+            estimator=None if sees is None else runs.estimator(sees, self.plant, model=self.model, seed=self.seed),
         )
+
+
+def _estimator(brain: object, name: str | None, plant: str | None, model: str | None, seed: int) -> Estimator | None:
+    """What a controller sees the rig through; None is the environment's own observation."""
+    from dipc_gym import runs
+    from dipc_gym.policy import Policy
+
+    if isinstance(brain, Policy):
+        name = name or brain.estimator
+        brain.require_estimator(name)
+    return None if name is None else runs.estimator(name, plant, model=model, seed=seed)
