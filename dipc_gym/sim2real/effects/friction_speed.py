@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Evidence, Values, dry
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, dry
 from dipc_gym.sim2real.effects.law import Array, Law
 from dipc_gym.sim2real.effects.tables import grow, odd_force_of_speed
 
 SLOW = 0.05  # of the usual speed, below which an estimated velocity does not tell the direction of motion
 AT_REST = 1e-3  # share of its speeds to which the law may be told apart near rest
+BENT = 1e-5  # of the law's size, by which new knots begin off the line: a ramp that is nothing has no slope to fit by
 
 
 class FrictionOfSpeed(Law):
@@ -50,6 +52,10 @@ class FrictionOfSpeed(Law):
         """Near rest finer, for that is where a law of speed is steep (Stribeck)."""
         knots = np.array(self.knots)
         return np.minimum(super().narrowest, np.maximum(0.5 * knots[1:], knots[-1] * AT_REST))
+
+    def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
+        """The same law with these knots, of which some are new."""
+        return super()._begun(knots, values + BENT * float(np.max(np.abs(values))) * new, new)
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Dry friction of the level at rest, and what speed adds to it or takes away."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real.effects.base import LEAVES
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import names
-from dipc_gym.sim2real.selection import ranking, rounds
+from dipc_gym.sim2real.selection import kinds, ranking, rounds
 from dipc_gym.sim2real.selection.events import attend
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
@@ -147,7 +147,13 @@ class Search:
             return found
         self.tell("no law of a kind comes down to the noise; modelling what is left")
         self.phase = Phase.NO_KIND
-        return self._modelled([self.progress.path, *ends])
+        found = self._modelled([self.progress.path, *ends])
+        if self.stop.asked:
+            return found
+        named = kinds.named(self.question, self.fitter, found, self.progress.path[0], self.tell)
+        if named is not found:
+            self.journal.correct(named)
+        return self.progress.current
 
     def _modelled(self, ends: Sequence[Sequence[Fit]]) -> Fit:
         """What is left beside the ends of several paths, modelled; of these, what predicts windows best that it was
