@@ -204,12 +204,24 @@ def test_a_constant_without_a_reason_is_noticed(hooks: ModuleType, tmp_path: Pat
     }
 
 
+def test_a_stage_has_its_constants_in_one_place(hooks: ModuleType) -> None:
+    """The stages of the diagnosis keep none beside their settings, whatever its name."""
+    for stage in ("estimation", "model", "selection", "verdict"):
+        files = (pages.ROOT / "dipc_gym" / "sim2real" / stage).glob("*.py")
+        beside = {pages.name(path): [one.name for one in hooks.constants(path)] for path in files}
+        settings = beside.pop(f"dipc_gym/sim2real/{stage}/settings.py")
+        assert settings
+        assert not any(beside.values()), beside
+
+
 def test_the_settings_page_has_what_decides(hooks: ModuleType) -> None:
     """Made from the code: a constant of each kind is found, with its value and its reason."""
     page = hooks.settings()
-    assert "| `LEAVES` | `1 / 3` | Share of the excess error that effects may leave and be named." in page
+    assert (
+        "| `EffectSettings.leaves` | `1 / 3` | share of the excess error that effects may leave and be named." in page
+    )
     for row in (
-        "| `EstimationSettings.growth` | `10.0` | times its size that an initial error may grow to within a window |",
+        "| `EstimationSettings.growth` | `10.0` | times its size that an initial error may grow to within a window",
         "| `ScoreSettings.worth` | `0.02` | smallest improvement of the mean log square error that is worth an effect",
         "| `VerdictSettings.shorter` | `(2, 4, 8, 16, 32)` |",
     ):

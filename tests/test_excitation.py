@@ -17,8 +17,9 @@ from dipc_gym import compensators, recording
 from dipc_gym.cli import main
 from dipc_gym.compensators import RigConstants, Samples
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.identification.excitation import COLUMNS, ROWS, examine, force_noise
+from dipc_gym.identification.excitation import examine, force_noise
 from dipc_gym.identification.run import Sweep, cart, cart_model, record, samples
+from dipc_gym.identification.settings import EXCITATION
 from dipc_gym.identification.smoothing import smooth
 from dipc_gym.plant import Encoders, Plant
 from dipc_gym.recording import Recording
@@ -122,12 +123,13 @@ def test_a_sweep_covers_what_it_must() -> None:
     found = examine(sweep_samples(), RIG, force_noise=0.1)
     assert found.refusal is None
     assert found.missing == ()
-    assert found.counts.shape == (ROWS, COLUMNS)
+    assert found.counts.shape == (EXCITATION.rows, EXCITATION.columns)
     assert found.counts.sum() == sweep_samples().train.sum()
     assert found.most_force == 96.0
     report = found.report()
     assert f"{found.reversals} reversals" in report
-    assert len([line for line in report.splitlines() if set(line.strip()) <= {"#", "."} and "#" in line]) == ROWS
+    rows = [line for line in report.splitlines() if set(line.strip()) <= {"#", "."} and "#" in line]
+    assert len(rows) == EXCITATION.rows
 
 
 def test_the_map_has_force_upwards_and_velocity_to_the_right() -> None:

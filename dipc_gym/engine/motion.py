@@ -17,6 +17,7 @@ from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Element, Head, Joint, 
 from dipc_gym.engine.values import BIT, INT, LANES, POINTER, VECTOR, Number, Value, maximum, where
 from dipc_gym.physics import Moment
 
+FOLLOWED = 0.5  # time constant, in steps, that Runge-Kutta follows safely
 # program, parameters (2), commands (2), directions, time (2), states (2), rates (2), holding (2), levels (2)
 ARGUMENTS = [POINTER] * 16
 

@@ -12,10 +12,10 @@ from llvmlite import ir
 from dipc_gym.engine.code import Code, Index, Numbers, integer
 from dipc_gym.engine.forces import Stops
 from dipc_gym.engine.layout import CONTROLS, JOINTS, SENSORS, STATES, STOPS, At, Head, Joint, Row
+from dipc_gym.engine.motion import FOLLOWED
 from dipc_gym.engine.values import INT, POINTER, VECTOR, Value
 
 SOON = 1e-9  # s; changes of commands nearer than this are one
-FOLLOWED = 0.5  # time constant, in steps, that Runge-Kutta follows safely
 FAR = 1e12  # speeds beyond are of a simulation that diverged
 
 

@@ -9,24 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.compensators import RigConstants, Samples
+from dipc_gym.identification.settings import EXCITATION
 
 Array = NDArray[np.float64]
-
-ROWS, COLUMNS = 9, 25  # of the map: force, velocity
-FULL = 5
-"""Samples from which on a cell of the map counts as covered."""
-FEWEST_REVERSALS = 4  # of motion that a recording needs, for friction shows there
-SLOW = 0.1
-"""Share of the largest speed below which motion is slow; friction is steepest there."""
-FEW = 20  # samples that a region needs
-NARROW = 0.3
-"""Share of the map; the paper's sweep covers two thirds."""
-LOUDEST = 0.5
-"""Noise of the force beyond this share of the force itself leaves too little to learn."""
-LEAST_OWN = 0.05
-"""Share of the force that must vary independently of velocity; below it, the two are one number."""
-LEAST_EXPLAINED = 0.5
-"""Share of the voltage's variance that force and velocity explain in any run of a rig with the columns right."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +43,12 @@ class Excitation:
         """A few lines and a map for the terminal."""
         (f0, f1), (v0, v1) = self.force, self.velocity
         share = max(-f0, f1) / self.most_force
-        covered = ["  " + "".join("#" if n >= FULL else "." for n in row) for row in self.counts]
+        covered = ["  " + "".join("#" if n >= EXCITATION.full else "." for n in row) for row in self.counts]
         lines = [
             f"force {f0:.3g} to {f1:.3g} N, {100 * share:.0f} % of what the motor can exert; "
             f"{self.force_noise:.2g} N of it is noise",
             f"velocity {v0:.3g} to {v1:.3g} m/s, {self.reversals} reversals",
-            f"covered (# from {FULL} samples on; force upwards, velocity to the right):",
+            f"covered (# from {EXCITATION.full} samples on; force upwards, velocity to the right):",
             *covered,
             *(f"not covered: {sentence}" for sentence in self.missing),
         ]
@@ -91,9 +76,10 @@ def examine(samples: Samples, rig: RigConstants, *, force_noise: float) -> Excit
     force, velocity, volts = samples.force[train], samples.velocity[train], samples.voltage[train]
     fast, strong = float(np.abs(velocity).max()), float(np.abs(force).max())
     reversals = _reversals(velocity)
-    edges = np.linspace(-strong, strong, ROWS + 1), np.linspace(-fast, fast, COLUMNS + 1)
+    edges = np.linspace(-strong, strong, EXCITATION.rows + 1), np.linspace(-fast, fast, EXCITATION.columns + 1)
     nothing = fast == 0 or strong == 0
-    counts = np.zeros((ROWS, COLUMNS)) if nothing else np.histogram2d(force, velocity, bins=edges)[0][::-1]
+    shape = EXCITATION.rows, EXCITATION.columns
+    counts = np.zeros(shape) if nothing else np.histogram2d(force, velocity, bins=edges)[0][::-1]
     return Excitation(
         force=(float(force.min()), float(force.max())),
         velocity=(float(velocity.min()), float(velocity.max())),
@@ -108,21 +94,23 @@ def examine(samples: Samples, rig: RigConstants, *, force_noise: float) -> Excit
 
 def _missing(force: Array, velocity: Array, counts: Array) -> list[str]:
     found, fast, strong = [], float(np.abs(velocity).max()), float(np.abs(force).max())
-    share = float(np.mean(counts >= FULL))
-    if share < NARROW:
+    share = float(np.mean(counts >= EXCITATION.full))
+    if share < EXCITATION.narrow:
         found.append(f"all but {100 * share:.0f} % of the map; sweep over more frequencies")
-    if np.sum((np.abs(velocity) < fast / 3) & (np.abs(force) < strong / 3)) < FEW:
+    weak = (np.abs(velocity) < fast / EXCITATION.middle) & (np.abs(force) < strong / EXCITATION.middle)
+    if np.sum(weak) < EXCITATION.few:
         found.append("weak forces at low speed, where balancing takes place; begin the sweep at a lower frequency")
     for sign, way in ((1, "+x"), (-1, "-x")):
         along = sign * velocity
-        if along.max() < 0.5 * fast:
+        if along.max() < EXCITATION.one_sided * fast:
             found.append(f"towards {way} the cart reaches {along.max():.2g} m/s, the other way {fast:.2g}")
-        slow = int(np.sum((along > 0) & (along < SLOW * fast)))
-        if slow < FEW:
+        slow = int(np.sum((along > 0) & (along < EXCITATION.slow * fast)))
+        if slow < EXCITATION.few:
             found.append(
-                f"slow motion towards {way}: {slow} samples below {SLOW * fast:.2g} m/s, where friction is steepest"
+                f"slow motion towards {way}: {slow} samples below {EXCITATION.slow * fast:.2g} m/s, where friction is "
+                "steepest"
             )
-        if np.sum((along > 0) & (sign * force < 0)) < FEW:
+        if np.sum((along > 0) & (sign * force < 0)) < EXCITATION.few:
             found.append(f"braking while moving towards {way}: force and velocity hardly ever oppose each other there")
     return found
 
@@ -131,21 +119,21 @@ def _refusal(force: Array, velocity: Array, volts: Array, force_noise: float, re
     """Why nothing can be learned: the first reason, with its mend."""
     if np.ptp(volts) == 0:
         return f"the voltage is {volts[0]:g} V throughout; record a run in which it swings, such as a frequency sweep"
-    if reversals < FEWEST_REVERSALS:
+    if reversals < EXCITATION.fewest_reversals:
         return (
             f"the motion turns round {reversals} times, and friction shows itself there; record a run that swings back "
             "and forth, such as a frequency sweep"
         )
     size = float(np.sqrt(np.mean(force**2)))
-    if force_noise > LOUDEST * size:
+    if force_noise > EXCITATION.loudest * size:
         return (
             f"the encoder's noise makes {force_noise:.2g} N of a force of {size:.2g} N rms; drive the cart harder or "
             "take a finer encoder"
         )
-    sign = np.tanh(velocity / (SLOW * np.abs(velocity).max()))
+    sign = np.tanh(velocity / (EXCITATION.slow * np.abs(velocity).max()))
     follows = np.column_stack([velocity, sign, np.ones_like(velocity)])
     own = force - follows @ np.linalg.lstsq(follows, force)[0]
-    if np.sqrt(np.mean(own**2)) < max(LEAST_OWN * size, 2 * force_noise):
+    if np.sqrt(np.mean(own**2)) < max(EXCITATION.least_own * size, EXCITATION.above_noise * force_noise):
         return (
             "the force hardly varies independently of velocity, so that the two cannot be told apart; accelerate more, "
             "with higher frequencies"
@@ -153,7 +141,7 @@ def _refusal(force: Array, velocity: Array, volts: Array, force_noise: float, re
     everything = np.column_stack([force, follows])
     rest = volts - everything @ np.linalg.lstsq(everything, volts)[0]
     explained = 1 - float(np.var(rest) / np.var(volts))
-    if explained < LEAST_EXPLAINED:
+    if explained < EXCITATION.least_explained:
         return (
             f"force and velocity explain {100 * max(explained, 0.0):.0f} % of the voltage, and of a cart nearly all; "
             "check --map and --unit, that voltage and position have one clock, and that the poles were locked"
@@ -163,7 +151,7 @@ def _refusal(force: Array, velocity: Array, volts: Array, force_noise: float, re
 
 def _reversals(velocity: Array) -> int:
     """How often the sign changes, jitter about standstill not counted."""
-    least = 0.02 * float(np.abs(velocity).max())
+    least = EXCITATION.standstill * float(np.abs(velocity).max())
     moving = np.sign(velocity[np.abs(velocity) > least])
     return int(np.sum(moving[1:] != moving[:-1]))
 

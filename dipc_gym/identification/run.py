@@ -15,6 +15,7 @@ from dipc_gym import kernels, mjcf
 from dipc_gym.compensators import RigConstants, Samples
 from dipc_gym.compensators.memory import smooth as smoothed_force
 from dipc_gym.identification.excitation import Excitation, examine, force_noise
+from dipc_gym.identification.settings import RUN
 from dipc_gym.identification.smoothing import smooth
 from dipc_gym.mechanics.rigid import Rigid
 from dipc_gym.physics import from_model
@@ -24,9 +25,6 @@ from dipc_gym.recording import Recording, resample_commands
 __all__ = ["Cart", "Sweep"]
 
 Array = NDArray[np.float64]
-
-FAST = 0.2  # of the largest speed, above which dry friction is Coulomb's
-LONGEST_DELAY = 0.06  # s, that is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,9 +278,9 @@ def delay(data: Samples, constants: RigConstants) -> float:
     if data.position is None:
         return 0.0
     period, speed = constants.period, np.gradient(data.position, constants.period)
-    moving = np.abs(speed) > FAST * np.abs(speed).max()
+    moving = np.abs(speed) > RUN.fast * np.abs(speed).max()
     columns = np.column_stack([np.sign(speed), speed])[moving]
-    tried = np.arange(0.0, LONGEST_DELAY, 0.25 * period)
+    tried = np.arange(0.0, RUN.longest_delay, 0.25 * period)
     left = np.empty(len(tried))
     for i, late in enumerate(tried.tolist()):
         lost = constants.newtons_per_volt * smoothed_force(delayed(data.voltage, period, late)) - data.force

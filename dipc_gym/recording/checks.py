@@ -11,6 +11,7 @@ import numpy as np
 
 from dipc_gym.mjcf import is_hinge
 from dipc_gym.recording.degrees import turns
+from dipc_gym.recording.settings import CHECKS, DEGREES, NOISE
 from dipc_gym.recording.tables import RecordingError
 
 if TYPE_CHECKING:
@@ -18,16 +19,6 @@ if TYPE_CHECKING:
 
     from dipc_gym.recording.record import Recording
 
-ORDERS = range(3, 8)  # of the differences that remove the motion
-FEWEST = 10  # samples that noise can be estimated from
-BLOCK = 32  # samples over which the differences are averaged before the median is taken
-SWITCHED = 0.95  # share of samples at either extreme from which a channel is switched between two levels, not cut off
-SLOW = 0.2  # s between samples, beyond which time is more likely in milliseconds
-FAR_HINGE = 4 * math.pi  # rad that a hinge without limits seldom goes beyond
-FAR_SLIDE = 5.0  # m that a slide without limits seldom goes beyond
-STEADY = math.pi / 2  # rad a sample, below which an angle that starts again can be counted on
-MOVES = 10.0  # times its noise: a position that moves less tells nothing of its rate
-LIKE = 0.5  # share of the variance from which one curve is another, scaled
 RATES = {
     mujoco.mjtSensor.mjSENS_JOINTVEL: mujoco.mjtSensor.mjSENS_JOINTPOS,
     mujoco.mjtSensor.mjSENS_TENDONVEL: mujoco.mjtSensor.mjSENS_TENDONPOS,
@@ -51,7 +42,7 @@ def noise(recording: Recording) -> NDArray[np.float64]:
     Raises:
         RecordingError: fewer than 10 samples.
     """
-    if len(recording) < FEWEST:
+    if len(recording) < NOISE.fewest:
         raise RecordingError(f"{recording.name}: {len(recording)} samples are too few to tell noise from motion")
     return np.array([_noise(recording.time, values) for values in recording.sensors.T])
 
@@ -59,9 +50,9 @@ def noise(recording: Recording) -> NDArray[np.float64]:
 def _noise(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:
     if np.ptp(values) == 0:
         return math.inf
-    left = [_white(time, values, order) for order in ORDERS]
+    left = [_white(time, values, order) for order in NOISE.orders]
     # Not the least itself, which chance makes too small, but the first that is as good.
-    white = next(estimate for estimate in left if estimate <= 1.05 * min(left))
+    white = next(estimate for estimate in left if estimate <= NOISE.as_good * min(left))
     return max(white, quantum(values) / math.sqrt(12))
 
 
@@ -74,7 +65,7 @@ def _white(time: NDArray[np.float64], values: NDArray[np.float64], order: int) -
     weights = 1.0 / gaps.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     rest = np.einsum("ij,ij->i", weights, np.lib.stride_tricks.sliding_window_view(values, order + 1))
-    parts = np.array_split(rest, max(1, len(rest) // BLOCK))
+    parts = np.array_split(rest, max(1, len(rest) // NOISE.block))
     typical = float(np.median([np.mean(part**2) for part in parts]))
     # Neighbouring differences are correlated, so a block has fewer degrees of freedom than samples, and the median
     # of chi squared lies below its mean (Wilson and Hilferty 1931).
@@ -89,14 +80,15 @@ def quantum(values: NDArray[np.float64]) -> float:
     back to the same levels (which those of a noisy signal at constant speed do not).
     """
     steps = np.abs(np.diff(values))
-    steps = steps[steps > 64 * np.finfo(float).eps * np.max(np.abs(values), initial=0.0)]
+    steps = steps[steps > NOISE.rounding * np.finfo(float).eps * np.max(np.abs(values), initial=0.0)]
     if not len(steps):
         return 0.0
     smallest = float(np.min(steps))
-    multiples = steps[steps < 50 * smallest] / smallest
+    multiples = steps[steps < NOISE.near * smallest] / smallest
     step = smallest * float(np.median(multiples / np.round(multiples)))
     levels = len(np.unique(values))
-    if np.mean(np.abs(multiples - np.round(multiples)) < 0.05) < 0.95 or levels > np.ptp(values) / step + 2:
+    whole = np.abs(multiples - np.round(multiples)) < NOISE.off
+    if np.mean(whole) < NOISE.nearly_all or levels > np.ptp(values) / step + 2:
         return 0.0
     return step
 
@@ -114,7 +106,7 @@ def counted_on(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     if np.ptp(angle) > 1.001 * 2 * math.pi or np.max(np.abs(np.diff(angle)), initial=0.0) < math.pi:
         return angle
     on = np.unwrap(angle)
-    return on if np.max(np.abs(np.diff(on))) < STEADY else angle
+    return on if np.max(np.abs(np.diff(on))) < CHECKS.steady else angle
 
 
 def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:
@@ -144,15 +136,15 @@ def _sampling(time: NDArray[np.float64]) -> list[str]:
     steps = np.diff(time)
     middle, longest = float(np.median(steps)), int(np.argmax(steps))
     found = []
-    if middle > SLOW:
+    if middle > CHECKS.slow:
         found.append(f"samples are {middle:g} s apart; if time is in milliseconds, say --unit time=ms")
-    if steps[longest] > 3 * middle:
+    if steps[longest] > CHECKS.gap * middle:
         found.append(
-            f"{np.sum(steps > 3 * middle)} gaps in time, the longest {steps[longest]:.3g} s after "
+            f"{np.sum(steps > CHECKS.gap * middle)} gaps in time, the longest {steps[longest]:.3g} s after "
             f"{time[longest]:.6g} s where {middle:.3g} s are usual: samples are missing there"
         )
     low, high = np.quantile(steps, [0.05, 0.95])
-    if high - low > 0.05 * middle:
+    if high - low > CHECKS.spread * middle:
         found.append(
             f"sampling is irregular: {low:.3g} to {high:.3g} s apart, median {middle:.3g} s (5 to 95 %); "
             "commands are averaged over the steps of the simulation"
@@ -163,13 +155,13 @@ def _sampling(time: NDArray[np.float64]) -> list[str]:
 def _dead_or_clipped(label: str, values: NDArray[np.float64]) -> list[str]:
     if np.ptp(values) == 0:
         return [f"{label} is constant ({values[0]:g} throughout): locked, unused, or not connected?"]
-    if np.mean((values == values.min()) | (values == values.max())) > SWITCHED:
+    if np.mean((values == values.min()) | (values == values.max())) > CHECKS.switched:
         return []
     return [
         f"{label} sits at its {which} value, {extreme:g}, for {share:.0%} of the time and gets there at full speed: "
         "clipped, or against a stop?"
         for which, extreme in (("lowest", values.min()), ("highest", values.max()))
-        if (share := clipped_share(values, float(extreme))) >= 0.01
+        if (share := clipped_share(values, float(extreme))) >= CHECKS.clipped
     ]
 
 
@@ -185,8 +177,8 @@ def clipped_share(values: NDArray[np.float64], extreme: float) -> float:
     changes = np.abs(np.diff(levels))
     if len(levels) < 4:
         return 0.0
-    abrupt = max(5 * quantum(values), 0.05 * float(np.max(changes)))
-    plateau = (levels == extreme) & (lengths >= max(5, 5 * np.median(lengths)))
+    abrupt = max(CHECKS.steps * quantum(values), CHECKS.kink * float(np.max(changes)))
+    plateau = (levels == extreme) & (lengths >= max(CHECKS.plateau, CHECKS.plateau * np.median(lengths)))
     before = np.concatenate([[0.0, 0.0], changes[:-1]])  # the last change but one before each level
     after = np.concatenate([changes[1:], [0.0, 0.0]])
     kinked = plateau & (np.maximum(before, after) > abrupt)
@@ -201,9 +193,9 @@ def _odd_unit(name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> 
     joint = int(model.sensor_objid[sensor])
     hinge = is_hinge(model, joint)
     peak = float(np.max(np.abs(values)))
-    usual = FAR_HINGE if hinge else FAR_SLIDE
+    usual = CHECKS.far_hinge if hinge else CHECKS.far_slide
     if model.jnt_limited[joint]:
-        usual = 3 * float(np.max(np.abs(model.jnt_range[joint])))
+        usual = DEGREES.beyond * float(np.max(np.abs(model.jnt_range[joint])))
     if peak <= usual:
         return []
     unit, word, short = ("rad", "degrees", "deg") if hinge else ("m", "millimetres", "mm")
@@ -224,7 +216,7 @@ def _odd_rates(recording: Recording, model: mujoco.MjModel) -> list[str]:
         if kinds[p] != (RATES.get(mujoco.mjtSensor(kind)), of):
             continue
         place, rate = recording.sensors[:, p], recording.sensors[:, r]
-        if np.ptp(rate) == 0 or np.std(place) < MOVES * _noise(recording.time, place):
+        if np.ptp(rate) == 0 or np.std(place) < CHECKS.moves * _noise(recording.time, place):
             continue
         found += _odd_rate(recording.time, (recording.sensor_names[p], place), (recording.sensor_names[r], rate))
     return found
@@ -234,15 +226,16 @@ def _odd_rate(
     time: NDArray[np.float64], place: tuple[str, NDArray[np.float64]], rate: tuple[str, NDArray[np.float64]]
 ) -> list[str]:
     """What is wrong with the rate of a position, both with their names."""
+    low, high = CHECKS.times
     times, alike = _way(time, place[1], rate[1])
-    if alike > LIKE and 0.5 < times < 2:
+    if alike > CHECKS.like and low < times < high:
         return []
     backwards, alike_backwards = _way(time, rate[1], place[1])
-    if alike_backwards > LIKE and 0.5 < backwards < 2:
+    if alike_backwards > CHECKS.like and low < backwards < high:
         return [f"sensor {place[0]!r} is the rate of sensor {rate[0]!r}: interchanged? Say which is which with --map"]
-    if alike < LIKE:
+    if alike < CHECKS.like:
         return [f"sensor {rate[0]!r} is not the rate of sensor {place[0]!r}: another joint's, or not calibrated?"]
-    cause = "its sign is reversed" if -2 < times < -0.5 else "check its unit (--unit) and sign"
+    cause = "its sign is reversed" if -high < times < -low else "check its unit (--unit) and sign"
     return [f"sensor {rate[0]!r}, integrated, goes {times:.3g} times the way of sensor {place[0]!r}: {cause}"]
 
 

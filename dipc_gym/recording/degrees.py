@@ -11,22 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf import is_hinge
+from dipc_gym.recording.settings import DEGREES
 from dipc_gym.recording.tables import RecordingError
 
 if TYPE_CHECKING:
     from dipc_gym.recording.record import Recording
 
-TURNS = 2.0  # either way, that a joint with a weight on it seldom makes
-BEYOND = 3.0  # times its range, where a joint has one
-MOST = 1.1 * 360.0  # beyond this it would be many turns in degrees too
-SMOOTH = 0.05  # s over which a reading is taken for a cubic, to know its acceleration
-SAMPLES = 2000  # at which accelerations are compared
 ON_COMMAND_LINE = "say --unit {name}=deg if these are, or --unit {name}=rad if they are not"
 IN_PYTHON = (
     "read it with units={{{name!r}: 'deg'}} if these are, or 'rad' if they are not (a Recording made by hand says "
     "told=({name!r},), with its angles in rad)"
 )
-CLEARLY = 0.5  # share of the error in degrees below which a model's accelerations say that an angle is in radians
 
 
 def look_like_degrees(recording: Recording, model: mujoco.MjModel) -> list[str]:
@@ -47,9 +42,9 @@ def look_like_degrees(recording: Recording, model: mujoco.MjModel) -> list[str]:
         peak = float(np.max(np.abs(values)))
         if model.jnt_limited[joint]:
             reach = float(np.max(np.abs(model.jnt_range[joint])))
-            suspect = peak > BEYOND * reach and math.radians(peak) <= BEYOND * reach
+            suspect = peak > DEGREES.beyond * reach and math.radians(peak) <= DEGREES.beyond * reach
         else:
-            suspect = 2 * math.pi * TURNS < peak <= MOST and _weighs(model, joint)
+            suspect = 2 * math.pi * DEGREES.turns < peak <= DEGREES.most and _weighs(model, joint)
         if suspect:
             found.append(name)
     return found if found and not turns(recording, model, found) else []
@@ -86,7 +81,7 @@ def turns(recording: Recording, model: mujoco.MjModel, names: list[str]) -> bool
     in_degrees = recording.sensors.copy()
     in_degrees[:, columns] *= math.pi / 180
     far = [_off(recording, sensors, model, names) for sensors in (recording.sensors, in_degrees)]
-    return far[0] < CLEARLY * far[1]
+    return far[0] < DEGREES.clearly * far[1]
 
 
 def _off(recording: Recording, sensors: NDArray[np.float64], model: mujoco.MjModel, names: list[str]) -> float:
@@ -99,12 +94,12 @@ def _off(recording: Recording, sensors: NDArray[np.float64], model: mujoco.MjMod
         if model.sensor(name).type[0] == mujoco.mjtSensor.mjSENS_JOINTPOS
     }
     period = float(np.median(np.diff(recording.time)))
-    length = max(5, 2 * round(SMOOTH / period / 2) + 1)
+    length = max(5, 2 * round(DEGREES.smooth / period / 2) + 1)
     if len(sensors) < length:
         return 1.0
     motion = [savgol_filter(sensors, length, 3, deriv=order, delta=period, axis=0) for order in range(3)]
     data = mujoco.MjData(model)
-    which = np.linspace(0, len(sensors) - 1, min(SAMPLES, len(sensors))).astype(np.intp)
+    which = np.linspace(0, len(sensors) - 1, min(DEGREES.samples, len(sensors))).astype(np.intp)
     found = np.empty((len(which), len(names)))
     for row, k in enumerate(which):
         for name, joint in read.items():
@@ -126,4 +121,4 @@ def _weighs(model: mujoco.MjModel, joint: int) -> bool:
         data.qpos[model.jnt_qposadr[joint]] = angle
         mujoco.mj_forward(model, data)
         torques.append(float(data.qfrc_bias[model.jnt_dofadr[joint]]))
-    return float(np.ptp(torques)) > 1e-9
+    return float(np.ptp(torques)) > DEGREES.weight

@@ -15,8 +15,9 @@ from dipc_gym import mjcf
 from dipc_gym.engine import Uncovered, machine
 from dipc_gym.engine import program as programs
 from dipc_gym.engine.check import check
-from dipc_gym.engine.ensemble import FOLLOWED, WIDTH, require
+from dipc_gym.engine.ensemble import WIDTH, require
 from dipc_gym.engine.layout import JOINTS, Head
+from dipc_gym.engine.motion import FOLLOWED
 from dipc_gym.engine.program import Program
 from dipc_gym.engine.run import pool
 from dipc_gym.plant import Plant

@@ -38,14 +38,27 @@ class DesignSettings:
     """Decision constants of which experiment is proposed next.
 
     Attributes:
-        duration: of the command, s
-        warming: the same where a temperature is in question, s
-        sizes: shares of the largest command that are tried
-        beyond: times the range visited that a command may use
-        enough: windows that a command is judged on
+        duration: of the command, s: two slow ramps and more
+        warming: the same where a temperature is in question, s: windings take about as long to warm
+        sizes: shares of the largest command that are tried: each is 0.7 of the one before, down to a twentieth
+        beyond: times the range visited that a command may use: what lies further on is not known, and may be a stop
+        enough: windows that a command is judged on: more say little more, and each command costs a fit for each rival
         telling: times the noise that a rival must be off by to be told from the likeliest in a minute or so
-        loosest: standard deviation of a mapped parameter of which nothing is known
-        open_loop: share of the usual command that may be added where a controller has to keep the rig up
+        loosest: standard deviation of a mapped parameter of which nothing is known: loose, and yet a number
+        open_loop: share of the usual command that may be added where a controller has to keep the rig up: more might
+            throw it over
+        ramps: s, of one ramp up and down and back: slow, so that friction and gravity show and inertia does not
+        triangles: s, of one triangle: many reversals, where friction shows
+        steps: s, from one step to the next of the same sign: what swings or lags settles in the rest after it
+        rest: of the wave, below which a step rests: a third of the time
+        sweep: Hz, from and to: from slow swings to where inertia takes nearly all
+        tones: Hz, from and to: as the sweep, all at once
+        count: of the tones, about half an octave from one to the next
+        small: share of the largest command, for tones that stay within play, or before friction slips
+        fade: s, in which a command begins and ends: a rig at rest is not knocked
+        sent: times what was sent, that is tried where no range limits commands
+        exact: times the noise, that a simulated recording is taken to have: it has none, but readings are weighed by it
+        refits: steps of a rival's fit to what a command would record: it begins where recordings left it
     """
 
     duration: float = 20.0
@@ -56,6 +69,18 @@ class DesignSettings:
     telling: float = 0.3
     loosest: float = 10.0
     open_loop: float = 0.2
+    ramps: float = 8.0
+    triangles: float = 1.3
+    steps: float = 1.6
+    rest: float = 0.5
+    sweep: tuple[float, float] = (0.3, 8.0)
+    tones: tuple[float, float] = (0.4, 9.0)
+    count: int = 9
+    small: float = 0.3
+    fade: float = 0.5
+    sent: float = 2.0
+    exact: float = 1e-2
+    refits: int = 3
 
 
 DESIGN = DesignSettings()
@@ -72,36 +97,39 @@ class _Candidate:
 
 
 def _ramps(t: Array, rng: np.random.Generator) -> Array:
-    return np.asarray(2 / np.pi * np.arcsin(np.sin(2 * np.pi * t / 8)))
+    return np.asarray(2 / np.pi * np.arcsin(np.sin(2 * np.pi * t / DESIGN.ramps)))
 
 
 def _triangles(t: Array, rng: np.random.Generator) -> Array:
-    return np.asarray(2 / np.pi * np.arcsin(np.sin(2 * np.pi * t / 1.3)))
+    return np.asarray(2 / np.pi * np.arcsin(np.sin(2 * np.pi * t / DESIGN.triangles)))
 
 
 def _steps(t: Array, rng: np.random.Generator) -> Array:
-    return np.sign(np.sin(2 * np.pi * t / 1.6)) * (np.abs(np.sin(2 * np.pi * t / 1.6)) > 0.5)
+    wave = np.sin(2 * np.pi * t / DESIGN.steps)
+    return np.sign(wave) * (np.abs(wave) > DESIGN.rest)
 
 
 def _sweep(t: Array, rng: np.random.Generator) -> Array:
-    low, high, span = 0.3, 8.0, t[-1] + 1e-9
+    (low, high), span = DESIGN.sweep, t[-1] + 1e-9
     return np.sin(2 * np.pi * low * span / np.log(high / low) * ((high / low) ** (t / span) - 1))
 
 
 def _tones(t: Array, rng: np.random.Generator) -> Array:
-    frequency = np.geomspace(0.4, 9.0, 9)
-    wave = np.sin(2 * np.pi * np.outer(t, frequency) + rng.uniform(0, 2 * np.pi, 9)) @ frequency**-0.5
+    frequency = np.geomspace(*DESIGN.tones, DESIGN.count)
+    wave = np.sin(2 * np.pi * np.outer(t, frequency) + rng.uniform(0, 2 * np.pi, DESIGN.count)) @ frequency**-0.5
     return np.asarray(wave / np.abs(wave).max())
 
 
+TONES = "tones from {:g} to {:g} Hz".format(*DESIGN.tones)
+
 # In words: the shape, and its share of the largest command.
 SHAPES: dict[str, tuple[Callable[[Array, np.random.Generator], Array], float]] = {
-    "slow ramps up and down, one every 4 s": (_ramps, 1.0),
-    "triangles of 1.3 s, for many reversals": (_triangles, 1.0),
+    f"slow ramps up and down, one every {DESIGN.ramps / 2:g} s": (_ramps, 1.0),
+    f"triangles of {DESIGN.triangles:g} s, for many reversals": (_triangles, 1.0),
     "steps with rests between them": (_steps, 1.0),
-    "a sweep from 0.3 to 8 Hz": (_sweep, 1.0),
-    "nine tones from 0.4 to 9 Hz": (_tones, 1.0),
-    "nine small tones from 0.4 to 9 Hz": (_tones, 0.3),
+    "a sweep from {:g} to {:g} Hz".format(*DESIGN.sweep): (_sweep, 1.0),
+    f"nine {TONES}": (_tones, 1.0),
+    f"nine small {TONES}": (_tones, DESIGN.small),
 }
 
 
@@ -257,7 +285,7 @@ class _Rig:
             sha256="",
         )
         noise = self.problem.windows.noise
-        motion = states.estimate(run, self.physics, 1e-2 * noise)
+        motion = states.estimate(run, self.physics, DESIGN.exact * noise)
         length = float(self.problem.windows.times.max()) + run.period
         windows = replace(cut([run], noise, length, (0.0, 1.0)), motions=(motion,))
         initial = initial_states([motion], windows.source, windows.start)
@@ -267,7 +295,7 @@ class _Rig:
 
 def _sized(rig: _Rig, recordings: Sequence[Recording], time: Array, seed: int) -> list[_Candidate]:
     """Every shape at every actuator, as large as the range allows; those that fit at no size are left out."""
-    fade = np.minimum(np.minimum(time, time[-1] - time) / 0.5, 1.0)  # begins and ends gently
+    fade = np.minimum(np.minimum(time, time[-1] - time) / DESIGN.fade, 1.0)  # begins and ends gently
     tried = []
     for k in range(len(recordings[0].actuator_names)):
         most = _largest(rig, recordings, k)
@@ -284,7 +312,7 @@ def _largest(rig: _Rig, recordings: Sequence[Recording], actuator: int) -> float
     if model.actuator_ctrllimited[actuator]:
         low, high = (float(x) for x in model.actuator_ctrlrange[actuator])
         return min(-low, high) if low < 0 < high else max(abs(low), abs(high))
-    return 2 * max(float(np.abs(r.commands[:, actuator]).max()) for r in recordings) or 1.0
+    return DESIGN.sent * max(float(np.abs(r.commands[:, actuator]).max()) for r in recordings) or 1.0
 
 
 def _worth(
@@ -317,9 +345,9 @@ def _apart(
 ) -> float:
     """Error that a rival is left with; one that contains the likeliest is itself the rig, else it is never off."""
     if not _contains(rival[0], likeliest[0]):
-        return fit(would, *rival, most=3).error
+        return fit(would, *rival, most=DESIGN.refits).error
     turned = rig.instead(rival).would_record(candidate)
-    return fit(turned, *likeliest, most=3).error
+    return fit(turned, *likeliest, most=DESIGN.refits).error
 
 
 def _contains(wide: Structure, narrow: Structure) -> bool:
@@ -342,7 +370,7 @@ def _beside_a_controller(
     )
     return Design(
         f"{_question(structures)} let the controller hold the rig, which leaves its range when left alone, and add "
-        f"nine tones from 0.4 to 9 Hz, of up to {sizes}, for {time[-1]:.0f} s; record the sum as the command.",
+        f"nine {TONES}, of up to {sizes}, for {time[-1]:.0f} s; record the sum as the command.",
         _recording(like, time, commands),
     )
 

@@ -18,6 +18,7 @@ from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.estimation.segments import prepare
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Term, carry
 from dipc_gym.sim2real.selection.settings import WINDOWS
@@ -91,7 +92,7 @@ def fit_effect(
     fitted = ready.problem.pick(np.arange(0, len(ready.problem.windows), 2))
     comparison = ready.problem.pick(np.arange(1, len(ready.problem.windows), 2))
     free = replace(ready.structure, model_parameters=tuple(model_parameters(Document(source), given.model)))
-    without = fit(fitted, free, most=20)
+    without = fit(fitted, free, most=ESTIMATION.from_afar)
     error_without = fit(comparison, free, without.z, most=0).error
     seen = unexplained.scene(without.structure.physics(without.z), recordings, ready.motions)
 

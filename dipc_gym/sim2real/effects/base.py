@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.effects.settings import EFFECTS
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -93,7 +94,7 @@ class Evidence:
     @property
     def force_scale(self) -> float:
         """Size of the unexplained force, at least a hundredth of what the joint transmits."""
-        return max(rms(self.force), 0.01 * rms(self.load), 1e-12)
+        return max(rms(self.force), EFFECTS.faint * rms(self.load), 1e-12)
 
     @property
     def speed_scale(self) -> float:
@@ -108,7 +109,7 @@ class Evidence:
     @property
     def direction(self) -> Array:
         """Sign of the velocity, smoothed at speeds where it is uncertain, (n,)."""
-        return np.asarray(np.tanh(self.velocity / (0.05 * self.speed_scale)))
+        return np.asarray(np.tanh(self.velocity / (EFFECTS.uncertain * self.speed_scale)))
 
     @property
     def dry_level(self) -> float:
@@ -116,7 +117,8 @@ class Evidence:
         if self.level is not None:
             return self.level
         level, _ = self.along(-self.direction, -self.velocity)
-        return float(np.clip(level, 0.1 * self.force_scale, 2 * self.force_scale))
+        low, high = EFFECTS.dry
+        return float(np.clip(level, low * self.force_scale, high * self.force_scale))
 
 
 def rms(values: Array) -> float:
@@ -125,12 +127,6 @@ def rms(values: Array) -> float:
 
 
 Place = Literal["joint", "actuator", "sensor", "world"]
-
-# Share of the excess error that effects may leave and be named. In 160 blind trials, those that were there left 0.19 at
-# most, and those that stood in for physics of no catalogue 0.4 to 0.7, save one that left 0.2; what real rigs leave
-# beside friction that is known to be there is 0.25. Effects that are told by when they act alone may leave less; all
-# others are named however much they leave.
-LEAVES = 1 / 3
 
 
 class Effect(ABC):
@@ -174,7 +170,7 @@ class Effect(ABC):
     once: ClassVar[bool] = False
     of_the_clock: ClassVar[bool] = False
     of_no_kind: ClassVar[bool] = False
-    leaves: ClassVar[float] = LEAVES
+    leaves: ClassVar[float] = EFFECTS.leaves
     element: str = ""
 
     @property

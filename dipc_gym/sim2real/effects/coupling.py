@@ -14,8 +14,6 @@ from dipc_gym.sim2real.effects.base import Evidence, dof, joint_of
 # Of a contact: the smallest that MuJoCo allows. Whatever presses on the contact keeps all but this share of its effect,
 # so the limit is a spring and a damper that only push. A large one holds a load without giving way.
 IMPEDANCE = 1e-4
-SETTLE = 0.15  # s of simulation until a rotor is where it would be, whatever it was given to start with
-SWING = 0.45  # s of it until a rotor on a spring is, which swings on: with a twentieth of critical damping at 30 Hz
 
 
 def can_split(model: mujoco.MjModel, actuator: str) -> bool:

@@ -8,7 +8,8 @@ import numpy as np
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Evidence, Values, dry
-from dipc_gym.sim2real.effects.law import NARROWEST, Array, Law
+from dipc_gym.sim2real.effects.law import Array, Law
+from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.tables import grow
 
 
@@ -42,7 +43,7 @@ class FrictionOfPosition(Law):
         levels = self.values(values)
         mean = np.trapezoid(levels, self.knots) / (self.knots[-1] - self.knots[0])
         dry(document, at, max(float(mean), 1e-9))
-        even = np.linspace(self.knots[0], self.knots[-1], NARROWEST + 1)  # every knot is one of these
+        even = np.linspace(self.knots[0], self.knots[-1], LAWS.narrowest + 1)  # every knot is one of these
         document.custom("friction.position", at, [even[0], even[-1], *np.interp(even, self.knots, levels)])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:

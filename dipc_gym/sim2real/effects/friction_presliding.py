@@ -10,6 +10,7 @@ import numpy as np
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values, passive_motor
 from dipc_gym.sim2real.effects.friction_stribeck import LevelAlone, Stribeck
+from dipc_gym.sim2real.effects.settings import EFFECTS
 
 SOFTER = (4.0, 16.0, 64.0)  # times; MuJoCo's bristles are integrated explicitly, so a long step bears only soft ones
 
@@ -31,8 +32,8 @@ class Presliding(Effect):
     levels = ("level",)
     rivals = ("friction.stribeck", "friction.coulomb", "transmission.compliance", "transmission.backlash")
     contains = ("friction.coulomb", "friction.stribeck")
-    finest = 5e-4
-    warm = 0.06
+    finest = EFFECTS.fast
+    warm = EFFECTS.warm
     element = "LuGre bristles of a passive motor"
 
     def forms(self) -> Sequence[Form]:

@@ -8,7 +8,8 @@ import numpy as np
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Evidence, Values, dry
-from dipc_gym.sim2real.effects.law import NARROWEST, Array, Law
+from dipc_gym.sim2real.effects.law import Array, Law
+from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.tables import grow
 
 
@@ -46,7 +47,7 @@ class FrictionOfTime(Law):
         """A table for the loader; stock MuJoCo gets the level that it ends at."""
         levels = self.values(values)
         dry(document, at, max(levels[-1], 1e-9))
-        even = np.linspace(self.knots[0], self.knots[-1], NARROWEST + 1)  # every knot is one of these
+        even = np.linspace(self.knots[0], self.knots[-1], LAWS.narrowest + 1)  # every knot is one of these
         document.custom(self.id, at, [even[0], even[-1], *np.interp(even, self.knots, levels)])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:

@@ -8,7 +8,8 @@ import numpy as np
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry
-from dipc_gym.sim2real.effects.waves import FINE, waves
+from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.waves import waves
 
 
 class Uneven(Effect):
@@ -21,7 +22,7 @@ class Uneven(Effect):
         Parameter("level", "N", 0.0),
         Parameter("sine", "N"),
         Parameter("cosine", "N"),
-        Parameter("wavelength", "m", 1e-9, log=True, fine=FINE),
+        Parameter("wavelength", "m", 1e-9, log=True, fine=EFFECTS.fine),
     )
     levels = ("level",)
     rivals = ("friction.position", "load.position", "friction.coulomb", "friction.load")

@@ -11,14 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.settings import LAWS
 
 Array = NDArray[np.float64]
 
 Outside = Literal["constant", "parallel"]
-
-LOOSE = 5.0  # standard deviation of a value's prior, in sizes of the whole law
-NEW = 0.3  # of a knot that is put between two others: where no data are, the law stays as it was
-NARROWEST = 256  # of a table's length: no stretch is bisected to less
 
 
 def described(
@@ -56,7 +53,7 @@ def described(
 
 def bisected(knots: Array, narrowest: Array | float, told: NDArray[np.bool_] | None = None) -> Array:
     """Knots, and the middles of stretches that end at a told one and are twice as long as the narrowest may be."""
-    wide = np.diff(knots) > 1.9 * narrowest
+    wide = np.diff(knots) > LAWS.twice * narrowest
     if told is not None:
         wide &= told[1:] | told[:-1]
     return np.sort(np.append(knots, (0.5 * (knots[1:] + knots[:-1]))[wide]))
@@ -64,7 +61,9 @@ def bisected(knots: Array, narrowest: Array | float, told: NDArray[np.bool_] | N
 
 def holding_new(parameters: Sequence[Parameter], new: NDArray[np.bool_]) -> tuple[Parameter, ...]:
     """Values of a law, of which those that are new hold on to where they begin."""
-    return tuple(replace(p, sigma=NEW / 0.3) if added else p for p, added in zip(parameters, new, strict=True))
+    return tuple(
+        replace(p, sigma=LAWS.new / LAWS.step) if added else p for p, added in zip(parameters, new, strict=True)
+    )
 
 
 class Law(Effect):
@@ -93,7 +92,8 @@ class Law(Effect):
         size = float(np.max(np.abs(self.first), initial=0.0)) or 1.0
         names = [f"value_{k + 1}" for k in range(len(self.knots))]
         self.parameters = tuple(
-            Parameter(name, self.unit, self.lowest, step=0.3 * size, sigma=LOOSE / 0.3) for name in names
+            Parameter(name, self.unit, self.lowest, step=LAWS.step * size, sigma=LAWS.loose / LAWS.step)
+            for name in names
         )
         self.linear = tuple(names) if self.from_nothing else ()
 
@@ -128,7 +128,7 @@ class Law(Effect):
     @property
     def narrowest(self) -> Array:
         """To what the stretches may be bisected, one less than there are knots."""
-        return np.full(len(self.knots) - 1, (self.knots[-1] - self.knots[0]) / NARROWEST)
+        return np.full(len(self.knots) - 1, (self.knots[-1] - self.knots[0]) / LAWS.narrowest)
 
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         """The same law with these knots, of which some are new."""

@@ -8,7 +8,8 @@ import numpy as np
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, passive_wave
-from dipc_gym.sim2real.effects.waves import FINE, waves
+from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.waves import waves
 
 
 class Wave(Effect):
@@ -20,7 +21,7 @@ class Wave(Effect):
     parameters = (
         Parameter("sine", "N"),
         Parameter("cosine", "N"),
-        Parameter("wavelength", "m", 0.0, log=True, fine=FINE),
+        Parameter("wavelength", "m", 0.0, log=True, fine=EFFECTS.fine),
     )
     rivals = ("motor.cogging", "load.spring", "friction.position")
     contains = ("load.constant", "load.spring")

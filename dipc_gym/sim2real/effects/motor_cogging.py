@@ -9,7 +9,8 @@ import numpy as np
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor
-from dipc_gym.sim2real.effects.waves import FINE, waves
+from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.waves import waves
 
 
 class Cogging(Effect):
@@ -21,7 +22,7 @@ class Cogging(Effect):
     parameters = (
         Parameter("sine", "N m"),
         Parameter("cosine", "N m"),
-        Parameter("poles", "", 0.0, log=True, fine=FINE),
+        Parameter("poles", "", 0.0, log=True, fine=EFFECTS.fine),
     )
     rivals = ("load.position", "load.spring")
 

@@ -8,6 +8,7 @@ import mujoco
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor
+from dipc_gym.sim2real.effects.settings import EFFECTS
 
 
 class Inductance(Effect):
@@ -17,8 +18,8 @@ class Inductance(Effect):
     place = "actuator"
     parameters = (Parameter("time_constant", "s", 2e-5, 0.2, log=True),)
     rivals = ("timing.delay", "timing.sensor_lag", "timing.sensor_lag:delay", "transmission.compliance")
-    finest = 5e-4
-    warm = 0.06
+    finest = EFFECTS.fast
+    warm = EFFECTS.warm
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """On a motor without dynamics of its own."""

@@ -15,22 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dipc_gym.sim2real.effects.tables import BLOCK, COVERED, spared
+from dipc_gym.sim2real.effects.settings import SURFACES, TABLES
+from dipc_gym.sim2real.effects.tables import spared
 
 Array = NDArray[np.float64]
 Sums = tuple[sparse.csr_array, Array, float]  # normal matrix, right-hand side, sum of squares
-
-ALONE, BOTH = 32, 16  # bins along one input, and along each of two; no knots lie closer
-PAIRED = 8  # of the better inputs, that are tried in pairs
-TELLS = 0.1  # share of what one input takes, by which two have to take more
-STIFF = (1e-3, 0.1, 10.0)  # of an even table: weight of its bends, against that of its samples
-SMOOTH = 1e-3  # weight of a grown table's bends: where nearly no samples are, it goes on as it does beside them
-TIMID = 1e-4  # weight of a level's size, far less
-UNTOLD = 1e-5  # share of all samples' weight: a level of less lies in no data, and within those that do
-NEARLY = 0.7  # of what the best inputs take, from which others are asked as well
-RIVALS = 3  # tables that are asked for
-LEAST = 0.002  # share of the variance that a table must take of blocks that it did not see
-MOST_LEVELS = 72  # of a table
 
 
 @dataclass(frozen=True)
@@ -60,28 +49,30 @@ def surfaces(inputs: Mapping[str, Array], force: Array, time: Array) -> list[Sur
         force: to be explained, (n,).
         time: s, (n,), beginning anew with each recording.
     """
-    late = np.floor(time / BLOCK).astype(np.intp) % 2 == 1
+    late = np.floor(time / TABLES.block).astype(np.intp) % 2 == 1
     if late.all() or not late.any():
         return []
     halves = (~late, late)
     moving = {name: x for name, x in inputs.items() if np.ptp(x) > 0}
     worth: dict[tuple[str, ...], float] = {
-        (name,): _Even([x], force, halves, ALONE).worth for name, x in moving.items()
+        (name,): _Even([x], force, halves, SURFACES.alone).worth for name, x in moving.items()
     }
     if not worth:
         return []
     better = sorted(worth, key=lambda one: -worth[one])
     pairs = {
-        (*a, *b): _Even([moving[a[0]], moving[b[0]]], force, halves, BOTH).worth
-        for a, b in itertools.combinations(better[:PAIRED], 2)
+        (*a, *b): _Even([moving[a[0]], moving[b[0]]], force, halves, SURFACES.both).worth
+        for a, b in itertools.combinations(better[: SURFACES.paired], 2)
     }
     two = max(pairs, key=lambda one: pairs[one], default=better[0])
-    if pairs and pairs[two] > worth[better[0]] + TELLS * max(worth[better[0]], LEAST):
+    if pairs and pairs[two] > worth[better[0]] + SURFACES.tells * max(worth[better[0]], SURFACES.least):
         worth, better = pairs, sorted(pairs, key=lambda one: -pairs[one])
-    least = max(LEAST, NEARLY * worth[better[0]])
+    least = max(SURFACES.least, SURFACES.nearly * worth[better[0]])
     found = []
-    for chosen in (one for one in better[:RIVALS] if worth[one] >= least):
-        even = _Even([moving[name] for name in chosen], force, halves, ALONE if len(chosen) == 1 else BOTH)
+    for chosen in (one for one in better[: SURFACES.rivals] if worth[one] >= least):
+        even = _Even(
+            [moving[name] for name in chosen], force, halves, SURFACES.alone if len(chosen) == 1 else SURFACES.both
+        )
         found.append(Surface(chosen, *even.grown()))
     return found
 
@@ -109,11 +100,11 @@ class _Even:
     def worth(self) -> float:
         """Share of the squares that a table of all knots, as stiff as it has to be, takes of the half not seen."""
         bends = _bending([self.bins + 1] * len(self.edges))
-        taken = np.zeros(len(STIFF))
+        taken = np.zeros(len(SURFACES.stiff))
         for (normal, right, _), told in (self.sums, self.sums[::-1]):
             size = float(normal.trace()) / len(right)
-            for k, stiff in enumerate(STIFF):
-                penalty = size * (stiff * bends + TIMID * np.eye(len(bends)))
+            for k, stiff in enumerate(SURFACES.stiff):
+                penalty = size * (stiff * bends + SURFACES.timid * np.eye(len(bends)))
                 levels = np.asarray(np.linalg.solve(normal.toarray() + penalty, right))
                 taken[k] += _taken(levels, told) / 2
         return float(taken.max())
@@ -130,14 +121,14 @@ class _Even:
                 for k in range(1, self.bins)
                 if k not in knots[axis]
             ]
-            tries = [one for one in tries if np.prod([len(axis) for axis in one]) <= MOST_LEVELS]
+            tries = [one for one in tries if np.prod([len(axis) for axis in one]) <= SURFACES.most_levels]
             if not tries:
                 break
             knots = max(tries, key=lambda one: _taken(self._levels(one, self.sums[:1])[1], self.sums[0]))
         enough = spared(1.0 - path[0][1], min(1.0 - worth for _, worth in path))
         chosen = next(one for one, worth in path if 1.0 - worth <= enough)
         levels, _ = self._levels(chosen, self.sums)
-        told = self._weights(chosen) > UNTOLD * sum(float(one[0].trace()) for one in self.sums)
+        told = self._weights(chosen) > SURFACES.untold * sum(float(one[0].trace()) for one in self.sums)
         levels = np.clip(levels, levels[told].min(), levels[told].max())
         return tuple(e[k] for e, k in zip(self.edges, chosen, strict=True)), levels.reshape([len(k) for k in chosen])
 
@@ -154,7 +145,9 @@ class _Even:
         shape = [len(k) for k in knots]
         size = float(np.trace(normal)) / len(right)
         levels = np.asarray(
-            np.linalg.solve(normal + size * (SMOOTH * _bending(shape) + TIMID * np.eye(len(right))), right)
+            np.linalg.solve(
+                normal + size * (SURFACES.smooth * _bending(shape) + SURFACES.timid * np.eye(len(right))), right
+            )
         )
         return levels, np.asarray(coarse @ levels)
 
@@ -173,7 +166,7 @@ class _Even:
 
 
 def _span(x: Array) -> tuple[float, float]:
-    low, high = (float(v) for v in np.quantile(x, [COVERED, 1 - COVERED]))
+    low, high = (float(v) for v in np.quantile(x, [TABLES.covered, 1 - TABLES.covered]))
     return low, max(high, low + 1e-9 * max(1.0, abs(low)))
 
 

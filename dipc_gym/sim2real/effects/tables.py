@@ -14,16 +14,9 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import passive_ramp
+from dipc_gym.sim2real.effects.settings import TABLES
 
 Array = NDArray[np.float64]
-
-BINS = 64  # of the range of the input; no knot lies closer to another than one of them
-MOST_KNOTS = 24  # of a table
-FEWEST = 20  # samples between two knots
-BLOCK = 1.0  # s; alternating blocks choose knots and confirm them
-SPARE = 0.03  # share of what knots gain on the confirming blocks that a table with fewer of them may forgo
-NEAR = 0.1  # share of what the best table leaves that one with fewer knots may leave more
-COVERED = 0.005  # share of the samples beyond either end of a table
 
 
 def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: Array) -> tuple[Array, Array]:
@@ -41,10 +34,10 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     Returns:
         Knots (k,), increasing, and the table's values there, (k,); k is at least 2.
     """
-    low, high = (float(v) for v in np.quantile(x, [COVERED, 1 - COVERED]))
+    low, high = (float(v) for v in np.quantile(x, [TABLES.covered, 1 - TABLES.covered]))
     high = max(high, low + 1e-9 * max(1.0, abs(low)))
-    edges = np.linspace(low, high, BINS + 1)
-    confirming = np.floor(time / BLOCK).astype(np.intp) % 2 == 1
+    edges = np.linspace(low, high, TABLES.bins + 1)
+    confirming = np.floor(time / TABLES.block).astype(np.intp) % 2 == 1
     if confirming.all() or not confirming.any():
         confirming = np.arange(len(x)) % 2 == 1
     sums = [
@@ -53,9 +46,9 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     ]
     both = _Sums(edges, x, force, carrier, beside)
     counts = np.append(0, np.cumsum(np.histogram(x, edges)[0]))
-    grown = [[0, BINS]]
-    while len(grown[-1]) < MOST_KNOTS:
-        tries = [sorted([*grown[-1], k]) for k in range(1, BINS) if _room(k, grown[-1], counts)]
+    grown = [[0, TABLES.bins]]
+    while len(grown[-1]) < TABLES.most_knots:
+        tries = [sorted([*grown[-1], k]) for k in range(1, TABLES.bins) if _room(k, grown[-1], counts)]
         if not tries:
             break
         grown.append(min(tries, key=lambda knots: sums[0].left(knots, sums[0].weights(knots))))
@@ -72,44 +65,44 @@ def spared(before: float, least: float) -> float:
     A share of what the shape takes, so that noise adds no knots; but where it takes nearly all, no more than a share
     of what is left in the end, or a large law would stay coarse.
     """
-    return least + min(SPARE * max(before - least, 0.0), NEAR * least)
+    return least + min(TABLES.spare * max(before - least, 0.0), TABLES.near * least)
 
 
 def _room(k: int, chosen: Sequence[int], counts: NDArray[np.intp]) -> bool:
     """Whether there are samples enough on either side of a new knot."""
-    below, above = max(c for c in chosen if c < k or c == 0), min(c for c in chosen if c > k or c == BINS)
-    return k not in chosen and min(counts[k] - counts[below], counts[above] - counts[k]) >= FEWEST
+    below, above = max(c for c in chosen if c < k or c == 0), min(c for c in chosen if c > k or c == TABLES.bins)
+    return k not in chosen and min(counts[k] - counts[below], counts[above] - counts[k]) >= TABLES.fewest
 
 
 class _Sums:
     """Normal equations of a table on a fine grid and of the regressors beside it; coarser tables are subspaces."""
 
     def __init__(self, edges: Array, x: Array, force: Array, carrier: Array, beside: Sequence[Array]) -> None:
-        along = np.clip((x - edges[0]) / (edges[-1] - edges[0]) * BINS, 0.0, BINS - 1e-9)
+        along = np.clip((x - edges[0]) / (edges[-1] - edges[0]) * TABLES.bins, 0.0, TABLES.bins - 1e-9)
         below = along.astype(np.intp)
-        columns = np.zeros((len(x), BINS + 1 + len(beside)))
+        columns = np.zeros((len(x), TABLES.bins + 1 + len(beside)))
         rows = np.arange(len(x))
         columns[rows, below] = carrier * (1 - (along - below))
         columns[rows, below + 1] += carrier * (along - below)
-        columns[:, BINS + 1 :] = np.stack(beside, axis=1) if len(beside) else 0.0
+        columns[:, TABLES.bins + 1 :] = np.stack(beside, axis=1) if len(beside) else 0.0
         self.normal, self.right, self.total = columns.T @ columns, columns.T @ force, float(force @ force)
         self.size = max(float(np.trace(self.normal)), 1e-300) / len(self.normal)
 
     def _hats(self, knots: Sequence[int]) -> Array:
         """A coarse table's values on the fine grid, and the other regressors as they are."""
-        others = len(self.right) - BINS - 1
+        others = len(self.right) - TABLES.bins - 1
         out = np.zeros((len(self.right), len(knots) + others))
-        out[: BINS + 1, : len(knots)] = np.stack(
-            [np.interp(np.arange(BINS + 1), knots, unit) for unit in np.eye(len(knots))], axis=1
+        out[: TABLES.bins + 1, : len(knots)] = np.stack(
+            [np.interp(np.arange(TABLES.bins + 1), knots, unit) for unit in np.eye(len(knots))], axis=1
         )
-        out[BINS + 1 :, len(knots) :] = np.eye(others)
+        out[TABLES.bins + 1 :, len(knots) :] = np.eye(others)
         return out
 
     def weights(self, knots: Sequence[int]) -> Array:
         """Least-squares values at the knots, then weights of the other regressors; a trace of ridge for empty bins."""
         hats = self._hats(knots)
         normal = hats.T @ self.normal @ hats
-        return np.asarray(np.linalg.solve(normal + 1e-6 * self.size * np.eye(len(normal)), hats.T @ self.right))
+        return np.asarray(np.linalg.solve(normal + TABLES.ridge * self.size * np.eye(len(normal)), hats.T @ self.right))
 
     def left(self, knots: Sequence[int], weights: Array) -> float:
         """Sum of squares that these weights leave."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.settings import EFFECTS
 
 
 class SensorLag(Effect):
@@ -15,8 +16,8 @@ class SensorLag(Effect):
     place = "sensor"
     parameters = (Parameter("time_constant", "s", 2e-5, 0.2, log=True),)
     rivals = ("timing.sensor_lag:delay", "timing.delay", "motor.inductance", "transmission.compliance")
-    warm = 0.06
-    finest = 5e-4  # between steps what it follows goes straight
+    warm = EFFECTS.warm
+    finest = EFFECTS.fast  # between steps what it follows goes straight
     needs_loader = True
     moves_readings = True
 

@@ -8,7 +8,8 @@ import mujoco
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import SETTLE, can_split, limit, rotor_guesses, split
+from dipc_gym.sim2real.effects.coupling import can_split, limit, rotor_guesses, split
+from dipc_gym.sim2real.effects.settings import EFFECTS
 
 
 class Backlash(Effect):
@@ -25,8 +26,8 @@ class Backlash(Effect):
     )
     rivals = ("motor.deadzone", "transmission.compliance", "friction.coulomb", "timing.delay")
     linear = ("gap",)  # the load lags behind in proportion to the way that the rotor goes alone
-    finest = 5e-4
-    warm = SETTLE
+    finest = EFFECTS.fast
+    warm = EFFECTS.settle
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Where a motor drives a joint, in a model whose limits are not switched off."""

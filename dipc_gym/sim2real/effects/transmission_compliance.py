@@ -9,7 +9,8 @@ import numpy as np
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import SWING, can_split, couple, rotor_guesses, split
+from dipc_gym.sim2real.effects.coupling import can_split, couple, rotor_guesses, split
+from dipc_gym.sim2real.effects.settings import EFFECTS
 
 
 class Compliance(Effect):
@@ -24,8 +25,8 @@ class Compliance(Effect):
         Parameter("rotor_inertia", "kg", 1e-12, log=True),
     )
     rivals = ("transmission.backlash", "motor.inductance", "timing.delay", "timing.sensor_lag")
-    finest = 5e-4
-    warm = SWING
+    finest = EFFECTS.fast
+    warm = EFFECTS.swing
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Where a motor drives a joint."""

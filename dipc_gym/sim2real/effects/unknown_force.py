@@ -13,10 +13,9 @@ from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import LOOSE, NARROWEST, bisected, described, holding_new
+from dipc_gym.sim2real.effects.law import bisected, described, holding_new
+from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.surfaces import Surface, surfaces
-
-MOST_LEVELS = 144  # of a table
 
 WORDS = {"position": "the position of {}", "velocity": "the velocity of {}", "command": "the command to {}"}
 
@@ -48,7 +47,9 @@ class UnknownForce(Effect):
         levels = [] if shape is None else shape.levels.ravel().tolist()
         self.first = {f"level_{k + 1}": level for k, level in enumerate(levels)}
         size = max((abs(level) for level in levels), default=1.0) or 1.0
-        self.parameters = tuple(Parameter(name, "N", step=0.3 * size, sigma=LOOSE / 0.3) for name in self.first)
+        self.parameters = tuple(
+            Parameter(name, "N", step=LAWS.step * size, sigma=LAWS.loose / LAWS.step) for name in self.first
+        )
         self.linear = tuple(self.first)
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
@@ -84,8 +85,8 @@ class UnknownForce(Effect):
         for axis, old in enumerate(self.shape.knots):
             others = tuple(k for k in range(levels.ndim) if k != axis)
             here = None if told is None else np.asarray(told.reshape(levels.shape).any(axis=others))
-            knots = bisected(old, (old[-1] - old[0]) / NARROWEST, here)
-            if len(knots) == len(old) or levels.size // len(old) * len(knots) > MOST_LEVELS:
+            knots = bisected(old, (old[-1] - old[0]) / LAWS.narrowest, here)
+            if len(knots) == len(old) or levels.size // len(old) * len(knots) > LAWS.most_levels:
                 continue
             hats = np.stack([np.interp(knots, old, unit) for unit in np.eye(len(old))], axis=1)
             more = np.moveaxis(np.tensordot(hats, levels, axes=(1, axis)), 0, axis)

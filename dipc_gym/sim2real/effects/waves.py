@@ -6,14 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real.effects.base import Evidence
+from dipc_gym.sim2real.effects.settings import WAVES
 
 Array = NDArray[np.float64]
-
-FINE = 0.05  # relative change of a wavelength that is a sizeable one over several waves
-_MOST = 1000  # waves over the range of position; an axis that turns many times has hundreds
-_BINS = 16384  # of position, sixteen to the shortest wave
-_FINER = 10  # times as many are tried as the range tells apart
-_RESOLVED = 0.1  # waves that may pass in a sample at the usual speed; of faster ones nothing is left in the force
 
 
 def waves(evidence: Evidence, fewest: float, carrier: Array | None = None, count: int = 3) -> list[dict[str, float]]:
@@ -34,17 +29,17 @@ def waves(evidence: Evidence, fewest: float, carrier: Array | None = None, count
     known = np.stack([v, evidence.direction, np.ones_like(v)], axis=1)
     f = evidence.force - known @ np.linalg.lstsq(known, evidence.force, rcond=None)[0]
     c = np.ones_like(x) if carrier is None else carrier
-    most = min(_MOST, _RESOLVED * reach / evidence.period / evidence.speed_scale)
-    counted = np.arange(round(fewest * _FINER), max(round(most * _FINER), round(fewest * _FINER)) + 1)
+    most = min(WAVES.most, WAVES.resolved * reach / evidence.period / evidence.speed_scale)
+    counted = np.arange(round(fewest * WAVES.finer), max(round(most * WAVES.finer), round(fewest * WAVES.finer)) + 1)
     # The force is mostly noise of differentiated encoders, so all of it is needed; by position it is soon summed up,
     # and a Fourier transform then sums each wave.
-    which = np.clip(((x - x.min()) / reach * _BINS).astype(np.intp), 0, _BINS - 1)
-    middle = x.min() / reach + 0.5 / _BINS  # of the first bin, in ranges from zero
+    which = np.clip(((x - x.min()) / reach * WAVES.bins).astype(np.intp), 0, WAVES.bins - 1)
+    middle = x.min() / reach + 0.5 / WAVES.bins  # of the first bin, in ranges from zero
 
     def summed(values: Array, turns: NDArray[np.intp]) -> NDArray[np.complex128]:
-        """Sums of values (n,) times exp(2 pi i turns/_FINER position/reach), (len(turns),)."""
-        spectrum = np.fft.rfft(np.bincount(which, values, _BINS), _FINER * _BINS)[turns].conj()
-        return np.asarray(spectrum * np.exp(2j * np.pi * turns / _FINER * middle))
+        """Sums of values (n,) times exp(2 pi i turns/finer position/reach), (len(turns),)."""
+        spectrum = np.fft.rfft(np.bincount(which, values, WAVES.bins), WAVES.finer * WAVES.bins)[turns].conj()
+        return np.asarray(spectrum * np.exp(2j * np.pi * turns / WAVES.finer * middle))
 
     once, twice, total = summed(c * c, counted), summed(c * c, 2 * counted), float(np.sum(c * c))
     normal = np.empty((len(counted), 3, 3))  # of sine, cosine and 1
@@ -60,13 +55,13 @@ def waves(evidence: Evidence, fewest: float, carrier: Array | None = None, count
     normal -= beside @ np.linalg.pinv(known.T @ known, hermitian=True) @ np.swapaxes(beside, 1, 2)
     sizes = np.einsum("kij,kj->ki", np.linalg.pinv(normal, rcond=1e-9, hermitian=True), right)
     power = np.einsum("ki,ki->k", sizes, right)
-    peaks = [k for k in range(len(power)) if power[k] >= power[max(0, k - _FINER) : k + _FINER + 1].max()]
-    small = 0.02 * evidence.force_scale
+    peaks = [k for k in range(len(power)) if power[k] >= power[max(0, k - WAVES.finer) : k + WAVES.finer + 1].max()]
+    small = WAVES.small * evidence.force_scale
     return [
         {
             "sine": float(sizes[k, 0]) if abs(sizes[k, 0]) > small else small,
             "cosine": float(sizes[k, 1]) if abs(sizes[k, 1]) > small else small,
-            "wavelength": float(reach * _FINER / counted[k]),
+            "wavelength": float(reach * WAVES.finer / counted[k]),
         }
         for k in sorted(peaks, key=lambda k: -power[k])[:count]
     ]

@@ -151,8 +151,8 @@ def fit(
     z: Array | None = None,
     initial: Array | None = None,
     *,
-    most: int = 8,
-    tolerance: float = 2e-3,
+    most: int = ESTIMATION.steps,
+    tolerance: float = ESTIMATION.tolerance,
 ) -> Fit:
     """Fit the parameters of a structure and the windows' initial states (Levenberg-Marquardt).
 
@@ -167,7 +167,7 @@ def fit(
     shooting = Shooting(problem, structure)
     z = structure.clip(structure.first if z is None else z)
     prior = structure.prior
-    damping, steps, converged, exact = 1e-3, 0, False, True
+    damping, steps, converged, exact = ESTIMATION.damping, 0, False, True
 
     def penalised(mse: Array, z: Array, scale: float) -> float:
         return mean_loss(mse, scale) + prior.penalty(z, problem.counts)
@@ -187,11 +187,11 @@ def fit(
         now, accepted = penalised(mse, z, scale), False
         for _ in range(ESTIMATION.tries):
             # No parameter may do more than double, or change by a factor of e.
-            reach = structure.sizes(z)
+            reach = np.maximum(ESTIMATION.reach, structure.sizes(z))
             trial = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, reach)
             foretold = now - penalised(quadratics.after(trial - z) / problem.counts, trial, scale)
             ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
-            tries = np.stack([s + ahead, s + ahead / 3, s, problem.initial])
+            tries = np.stack([s + ahead, s + ahead / ESTIMATION.shorter, s, problem.initial])
             moved, after = shooting.best_initial(tries, shooting.residuals([trial] * len(tries), tries))
             # What the initial states can still explain does not speak against parameters: behind a gap, or where a
             # joint sticks, a straight line does not foretell the initial state that a window needs.
@@ -205,16 +205,16 @@ def fit(
             # Near the noise derivatives tell what a shorter step would gain: less still.
             if scale < ESTIMATION.near and foretold < tolerance * now:
                 break
-            damping = max(damping * 8, 1e-3)
+            damping = max(damping * ESTIMATION.damped, ESTIMATION.damping)
         small = astray = True
         if accepted:
-            small = now - then < tolerance * max(now, 1e-9) or bool(np.abs(trial - z).max() < 1e-4)
+            small = now - then < tolerance * max(now, 1e-9) or bool(np.abs(trial - z).max() < ESTIMATION.still)
             astray = lagged or now - then < ESTIMATION.trusted * foretold
             columns, S = shooting.secant(columns, S, trial - z, moved - s, residual - after)
             z, s, residual = trial, moved, after
-            damping, steps = max(damping / 8, 1e-7), steps + 1
+            damping, steps = max(damping / ESTIMATION.damped, ESTIMATION.least_damping), steps + 1
         else:
-            damping = 1e-3
+            damping = ESTIMATION.damping
         converged = small and exact
         # Derivatives are carried along from step to step, and worked out anew where they did not foretell one.
         exact = not converged and (small or astray)
@@ -239,7 +239,7 @@ def _stepped(structure: Structure, z: Array, curvature: Array, slope: Array, rea
         free &= ~held
 
 
-def correct_initial(problem: Problem, fitted: Fit, rounds: int = 3) -> tuple[Array, Array]:
+def correct_initial(problem: Problem, fitted: Fit, rounds: int = ESTIMATION.rounds) -> tuple[Array, Array]:
     """Initial states that predict each window best, and what is predicted from them.
 
     A fit judges windows by what no initial state could explain, and does not need these; whoever draws or reports
@@ -257,7 +257,7 @@ def correct_initial(problem: Problem, fitted: Fit, rounds: int = 3) -> tuple[Arr
     return _corrected(Shooting(problem, fitted.structure), fitted.z, *begin, rounds)
 
 
-def readings(problem: Problem, structure: Structure, z: Array, rounds: int = 3) -> Array:
+def readings(problem: Problem, structure: Structure, z: Array, rounds: int = ESTIMATION.rounds) -> Array:
     """What is predicted (n, m, ns) of windows that took no part in a fit, from initial states that `rounds` steps
     corrected.
     """
@@ -299,7 +299,9 @@ def begun(problem: Problem, structure: Structure, z: Array) -> tuple[Array, Arra
     return s, S
 
 
-def simulated(problem: Problem, structure: Structure, z: Array, begin: tuple[Array, Array], rounds: int = 2) -> Array:
+def simulated(
+    problem: Problem, structure: Structure, z: Array, begin: tuple[Array, Array], rounds: int = ESTIMATION.simulated
+) -> Array:
     """Mean square error of each window in units of noise, (n,), as it comes out when it is simulated.
 
     `evaluate` leaves out what a straight line says that yet other initial states would explain; where joints stick, no

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, recording
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
-from dipc_gym.recording import Recording, RecordingError, checks
+from dipc_gym.recording import Recording, RecordingError
+from dipc_gym.recording.settings import CHECKS
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
@@ -171,7 +172,7 @@ def _cut(recordings: Sequence[Recording], noise: Array, length: float, span: tup
             f"{longest.path or longest.name}: {longest.duration:.3g} s, sampled every {longest.period:.2g} s, hold no "
             f"window of {length:g} s in the part from {span[0]:.0%} to {span[1]:.0%}: record "
             f"{'faster' if 3 * longest.period > length else 'longer'}, for a window has at least 4 samples"
-            f"{'; or is time in milliseconds? Then say --unit time=ms' if longest.period > checks.SLOW else ''}"
+            f"{'; or is time in milliseconds? Then say --unit time=ms' if longest.period > CHECKS.slow else ''}"
         )
     return windows
 

@@ -10,26 +10,52 @@ class EstimationSettings:
     """Decision constants of estimation: windows, initial states, fits.
 
     Attributes:
-        window_length: of a window, s, unless the rig asks for shorter ones
-        growth: times its size that an initial error may grow to within a window
-        fewest_samples: that a window holds
+        window_length: of a window, s, unless the rig asks for shorter ones: forces then move a joint by many times its
+            noise, and what a model lacks has not yet led it elsewhere
+        growth: times its size that an initial error may grow to within a window: beyond, a straight line no longer
+            foretells what another initial state changes
+        fewest_samples: that a window holds: its initial state alone takes up two for each joint
         steady: share of the windows that must stay below that growth; the rest may tumble over a dead centre
         finest_reading: share of a sensor's range: nothing real is read to more than 24 bits, and no simulation is as
             exact
         loose: times the noise by which an initial position may be off its estimate; the window's own samples know
             better
-        differenced: time, s, over which a position's noise becomes a velocity's
-        rough_speed: share of the usual speed by which an initial velocity may be off as well
+        differenced: time, s, over which a position's noise becomes a velocity's: a sample at 500 Hz, so that no
+            estimated velocity is trusted too far
+        rough_speed: share of the usual speed by which an initial velocity may be off as well: smoothing rounds off
+            where motion turns round
+        at_rest: standard deviations of an initial velocity, below which a joint may as well start at rest
         blown_up: times the noise; a simulation that blew up is no worse than this
-        block: s, within which neighbouring windows count as one when errors are compared
-        tries: of a step, each more damped than the one before
-        near: usual square error up to which a fit is near the noise
-        typical: share of the windows that the usual square error is not below
-        trusted: share of the fall that derivatives foretold, from which they are good for another step
-        lag: part of the log square error that initial states could still explain, from which they are corrected
-        far_out: times the usual square error, from which something else happened in a window
+        block: s, within which neighbouring windows count as one when errors are compared: what is wrong in one is as
+            wrong in the next
+        steps: of a fit, unless it is asked for more: from where others came to, most end sooner
+        from_afar: steps of a fit from nominal parameters, or to other windows than before: these may be far off
+        tolerance: share of its objective, by which a step must lower it to be followed by another: about a tenth of
+            what is worth an effect
+        tries: of a step, each more damped than the one before: the fifth is a fifth of a plain one, and where even that
+            is no better, derivatives mislead
+        damping: of the first step, and of the first after one that failed: a little: nearly a Newton step
+        damped: times, by which damping grows and falls: from next to none to much in few tries
+        least_damping: below it rounding decides, where parameters make up for each other
+        reach: of a step, in mapped parameters: none may do more than double, or change by a factor of e
+        still: largest step, in mapped parameters, that counts as none: reports show three digits
+        shorter: times, by which a step of the initial states is shorter that is tried beside the whole one: behind a
+            gap that goes too far
+        rounds: steps of the initial states of what is drawn or reported: what is left falls as the square with each
+        simulated: the same, at most, where several forms of a model are compared by how they come out
+        hidden: times the spread of an initial state, where a sensor with a bias or a lag tells the state only through
+            the model
+        near: usual square error up to which a fit is near the noise, where derivatives can be believed
+        typical: share of the windows that the usual square error is not below: a fifth may be far off and do not set
+            the scale
+        trusted: share of the fall that derivatives foretold, from which they are good for another step: to work them
+            out anew costs a simulation for each parameter
+        lag: part of the log square error that initial states could still explain, from which they are corrected: as
+            much is worth an effect
+        far_out: times the usual square error, from which something else happened in a window: it is off by twice as
+            much as the others
         touch: finite difference of a mapped parameter where only the model's parameters are differenced, and the engine
-            knows the rest
+            knows the rest: small, for nothing has a kink there
         probe: finite difference of a mapped parameter; smaller ones drown in the kinks of dry friction
         averaged: time, s, over which forces are averaged: no acceleration is known faster than that
     """
@@ -42,9 +68,22 @@ class EstimationSettings:
     loose: float = 5.0
     differenced: float = 0.002
     rough_speed: float = 0.05
+    at_rest: float = 2.0
     blown_up: float = 1e6
     block: float = 1.0
+    steps: int = 8
+    from_afar: int = 20
+    tolerance: float = 2e-3
     tries: int = 5
+    damping: float = 1e-3
+    damped: float = 8.0
+    least_damping: float = 1e-7
+    reach: float = 1.0
+    still: float = 1e-4
+    shorter: float = 3.0
+    rounds: int = 3
+    simulated: int = 2
+    hidden: float = 1e3
     near: float = 2.0
     typical: float = 0.8
     trusted: float = 0.5

@@ -32,7 +32,7 @@ class Shooting:
         self.nb2 = problem.initial.shape[1]
         self.nudge = np.maximum(problem.spread, 1e-7)
         # A sensor with a bias or a lag tells a state only through the model.
-        self.spread = problem.spread * (1e3 if structure.moves_readings else 1.0)
+        self.spread = problem.spread * (ESTIMATION.hidden if structure.moves_readings else 1.0)
 
     def residuals(self, Z: Sequence[Array], initial: Array) -> Array:
         """Of several sets of parameters or initial states (variants or 1, n, 2 nb), in units of noise, (variants, n,
@@ -73,7 +73,11 @@ class Shooting:
         """
         ahead = self.nudge * project(S, self.rows(initial, residual)[..., None])[1][..., 0]
         # A rig at rest needs no other initial state than the one it has.
-        new = [one for one in (initial + ahead, initial + ahead / 3, *others) if not np.array_equal(one, initial)]
+        new = [
+            one
+            for one in (initial + ahead, initial + ahead / ESTIMATION.shorter, *others)
+            if not np.array_equal(one, initial)
+        ]
         if not new:
             return initial, residual
         tries = np.stack(new)
@@ -91,7 +95,7 @@ class Shooting:
         """
         estimate, half = self.problem.initial, self.nb2 // 2
         still = estimate.copy()
-        still[np.abs(still) < 2 * self.problem.spread * (np.arange(self.nb2) >= half)] = 0.0
+        still[np.abs(still) < ESTIMATION.at_rest * self.problem.spread * (np.arange(self.nb2) >= half)] = 0.0
         residual, _, S = self.derivatives(z, initial, parameters=False)
         initial, residual = self.corrected(z, initial, residual, S, [still, estimate])
         _, columns, S = self.derivatives(z, initial, residual, parameters=parameters)

@@ -16,10 +16,9 @@ from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document, text
 from dipc_gym.safety.naming import suggestion
 from dipc_gym.sim2real.effects.base import is_dcmotor
+from dipc_gym.sim2real.model.settings import MODEL
 
 Array = NDArray[np.float64]
-
-LEAST_ARM = 1e-4  # m; a rotor whose centre of mass is on its axis has none that could be off
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class ModelParameter:
     value: float
     unit: str
     write: Callable[[Document, float], None]
-    sigma: float = 0.5
+    sigma: float = MODEL.springs
     expected: float | None = None
 
     @property
@@ -59,12 +58,11 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
         joint = model.joint(name)
         dof = int(joint.dofadr[0])
         force, length, inertia = mjcf.units(model, name)
-        # Friction is the least known of all: a bearing's damping may be a guess that is off by a factor of fifty.
         for attribute, value, unit, sigma in (
-            ("damping", model.dof_damping[dof], f"{force} s/{length}", 1.5),
-            ("frictionloss", model.dof_frictionloss[dof], force, 1.5),
-            ("stiffness", model.jnt_stiffness[joint.id], f"{force}/{length}", 0.5),
-            ("armature", model.dof_armature[dof], inertia, 0.5),
+            ("damping", model.dof_damping[dof], f"{force} s/{length}", MODEL.friction),
+            ("frictionloss", model.dof_frictionloss[dof], force, MODEL.friction),
+            ("stiffness", model.jnt_stiffness[joint.id], f"{force}/{length}", MODEL.springs),
+            ("armature", model.dof_armature[dof], inertia, MODEL.springs),
         ):
             if np.ravel(value)[0] > 0:
                 write = _first_of("joint", name, attribute)
@@ -78,23 +76,25 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
             for attribute, unit in (("resistance", "ohm"), ("motorconst", "N m/A")):
                 values = document.effective(element, attribute, "0").split()
                 if values and float(values[0]) > 0:
-                    found.append(ModelParameter(attribute, name, float(values[0]), unit, _all_of(name, attribute), 0.3))
+                    found.append(
+                        ModelParameter(attribute, name, float(values[0]), unit, _all_of(name, attribute), MODEL.motors)
+                    )
         elif model.actuator_ctrlnum[i]:
             gear = float(model.actuator_gear[i, 0])
             if gear:
                 write = _first_of("actuator", name, "gear", sign=math.copysign(1.0, gear))
-                found.append(ModelParameter("gear", name, abs(gear), "", write, 0.3))
+                found.append(ModelParameter("gear", name, abs(gear), "", write, MODEL.motors))
     for name in _moving_bodies(document, model):
         write = _mass(model, name)
         if not _takes_mass(document, model, name, write):
             continue
-        found.append(ModelParameter("mass", name, float(model.body(name).mass[0]), "kg", write, 0.1))
+        found.append(ModelParameter("mass", name, float(model.body(name).mass[0]), "kg", write, MODEL.mass))
         # How far the mass is from the joint is as often wrong as how much it is, and looks like a tilt where it is not
         # refitted: a pendulum's weight and its inertia no longer go together.
         arm = _arm(model, name)
-        if arm is not None and np.linalg.norm(arm) > LEAST_ARM:
+        if arm is not None and np.linalg.norm(arm) > MODEL.least_arm:
             write, away = _com(model, name, arm), float(np.linalg.norm(arm))
-            found.append(ModelParameter("centre_of_mass", name, away, "m", write, 0.05))
+            found.append(ModelParameter("centre_of_mass", name, away, "m", write, MODEL.centre))
     return found
 
 

@@ -17,7 +17,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.base import Effect, Parameter
-from dipc_gym.sim2real.effects.coupling import SETTLE, SWING
+from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.prior import Prior
 from dipc_gym.sim2real.model.settings import MODEL
@@ -27,8 +27,6 @@ Array = NDArray[np.float64]
 
 _models: dict[tuple[int, bytes], Physics] = {}  # compiled lately; a fit asks for the same ones again
 _numbers = itertools.count()
-
-_KEPT = 64  # models that stay compiled, of all structures; each takes a tenth of a megabyte
 
 
 @dataclass(frozen=True)
@@ -231,7 +229,7 @@ class Structure:
             source = self.document.source.edited(self.write(z).text())
             made = physics.from_model(mjcf.compile(source, trusted=True))
         _models[key] = made  # at the end, so that those go that nobody asked for lately
-        while len(_models) > _KEPT:
+        while len(_models) > MODEL.kept:
             _models.pop(next(iter(_models)), None)
         return made
 
@@ -254,8 +252,8 @@ class Structure:
     def _own_warm(self) -> float:
         """How long the nominal model needs, s: windings, bristles, lagging sensors and joints behind a gap remember."""
         if self._hides:
-            return SWING if np.any(self.model.tendon_stiffness > 0) else SETTLE
-        return MODEL.warm if self.model.na > 0 or self._own_lag else 0.0
+            return EFFECTS.swing if np.any(self.model.tendon_stiffness > 0) else EFFECTS.settle
+        return EFFECTS.warm if self.model.na > 0 or self._own_lag else 0.0
 
     @functools.cached_property
     def _hides(self) -> bool:
@@ -282,12 +280,12 @@ class Structure:
     def own_finest(self) -> float:
         """Longest step that the model's own currents, bristles, rotors and lags bear under explicit integration, s."""
         model, kind = self.model, mujoco.mjtDyn
-        finest = MODEL.fast if self._hides or self._own_lag else math.inf
+        finest = EFFECTS.fast if self._hides or self._own_lag else math.inf
         for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
             if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:
-                finest = min(finest, MODEL.fast, numbers[0])
+                finest = min(finest, EFFECTS.fast, numbers[0])
             if dynamics == kind.mjDYN_DCMOTOR and numbers[5] > 0:  # bristles
-                finest = min(finest, MODEL.fast)
+                finest = min(finest, EFFECTS.fast)
             if dynamics == kind.mjDYN_FILTER:
                 finest = min(finest, numbers[0])
         return float(finest)
@@ -303,7 +301,7 @@ def _unmapped(
     origin: float | Array,
 ) -> Any:
     """Parameters within their bounds of mapped values, one or many; see `Slot`."""
-    return np.clip(np.where(log, scale * np.exp(np.minimum(z * fine, 50.0)), origin + scale * z), low, high)
+    return np.clip(np.where(log, scale * np.exp(np.minimum(z * fine, MODEL.widest)), origin + scale * z), low, high)
 
 
 def _free(effect: Effect) -> list[Parameter]:
@@ -312,7 +310,7 @@ def _free(effect: Effect) -> list[Parameter]:
 
 def _fallback(low: float, high: float) -> float:
     finite = [abs(b) for b in (low, high) if math.isfinite(b) and b]
-    return 0.1 * max(finite) if finite else 1.0
+    return MODEL.fallback * max(finite) if finite else 1.0
 
 
 def carry(old: Structure, z: Array, new: Structure) -> Array:

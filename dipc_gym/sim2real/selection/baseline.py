@@ -8,10 +8,11 @@ import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.selection import data, ranking
 from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.progress import Partition
-from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.selection.settings import SCORE, WINDOWS
 from dipc_gym.sim2real.simulation.batch import Stepping
 
 
@@ -46,7 +47,7 @@ def baseline(case: Case) -> Baseline:
         problem, comparison, aside = (replace(part, stepping=own) for part in (problem, comparison, aside))
         nominal = fit(problem, structure)
     free = replace(structure, model_parameters=case.given.model_parameters)
-    recalibrated = fit(problem, free, initial=nominal.initial, most=20)
+    recalibrated = fit(problem, free, initial=nominal.initial, most=ESTIMATION.from_afar)
     outliers = data.outliers_aside(aside, recalibrated)
     if len(outliers):
         problem, others = problem.join(aside.pick(outliers)), np.delete(np.arange(len(aside.windows)), outliers)
@@ -62,7 +63,7 @@ def _predicts_better(problem: Problem, fitted: Fit) -> bool:
 
     By every third window; where these do not show what the step costs, others show something else.
     """
-    some = np.arange(0, len(problem.windows), 3)
+    some = np.arange(0, len(problem.windows), WINDOWS.every)
     if fitted.pick(some).error <= SCORE.at_floor:
         return False
     return fit(problem.pick(some), fitted.structure, fitted.z).error <= SCORE.at_floor

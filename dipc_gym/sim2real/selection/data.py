@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.recording import Recording, RecordingError
-from dipc_gym.sim2real.effects.coupling import SWING
+from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared
@@ -83,7 +83,7 @@ def known_past(prepared: Prepared) -> Prepared:
     """
     w = prepared.problem.windows
     since = w.start - np.array([recording.time[0] for recording in w.recordings])[w.source]
-    settled = since > SWING
+    settled = since > EFFECTS.swing
     return replace(
         prepared, problem=prepared.problem.pick(settled if settled.sum() >= WINDOWS.plenty else since > WINDOWS.late)
     )
@@ -92,13 +92,15 @@ def known_past(prepared: Prepared) -> Prepared:
 def split(problem: Problem) -> tuple[Problem, Problem, Problem]:
     """Windows to fit, windows to compare on (every third one), spread evenly over the recordings, and the others."""
     count, length = len(problem.windows), problem.windows.times.max(initial=0.0)
-    if count < 9:
+    if count < WINDOWS.fewest:
         raise RecordingError(
-            f"the recordings hold {count} windows of {length:.3g} s for fitting; at least 9 are needed: record longer"
+            f"the recordings hold {count} windows of {length:.3g} s for fitting; at least {WINDOWS.fewest} are needed: "
+            "record longer"
         )
     chosen = np.unique(np.linspace(0, count - 1, min(WINDOWS.most, count)).round().astype(np.intp))
     others = np.setdiff1d(np.arange(count), chosen)
-    return problem.pick(np.delete(chosen, np.s_[1::3])), problem.pick(chosen[1::3]), problem.pick(others)
+    compared = np.s_[1 :: WINDOWS.every]
+    return problem.pick(np.delete(chosen, compared)), problem.pick(chosen[compared]), problem.pick(others)
 
 
 def outliers(mse: Array, others: Array | None = None) -> NDArray[np.intp]:

@@ -14,6 +14,7 @@ from dipc_gym.sim2real.estimation.fit import evaluate, fit
 from dipc_gym.sim2real.selection import data, ranking
 from dipc_gym.sim2real.selection.progress import Progress
 from dipc_gym.sim2real.selection.scorer import Scorer
+from dipc_gym.sim2real.selection.settings import SEARCH
 
 
 def attend(progress: Progress, scorer: Scorer) -> Progress:
@@ -58,5 +59,5 @@ def _around_outliers(progress: Progress, scorer: Scorer) -> Progress:
         return progress
     # An end of a table may need no more than to be fitted to the new windows, as whatever is tried beside it is. A
     # push, which is no longer asked for beside a table, must not bend the fit before it is tried.
-    again = fit(progress.partition.problem, current.structure, current.z, current.initial, most=15)
+    again = fit(progress.partition.problem, current.structure, current.z, current.initial, most=SEARCH.goes_on)
     return replace(progress, path=(*progress.path[:-1], again))

@@ -79,7 +79,7 @@ class Fitter:
         return sketch
 
     def _rough(self, structure: Structure, z: Array, initial: Array) -> Fit:
-        return fit(self.problem.pick(self.subset), structure, z, initial, most=5, tolerance=SEARCH.rough)
+        return fit(self.problem.pick(self.subset), structure, z, initial, most=SEARCH.sketched, tolerance=SEARCH.rough)
 
     def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.
@@ -92,12 +92,12 @@ class Fitter:
         try:
             subset = self.partition.known_to(sketch)
             if not sketch.converged and sketch.error > SCORE.at_floor:
-                sketch = fit(self.problem.pick(subset), sketch.structure, sketch.z, sketch.initial, most=15)
+                sketch = fit(self.problem.pick(subset), sketch.structure, sketch.z, sketch.initial, most=SEARCH.goes_on)
             if current is not None and not earned(sketch.mse, current.mse[subset], small=self.scorer.small):
                 return None
-            fitted = fit(self.problem, sketch.structure, sketch.z, base.initial, most=8, tolerance=SEARCH.rough)
+            fitted = fit(self.problem, sketch.structure, sketch.z, base.initial, tolerance=SEARCH.rough)
             if SCORE.at_floor < fitted.error < SEARCH.in_reach:
-                fitted = self.anew(fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=15))
+                fitted = self.anew(fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=SEARCH.goes_on))
             return fitted
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
@@ -115,7 +115,7 @@ class Fitter:
         gained = compare(sketch.mse, fitted.mse[self.subset], self.problem.blocks[self.subset])
         if gained.gain < SCORE.worth:
             return fitted
-        again = fit(self.problem, structure, sketch.z, most=8)
+        again = fit(self.problem, structure, sketch.z)
         return min(fitted, again, key=lambda one: mean_loss(one.mse, 1.0))
 
     def near(self, current: Fit, structure: Structure) -> Fit | None:
@@ -132,7 +132,9 @@ class Fitter:
         """Fit on until nothing changes."""
         if fitted.converged and fitted.whole:
             return fitted
-        return fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=0 if fitted.converged else 25)
+        return fit(
+            self.problem, fitted.structure, fitted.z, fitted.initial, most=0 if fitted.converged else SEARCH.polished
+        )
 
     def without(self, current: Fit, key: str) -> Fit:
         """Refit with one effect less, from the parameters that it has now: the fit before may have been stuck."""

@@ -8,7 +8,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from dipc_gym.sim2real.effects.base import LEAVES, Effect, dof
+from dipc_gym.sim2real.effects.base import Effect, dof
+from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import mean_loss
 from dipc_gym.sim2real.estimation.unexplained import Scene, places
@@ -72,7 +73,7 @@ def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> 
             continue
         # No other recording shares a law of the clock: laws of the state go before it, down to near the noise.
         # What happened once is asked for only where all else is at the noise.
-        clock = effect.leaves < LEAVES and not effect.once
+        clock = effect.leaves < EFFECTS.leaves and not effect.once
         if phase >= Phase.SHAPES and clock and current.error > SEARCH.in_reach:
             continue
         for at in places(effect, current.structure.model, question.joints, scene.recordings[0]):

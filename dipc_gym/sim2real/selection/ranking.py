@@ -14,7 +14,7 @@ from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.selection.data import outliers
 from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.screen import Tried
-from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH, WINDOWS
 
 Array = NDArray[np.float64]
 Start = tuple[Tried, Fit]  # a hypothesis, and the fit that it was laid over
@@ -104,7 +104,8 @@ def subset(mse: Array) -> NDArray[np.intp]:
         return np.arange(count)
     return np.unique(
         np.append(
-            np.linspace(0, count - 1, max(count // 3, SEARCH.subset)).round(), np.argsort(-mse)[: SEARCH.subset // 4]
+            np.linspace(0, count - 1, max(count // WINDOWS.every, SEARCH.subset)).round(),
+            np.argsort(-mse)[: SEARCH.worst],
         )
     ).astype(np.intp)
 

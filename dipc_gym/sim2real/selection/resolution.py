@@ -63,7 +63,7 @@ def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
         structure = others.with_term(Term(effect, term.at, dict(guess)))
         begin = carry(others, kept, structure)
         try:
-            found.append(fit(fitter.problem, structure, begin, current.initial, most=8, tolerance=SEARCH.rough))
+            found.append(fit(fitter.problem, structure, begin, current.initial, tolerance=SEARCH.rough))
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             continue
     losses = ranking.losses([one.mse for one in found])
@@ -91,7 +91,7 @@ def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
     covariance = np.linalg.pinv(curvature[np.ix_(own, own)], hermitian=True)
     error = np.sqrt(np.einsum("ki,ij,kj->k", off, covariance, off))
     told = np.zeros(len(own), dtype=bool)
-    told[new] = np.abs(off @ fitted.z[own]) > 2 * error
+    told[new] = np.abs(off @ fitted.z[own]) > SCORE.alike * error
     return told
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import loss, typical
 from dipc_gym.sim2real.selection.settings import SCORE
 
@@ -35,18 +36,18 @@ class Improvement:
     def clear(self) -> bool:
         """Better beyond chance, and by enough to matter; a large gain need not be as even over the windows."""
         return self.gain > SCORE.worth and (
-            self.shows or self.gain > (SCORE.clear if self.gain < SCORE.large else 1.0) * self.error
+            self.shows or self.gain > (SCORE.clear if self.gain < SCORE.large else SCORE.clear_at_large) * self.error
         )
 
     @property
     def told(self) -> bool:
         """Better beyond chance, by more than simulations of one and the same model may differ."""
-        return self.gain > max(SCORE.worth / 4, SCORE.clear * self.error)
+        return self.gain > max(SCORE.told, SCORE.clear * self.error)
 
     @property
     def alike(self) -> bool:
         """Not told from the other, or hardly better than it."""
-        return not self.shows and self.gain < max(SCORE.worth / 2, SCORE.alike * self.error)
+        return not self.shows and self.gain < max(SCORE.hardly, SCORE.alike * self.error)
 
 
 def compare(new: Array, old: Array, blocks: NDArray[np.intp], forces: tuple[Array, Array] | None = None) -> Improvement:
@@ -68,7 +69,7 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp], forces: tuple[Arra
     sizes = np.bincount(blocks)
     sums, sizes = sums[sizes > 0], sizes[sizes > 0]
     mean = float(np.sum(sums) / np.sum(sizes))
-    if len(sums) < 3:
+    if len(sums) < SCORE.fewest_blocks:
         return Improvement(mean, math.inf)
     each = sums / sizes
     shows = usual < SCORE.usual and int(np.sum(each > SCORE.large)) >= SCORE.blocks and not np.any(each < -SCORE.large)
@@ -78,7 +79,7 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp], forces: tuple[Arra
 
 def _fall(after: Array, before: Array) -> Array:
     """By how much the logarithms of mean squares (n,) fell; what is far below the usual hardly counts."""
-    usual = min(np.quantile(after, 0.8), np.quantile(before, 0.8)) or 1.0
+    usual = min(np.quantile(after, ESTIMATION.typical), np.quantile(before, ESTIMATION.typical)) or 1.0
     return loss(before, usual) - loss(after, usual)
 
 

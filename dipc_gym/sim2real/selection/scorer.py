@@ -98,7 +98,7 @@ class Scorer:
 
     def confirmed(self, new: Fit, old: Fit) -> bool:
         """Whether the comparison windows alone are better predicted too."""
-        return self.compare_on_others(new, old).gain > SCORE.worth / 2
+        return self.compare_on_others(new, old).gain > SCORE.hardly
 
     def alike(self, best: Fit, other: Fit, current: Fit) -> bool:
         """Whether `other` predicts as well as `best`, by the standard error or within a fiftieth of the gain.

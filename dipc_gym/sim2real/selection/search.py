@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.base import LEAVES
+from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.selection import kinds, ranking, rounds
 from dipc_gym.sim2real.selection.events import attend
@@ -82,7 +83,7 @@ class Searched:
 
     def _fitted_over(self, partition: Partition, fitted: Fit, begin: Array) -> tuple[Searched, Fit]:
         over = replace(self, fitter=self.fitter.over(partition), progress=replace(self.progress, partition=partition))
-        return over, fit(partition.problem, fitted.structure, fitted.z, begin, most=20)
+        return over, fit(partition.problem, fitted.structure, fitted.z, begin, most=ESTIMATION.from_afar)
 
 
 class Search:
@@ -178,7 +179,7 @@ class Search:
         """
         self.journal.go_back(tuple(path))
         current = self.progress.current
-        clocks = [term.key for term in current.structure.terms if term.effect.leaves < LEAVES]
+        clocks = [term.key for term in current.structure.terms if term.effect.leaves < EFFECTS.leaves]
         for key in clocks:
             current = self.fitter.without(current, key)
         if clocks:

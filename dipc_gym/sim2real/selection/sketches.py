@@ -34,10 +34,10 @@ def in_turn(
         current: the present fit.
     """
     most = max(ranked[0][0].predicted_gain, SCORE.worth) if ranked else SCORE.worth
-    worth = [(start, start[0].predicted_gain / most) for start in ranked if start[0].predicted_gain > SCORE.worth / 2]
+    worth = [(start, start[0].predicted_gain / most) for start in ranked if start[0].predicted_gain > SCORE.hardly]
     first = ranking.finalists(
         [start for start, share in worth if share > least(fitter, start[0].term)],
-        SEARCH.finalists if current.error > SCORE.at_noise else SEARCH.finalists // 2,
+        SEARCH.finalists if current.error > SCORE.at_noise else SEARCH.finalists_at_noise,
     )
     # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already, such
     # a guess gains nothing as it stands. Only its fit tells.
@@ -81,7 +81,7 @@ def _sketched(fitter: Fitter, tries: Sequence[Start], current: Fit) -> list[Star
         if sketch is None:
             continue
         sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch), base))
-        foretold = max(tried.predicted_gain, SCORE.worth / 2)
+        foretold = max(tried.predicted_gain, SCORE.hardly)
         enough = ranking.brought(sketch, before) > foretold and not tried.term.effect.of_no_kind
         if ranking.complete(sketch) or enough:
             break
@@ -99,7 +99,7 @@ def keeping_up(fitter: Fitter, sketched: Sequence[Start], current: Fit) -> list[
     losses = ranking.losses([before, *(t.sketch.mse for t, _ in sketched if t.sketch is not None)])
     gains = {t.key: losses[0] - after for (t, _), after in zip(sketched, losses[1:], strict=True)}
     most = max(gains.values(), default=0.0)
-    enough = max(SEARCH.keeps_up * most, SCORE.worth / 2)
+    enough = max(SEARCH.keeps_up * most, SCORE.hardly)
     closely = max(enough, most - SCORE.large)
     if at_noise(sketched):
         return [start for start in sketched if gains[start[0].key] > closely]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from dipc_gym.sim2real.verdict.settings import VERDICT
+from dipc_gym.sim2real.verdict.settings import FORMULAS
 
 Array = NDArray[np.float64]
 
@@ -42,8 +42,8 @@ class Basis:
 
 
 def _spots(low: float, high: float) -> list[tuple[float, ...]]:
-    places = np.linspace(low, high, VERDICT.places + 2)[1:-1].tolist()
-    return [(place, width * (high - low)) for place in places for width in VERDICT.widths]
+    places = np.linspace(low, high, FORMULAS.places + 2)[1:-1].tolist()
+    return [(place, width * (high - low)) for place in places for width in FORMULAS.widths]
 
 
 def _column(x: Array) -> Array:
@@ -58,20 +58,20 @@ GRAMMAR = (
         "sine",
         ("wavelength",),
         lambda x, p: np.stack([np.sin(2 * np.pi * x / p[0]), np.cos(2 * np.pi * x / p[0])], axis=1),
-        lambda low, high: [((high - low) / count,) for count in (0.7, 1, 1.5, 2, 3, 4, 6, 8)],
+        lambda low, high: [((high - low) / count,) for count in FORMULAS.waves],
     ),
     Basis(
         "power",
         ("power",),
-        lambda x, p: _column(np.abs(x) ** min(max(p[0], 0.05), 8.0)),
-        lambda low, high: [(0.5,), (1.5,), (2.0,), (3.0,)],
+        lambda x, p: _column(np.abs(x) ** min(max(p[0], FORMULAS.flattest), FORMULAS.steepest)),
+        lambda low, high: [(power,) for power in FORMULAS.powers],
         one_sided=True,
     ),
     Basis(
         "exponential",
         ("scale",),
         lambda x, p: _column(np.exp(-np.abs(x) / max(abs(p[0]), 1e-12))),
-        lambda low, high: [(width * high,) for width in VERDICT.widths],
+        lambda low, high: [(width * high,) for width in FORMULAS.widths],
         one_sided=True,
     ),
 )
@@ -156,7 +156,7 @@ def formulas(x: Array, values: Array, precision: Array, samples: int) -> list[Fo
         samples: that told them: windows, or readings.
     """
     size, axes = np.linalg.eigh(0.5 * (precision + precision.T))
-    known = size > VERDICT.singular * max(float(size.max()), 1e-300)
+    known = size > FORMULAS.singular * max(float(size.max()), 1e-300)
     root = np.sqrt(size[known])[:, None] * axes[:, known].T
     price = math.log(max(samples, 2))
     allowed = [term for term in GRAMMAR if not term.one_sided or x[0] >= 0]
@@ -201,9 +201,11 @@ def _fitted(terms: Sequence[Basis], x: Array, values: Array, root: Array) -> tup
 
     starts = [np.array(sum(one, ())) for one in itertools.product(*(term.starts(low, high) for term in terms))]
     # A table is short, but two terms have hundreds of starts: those that begin best are followed.
-    ahead = sorted(starts, key=lambda p: float(np.sum(left(p) ** 2)))[:6]
+    ahead = sorted(starts, key=lambda p: float(np.sum(left(p) ** 2)))[: FORMULAS.followed]
     for start in ahead:
-        p = start if not count else least_squares(left, start, x_scale=np.maximum(np.abs(start), 1e-3), max_nfev=60).x
+        p = start
+        if count:
+            p = least_squares(left, start, x_scale=np.maximum(np.abs(start), 1e-3), max_nfev=FORMULAS.most).x
         squares = float(np.sum(left(p) ** 2))
         if squares < best[0]:
             best = squares, p, factors(p)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from dipc_gym.sim2real.effects.base import LEAVES
+from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import names
@@ -137,7 +137,7 @@ def _believable(
     recalibrated = judge.error_on(validation, search.progress.path[0])
     notes = list[str]()
     for term in upheld.structure.terms:
-        if term.effect.leaves < LEAVES and error - 1 > term.effect.leaves * (recalibrated - 1):
+        if term.effect.leaves < EFFECTS.leaves and error - 1 > term.effect.leaves * (recalibrated - 1):
             notes.append(sentences.not_alone(term, error))
             upheld = search.fitter.without(upheld, term.key)
     left = judge.error_on(validation, upheld)

@@ -44,7 +44,6 @@ from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
 
-LAGS = 60  # of the autocorrelation shown
 NOTHING = np.zeros(0)
 
 
@@ -212,7 +211,7 @@ def _residuals(w: Windows, before: Array, after: Array | None) -> Iterator[Senso
     known = np.flatnonzero(np.isfinite(w.noise))
     kept = _evenly(np.arange(len(w)), MOST_SAMPLES // w.valid.shape[1])
     time = _rising(joined((w.start[:, None] + w.times)[kept], w.valid[kept]))
-    lags = min(LAGS, w.valid.shape[1] // 2)
+    lags = min(VERDICT.lags, w.valid.shape[1] // 2)
     for place, k in enumerate(known):
         sensor = w.recordings[0].sensor_names[k]
         if place >= MOST_RESIDUALS:

@@ -16,7 +16,9 @@ from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit, weights
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import typical
+from dipc_gym.sim2real.model.settings import MODEL
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.selection.score import compare
@@ -41,7 +43,7 @@ def changed_parameters(final: Fit, wide: Array) -> list[dict[str, Any]]:
         slot = final.structure.slots[i]
         value = slot.value(final.z[i])
         entry = {"parameter": parameter.attribute, "at": parameter.at, "was": parameter.value, "value": value}
-        if wide[i] <= VERDICT.widest:
+        if wide[i] <= MODEL.widest:
             entry |= {"low": slot.value(final.z[i] - wide[i]), "high": slot.value(final.z[i] + wide[i])}
         out.append(entry | {"unit": parameter.unit})
     return out
@@ -65,7 +67,11 @@ def beyond_limits(problem: Problem, validation: Problem, recalibrated: Fit) -> l
         replace(n, sigma=max(n.sigma, VERDICT.free)) if at else n for n, at in zip(parameters, stand, strict=True)
     )
     freed = fit(
-        problem, replace(recalibrated.structure, model_parameters=wider), recalibrated.z, recalibrated.initial, most=20
+        problem,
+        replace(recalibrated.structure, model_parameters=wider),
+        recalibrated.z,
+        recalibrated.initial,
+        most=ESTIMATION.from_afar,
     )
     error = judge.error_on(validation, freed)
     if error > SCORE.at_floor:

@@ -60,7 +60,7 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     w = weights(fitted.mse) / counts
     _, block = np.unique(problem.blocks, return_inverse=True)
     count, p = int(block.max()) + 1, len(fitted.z)
-    if count < VERDICT.fewest_blocks:
+    if count < SCORE.fewest_blocks:
         return np.full(p, np.inf)
     curvature, slope = np.zeros((count, p, p)), np.zeros((count, p))
     np.add.at(curvature, block, w[:, None, None] * q.A)
@@ -69,7 +69,8 @@ def intervals(fitted: Fit, problem: Problem) -> Array:
     inverse = np.linalg.pinv(without, hermitian=True)
     moved = np.einsum("bij,bj->bi", inverse, slope)
     half = stdtrit(count - 1, VERDICT.sure) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0))
-    told = np.einsum("nii->i", q.A) > 1.0  # else doubling a parameter would change less than the noise of one reading
+    # Else doubling a parameter would change less than the noise of one reading.
+    told = np.einsum("nii->i", q.A) > VERDICT.told
     return np.where(told, half, np.inf)
 
 
@@ -148,7 +149,7 @@ def _stand_ins(
     fitting = (
         t for t in others if not any(t.term.at == x.at and excludes(x.effect, t.term.effect) for x in remaining.terms)
     )
-    for other in itertools.islice(fitting, 3 if provisional else 5):
+    for other in itertools.islice(fitting, VERDICT.rivals_left if provisional else VERDICT.rivals):
         structure = remaining.with_term(other.term)
         same = other.sketch is not None and set(names(other.sketch.structure.terms)) == set(names(structure.terms))
         yield [other.term], structure, other if same else None
@@ -167,7 +168,9 @@ def _stand_ins(
 def locate(scene: Scene, joints: Sequence[str]) -> list[Located]:
     """Which joints carry the unexplained force, and in which region of motion; the largest share first."""
     size = np.sqrt(np.mean(scene.force**2, axis=0))
-    scale = np.sqrt(np.mean(scene.load**2, axis=0)) + 0.05 * np.sqrt(np.mean(scene.load**2, axis=0)).max() + 1e-12
+    scale = (
+        np.sqrt(np.mean(scene.load**2, axis=0)) + VERDICT.light * np.sqrt(np.mean(scene.load**2, axis=0)).max() + 1e-12
+    )
     power = (size / scale) ** 2
     total = float(power.sum()) or 1.0
     found = [Located(joint, float(power[j] / total), *_region(scene, j)) for j, joint in enumerate(joints)]
@@ -200,7 +203,7 @@ def _region(scene: Scene, j: int) -> tuple[str, float]:
     return f"grows with velocity ({percent})", most
 
 
-def _explained(force: Array, quantity: Array, bins: int = 24) -> float:
+def _explained(force: Array, quantity: Array, bins: int = VERDICT.bins) -> float:
     """Share of the variance of the force between bins of a quantity (correlation ratio)."""
     edges = np.quantile(quantity, np.linspace(0, 1, bins + 1)[1:-1])
     which = np.searchsorted(edges, quantity)

@@ -13,10 +13,13 @@ class ConventionSettings:
         decides: share of the error of the model as given, and with its parameters refitted, below which the error must
             fall with a convention changed, and no parameter. In 50 blind trials none of those that were right brought
             it below the former.
-        seconds: of recordings that conventions are tried on
-        gross: share of the motion: a smaller mismatch is none of conventions
-        parallel: cosine between two axes
-        alike: times the least error, up to which conventions cannot be told apart
+        seconds: of recordings that conventions are tried on: there are dozens, and a wrong sign shows in the first
+            swing
+        gross: share of the motion: a smaller mismatch is none of conventions, for a wrong sign or axis is off by as
+            much as moves
+        parallel: cosine between two axes, from which readings about one could be of the other
+        alike: times the least error, up to which conventions cannot be told apart: what the model lacks makes as much
+            difference
     """
 
     decides: float = 0.5
@@ -30,49 +33,99 @@ CONVENTIONS = ConventionSettings()
 
 
 @dataclass(frozen=True)
+class FormulaSettings:
+    """Decision constants of which formula says what a table says.
+
+    Attributes:
+        places: starts along the input, for a formula of what sits somewhere: no two of its widest start further apart
+            than they are wide
+        widths: starts for its width, in lengths of the table: of a narrow spot, a usual one, and one that fills it
+        waves: starts of a sine, in waves to the length of a table: more than eight no table of few knots tells
+        powers: starts of a power: a root, and what drags and bearings are said to have
+        flattest: power, below which one is a step
+        steepest: power, above which one is a wall
+        singular: share of the largest, below which a direction of a table is not known at all
+        followed: starts that are followed, of those that begin best: two terms have hundreds
+        most: values of a formula that a start may ask for: those that have not settled by then, wander
+    """
+
+    places: int = 7
+    widths: tuple[float, ...] = (0.02, 0.07, 0.25)
+    waves: tuple[float, ...] = (0.7, 1, 1.5, 2, 3, 4, 6, 8)
+    powers: tuple[float, ...] = (0.5, 1.5, 2.0, 3.0)
+    flattest: float = 0.05
+    steepest: float = 8.0
+    singular: float = 1e-10
+    followed: int = 6
+    most: int = 60
+
+
+FORMULAS = FormulaSettings()
+
+
+@dataclass(frozen=True)
 class VerdictSettings:
     """Decision constants of what is named, how sure it is, and the verdict.
 
     Attributes:
-        swaps: effects that may give way to rivals after the search
-        sure: quantile to which an interval reaches on either side: 90 % lie within
-        fewest_blocks: blocks that tell how much a parameter depends on which of them there are
+        swaps: effects that may give way to rivals after the search: after each, all the others are judged anew
+        rivals: effects of its round that are tried in the place of one, the likeliest first, for each costs a fit
+        rivals_left: the same where structure is left: names are provisional then, and telling them apart is worth less
+        light: of the largest load, added to each joint's before unexplained forces are compared with them: a joint that
+            carries next to nothing would have the largest share of any mismatch
+        bins: of a quantity, between which a force's variance is told: enough for a narrow pattern, and few enough for
+            hundreds of samples in each
+        sure: quantile to which an interval reaches on either side: 90 % lie within, which a dozen blocks can tell
+        told: squares of one reading's noise, that doubling a parameter has to change for data to know of it
         small: share of the motion within a window: a smaller mismatch is called missing physics only if it has a
-            pattern
-        pattern: share of the variance of the unexplained force that goes with something, from which it has one
-        refuted: times the error on validation data without an effect, from which it is not named after all
+            pattern, for every real recording holds a little
+        pattern: share of the variance of the unexplained force that goes with something, from which it has one: chance
+            leaves a few hundredths
+        refuted: times the error on validation data without an effect, from which it is not named after all: those are
+            few, and a little is chance
         worse: times the error of a plainer model, from which a model predicts worse; less is how a fit ended
-        named: fall of the mean log square error by which an effect must improve predictions to be named
+        named: fall of the mean log square error by which an effect must improve predictions to be named: an error a
+            twentieth smaller; what brings less may stand for much else
         refitted: share of what the model as given leaves beyond the noise, that refitted parameters must take for them
-            to have been wrong
-        modelled: share of the error beyond the noise that a law without a name may leave to have modelled it
+            to have been wrong: they take up a little of whatever is missing
+        modelled: share of the error beyond the noise that a law without a name may leave to have modelled it: else most
+            is still missing
         elsewhere: times the noise on windows compared on, from which test data at the noise give no all-clear
-        stands_in: share of the error left over from which a named effect merely stands in for something unknown
-        told_apart: times the smallest gain that is worth an effect, from which a rival is ruled out
-        same: times the error that a rival may leave and be the same model
+        stands_in: share of the error left over from which a named effect merely stands in for something unknown: those
+            that were there left less in blind trials
+        told_apart: times the smallest gain that is worth an effect, from which a rival is ruled out: its error is a
+            twentieth larger
+        same: times the error that a rival may leave and be the same model: how fits end makes as much of a difference
         slow: share of the spread of velocities, below which motion is slow: near reversals
-        step: times what a force grows by with velocity, that it must change by with its sign to change at reversals
-        stronger: times the mean force of fast motion, that it must have in slow motion to be one of reversals
-        disagree: times the error of the recalibrated model, from which motion or forces are better, or worse, explained
+        step: times what a force grows by with velocity, that it must change by with its sign to change at reversals:
+            one in proportion to velocity changes by 0.8
+        stronger: times the mean force of fast motion, that it must have in slow motion to be one of reversals: a force
+            of another kind has no more there
+        disagree: times the error of the recalibrated model, from which motion or forces are better, or worse,
+            explained: less than a tenth is how fits end
         white: of the autocorrelation at every lag shown, below which residuals pass for noise; quantisation leaves a
             little
-        places: starts along the input, for a formula of what sits somewhere
-        widths: starts for its width, in lengths of the table
-        singular: share of the largest, below which a direction of a table is not known at all
-        at_limit: share of itself, from which a parameter stands at its limit
-        widest: half width of an interval, as a logarithm, from which on it says nothing; a parameter is mapped no
-            further
-        free: standard deviation, as a logarithm, of a parameter of which nothing is known
-        negligible: share of itself; a parameter that moves by less was right
-        shorter: parts of the model's own step that are tried in turn where that is too coarse
-        refit: windows that tell whether other parameters make up for the model's own step
-        refit_steps: steps of that fit
-        others: choices of parameters that are tried in place of those that changed
+        lags: of the autocorrelation shown: half of a window of 0.25 s at 500 Hz
+        at_limit: share of itself, from which a parameter stands at its limit: a fit that is held there stops within
+            rounding of it
+        free: standard deviation, as a logarithm, of a parameter of which nothing is known: a factor of three either way
+        negligible: share of itself; a parameter that moves by less was right: few are known to three digits
+        shorter: parts of the model's own step that are tried in turn where that is too coarse: the longest that does
+            costs least
+        refit: windows that tell whether other parameters make up for the model's own step: half of those that are used
+            at most
+        refit_steps: steps of that fit: it begins where the parameters are that fine steps ask for
+        others: choices of parameters that are tried in place of those that changed, the likeliest first: each costs a
+            refit
     """
 
     swaps: int = 3
+    rivals: int = 5
+    rivals_left: int = 3
+    light: float = 0.05
+    bins: int = 24
     sure: float = 0.95
-    fewest_blocks: int = 3
+    told: float = 1.0
     small: float = 1e-3
     pattern: float = 0.1
     refuted: float = 1.05
@@ -89,11 +142,8 @@ class VerdictSettings:
     stronger: float = 1.3
     disagree: tuple[float, float] = (0.9, 1.1)
     white: float = 0.1
-    places: int = 7
-    widths: tuple[float, ...] = (0.02, 0.07, 0.25)
-    singular: float = 1e-10
+    lags: int = 60
     at_limit: float = 1e-3
-    widest: float = 50.0
     free: float = 1.0
     negligible: float = 2e-3
     shorter: tuple[int, ...] = (2, 4, 8, 16, 32)

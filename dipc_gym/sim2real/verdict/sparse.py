@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.estimation.fit import Fit, fit, holding
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
@@ -118,7 +119,14 @@ class _Reduced:
         z = self.foretold(free)[1][[*free, *range(self.count, len(self.fitted.z))]]
         try:
             structure = replace(self.fitted.structure, model_parameters=parameters)
-            return fit(self.problem, structure, z, self.fitted.initial[self.some], most=20, tolerance=SEARCH.rough)
+            return fit(
+                self.problem,
+                structure,
+                z,
+                self.fitted.initial[self.some],
+                most=ESTIMATION.from_afar,
+                tolerance=SEARCH.rough,
+            )
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
 
