@@ -2,12 +2,13 @@
 
     OMP_NUM_THREADS=1 python benchmarks/lolimot.py [--samples 10000] [--repeats 5]
 
-No package on PyPI trains LOLIMOT (looked for in November 2026: none by that name, and none found by what it
-does); the class in the repository 4204015/Trajektorienplanung is none, and imports what scikit-learn has dropped. The closest public ones are linear-tree, a regression tree with linear models in its leaves, hard-edged, whose
-last version, 0.3.5, runs with scikit-learn below 1.6 only; and anfis-toolbox, which tunes a neuro-fuzzy network with
-rules on a grid: 3 fuzzy sets an input make 27 rules of 3 inputs, and 59,049 of 10, which it cannot hold. Where one
-cannot run, or is not installed, the table says so. The other rivals are scikit-learn's: an MLP of the paper's size, its
-default MLP, gradient boosted trees, a tree.
+No package on PyPI trains LOLIMOT (looked for in November 2026: none by that name, and none found by what it does); the
+class in the repository 4204015/Trajektorienplanung is none, and imports what scikit-learn has dropped. The closest
+public ones are linear-tree, a regression tree with linear models in its leaves, hard-edged, whose last version, 0.3.5,
+runs with scikit-learn below 1.6 only; and anfis-toolbox, which tunes a neuro-fuzzy network with rules on a grid: 3
+fuzzy sets an input make 27 rules of 3 inputs, and 59,049 of 10, which it cannot hold. Where one cannot run, or is not
+installed, the table says so. The other rivals are scikit-learn's: an MLP of the paper's size, its default MLP,
+gradient boosted trees, a tree.
 
 Times are the lowest of several runs, because the machine may be busy with other things, or of one that takes more than
 10 s; all models train on the same samples and are tested on as many others. Errors are root mean squares, in the unit
