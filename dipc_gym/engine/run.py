@@ -244,10 +244,10 @@ def rates(
     probe = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 16)(function.library.addresses["probe"])
     signs = np.zeros(JOINTS + STOPS)
     signs[:n], signs[JOINTS : JOINTS + len(touching)] = np.sign(states[n : 2 * n]), touching
-    out, rest = np.zeros(len(states)), np.zeros((2, n))
+    out, forces = np.zeros(len(states)), np.zeros((2, n))
     now = np.array([time, 1e-12])
     arrays = [program.codes, parameters, None, commands, None, signs, now, None, states, None, out, None]
-    arrays += [rest[0], None, rest[1], None]
+    arrays += [forces[0], None, forces[1], None]
     probe(*(None if array is None else array.ctypes.data for array in arrays))
     return out
 

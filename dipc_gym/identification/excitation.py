@@ -139,8 +139,8 @@ def _refusal(force: Array, velocity: Array, volts: Array, force_noise: float, re
             "with higher frequencies"
         )
     everything = np.column_stack([force, follows])
-    rest = volts - everything @ np.linalg.lstsq(everything, volts)[0]
-    explained = 1 - float(np.var(rest) / np.var(volts))
+    residual = volts - everything @ np.linalg.lstsq(everything, volts)[0]
+    explained = 1 - float(np.var(residual) / np.var(volts))
     if explained < EXCITATION.least_explained:
         return (
             f"force and velocity explain {100 * max(explained, 0.0):.0f} % of the voltage, and of a cart nearly all; "

@@ -87,9 +87,9 @@ def locked(text: str, joints: Collection[str]) -> str:
         entries = custom.findall("numeric")
         of_what = [(t.get("name", ""), t.get("data", "").partition(" ")[2]) for t in custom.findall("text")]
         for effect in entries:
-            prefix, _, rest = effect.get("name", "").partition(":")
-            inputs = {of for name, of in of_what if name in (f"{mjcf.INPUTS}{k}:{rest}" for k in (1, 2))}
-            if prefix == mjcf.PREFIX and ({rest.partition(":")[2]} | inputs) & gone:
+            prefix, _, place = effect.get("name", "").partition(":")
+            inputs = {of for name, of in of_what if name in (f"{mjcf.INPUTS}{k}:{place}" for k in (1, 2))}
+            if prefix == mjcf.PREFIX and ({place.partition(":")[2]} | inputs) & gone:
                 custom.remove(effect)
     return ET.tostring(root, encoding="unicode")
 

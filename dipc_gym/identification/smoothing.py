@@ -67,12 +67,12 @@ def smooth(readings: ArrayLike) -> Smoothed:
 
     def fitted(weight: float) -> tuple[Array, float, float]:
         values = linalg.solveh_banded(weight * diagonals + _unit(len(y)), y, lower=True, check_finite=False)
-        rest = float(np.sum(weight * eigenvalues / (1 + weight * eigenvalues)))
-        return values, float(np.sum((y - values) ** 2)), rest
+        freedom = float(np.sum(weight * eigenvalues / (1 + weight * eigenvalues)))
+        return values, float(np.sum((y - values) ** 2)), freedom
 
     def score(log_weight: float) -> float:
-        _, squares, rest = fitted(math.exp(log_weight))
-        return math.log(squares + 1e-300) - 2 * math.log(rest)
+        _, squares, freedom = fitted(math.exp(log_weight))
+        return math.log(squares + 1e-300) - 2 * math.log(freedom)
 
     low, high = (math.log(weight) for weight in WEIGHTS)
     coarse = np.linspace(low, high, 15)
@@ -80,7 +80,7 @@ def smooth(readings: ArrayLike) -> Smoothed:
     ends = coarse[max(best - 1, 0)], coarse[min(best + 1, len(coarse) - 1)]
     weight = math.exp(optimize.minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": 0.05}).x)
     values, squares, _ = fitted(weight)
-    # What white noise alone would leave; where little is smoothed, a sound estimate still, unlike squares / rest.
+    # What white noise alone would leave; where little is smoothed, a sound estimate still, unlike squares / freedom.
     stopped = weight * eigenvalues / (1 + weight * eigenvalues)
     return Smoothed(values, weight, math.sqrt(squares / float(np.sum(stopped**2))))
 

@@ -64,12 +64,12 @@ def _white(time: NDArray[np.float64], values: NDArray[np.float64], order: int) -
     gaps[:, range(order + 1), range(order + 1)] = 1.0
     weights = 1.0 / gaps.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    rest = np.einsum("ij,ij->i", weights, np.lib.stride_tricks.sliding_window_view(values, order + 1))
-    parts = np.array_split(rest, max(1, len(rest) // NOISE.block))
+    differences = np.einsum("ij,ij->i", weights, np.lib.stride_tricks.sliding_window_view(values, order + 1))
+    parts = np.array_split(differences, max(1, len(differences) // NOISE.block))
     typical = float(np.median([np.mean(part**2) for part in parts]))
     # Neighbouring differences are correlated, so a block has fewer degrees of freedom than samples, and the median
     # of chi squared lies below its mean (Wilson and Hilferty 1931).
-    freedom = len(rest) / len(parts) * math.comb(2 * order, order) ** 2 / math.comb(4 * order, 2 * order)
+    freedom = len(differences) / len(parts) * math.comb(2 * order, order) ** 2 / math.comb(4 * order, 2 * order)
     return math.sqrt(typical / (1 - 2 / (9 * freedom)) ** 3)
 
 

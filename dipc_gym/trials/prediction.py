@@ -1,8 +1,8 @@
 """Recordings made by the independent integrator, and prediction errors on short windows of them.
 
-A window of 0.25 s starts from the recorded state; what a better start could still remove (the response to a
-change of each start position and velocity) is projected out of the residual. Errors are in units of the
-sensors' noise.
+The initial state of a window of 0.25 s is the recorded one; what a better one could still remove (the response to a
+change of each initial position and velocity) is projected out of the residual. Errors are in units of the sensors'
+noise.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def record(
     return Recording(parameters, command, gain, q, v, reading, slope, measured)
 
 
-def _starts(rig: Rig, parameters: Array, recording: Recording) -> tuple[Array, Array]:
+def _initial_states(rig: Rig, parameters: Array, recording: Recording) -> tuple[Array, Array]:
     """Joint states that a rig of these parameters would read so, from noise-free readings."""
     time = np.arange(SAMPLES) * SAMPLE_TIME
     q, v = np.empty_like(recording.q), np.empty_like(recording.v)
@@ -108,7 +108,7 @@ def _starts(rig: Rig, parameters: Array, recording: Recording) -> tuple[Array, A
 
 
 def predict(
-    rig: Rig, parameters: Array, recording: Recording, *, gain: Array = ONES, true_start: bool = False,
+    rig: Rig, parameters: Array, recording: Recording, *, gain: Array = ONES, true_initial: bool = False,
     shift: tuple[Array, Array] | None = None,
 ) -> Array:  # fmt: skip
     """Readings as predicted window by window, shape (samples, joints).
@@ -116,12 +116,12 @@ def predict(
     Args:
         rig: the rig.
         parameters: those that predict.
-        recording: where the windows start, and the command.
+        recording: for the initial states, and the command.
         gain: factor on the command.
-        true_start: start from the true states instead of what the readings say.
-        shift: added to the start positions and velocities.
+        true_initial: whether initial states are the true ones instead of what the readings say.
+        shift: added to the initial positions and velocities.
     """
-    q, v = (recording.q, recording.v) if true_start else _starts(rig, parameters, recording)
+    q, v = (recording.q, recording.v) if true_initial else _initial_states(rig, parameters, recording)
     if shift is not None:
         q, v = q + shift[0], v + shift[1]
     start_y = recording.reading / (1 + parameters[[index("gain", j) for j in range(rig.count)]])
@@ -134,12 +134,12 @@ def predict(
 
 
 class Windows:
-    """Residuals of predictions on one recording, in noise units, freed of what a better start would remove.
+    """Residuals of predictions on one recording, in noise units, freed of what better initial states would remove.
 
     Args:
         rig: the rig.
         recording: the recording.
-        parameters: of the rig whose response to its start is projected out (without its dry friction).
+        parameters: of the rig whose response to its initial state is projected out (without its dry friction).
     """
 
     def __init__(self, rig: Rig, recording: Recording, parameters: Array) -> None:
@@ -163,7 +163,7 @@ class Windows:
         return (values / self.rig.noise).reshape(-1, WINDOW * self.rig.count)
 
     def residual(self, prediction: Array, reference: Array) -> Array:
-        """Difference in noise units without what the start explains, flat."""
+        """Difference in noise units without what initial states explain, flat."""
         raw = self._shape(prediction - reference)
         along = np.einsum("wij,wi->wj", self.basis, raw)
         return np.asarray((raw - np.einsum("wij,wj->wi", self.basis, along)).ravel())

@@ -2,8 +2,8 @@
 
 Google DeepMind's toolbox comes with MuJoCo (extra `mujoco[sysid]`). It is given what helps it: short windows from
 estimated states, so that neither drift nor an unstable rig overwhelms it; residuals in units of noise and without
-what a better start would remove; steps of one sample, so that its interpolation of commands does no harm; readings
-beside the step they belong to. It fits the parameters it is told to fit and names nothing.
+what better initial states would remove; steps of one sample, so that its interpolation of commands does no harm;
+readings beside the step they belong to. It fits the parameters it is told to fit and names nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dipc_gym.trials.replayed import Array, Motion, from_starts, without_start
+from dipc_gym.trials.replayed import Array, Motion, from_estimates, without_initial
 
 BOUNDS = {"damping": (0.05, 10.0), "frictionloss": (0.05, 10.0), "armature": (0.3, 3.0)}
 """Bounds of parameters, as factors of the nominal one; wider ones diverge at a step of one sample."""
@@ -60,7 +60,7 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
         low, high = BOUNDS.get(name.rsplit(".", 1)[1], OTHERS)
         params.add(Parameter(name, 1.0, low, high, modifier=write))
     given = spec.compile()
-    starts, commands, readings = [], [], []
+    initial, commands, readings = [], [], []
     sensors, controls = (
         f(given) for f in (TimeSeries.compute_all_sensor_mapping, TimeSeries.compute_all_control_mapping)
     )
@@ -68,13 +68,13 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
         time = motion.step * np.arange(len(motion.command), dtype=np.float64)
         parts = (motion.cut(x) for x in (time[:, None], motion.command, motion.measured, motion.q, motion.v))
         for t, u, y, q, v in zip(*parts, strict=True):
-            starts.append(create_initial_state(given, q[0], v[0]))
-            starts[-1][0] = t[0, 0]
+            initial.append(create_initial_state(given, q[0], v[0]))
+            initial[-1][0] = t[0, 0]
             commands.append(TimeSeries(t[:, 0], u, controls))
             readings.append(TimeSeries(t[:, 0], y, sensors))
-    names = [f"window_{k}" for k in range(len(starts))]
-    sequences = ModelSequences("rig", spec, names, starts, commands, readings).measured_rollout
-    bases = np.concatenate([from_starts(given, motion, noise)[1] for motion in motions])
+    names = [f"window_{k}" for k in range(len(initial))]
+    sequences = ModelSequences("rig", spec, names, initial, commands, readings).measured_rollout
+    bases = np.concatenate([from_estimates(given, motion, noise)[1] for motion in motions])
 
     bases = np.linalg.qr(bases[:, : -given.nv])[0]
 
@@ -89,7 +89,7 @@ def refit(model: Path, motions: Sequence[Motion], noise: Array) -> tuple[mujoco.
         )  # fmt: skip
         variants = x.shape[1] if x.ndim > 1 else 1
         by_window = residual.T.reshape(variants, len(sequences), -1)
-        flat = without_start(by_window, bases).reshape(variants, -1)
+        flat = without_initial(by_window, bases).reshape(variants, -1)
         return [flat.T if x.ndim > 1 else flat[0]], *more
 
     with contextlib.redirect_stdout(io.StringIO()):  # it prints every iteration

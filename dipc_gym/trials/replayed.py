@@ -1,7 +1,7 @@
 """Recordings of a trial in MuJoCo, window by window: what the rivals are fitted on and judged by.
 
 Windows are those of the scorer: 0.25 s, from estimated states, errors in units of the sensors' noise, freed of what
-a better start would remove.
+better initial states would remove.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ def predict(model: mujoco.MjModel, motion: Motion, force: Force | None, q: Array
         model: whose sensors are its joints' positions, in their order.
         motion: for its commands.
         force: added at every step.
-        q: positions at the windows' starts, (windows, nv).
-        v: velocities there.
+        q: initial positions of the windows, (windows, nv).
+        v: initial velocities.
     """
     model.opt.timestep, model.opt.integrator = motion.step / STEPS, mujoco.mjtIntegrator.mjINT_RK4
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what diverges stays diverged
@@ -95,10 +95,10 @@ def predict(model: mujoco.MjModel, motion: Motion, force: Force | None, q: Array
     return seen
 
 
-def from_starts(
+def from_estimates(
     model: mujoco.MjModel, motion: Motion, noise: Array, force: Force | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Predictions from the estimated states, and what a better start of each window could change in them.
+    """Predictions from the estimated initial states, and what better ones could change in them.
 
     Args:
         model: see `predict`.
@@ -124,8 +124,8 @@ def from_starts(
     return plain, np.linalg.qr(np.nan_to_num(changes, nan=0.0, posinf=0.0, neginf=0.0))[0]
 
 
-def without_start(residual: Array, basis: Array) -> Array:
-    """Residuals (..., windows, values) without what a better start would remove."""
+def without_initial(residual: Array, basis: Array) -> Array:
+    """Residuals (..., windows, values) without what better initial states would remove."""
     return np.asarray(residual - np.einsum("wij,...wj->...wi", basis, np.einsum("wij,...wi->...wj", basis, residual)))
 
 
@@ -138,8 +138,8 @@ def error(model: mujoco.MjModel, motion: Motion, noise: Array, force: Force | No
         noise: standard deviation of each reading's noise, (nv,).
         force: added to the model, if any.
     """
-    plain, basis = from_starts(model, motion, noise, force)
+    plain, basis = from_estimates(model, motion, noise, force)
     if not (np.all(np.isfinite(plain)) and np.all(np.isfinite(basis))):
         return math.inf
     measured = (motion.cut(motion.measured) / noise).reshape(plain.shape)
-    return float(np.sqrt(np.mean(without_start(plain - measured, basis) ** 2)))
+    return float(np.sqrt(np.mean(without_initial(plain - measured, basis) ** 2)))

@@ -158,7 +158,7 @@ class Secret:
 
         def error(parameters: Array, *, truth: bool = False) -> float:
             gain = test.gain if truth else ONES
-            prediction = predict(rig, parameters, test, gain=gain, true_start=truth)
+            prediction = predict(rig, parameters, test, gain=gain, true_initial=truth)
             return rms(windows[2].residual(prediction, test.measured))
 
         # A knock that struck one training recording is to be found there; the held-out one has none.

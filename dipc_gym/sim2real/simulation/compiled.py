@@ -70,7 +70,7 @@ class Compiled:
 
     @property
     def _yielding(self) -> list[tuple[int, int]]:
-        """State of the rest of each spring that yields, and its tendon."""
+        """State that holds at which length each spring that yields is unbent, and its tendon."""
         first = 2 * self.model.nv + self.model.na
         return [(first + k, tendon) for k, tendon in enumerate(yielding(self.model))]
 
@@ -141,8 +141,8 @@ class Compiled:
     def _places(self, states: Array) -> Places:
         """Where states (..., nx) hold what windows begin with."""
         nv, na = self.model.nv, self.model.na
-        rests = [states[..., rest, None] for rest, _ in self._yielding]
-        return Places(states[..., :nv], states[..., nv : 2 * nv], states[..., 2 * nv : 2 * nv + na], rests)
+        unbent = [states[..., state, None] for state, _ in self._yielding]
+        return Places(states[..., :nv], states[..., nv : 2 * nv], states[..., 2 * nv : 2 * nv + na], unbent)
 
     def begun(self, at: float, initial: Array) -> Array:
         """States (variants, windows, nx) that begin at positions and velocities of base joints (variants, n, 2 nb)."""

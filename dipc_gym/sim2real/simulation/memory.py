@@ -1,9 +1,9 @@
 """What a window begins with, in either simulator: what its sensors show, and what no sensor shows.
 
-Some of the latter remembers longer than any warm-up lasts. A spring that yields keeps its rest until it is bent as far
-the other way; a load that swings, swings on for seconds, and a spring that creeps takes as long. All follow from how
-the joints moved before: one pass over the whole recording gives what they are at each window's start, as it does for
-the heat of a winding. A recording is taken to begin with springs unbent and loads at rest.
+Some of the latter remembers longer than any warm-up lasts. A spring that yields stays as it was bent until it is bent
+as far the other way; a load that swings, swings on for seconds, and a spring that creeps takes as long. All follow
+from how the joints moved before: one pass over the whole recording gives what they are at each window's start, as it
+does for the heat of a winding. A recording is taken to begin with springs unbent and loads at rest.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ def bends(variants: Sequence[Physics], tendon: int, motion: Motion, time: Array)
     order = np.argsort(stamps, kind="stable")
     bears = np.array([v.model.tendon_springyield[tendon] for v in variants])
     unbent = np.array([v.model.tendon_lengthspring[tendon, 0] for v in variants])
-    rest = np.empty((len(stamps), len(variants)))
-    rest[order] = play(np.concatenate([length, wanted])[order], bears, unbent)
-    return np.ascontiguousarray((wanted[:, None] - rest[len(motion.time) :]).T)
+    dragged = np.empty((len(stamps), len(variants)))
+    dragged[order] = play(np.concatenate([length, wanted])[order], bears, unbent)
+    return np.ascontiguousarray((wanted[:, None] - dragged[len(motion.time) :]).T)
 
 
 def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, time: Array) -> Array:
@@ -115,14 +115,14 @@ class Places:
         position: of all joints, m or rad, (variants, n, nv).
         velocity: m/s or rad/s, (variants, n, nv).
         activation: of actuators, (variants, n, na); for a winding that heats, K above its surroundings.
-        rests: length at which each of the springs that yield is unbent, m or rad; (variants, n, k) with k times the
+        unbent: length at which each of the springs that yield is unbent, m or rad; (variants, n, k) with k times the
             same number.
     """
 
     position: Array
     velocity: Array
     activation: Array
-    rests: Sequence[Array]
+    unbent: Sequence[Array]
 
     def put(self, joints: Joints, initial: Array) -> None:
         """Put base joints at positions and velocities (variants, n, 2 nb), and what hides where its leader is."""
@@ -133,9 +133,9 @@ class Places:
 
     def stay_bent(self, model: mujoco.MjModel, moved: Array) -> None:
         """Let springs that yield stay as bent as they are, where joints were moved by `moved`, (variants, n, nv)."""
-        for rest, tendon in zip(self.rests, yielding(model), strict=True):
+        for unbent, tendon in zip(self.unbent, yielding(model), strict=True):
             for joint, coefficient in along(model, tendon):
-                rest += (coefficient * moved[..., joint])[..., None]
+                unbent += (coefficient * moved[..., joint])[..., None]
 
 
 def begin(
@@ -167,11 +167,11 @@ def begin(
         temperature = places.activation[..., int(model.actuator_actadr[motor])]
         for mine, recording, motion in _passes(windows, f"how hot {model.actuator(motor).name} is"):
             temperature[:, mine] = winding_temperatures(variants, delays, motor, recording, motion, time[mine])
-    for rest, tendon in zip(places.rests, yielding(model), strict=True):
+    for unbent, tendon in zip(places.unbent, yielding(model), strict=True):
         joints, coefficients = zip(*along(model, tendon), strict=True)
         length = places.position[..., list(joints)] @ np.array(coefficients)
         for mine, _, motion in _passes(windows, f"how far {model.tendon(tendon).name} is bent"):
-            rest[:, mine] = (length[:, mine] - bends(variants, tendon, motion, time[mine]))[..., None]
+            unbent[:, mine] = (length[:, mine] - bends(variants, tendon, motion, time[mine]))[..., None]
     leaders = mjcf.followers(model)
     for name, load in loads(model).items():
         for mine, _, motion in _passes(windows, f"how {name} swings"):

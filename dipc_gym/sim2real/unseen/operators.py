@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 Array = NDArray[np.float64]
 
 
-def play(length: Array, width: Array, rest: Array) -> Array:
+def play(length: Array, width: Array, begin: Array) -> Array:
     """What is dragged along at a distance: the play operator of Prandtl and Ishlinskii.
 
     It depends on where the motion turned round, and on nothing between two turns.
@@ -19,7 +19,7 @@ def play(length: Array, width: Array, rest: Array) -> Array:
     Args:
         length: of what drags, (n,).
         width: distance from which it drags, either way, (k,).
-        rest: where what is dragged is before the first of them, (k,).
+        begin: where what is dragged is before the first of them, (k,).
 
     Returns:
         Where it is, (n, k).
@@ -35,8 +35,8 @@ def play(length: Array, width: Array, rest: Array) -> Array:
         if first == last:
             continue
         # One way only from here to there: the clip of each is the clip of the last.
-        out[first:last] = np.clip(rest, length[first:last, None] - width, length[first:last, None] + width)
-        rest = out[last - 1]
+        out[first:last] = np.clip(begin, length[first:last, None] - width, length[first:last, None] + width)
+        begin = out[last - 1]
     return out
 
 

@@ -11,7 +11,7 @@ from dipc_gym import mjcf
 
 
 def yielding(model: mujoco.MjModel) -> list[int]:
-    """Tendons whose springs yield, in the order in which the engine has their rests."""
+    """Tendons whose springs yield, in the order of their states in the engine."""
     return [int(t) for t in np.flatnonzero(model.tendon_plasticadr >= 0)]
 
 
