@@ -5,6 +5,7 @@ Whole diagnoses are in test_diagnose.py.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -20,6 +21,7 @@ from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.selection import kinds
 from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.fitter import Fitter
@@ -156,6 +158,39 @@ def test_several_effects_that_stay_above_the_noise_are_begun_anew(off: float) ->
     assert astray.error > 100.0
     assert search.fitter.anew(astray).error == pytest.approx(found.error, rel=1e-3)
     assert search.fitter.anew(found) is found  # at the noise nothing is begun anew
+
+
+@pytest.mark.parametrize(
+    ("hidden", "reads", "knots", "levels", "kind"),
+    [
+        ({"most": 3.0}, "command motor", [-8.0, -3.0, 3.0, 8.0], [20.0, 0.0, 0.0, -20.0], "motor.map@motor"),
+        ({"coulomb": 3.0}, "velocity cart", [-0.4, -2e-3, 2e-3, 0.4], [3.0, 3.0, -3.0, -3.0], "friction.speed@cart"),
+    ],
+)
+def test_what_a_law_depends_on_may_be_its_kind(
+    hidden: dict[str, float], reads: str, knots: list[float], levels: list[float], kind: str
+) -> None:
+    """A force of the command to its own motor alone, or of its own velocity alone, gets a name."""
+    search = begun([run(3, 12, **{"coulomb": 0.0, **hidden})], ("residual.force", kind.partition("@")[0]))
+    bare = search.progress.current
+    shape = Surface((reads,), (np.array(knots),), np.array(levels))
+    law = UnknownForce(shape, 1.0, ("",), "cart")
+    structure = bare.structure.with_term(Term(law, "cart", law.first))
+    modelled = fit(search.partition.problem, structure, None, bare.initial, most=8)
+    told = list[str]()
+    found = kinds.named(search.question, search.fitter, modelled, bare, told.append)
+    assert [term.key for term in found.structure.terms] == [kind]
+    assert len(told) == 1
+    assert found.error < 1.1 * modelled.error
+
+
+def test_a_law_of_two_inputs_has_no_kind(sprung: Search) -> None:
+    bare = sprung.progress.path[0]
+    shape = Surface(("position cart", "velocity cart"), (np.array([-1.0, 1.0]),) * 2, np.zeros((2, 2)))
+    law = UnknownForce(shape, 1.0, ("m", "m/s"), "cart")
+    modelled = fit(sprung.partition.problem, bare.structure.with_term(Term(law, "cart", law.first)), most=0)
+    question = replace(sprung.question, effects=list(catalogue().values()))
+    assert kinds.named(question, sprung.fitter, modelled, bare, print) is modelled
 
 
 @pytest.mark.parametrize(
