@@ -9,7 +9,6 @@ import math
 import shutil
 import subprocess
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
+from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 
 GCC = shutil.which("gcc") or shutil.which("cc")
@@ -37,11 +37,8 @@ needs_c = pytest.mark.skipif(GCC is None, reason="no C compiler")
 
 def surface() -> UnknownForce:
     levels = np.array([[0.3, -0.2], [0.1, 0.4], [-0.3, -0.1]])
-    shape: Any = SimpleNamespace(
-        inputs=("position cart", "velocity pole1"),
-        knots=(np.array([-1.0, 0.1, 2.0]), np.array([-3.0, 3.5])),
-        levels=levels,
-    )
+    knots = np.array([-1.0, 0.1, 2.0]), np.array([-3.0, 3.5])
+    shape = Surface(("position cart", "velocity pole1"), knots, levels)
     return UnknownForce(shape, 1.5, ("m", "rad/s"), "cart")
 
 

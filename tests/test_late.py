@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,27 +23,29 @@ from dipc_gym.safety.files import whole, write_json, write_whole
 from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.report import folder as saving
 from dipc_gym.sim2real.report import page
+from dipc_gym.sim2real.selection.baseline import baseline
+from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.verdict import details, findings, improve, judge, judgement
 from dipc_gym.sim2real.verdict.guarded import Guarded
+from dipc_gym.sim2real.verdict.withheld import gather
 
 FEW = [catalogue()[name] for name in ("friction.coulomb", "drag.quadratic")]
 
 
-def test_a_number_that_is_not_known_at_all_has_no_interval() -> None:
-    mass = SimpleNamespace(attribute="mass", at="cart", value=1.0, unit="kg")
-    structure = SimpleNamespace(
-        model_parameters=(mass,), slots=(SimpleNamespace(value=lambda z: math.exp(min(z, 50.0))),)
-    )
-    fitted: Any = SimpleNamespace(structure=structure, z=np.array([0.5]))
+def test_a_parameter_that_is_not_known_at_all_has_no_interval() -> None:
+    case = part(gather(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], (), Wishes())[0], threads=1)
+    fitted = baseline(case).recalibrated
     for wide in (1e4, math.inf, math.nan):
-        (entry,) = findings.changed_parameters(fitted, np.array([wide]))
-        assert "low" not in entry
-    (entry,) = findings.changed_parameters(fitted, np.array([0.1]))
-    assert entry["low"] == pytest.approx(math.exp(0.4))
+        unknown = findings.changed_parameters(fitted, np.full(len(fitted.z), wide))
+        assert unknown
+        assert not any("low" in entry for entry in unknown)
+    for entry in findings.changed_parameters(fitted, np.full(len(fitted.z), 0.1)):
+        assert 0 < entry["low"] < entry["value"] < entry["high"]
 
 
 STAGES: dict[str, list[tuple[Any, str]]] = {
