@@ -84,7 +84,7 @@ class Attached:
                 self._yield(element, own, forces, rates)
 
     def _yield(self, element: ir.Value, own: Numbers, forces: Numbers, rates: Numbers) -> None:
-        """A spring bends so far and no further: its rest then goes along, and stays where it was left.
+        """A spring bends so far and no further: where it is unbent then goes along, and stays where it was left.
 
         What a step takes it too far is put right as fast as the step can follow.
         """

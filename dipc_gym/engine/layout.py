@@ -55,7 +55,7 @@ class Kind(IntEnum):
     MOTOR = 3
     SPRING = 4
     STOP = 5
-    YIELDING = 6  # a spring whose rest goes along where it is bent further than it bears
+    YIELDING = 6  # a spring whose unbent position goes along where it is bent further than it bears
 
 
 class Element(IntEnum):

@@ -133,10 +133,10 @@ class _Writer:
                 more = [float(model.actuator_damping[by]), *np.ravel(model.actuator_dampingpoly[by]).tolist()]
                 damping = [x + y * gear**2 for x, y in zip(damping, more, strict=True)]
             stiffness = [float(model.jnt_stiffness[k]), *np.ravel(model.jnt_stiffnesspoly[k]).tolist()]
-            rest = float(model.qpos_spring[model.jnt_qposadr[k]])
+            unbent = float(model.qpos_spring[model.jnt_qposadr[k]])
             friction = float(model.dof_frictionloss[k])
             self.numbers += [x * damped for x in damping] + [x * sprung for x in stiffness]
-            self.numbers += [rest, armature, friction, *self._range(k)]
+            self.numbers += [unbent, armature, friction, *self._range(k)]
 
     def _range(self, k: int) -> tuple[float, float]:
         """Positions between which a joint's limit does not act."""

@@ -133,11 +133,11 @@ class Window:
 
     # States
 
-    def _call(self, function: ir.Function, states: Numbers, *rest: Numbers) -> None:
+    def _call(self, function: ir.Function, states: Numbers, *more: Numbers) -> None:
         fixed = [self.program, *both(self.numbers), *both(self.commands)]
         fixed.append(self.signs.place)
         arguments = [*fixed, *both(self.clock), *both(states)]
-        for numbers in rest:
+        for numbers in more:
             arguments += both(numbers)
         self.code.at.call(function, arguments)
 

@@ -50,7 +50,7 @@ class DesignSettings:
         ramps: s, of one ramp up and down and back: slow, so that friction and gravity show and inertia does not
         triangles: s, of one triangle: many reversals, where friction shows
         steps: s, from one step to the next of the same sign: what swings or lags settles in the rest after it
-        rest: of the wave, below which a step rests: a third of the time
+        pause: of the wave, below which a step rests: a third of the time
         sweep: Hz, from and to: from slow swings to where inertia takes nearly all
         tones: Hz, from and to: as the sweep, all at once
         count: of the tones, about half an octave from one to the next
@@ -72,7 +72,7 @@ class DesignSettings:
     ramps: float = 8.0
     triangles: float = 1.3
     steps: float = 1.6
-    rest: float = 0.5
+    pause: float = 0.5
     sweep: tuple[float, float] = (0.3, 8.0)
     tones: tuple[float, float] = (0.4, 9.0)
     count: int = 9
@@ -106,7 +106,7 @@ def _triangles(t: Array, rng: np.random.Generator) -> Array:
 
 def _steps(t: Array, rng: np.random.Generator) -> Array:
     wave = np.sin(2 * np.pi * t / DESIGN.steps)
-    return np.sign(wave) * (np.abs(wave) > DESIGN.rest)
+    return np.sign(wave) * (np.abs(wave) > DESIGN.pause)
 
 
 def _sweep(t: Array, rng: np.random.Generator) -> Array:
