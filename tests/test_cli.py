@@ -102,6 +102,13 @@ def test_notes_of_the_recording_that_is_trained_from_are_told(
 OBSERVED = str(Path(policy.__file__).parent / "policies" / "ppo-observed.json")
 
 
+def test_a_policy_sees_through_a_saved_estimator_of_its_kind(tmp_path: Path) -> None:
+    saved = tmp_path / "filter.json"
+    estimators.save(identify().fit_estimator("disturbance"), saved)
+    seen = ["--controller", OBSERVED, "--estimator", str(saved), "--compensator", "observed"]
+    assert main(["record", "--out", str(tmp_path / "run.csv"), *seen, "--seconds", "1"]) == 0
+
+
 @pytest.mark.parametrize("controller", ["lqr_cart", OBSERVED])
 def test_a_run_is_recorded_through_an_estimator(controller: str, tmp_path: Path) -> None:
     """A policy brings its own. After 10 s the cart strays as docs/rejection.md has it, by the worst of its rigs."""

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from dipc_gym import cli, physics
 from dipc_gym.export import law as laws
 from dipc_gym.export.law import Input, Law, LawError
+from dipc_gym.sim2real import result
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
@@ -51,6 +52,10 @@ FOUND = {
     "motor.map@motor": CommandMap([-10.0, 0.0, 10.0], [-7.0, 0.5, 9.0]),
     "unknown@cart": surface(),
 }
+
+
+def test_what_a_diagnosis_writes_now_is_read() -> None:
+    assert laws.SCHEMAS[-1] == result.SCHEMA
 
 
 def test_every_law_of_free_shape_is_tried() -> None:

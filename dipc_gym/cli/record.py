@@ -11,6 +11,7 @@ import tyro
 from dipc_gym.cli.options import ending, free, pairs
 
 if TYPE_CHECKING:
+    from dipc_gym.compensators import Compensator
     from dipc_gym.estimators import Estimator
     from dipc_gym.runs import Course
 
@@ -61,14 +62,15 @@ class Record:
             run = runs.identify(self.plant, model=self.model, seed=self.seed).run
         else:
             brain = controllers.balancing(self.controller)
+            compensator, estimator = _parts(brain, self.compensator, self.estimator, self.plant, self.model, self.seed)
             course = runs.balance(
                 brain,
-                runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed),
+                compensator,
                 seconds=self.seconds,
                 seed=self.seed,
                 plant=self.plant,
                 model=self.model,
-                estimator=_estimator(brain, self.estimator, self.plant, self.model, self.seed),
+                estimator=estimator,
             )
             run = course.recording(self.out.stem)
             if course.fell:
@@ -151,14 +153,15 @@ class Render:
 
         brain = controllers.load(self.controller)
         if not (isinstance(brain, Tracking) or (isinstance(brain, Policy) and brain.swings_up)):
+            compensator, estimator = _parts(brain, self.compensator, self.estimator, self.plant, self.model, self.seed)
             return runs.balance(
                 controllers.balancing(self.controller),
-                runs.compensator(self.compensator, self.plant, model=self.model, seed=self.seed),
+                compensator,
                 seconds=self.seconds,
                 seed=self.seed,
                 plant=self.plant,
                 model=self.model,
-                estimator=_estimator(brain, self.estimator, self.plant, self.model, self.seed),
+                estimator=estimator,
             )
         found = runs.identify(self.plant, model=self.model, seed=self.seed)
         sees = self.estimator or ("rigid_body" if isinstance(brain, Tracking) else brain.estimator)
@@ -171,16 +174,26 @@ class Render:
             goal=brain.goal or "up-up",
             plant=self.plant,
             model=self.model,
-            estimator=None if sees is None else runs.estimator(sees, self.plant, model=self.model, seed=self.seed),
+            estimator=None if sees is None else found.fit_estimator(sees, seed=self.seed),
         )
 
 
-def _estimator(brain: object, name: str | None, plant: str | None, model: str | None, seed: int) -> Estimator | None:
-    """What a controller sees the rig through; None is the environment's own observation."""
+def _parts(
+    brain: object, compensator: str, estimator: str | None, plant: str | None, model: str | None, seed: int
+) -> tuple[Compensator, Estimator | None]:
+    """What makes a controller's force a voltage, and what it sees the rig through; None is the environment's own
+    observation. What is learned is learned from one run.
+    """
     from dipc_gym import runs
     from dipc_gym.policy import Policy
 
-    if isinstance(brain, Policy):
-        name = name or brain.estimator
-        brain.require_estimator(name)
-    return None if name is None else runs.estimator(name, plant, model=model, seed=seed)
+    policy = brain if isinstance(brain, Policy) else None
+    if estimator is None and policy:
+        estimator = policy.estimator
+    if estimator is None:
+        return runs.compensator(compensator, plant, model=model, seed=seed), None
+    found = runs.identify(plant, model=model, seed=seed)
+    seen_through = found.fit_estimator(estimator, seed=seed)
+    if policy:
+        policy.require_estimator(seen_through.name)
+    return found.fit(compensator, seed=seed), seen_through

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 Status = Literal["chosen", "same model here", "not told apart", "ruled out", "screened out"]
 Before = Literal["nominal", "recalibrated"]
 
+SCHEMA = "dipc-gym/diagnosis/3"
 MOST_TRACES, MOST_MAPS, MOST_RESIDUALS = 16, 8, 12  # that are drawn
 MOST_SAMPLES = 30_000  # of each that are kept; of longer recordings whole windows, or every few samples
 
@@ -414,7 +415,7 @@ class Diagnosis:
             if self.written is not None:
                 fit["as_written"] = self.written.to_dict()
         return {
-            "schema": "dipc-gym/diagnosis/3",
+            "schema": SCHEMA,
             "verdict": self.verdict,
             "sentence": self.sentence,
             "located": [

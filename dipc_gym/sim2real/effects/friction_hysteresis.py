@@ -12,8 +12,7 @@ from scipy.optimize import nnls
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Values
 from dipc_gym.sim2real.effects.law import Array, Law, described
-from dipc_gym.sim2real.effects.settings import TABLES
-from dipc_gym.sim2real.effects.tables import spared
+from dipc_gym.sim2real.effects.tables import odd_blocks, spared
 from dipc_gym.sim2real.unseen.operators import play
 
 WIDTHS = np.geomspace(2e-3, 1.0, 28)  # over which an element is bent, in ranges of the joint's motion
@@ -45,7 +44,7 @@ class Hysteresis(Law):
         widths = WIDTHS * span
         bent = -_bent(evidence, widths)
         beside = np.stack([np.ones_like(evidence.force), evidence.velocity, -evidence.direction], axis=1)
-        late = np.floor(evidence.time / TABLES.block).astype(np.intp) % 2 == 1
+        late = odd_blocks(evidence.time)
         if late.all() or not late.any():
             return None
         chosen: list[int] = []

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from dipc_gym.sim2real.effects.settings import SURFACES, TABLES
-from dipc_gym.sim2real.effects.tables import spared
+from dipc_gym.sim2real.effects.tables import odd_blocks, spared
 
 Array = NDArray[np.float64]
 Sums = tuple[sparse.csr_array, Array, float]  # normal matrix, right-hand side, sum of squares
@@ -49,7 +49,7 @@ def surfaces(inputs: Mapping[str, Array], force: Array, time: Array) -> list[Sur
         force: to be explained, (n,).
         time: s, (n,), beginning anew with each recording.
     """
-    late = np.floor(time / TABLES.block).astype(np.intp) % 2 == 1
+    late = odd_blocks(time)
     if late.all() or not late.any():
         return []
     halves = (~late, late)

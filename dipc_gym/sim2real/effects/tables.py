@@ -37,7 +37,7 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     low, high = (float(v) for v in np.quantile(x, [TABLES.covered, 1 - TABLES.covered]))
     high = max(high, low + 1e-9 * max(1.0, abs(low)))
     edges = np.linspace(low, high, TABLES.bins + 1)
-    confirming = np.floor(time / TABLES.block).astype(np.intp) % 2 == 1
+    confirming = odd_blocks(time)
     if confirming.all() or not confirming.any():
         confirming = np.arange(len(x)) % 2 == 1
     sums = [
@@ -57,6 +57,11 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     enough = spared(left[0], min(left))
     chosen = next(knots for knots, after in zip(grown, left, strict=True) if after <= enough)
     return edges[chosen], both.weights(chosen)[: len(chosen)]
+
+
+def odd_blocks(time: Array) -> NDArray[np.bool_]:
+    """Which samples lie in every second block of time, (n,): what one half of the blocks chose, the other confirms."""
+    return np.asarray(np.floor(time / TABLES.block).astype(np.intp) % 2 == 1)
 
 
 def spared(before: float, least: float) -> float:

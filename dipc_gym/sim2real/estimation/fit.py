@@ -187,7 +187,7 @@ def fit(
         now, accepted = penalised(mse, z, scale), False
         for _ in range(ESTIMATION.tries):
             # No parameter may do more than double, or change by a factor of e.
-            reach = np.maximum(ESTIMATION.reach, structure.sizes(z))
+            reach = ESTIMATION.reach * structure.sizes(z)
             trial = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, reach)
             foretold = now - penalised(quadratics.after(trial - z) / problem.counts, trial, scale)
             ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))

@@ -24,12 +24,13 @@ from dipc_gym.safety import intact
 from dipc_gym.safety.files import finite
 from dipc_gym.safety.untrusted import Format, Reader
 from dipc_gym.sim2real.report.page import VERDICTS
+from dipc_gym.sim2real.result import SCHEMA as DIAGNOSIS_SCHEMA
 from dipc_gym.sim2real.result import Candidate, Details, Mismatch, SensorResidual, Trace
 
 Array = NDArray[np.float64]
 
 SCHEMA = "dipc-gym/report/1"
-DIAGNOSES = ("dipc-gym/diagnosis/1", "dipc-gym/diagnosis/2", "dipc-gym/diagnosis/3")
+DIAGNOSES = ("dipc-gym/diagnosis/1", "dipc-gym/diagnosis/2", DIAGNOSIS_SCHEMA)
 LARGEST = 50_000_000  # bytes; what is drawn is bounded, a difference of long files may need most of it
 
 

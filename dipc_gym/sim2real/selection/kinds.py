@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from dipc_gym.sim2real.effects.base import Effect, joint_of
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Structure, Term
-from dipc_gym.sim2real.selection import hypotheses
 from dipc_gym.sim2real.selection.fitter import Fitter
-from dipc_gym.sim2real.selection.hypotheses import Phase, Question
+from dipc_gym.sim2real.selection.hypotheses import Phase, Question, hypotheses
 from dipc_gym.sim2real.selection.resolution import refined
 
 
@@ -54,6 +54,5 @@ def _kinds(question: Question, structure: Structure, term: Term) -> Iterator[tup
 
 def _shapes(question: Question, effect: Effect, at: str, fewer: Fit) -> list[Term]:
     """A law of a kind at one place, in the shapes that the evidence asks for."""
-    one = hypotheses.Question([effect], question.joints, question.look)
-    asked = hypotheses.hypotheses(one, Phase.SHAPES, fewer, question.look(fewer))
+    asked = hypotheses(replace(question, effects=[effect]), Phase.SHAPES, fewer, question.look(fewer))
     return [term for term in asked if term.at == at]
