@@ -131,7 +131,7 @@ def _weights(bent: Array, beside: Array, force: Array) -> Array:
     return np.append(found[:k], found[k : k + m] - found[k + m :])
 
 
-def _left(bent: Array, beside: Array, force: Array, fitted: Array, told: Array) -> float:
+def _left(bent: Array, beside: Array, force: Array, fitted: NDArray[np.bool_], told: NDArray[np.bool_]) -> float:
     """Sum of squares that elements fitted to some samples leave of others."""
     weights = _weights(bent[fitted], beside[fitted], force[fitted])
     return float(np.sum((force[told] - np.concatenate([bent, beside], axis=1)[told] @ weights) ** 2))
