@@ -86,6 +86,12 @@ def sensor_gain(data: Array, now: Moment) -> Array:
     return now.value * data[..., 0]
 
 
+def sensor_eccentric(data: Array, now: Moment) -> Array:
+    """Reading y + sine sin(a) + cosine cos(a), a = 2 pi y / wavelength; data: these three numbers."""
+    angle = 2 * np.pi * now.value / data[..., 2]
+    return np.asarray(now.value + data[..., 0] * np.sin(angle) + data[..., 1] * np.cos(angle))
+
+
 def lag(data: Array, now: Moment) -> Array:
     """The reading that a lag settles at, the input itself (`Physics.sense` keeps time); data: time constant > 0."""
     return now.value + 0.0 * data[..., 0]
@@ -123,10 +129,10 @@ def table(data: Array, x: Array) -> Array:
     return np.asarray(values[..., 0] + np.sum(share * np.diff(values, axis=-1), axis=-1))
 
 
-def command_map(data: Array, now: Moment) -> Array:
-    """Command mapped by a table; data: at least two commands, increasing, then as many that they act as.
+def mapped(data: Array, now: Moment) -> Array:
+    """A command or reading mapped by a table; data: at least two of them, increasing, then as many that they become.
 
-    Outside the table a command acts as much more or less than the table's end as it is beyond it.
+    Outside the table it becomes as much more or less than the table's end as it is beyond it.
     """
     knots, _ = np.split(data, 2, axis=-1)
     inside = np.clip(now.value, knots[..., 0], knots[..., -1])
@@ -204,7 +210,7 @@ MOST_LEVELS = 4096  # of a surface
 MOST_NUMBERS = 3 * MOST_LEVELS  # of any entry
 HEAD = 16  # numbers of an entry that say more than one level of a table
 
-_TABLES = frozenset({"motor.map"})
+_TABLES = frozenset({"motor.map", "sensor.map"})
 _EVEN = frozenset({"friction.position", "friction.time"})  # tables of equal distances between two ends
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
 
@@ -212,9 +218,11 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     "motor.deadzone": ("command", deadzone),
     "sensor.gain": ("sensor", sensor_gain),
     "sensor.bias": ("sensor", sensor_bias),
+    "sensor.eccentric": ("sensor", sensor_eccentric),
     "timing.sensor_lag": ("lag", lag),
     "friction.position": ("friction", friction_along),
-    "motor.map": ("command", command_map),
+    "motor.map": ("command", mapped),
+    "sensor.map": ("sensor", mapped),
     "friction.time": ("friction", friction_over_time),
     "friction.wave": ("friction", friction_wave),
     "friction.load": ("friction", friction_under_load),

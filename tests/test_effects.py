@@ -25,10 +25,12 @@ from dipc_gym.sim2real.effects.base import Evidence, Parameter
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.motor_map import CommandMap
+from dipc_gym.sim2real.effects.sensor_map import ScaleMap
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.effects.waves import waves
 from dipc_gym.sim2real.estimation import unexplained
+from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import predict
 from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.model.structure import Structure, Term
@@ -61,6 +63,8 @@ CONTRACT = [
     "transmission.compliance",
     "sensor.bias",
     "sensor.gain",
+    "sensor.eccentric",
+    "sensor.map",
     "disturbance.periodic",
     "disturbance.pulse",
     "friction.speed",
@@ -98,6 +102,7 @@ NEUTRAL: dict[str, Mapping[str, float]] = {
     "motor.thermal": {"thermal_resistance": 1e-9, "time_constant": 10},
     "sensor.bias": {"bias": 0},
     "sensor.gain": {"gain": 1},
+    "sensor.eccentric": {"sine": 0, "cosine": 0, "wavelength": 0.1},
     "load.creeping": {"stiffness": 1e-9, "relaxation_time": 0.5},
     "load.swinging": {"mass": 1e-9, "frequency": 5, "damping_ratio": 0.1},
     "timing.delay": {"delay": 0},
@@ -128,6 +133,12 @@ def ready(rig: str) -> Prepared:
 
 
 @functools.cache
+def as_it_is(rig: str) -> Fit:
+    """What the rig's model leaves of the recording."""
+    return fit(whole(rig).problem, whole(rig).structure, most=0)
+
+
+@functools.cache
 def places(effect: str, rig: str) -> list[str]:
     joints = ready(rig).structure.base
     return unexplained.places(catalogue()[effect], ready(rig).structure.model, joints, recorded(rig))
@@ -137,6 +148,7 @@ def shaped(effect: str, rig: str, at: str) -> tuple[Effect, list[Mapping[str, fl
     """An effect with the shape that the evidence asks for, if its shape is free, and its guesses."""
     known = catalogue()[effect]
     scene = unexplained.scene(physics.load(RIGS[rig]), [recorded(rig)], ready(rig).motions)
+    scene = replace(scene, fitted=(whole(rig).problem.windows, as_it_is(rig)))
     found = known.proposals(scene.at(known.place, at, {}))
     if not found:
         pytest.skip("nothing in this recording asks for it")
@@ -150,7 +162,7 @@ def guesses(effect: Effect, rig: str, at: str) -> list[Mapping[str, float]]:
 
 def neutral(effect: Effect) -> Mapping[str, float]:
     """Parameters with which an effect does nothing."""
-    if isinstance(effect, CommandMap):
+    if isinstance(effect, CommandMap | ScaleMap):
         return dict(zip((p.name for p in effect.parameters), effect.knots, strict=True))
     return {p.name: 0.0 for p in effect.parameters} if effect.free else NEUTRAL[effect.id]
 

@@ -217,6 +217,7 @@ CASES = [
     ("load.swinging", "cart", {"mass": 0.1, "frequency": 3.0, "damping_ratio": 0.1}),
     ("load.creeping", "cart", {"stiffness": 80.0, "relaxation_time": 0.3}),
     ("sensor.gain", "pole1", {"gain": 1.01}),
+    ("sensor.eccentric", "cart", {"sine": 0.002, "cosine": 0.001, "wavelength": 0.08}),
 ]
 
 

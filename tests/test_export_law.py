@@ -160,7 +160,7 @@ def test_a_law_is_what_the_loader_applies(key: str, tmp_path: Path) -> None:
         applied = physics.force_of(np.tile(data, (500, 1)), moment)
         found = law(*given, speed=speed)
     elif key == "motor.map@motor":
-        applied = physics.command_map(
+        applied = physics.mapped(
             np.array([*effect.knots, *effect.first]), physics.Moment(zero, zero, zero, zero, given[0])
         )
         found = law(*given)

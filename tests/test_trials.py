@@ -312,7 +312,7 @@ def test_catalogue_covers_every_id():
         "motor": "deadzone saturation inductance back_emf cogging thermal",
         "timing": "delay sensor_lag",
         "transmission": "backlash compliance",
-        "sensor": "bias gain",
+        "sensor": "bias gain eccentric",
         "disturbance": "periodic pulse",
     }
     assert ids == {f"{family}.{name}" for family, names in families.items() for name in names.split()}
@@ -583,6 +583,11 @@ def test_what_a_refit_explains_has_its_size_beyond_the_nominal_model():
             {"level": 2.0, "sine": 1.0, "cosine": 0.0, "wavelength": 2.0},
         ),
         ("sensor.gain", {"gain": -0.02}, {"gain": 0.98}),
+        (
+            "sensor.eccentric",
+            {"amplitude": 0.002, "wave": math.tau / 0.08, "phase": math.pi / 2},
+            {"sine": 0.0, "cosine": 0.002, "wavelength": 0.08},
+        ),
     ],
 )
 def test_true_values_stand_under_the_names_that_are_printed(effect, numbers, printed):

@@ -264,7 +264,7 @@ class _Rig:
         P, V, c = states.sensor_map(self.physics)
         seen = ~V.any(axis=1)
         inverse = states.inverse_map(P[seen], self.problem.windows.noise[seen])
-        return (self.readings(commands)[..., seen] - c[seen]) @ inverse.T
+        return (states.straightened(self.physics, self.readings(commands))[..., seen] - c[seen]) @ inverse.T
 
     def stays(self, commands: Array) -> NDArray[np.bool_]:
         """Whether the joints keep to the range that was visited, (k,)."""

@@ -95,6 +95,7 @@ def fit_effect(
     without = fit(fitted, free, most=ESTIMATION.from_afar)
     error_without = fit(comparison, free, without.z, most=0).error
     seen = unexplained.scene(without.structure.physics(without.z), recordings, ready.motions)
+    seen = replace(seen, fitted=(fitted.windows, without))
 
     found, dead = [], []
     for at in unexplained.places(effect, given.model, ready.structure.base, recordings[0]):

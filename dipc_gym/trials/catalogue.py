@@ -105,6 +105,7 @@ def _drive(rig: Rig) -> list[Effect]:
         Parameter("stribeck_speed", f"{m}/s", index("stribeck_speed", 0), 0.02 * speed, 0.15 * speed),
     )
     own = rig.parameters[index("m0")]
+    turns = rig.gear if rig.linear else 1.0
     # Bristles deflect by a few thousandths of the range before they slip.
     bristle = 0.15 * force / (0.003 * span)
     part = ("friction.coulomb",)
@@ -143,6 +144,16 @@ def _drive(rig: Rig) -> list[Effect]:
                 Parameter("amplitude", n, index("force_size", 0), 0.0015 * force, 0.4 * force),
                 Parameter("wave", f"rad/{m}", index("force_wave", 0), np.pi / span, 8 * np.pi / span),
                 Parameter("phase", "rad", index("force_phase", 0), -np.pi, np.pi, "uniform"),
+            ),
+        ),
+        Effect(
+            "sensor.eccentric",
+            at,
+            (
+                Parameter("amplitude", m, index("encoder_size"), 0.0005 * span, 0.01 * span),
+                # An encoder on a hinge's axis turns with it, one on a belt with its pulley.
+                Parameter("wave", f"rad/{m}", index("encoder_wave"), turns, turns * 1.001),
+                Parameter("phase", "rad", index("encoder_phase"), -np.pi, np.pi, "uniform"),
             ),
         ),
         _mass(rig),
@@ -298,8 +309,7 @@ def warming(rig: Rig) -> Effect:
 def unknowns(rig: Rig) -> list[Effect]:
     """Physics that is in no catalogue, at the driven joint."""
     at = rig.joints[0]
-    force, span = rig.force[0], rig.span[0]
-    n, m = _units(rig, 0)
+    force, (n, _) = rig.force[0], _units(rig, 0)
     level = Parameter("level", n, index("coulomb", 0), 0.05 * force, 0.25 * force)
     part = ("friction.coulomb",)
     found = [
@@ -319,21 +329,6 @@ def unknowns(rig: Rig) -> list[Effect]:
             at,
             (Parameter("leak", "1/s", index("leak"), -0.025, 0.04, "uniform"),),
             kind="load that changes its mass over the recording",
-        ),
-        Effect(
-            "unknown",
-            at,
-            (
-                Parameter("eccentricity", m, index("encoder_size"), 0.0005 * span, 0.01 * span, "signed"),
-                Parameter(
-                    "wave",
-                    f"rad/{m}",
-                    index("encoder_wave"),
-                    (rig.gear if rig.linear else 1.0),
-                    (rig.gear if rig.linear else 1.0) * 1.001,
-                ),
-            ),
-            kind="eccentric encoder",
         ),
         Effect("unknown", "motor", (), also_at=(at,), kind="amplifier gain that wanders"),
     ]

@@ -274,7 +274,7 @@ def _values(answer: Mapping[str, Any], truth: str) -> dict[str, float]:
         values["gain"] += 1
     if effect == "load.spring":
         values["rest"] = 0.0
-    if effect == "load.position" and "wave" in values:  # a law of any shape has none
+    if effect in ("load.position", "sensor.eccentric") and "wave" in values:  # a law of any shape has none
         values["wavelength"] = 2 * math.pi / values["wave"]
     if effect == "motor.cogging":
         values["poles"] = values["wave"] / drive["gear"]

@@ -133,6 +133,7 @@ RIVALS: dict[str, tuple[str, ...]] = {
     "transmission.compliance": ("transmission.backlash", "motor.inductance", "timing.delay"),
     "sensor.bias": ("load.tilt", "load.constant"),
     "sensor.gain": ("inertia.mass",),
+    "sensor.eccentric": ("load.position", "motor.cogging"),
     "unknown": ("friction.stribeck", "load.spring", "transmission.compliance", "motor.thermal"),
 }
 """Names that could be the same model as another on some rig; whether they are is worked out by simulation."""

@@ -24,7 +24,7 @@ from dipc_gym.trials.entries import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_J
     HEAT_COEFFICIENT, HEAT_RESISTANCE, HEAT_TIME, DELAY,
     ROTOR, GAP, STIFFNESS, SHAFT_DAMPING,
     DRIFT, DRIFT_TIME, DWELL, DWELL_TIME, SLOSH_MASS, SLOSH_RATE, SLOSH_DAMPING, SLOSH_LENGTH,
-    CREEP_STIFFNESS, CREEP_TIME, CREEP_WIDTH, LEAK, ENCODER_SIZE, ENCODER_WAVE,
+    CREEP_STIFFNESS, CREEP_TIME, CREEP_WIDTH, LEAK, ENCODER_SIZE, ENCODER_WAVE, ENCODER_PHASE,
     LAW, BUMP1, CENTRE1, WIDTH1, BUMP2, CENTRE2, WIDTH2, BUMP3, CENTRE3, WIDTH3,
     FALL, FALL_SPEED, FALL_POWER, RISE, RISE_SPEED, RISE_POWER,
     HYSTERESIS, HYSTERESIS_WIDTH, HYSTERESIS_POWER,
@@ -40,7 +40,10 @@ from dipc_gym.trials.entries import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_J
 V, ROTOR_Q, ROTOR_V, CURRENT, BRISTLE_Z, HEAT, SLOSH_Q, SLOSH_V, CREEP, BENT = 3, 6, 7, 8, 9, 10, 11, 12, 13, 14
 STATE_SIZE = 15  # numbers of a state
 # What a law of any shape is: of the driven joint, but for the last, which acts on the first pole.
-NO_LAW, LEVEL_OF_PLACE, LEVEL_OF_SPEED, FORCE_OF_PLACE, AMPLIFIER, DRAG_OF_PLACE, GAIN_OF_PLACE, PULL_OF_CART = range(8)
+(
+    NO_LAW, LEVEL_OF_PLACE, LEVEL_OF_SPEED, FORCE_OF_PLACE, AMPLIFIER, DRAG_OF_PLACE, GAIN_OF_PLACE, PULL_OF_CART,
+    SCALE,
+) = range(9)  # fmt: skip
 FREE = 2  # mode of a joint without dry friction; -1 and 1: sliding; 0: held
 
 NO_FEEDBACK = np.zeros(2 * MAX_JOINTS + 2)
@@ -56,6 +59,17 @@ def _bumps(p, x):  # type: ignore[no-untyped-def]
     for k in range(BUMP1, WIDTH3 + 1, 3):
         if p[k] != 0.0:
             out += p[k] * np.exp(-(((x - p[k + 1]) / p[k + 2]) ** 2))
+    return out
+
+
+@_jit
+def _bumps_slope(p, x):  # type: ignore[no-untyped-def]
+    """Slope of that sum."""
+    out = 0.0
+    for k in range(BUMP1, WIDTH3 + 1, 3):
+        if p[k] != 0.0:
+            along = (x - p[k + 1]) / p[k + 2]
+            out -= 2.0 * p[k] * along / p[k + 2] * np.exp(-(along**2))
     return out
 
 
@@ -449,11 +463,12 @@ def simulate(p, n, dt, step, drive, amplifier_gain, feedback, quantum, noise, st
                         q0 = q1
                 y, slope = filtered[j], (s[j] - filtered[j]) / p[b + FILTER]
             if j == 0 and p[ENCODER_SIZE] != 0.0:
-                wave = p[ENCODER_WAVE]
-                y, slope = (
-                    y + p[ENCODER_SIZE] * np.sin(wave * y),
-                    slope * (1.0 + p[ENCODER_SIZE] * wave * np.cos(wave * y)),
-                )
+                wave, angle = p[ENCODER_WAVE], p[ENCODER_WAVE] * y + p[ENCODER_PHASE]
+                y += p[ENCODER_SIZE] * np.sin(angle)
+                slope *= 1.0 + p[ENCODER_SIZE] * wave * np.cos(angle)
+            if j == 0 and p[LAW] == SCALE:
+                slope *= 1.0 + _bumps_slope(p, y)
+                y += _bumps(p, y)
             y_log[k, j] = (1.0 + p[b + GAIN]) * y + p[b + BIAS]
             slope_log[k, j] = (1.0 + p[b + GAIN]) * slope
             measured[k, j] = np.round((y_log[k, j] + noise[k, j]) / quantum[j]) * quantum[j]

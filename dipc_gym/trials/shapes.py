@@ -94,8 +94,16 @@ def named(rig: Rig) -> list[Effect]:
             kind="spring that creeps the faster the more it is bent",
         ),
         warming(rig),
+        _law(
+            "sensor.map",
+            at,
+            integrator.SCALE,
+            _bumps(m, m, 0.0005 * span, 0.01 * span, middle, span),
+            alike=("sensor.map", "sensor.eccentric"),
+        ),
     ]
-    return [law for law in found if not (rig.name == "motor_axis" and law.name.endswith(".position"))]
+    of_place = ("friction.position", "load.position", "sensor.map")
+    return [law for law in found if not (rig.name == "motor_axis" and law.name in of_place)]
 
 
 def nameless(rig: Rig) -> list[Effect]:

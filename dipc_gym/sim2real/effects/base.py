@@ -54,6 +54,36 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class Misread:
+    """What is left of a sensor's readings in the windows of a fit, and how an error of its own would show there.
+
+    Attributes:
+        time: s, (n, m).
+        reading: what it read, (n, m).
+        present: of that, the error that the structure says it has already, (n, m).
+        left: what is left of all sensors' readings in units of noise, beyond what initial states could explain, (n, M).
+        sensitivity: of these to the initial states, orthonormal in each window, (n, M, 2 nb).
+        rows: of these that are the sensor's, (m,).
+        scale: that an error of the sensor is multiplied by there, 0 where nothing was read, (n, m).
+    """
+
+    time: Array
+    reading: Array
+    present: Array
+    left: Array
+    sensitivity: Array
+    rows: NDArray[np.intp]
+    scale: Array
+
+    def shown(self, errors: Array) -> Array:
+        """How errors of the reading (n, m, k) would show in what is left, (n, M, k)."""
+        out = np.zeros((*self.left.shape, errors.shape[2]))
+        out[:, self.rows] = self.scale[..., None] * errors
+        Q = self.sensitivity
+        return np.asarray(out - Q @ (np.swapaxes(Q, 1, 2) @ out))
+
+
+@dataclass(frozen=True)
 class Evidence:
     """What is known at one place before an effect is fitted there; first guesses come from it.
 
@@ -73,6 +103,7 @@ class Evidence:
         at: name of the place.
         outliers: times at which outlier windows begin, the worst first, s.
         inputs: what a law may depend on, (n,) each: `position cart`, `velocity pole1`, `command motor`.
+        misread: what is left of the sensor's readings; None where the place is no sensor.
     """
 
     model: mujoco.MjModel
@@ -90,6 +121,7 @@ class Evidence:
     at: str = ""
     outliers: tuple[float, ...] = ()
     inputs: Mapping[str, Array] = field(default_factory=dict)
+    misread: Misread | None = None
 
     @property
     def force_scale(self) -> float:
@@ -110,6 +142,22 @@ class Evidence:
     def direction(self) -> Array:
         """Sign of the velocity, smoothed at speeds where it is uncertain, (n,)."""
         return np.asarray(np.tanh(self.velocity / (EFFECTS.uncertain * self.speed_scale)))
+
+    @property
+    def runs(self) -> list[NDArray[np.intp]]:
+        """Samples of each recording, one after another."""
+        begins = np.flatnonzero(np.diff(self.time, prepend=np.inf) <= 0)
+        return np.split(np.arange(len(self.time)), begins[begins > 0])
+
+    @property
+    def foretold(self) -> Array:
+        """Acceleration that the model gives the joint, m/s^2 or rad/s^2, (n,).
+
+        That of the motion holds the noise of the encoders, and so does the unexplained force: what is asked of one by
+        the other would be answered by noise. Less that force they share none.
+        """
+        moved = np.concatenate([np.gradient(self.velocity[run], self.time[run]) for run in self.runs])
+        return moved - self.force / self.inertia
 
     @property
     def dry_level(self) -> float:
@@ -250,6 +298,19 @@ def joint_of(model: mujoco.MjModel, actuator: str) -> str | None:
     if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT:
         return None
     return str(model.joint(int(model.actuator_trnid[i, 0])).name)
+
+
+def sensed_joint(model: mujoco.MjModel, sensor: str) -> str | None:
+    """The joint whose position or velocity a sensor reads, or None for one of tendons and actuators."""
+    one, kinds = model.sensor(sensor), mujoco.mjtSensor
+    if int(one.type[0]) not in (int(kinds.mjSENS_JOINTPOS), int(kinds.mjSENS_JOINTVEL)):
+        return None
+    return str(model.joint(int(one.objid[0])).name)
+
+
+def sensed_position(model: mujoco.MjModel, sensor: str) -> bool:
+    """Whether a sensor reads the position of one joint."""
+    return bool(model.sensor(sensor).type[0] == mujoco.mjtSensor.mjSENS_JOINTPOS)
 
 
 def passive_force(document: Document, name: str, joint: str, force: float) -> None:

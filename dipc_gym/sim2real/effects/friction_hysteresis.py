@@ -113,8 +113,7 @@ class Hysteresis(Law):
 def _bent(evidence: Evidence, widths: Array) -> Array:
     """How far springs that slip are bent, as a share of what they bear, (n, k)."""
     out = np.empty((len(evidence.time), len(widths)))
-    begins = np.flatnonzero(np.diff(evidence.time, prepend=np.inf) <= 0)
-    for part in np.split(np.arange(len(evidence.time)), begins[begins > 0]):
+    for part in evidence.runs:
         q = evidence.position[part]
         out[part] = (q[:, None] - play(q, widths, np.zeros(len(widths)))) / widths
     return out

@@ -89,7 +89,9 @@ class Law(Effect):
 
     def __init__(self, knots: Sequence[float] = (), values: Sequence[float] = ()) -> None:
         self.knots, self.first = tuple(map(float, knots)), tuple(map(float, values))
-        size = float(np.max(np.abs(self.first), initial=0.0)) or 1.0
+        # A map that leaves its input as it is does nothing; of it, what it changes tells the size.
+        nothing = 0.0 if self.from_nothing else np.array(self.knots)
+        size = float(np.max(np.abs(np.array(self.first) - nothing), initial=0.0)) or 1.0
         names = [f"value_{k + 1}" for k in range(len(self.knots))]
         self.parameters = tuple(
             Parameter(name, self.unit, self.lowest, step=LAWS.step * size, sigma=LAWS.loose / LAWS.step)

@@ -152,6 +152,8 @@ class WaveSettings:
         finer: times as many are tried as the range tells apart, so that one lies near the top of every peak
         resolved: waves that may pass in a sample at the usual speed; of faster ones nothing is left in the force
         small: share of the force, to which a sine or cosine is raised: a fit moves away from none only slowly
+        kept: waves that are tried: what drives a joint makes waves of its own, so the best need not be the one
+        steepest: slope of a wave in a reading, at first: a scale of less than none runs backwards
     """
 
     most: int = 1000
@@ -159,6 +161,8 @@ class WaveSettings:
     finer: int = 10
     resolved: float = 0.1
     small: float = 0.02
+    kept: int = 3
+    steepest: float = 0.3
 
 
 WAVES = WaveSettings()

@@ -7,7 +7,7 @@ is LOLIMOT's idea (Nelles 1996) in one dimension: the knot that removes most of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,23 +40,32 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     confirming = odd_blocks(time)
     if confirming.all() or not confirming.any():
         confirming = np.arange(len(x)) % 2 == 1
-    sums = [
-        _Sums(edges, x[part], force[part], carrier[part], [regressor[part] for regressor in beside])
-        for part in (~confirming, confirming)
-    ]
-    both = _Sums(edges, x, force, carrier, beside)
+    columns = np.column_stack([hats(edges, x) * carrier[:, None], *beside])
+    parts = [Nested(columns[part], force[part], between_knots) for part in (~confirming, confirming)]
     counts = np.append(0, np.cumsum(np.histogram(x, edges)[0]))
-    grown = [[0, TABLES.bins]]
-    while len(grown[-1]) < TABLES.most_knots:
-        tries = [sorted([*grown[-1], k]) for k in range(1, TABLES.bins) if _room(k, grown[-1], counts)]
+    knots = grown(parts[0], parts[1], counts)
+    return edges[knots], Nested(columns, force, between_knots).weights(knots)[: len(knots)]
+
+
+def grown(fitted: Nested, confirming: Nested, counts: NDArray[np.intp]) -> list[int]:
+    """Knots, as places on a fine grid, that samples ask for and others confirm.
+
+    Args:
+        fitted: samples that choose where the next knot lies.
+        confirming: samples that tell how many stay.
+        counts: samples below each place of the grid, (bins + 1,).
+    """
+    bins = len(counts) - 1
+    tables = [[0, bins]]
+    while len(tables[-1]) < TABLES.most_knots:
+        tries = [sorted([*tables[-1], k]) for k in range(1, bins) if _room(k, tables[-1], counts)]
         if not tries:
             break
-        grown.append(min(tries, key=lambda knots: sums[0].left(knots, sums[0].weights(knots))))
+        tables.append(min(tries, key=lambda knots: fitted.left(knots, fitted.weights(knots))))
     # A narrow spot takes three knots, of which the first alone gains nothing: tables are grown first, then compared.
-    left = [sums[1].left(knots, sums[0].weights(knots)) for knots in grown]
+    left = [confirming.left(knots, fitted.weights(knots)) for knots in tables]
     enough = spared(left[0], min(left))
-    chosen = next(knots for knots, after in zip(grown, left, strict=True) if after <= enough)
-    return edges[chosen], both.weights(chosen)[: len(chosen)]
+    return next(knots for knots, after in zip(tables, left, strict=True) if after <= enough)
 
 
 def odd_blocks(time: Array) -> NDArray[np.bool_]:
@@ -75,44 +84,64 @@ def spared(before: float, least: float) -> float:
 
 def _room(k: int, chosen: Sequence[int], counts: NDArray[np.intp]) -> bool:
     """Whether there are samples enough on either side of a new knot."""
-    below, above = max(c for c in chosen if c < k or c == 0), min(c for c in chosen if c > k or c == TABLES.bins)
+    last = len(counts) - 1
+    below, above = max(c for c in chosen if c < k or c == 0), min(c for c in chosen if c > k or c == last)
     return k not in chosen and min(counts[k] - counts[below], counts[above] - counts[k]) >= TABLES.fewest
 
 
-class _Sums:
-    """Normal equations of a table on a fine grid and of the regressors beside it; coarser tables are subspaces."""
+class Nested:
+    """Normal equations of a function on a fine grid and of the regressors beside it; coarser ones are subspaces.
 
-    def __init__(self, edges: Array, x: Array, force: Array, carrier: Array, beside: Sequence[Array]) -> None:
-        along = np.clip((x - edges[0]) / (edges[-1] - edges[0]) * TABLES.bins, 0.0, TABLES.bins - 1e-9)
-        below = along.astype(np.intp)
-        columns = np.zeros((len(x), TABLES.bins + 1 + len(beside)))
-        rows = np.arange(len(x))
-        columns[rows, below] = carrier * (1 - (along - below))
-        columns[rows, below + 1] += carrier * (along - below)
-        columns[:, TABLES.bins + 1 :] = np.stack(beside, axis=1) if len(beside) else 0.0
+    Args:
+        columns: of the fine function, then of the regressors beside it, (n, k).
+        force: to be explained, (n,).
+        coarse: gives, for knots, the fine function's values for each of the coarser one's, (fine, coarse).
+    """
+
+    def __init__(self, columns: Array, force: Array, coarse: Callable[[Sequence[int]], Array]) -> None:
         self.normal, self.right, self.total = columns.T @ columns, columns.T @ force, float(force @ force)
         self.size = max(float(np.trace(self.normal)), 1e-300) / len(self.normal)
+        self._coarse = coarse
 
-    def _hats(self, knots: Sequence[int]) -> Array:
-        """A coarse table's values on the fine grid, and the other regressors as they are."""
-        others = len(self.right) - TABLES.bins - 1
-        out = np.zeros((len(self.right), len(knots) + others))
-        out[: TABLES.bins + 1, : len(knots)] = np.stack(
-            [np.interp(np.arange(TABLES.bins + 1), knots, unit) for unit in np.eye(len(knots))], axis=1
-        )
-        out[TABLES.bins + 1 :, len(knots) :] = np.eye(others)
+    def _both(self, knots: Sequence[int]) -> Array:
+        """A coarse function's values on the fine grid, and the other regressors as they are."""
+        function = self._coarse(knots)
+        others = len(self.right) - len(function)
+        out = np.zeros((len(self.right), function.shape[1] + others))
+        out[: len(function), : function.shape[1]] = function
+        out[len(function) :, function.shape[1] :] = np.eye(others)
         return out
 
     def weights(self, knots: Sequence[int]) -> Array:
-        """Least-squares values at the knots, then weights of the other regressors; a trace of ridge for empty bins."""
-        hats = self._hats(knots)
-        normal = hats.T @ self.normal @ hats
-        return np.asarray(np.linalg.solve(normal + TABLES.ridge * self.size * np.eye(len(normal)), hats.T @ self.right))
+        """Least-squares values of the function, then weights of the other regressors; a trace of ridge for empty bins.
+
+        The ridge is one of the size that columns have on average.
+        """
+        both = self._both(knots)
+        normal = both.T @ self.normal @ both
+        return np.asarray(np.linalg.solve(normal + TABLES.ridge * self.size * np.eye(len(normal)), both.T @ self.right))
 
     def left(self, knots: Sequence[int], weights: Array) -> float:
         """Sum of squares that these weights leave."""
-        fine = self._hats(knots) @ weights
+        fine = self._both(knots) @ weights
         return float(self.total - 2 * fine @ self.right + fine @ self.normal @ fine)
+
+
+def hats(edges: Array, x: Array) -> Array:
+    """Of each sample, its share of the values at the two edges that it lies between, (n, edges)."""
+    bins = len(edges) - 1
+    along = np.clip((x - edges[0]) / (edges[-1] - edges[0]) * bins, 0.0, bins - 1e-9)
+    below, rows = along.astype(np.intp), np.arange(len(x))
+    out = np.zeros((len(x), len(edges)))
+    out[rows, below] = 1 - (along - below)
+    out[rows, below + 1] = along - below
+    return out
+
+
+def between_knots(knots: Sequence[int]) -> Array:
+    """Values at all edges of a table for each of its values at knots, (edges, knots)."""
+    edges = np.arange(knots[-1] + 1)
+    return np.stack([np.interp(edges, knots, unit) for unit in np.eye(len(knots))], axis=1)
 
 
 def force_of_position(

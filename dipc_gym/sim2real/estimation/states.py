@@ -7,7 +7,9 @@ What is decided is decided by simulation, since differentiated encoder noise bia
 from __future__ import annotations
 
 import copy
+import functools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -18,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import solveh_banded
 
 from dipc_gym import mjcf
-from dipc_gym.physics import Physics
+from dipc_gym.physics import Extra, Moment, Physics
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_at
 from dipc_gym.sim2real.simulation.memory import bends
@@ -41,10 +43,50 @@ class Undetermined(ValueError):
         self.reason, self.mend = reason, mend
 
 
+_AFFINE = frozenset({"sensor.gain", "sensor.bias"})  # what sensors do to readings, that a sensor map holds
+_BESIDE = 2.0**-20  # of a reading, to where the slope of a bent scale is taken
+_LEAST = (
+    0.1  # slope of a scale: one that stands still or runs backwards has no inverse, and is followed as if it went on
+)
+_TURNS = 12  # of Newton's method, which needs four for a wave and a few more for a table
+
+
+def _bent(physics: Physics) -> dict[int, list[Extra]]:
+    """What sensors whose scale is bent do to their readings, in order, by the address of the sensor."""
+    does: dict[int, list[Extra]] = {}
+    for extra in physics.stage("sensor"):
+        does.setdefault(extra.index, []).append(extra)
+    return {at: own for at, own in does.items() if any(extra.effect not in _AFFINE for extra in own)}
+
+
+def straightened(physics: Physics, readings: Array) -> Array:
+    """Readings (..., ns) of the scalar sensors, a bent scale's as a straight one would give them; see `sensor_map`."""
+    out, addresses = readings.copy(), mjcf.sensor_addresses(physics.model)
+    for at, does in _bent(physics).items():
+        k = int(np.flatnonzero(addresses == at)[0])
+        out[..., k] = _straight(does, readings[..., k])
+    return out
+
+
+def _straight(does: Sequence[Extra], reading: Array) -> Array:
+    """What a sensor's reading (...) was before it was bent, by Newton's method."""
+
+    def read(value: Array) -> Array:
+        zero = np.zeros(())
+        return functools.reduce(lambda y, extra: extra(Moment(zero, zero, zero, zero, y)), does, value)
+
+    straight = reading
+    for _ in range(_TURNS):
+        slope = (read(straight + _BESIDE) - read(straight - _BESIDE)) / (2 * _BESIDE)
+        straight = straight + (reading - read(straight)) / np.maximum(slope, _LEAST)
+    return straight
+
+
 def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
     """How the scalar sensors read positions and velocities of the base joints: y = P q + V v + c.
 
-    What the model's `<custom>` entries do to readings is in it, lags and delays excepted.
+    What the model's `<custom>` entries do to readings is in it, lags and delays excepted, and bent scales, which
+    `straightened` takes out of readings.
 
     Returns:
         P (ns, nb), V (ns, nb), c (ns,).
@@ -54,6 +96,8 @@ def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
     """
     model = copy.copy(physics.model)
     model.sensor_delay[:] = 0
+    bent = _bent(physics)
+    straight = replace(physics, extras=tuple(x for x in physics.extras if x.stage != "sensor" or x.index not in bent))
     data, address = mujoco.MjData(model), mjcf.sensor_addresses(model)
     base, out = mjcf.base_joints(model), mjcf.spread_out(model)
     rng = np.random.default_rng(0)
@@ -61,7 +105,7 @@ def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
     def read(q: Array, v: Array) -> Array:
         data.qpos[:], data.qvel[:], data.ctrl[:] = out @ q, out @ v, 0
         mujoco.mj_forward(model, data)
-        return np.array(physics.sense(data.sensordata)[address])
+        return np.array(straight.sense(data.sensordata)[address])
 
     nb = len(base)
     c = read(np.zeros(nb), np.zeros(nb))
@@ -104,8 +148,11 @@ def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
     """
     P, V, c = sensor_map(physics)
     positional = np.flatnonzero(~V.any(axis=1))
-    smooth = np.stack([smoothed(recording.time, recording.sensors[:, s], noise[s]) for s in positional], axis=1)
-    _undo_lateness(physics, recording.time, smooth, positional)
+    smooth = recording.sensors.copy()
+    for s in positional:
+        smooth[:, s] = smoothed(recording.time, recording.sensors[:, s], noise[s])
+    _undo_lateness(physics, recording.time, smooth)
+    smooth = straightened(physics, smooth)[:, positional]
     position = (smooth - c[positional]) @ inverse_map(P[positional], noise[positional]).T
     velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
     acceleration = np.gradient(velocity, recording.time, axis=0, edge_order=2)
@@ -122,14 +169,14 @@ def inverse_map(P: Array, noise: Array) -> Array:
     return np.asarray(np.linalg.pinv(P * weight[:, None]) * weight)
 
 
-def _undo_lateness(physics: Physics, time: Array, smooth: Array, positional: NDArray[np.intp]) -> None:
+def _undo_lateness(physics: Physics, time: Array, smooth: Array) -> None:
     """Lead delayed and lagging sensors (n, ns), in place: what a lag follows is tau dy/dt + y."""
     address = mjcf.sensor_addresses(physics.model)
-    delays = mjcf.sensor_delays(physics.model)[positional]
+    delays = mjcf.sensor_delays(physics.model)
     for k in np.flatnonzero(delays > 0):
         smooth[:, k] = CubicSpline(time, smooth[:, k])(np.minimum(time + delays[k], time[-1]))
     for extra in physics.stage("lag"):
-        for k in np.flatnonzero(address[positional] == extra.index):
+        for k in np.flatnonzero(address == extra.index):
             smooth[:, k] += extra.data[0] * np.gradient(smooth[:, k], time, edge_order=2)
 
 

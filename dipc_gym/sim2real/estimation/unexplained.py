@@ -14,10 +14,11 @@ from dipc_gym import mjcf
 from dipc_gym.mjcf.model import base_joints
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Place, joint_of
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Misread, Place, joint_of, sensed_joint
 from dipc_gym.sim2real.effects.coupling import inertia_at
+from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.estimation.states import unexplained_force
+from dipc_gym.sim2real.estimation.states import straightened, unexplained_force
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows
 
@@ -37,6 +38,7 @@ class Scene:
         force: unexplained generalised force, (n, nv).
         load: that each joint transmits, (n, nv).
         outliers: times at which outlier windows begin, the worst first, s.
+        fitted: the windows of the fit, and the fit, whose model leaves that force.
     """
 
     model: mujoco.MjModel
@@ -47,6 +49,7 @@ class Scene:
     force: Array
     load: Array
     outliers: tuple[float, ...] = ()
+    fitted: tuple[Windows, Fit] | None = None
 
     def at(self, place: Place, name: str, levels: dict[str, float]) -> Evidence:
         """The evidence at one place; a sensor's or actuator's joint stands for it.
@@ -64,7 +67,7 @@ class Scene:
             command = np.concatenate([r.commands[:, k] for r in self.recordings])
             gear = float(self.model.actuator(name).gear[0])
         elif place == "sensor":
-            joint = ""
+            joint = sensed_joint(self.model, name) or ""
             k = self.recordings[0].sensor_names.index(name)
             reading = np.concatenate([r.sensors[:, k] for r in self.recordings])
         if joint not in self._joints:
@@ -87,6 +90,28 @@ class Scene:
             name,
             self.outliers,
             self._inputs,
+            self._misread(name) if place == "sensor" else None,
+        )
+
+    def _misread(self, sensor: str) -> Misread | None:
+        """What the windows of the fit leave of a sensor; None where their residuals are not at hand."""
+        if self.fitted is None or not self.fitted[1].whole:
+            return None
+        windows, fit = self.fitted
+        k = windows.recordings[0].sensor_names.index(sensor)
+        if not np.isfinite(windows.noise[k]):
+            return None
+        count, sensors = windows.observed.shape[1:]
+        Q, _ = np.linalg.qr(fit.sensitivity)
+        straight = straightened(fit.structure.physics(fit.z), windows.observed)
+        return Misread(
+            windows.start[:, None] + windows.times,
+            windows.observed[..., k],
+            (windows.observed - straight)[..., k],
+            fit.left,
+            Q,
+            np.arange(count) * sensors + k,
+            windows.valid / windows.noise[k],
         )
 
     @functools.cached_property

@@ -87,10 +87,13 @@ def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> 
 
 
 def _without_plainer(question: Question, current: Fit, effect: Effect, at: str, scene: Scene) -> Scene:
-    """The scene less what a law would replace, whose shape takes that on; levels of friction stay."""
+    """The scene less what a law would replace, whose shape takes that on; levels of friction stay.
+
+    So do what sensors make of their readings, for a scene says that by itself.
+    """
     kept = current.structure
     for term in kept.terms:
-        if term.at == at and term.effect.id in effect.contains and not term.effect.levels:
+        if term.at == at and term.effect.id in effect.contains and not (term.effect.levels or effect.moves_readings):
             kept = kept.without(term.key)
     if kept is current.structure:
         return scene
@@ -125,7 +128,8 @@ def _bases(phase: Phase, progress: Progress) -> list[Fit]:
 def _on_top(question: Question, phase: Phase, partition: Partition, base: Fit, current: Fit) -> Screened:
     handicap = max(0.0, mean_loss(base.mse, 1.0) - mean_loss(current.mse, 1.0))
     outliers = partition.problem.windows.start[data.outliers(base.mse)]
-    asked = hypotheses(question, phase, base, question.look(base, outliers))
+    scene = replace(question.look(base, outliers), fitted=(partition.problem.windows, base))
+    asked = hypotheses(question, phase, base, scene)
     return Screened(base, handicap, screen.screen(partition.problem, base, asked, partition.subset))
 
 

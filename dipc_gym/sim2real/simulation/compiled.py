@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+BESIDE = 2.0**-20  # of a reading, to where a sensor's map is asked for its slope
 NEAR = 0.02  # of a joint's range: a motion that keeps this far from its ends tells nothing of its limits
 
 _checked: set[bytes] = set()
@@ -335,7 +336,8 @@ def derivatives(
     said = of.sensed(readings, of.variants[0])
     if of.variants[0].stage("sensor"):
         # A map of one reading: its slope, and what the parameters change in it.
-        slope = (of.sensed(readings + 1.0, of.variants[0]) - said)[None]
+        ahead, behind = (of.sensed(readings + move, of.variants[0]) for move in (BESIDE, -BESIDE))
+        slope = ((ahead - behind) / (2 * BESIDE))[None]
         changes = slope * changes
         for k in range(count):
             changes[k] += (of.sensed(readings, of.variants[k + 1]) - said) / steps[k]
