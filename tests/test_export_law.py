@@ -27,6 +27,7 @@ from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
+from dipc_gym.sim2real.effects.sensor_map import ScaleMap
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 
@@ -50,6 +51,7 @@ FOUND = {
     "friction.time@cart": FrictionOfTime([0.0, 8.0, 40.0], [4.5, 2.5, 2.0]),
     "load.position@cart": ForceOfPosition([-0.2, 0.2], [1.0, -1.0]),
     "motor.map@motor": CommandMap([-10.0, 0.0, 10.0], [-7.0, 0.5, 9.0]),
+    "sensor.map@cart": ScaleMap([-0.2, 0.0, 0.1, 0.3], [-0.21, 0.02, 0.1, 0.26]),
     "unknown@cart": surface(),
 }
 
@@ -145,7 +147,7 @@ def test_c_gives_what_python_gives_on_a_hundred_thousand_inputs(key: str, single
     assert np.isnan(expected[-2])
 
 
-@pytest.mark.parametrize("key", ["friction.position@cart", "motor.map@motor", "unknown@cart"])
+@pytest.mark.parametrize("key", ["friction.position@cart", "motor.map@motor", "sensor.map@cart", "unknown@cart"])
 def test_a_law_is_what_the_loader_applies(key: str, tmp_path: Path) -> None:
     """The same numbers as the model has under `<custom>`, in the physics that environments and replay run."""
     law, effect = laws.read(diagnosis(tmp_path, key)), FOUND[key]
@@ -159,7 +161,7 @@ def test_a_law_is_what_the_loader_applies(key: str, tmp_path: Path) -> None:
         moment = physics.Moment(zero, zero, zero, zero, zero, speed, tuple(given))
         applied = physics.force_of(np.tile(data, (500, 1)), moment)
         found = law(*given, speed=speed)
-    elif key == "motor.map@motor":
+    elif key in ("motor.map@motor", "sensor.map@cart"):
         applied = physics.mapped(
             np.array([*effect.knots, *effect.first]), physics.Moment(zero, zero, zero, zero, given[0])
         )

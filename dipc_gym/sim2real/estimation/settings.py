@@ -57,6 +57,9 @@ class EstimationSettings:
         touch: finite difference of a mapped parameter where only the model's parameters are differenced, and the engine
             knows the rest: small, for nothing has a kink there
         probe: finite difference of a mapped parameter; smaller ones drown in the kinks of dry friction
+        beside: of a reading, to where the slope of a sensor's scale is asked for
+        least_slope: of a scale: one that stands still or runs backwards has no inverse, and is taken to run on slowly
+        newton: steps from a reading to what a straight scale would give: four for a wave, a few more for a table
         averaged: time, s, over which forces are averaged: no acceleration is known faster than that
     """
 
@@ -91,6 +94,9 @@ class EstimationSettings:
     far_out: float = 4.0
     touch: float = 1e-6
     probe: float = 0.02
+    beside: float = 2.0**-20
+    least_slope: float = 0.1
+    newton: int = 12
     averaged: float = 0.025
 
 

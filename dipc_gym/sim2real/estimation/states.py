@@ -23,6 +23,7 @@ from dipc_gym import mjcf
 from dipc_gym.physics import Extra, Moment, Physics
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_at
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.simulation.memory import bends
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.unseen.parts import along, yielding
@@ -44,11 +45,6 @@ class Undetermined(ValueError):
 
 
 _AFFINE = frozenset({"sensor.gain", "sensor.bias"})  # what sensors do to readings, that a sensor map holds
-_BESIDE = 2.0**-20  # of a reading, to where the slope of a bent scale is taken
-_LEAST = (
-    0.1  # slope of a scale: one that stands still or runs backwards has no inverse, and is followed as if it went on
-)
-_TURNS = 12  # of Newton's method, which needs four for a wave and a few more for a table
 
 
 def _bent(physics: Physics) -> dict[int, list[Extra]]:
@@ -76,9 +72,9 @@ def _straight(does: Sequence[Extra], reading: Array) -> Array:
         return functools.reduce(lambda y, extra: extra(Moment(zero, zero, zero, zero, y)), does, value)
 
     straight = reading
-    for _ in range(_TURNS):
-        slope = (read(straight + _BESIDE) - read(straight - _BESIDE)) / (2 * _BESIDE)
-        straight = straight + (reading - read(straight)) / np.maximum(slope, _LEAST)
+    for _ in range(ESTIMATION.newton):
+        slope = (read(straight + ESTIMATION.beside) - read(straight - ESTIMATION.beside)) / (2 * ESTIMATION.beside)
+        straight = straight + (reading - read(straight)) / np.maximum(slope, ESTIMATION.least_slope)
     return straight
 
 
