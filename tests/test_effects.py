@@ -28,6 +28,7 @@ from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
+from dipc_gym.sim2real.effects.unknown_product import UnknownProduct
 from dipc_gym.sim2real.effects.waves import waves
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit, fit
@@ -529,6 +530,8 @@ def test_hostile_names_survive_every_effect(name: str) -> None:
             knots = np.array([0.0, 0.1])
             of = (f"position {name}", f"command {name}")
             effect = UnknownForce(Surface(of, (knots, knots), np.array([[1.0, 2.0], [3.0, 4.0]])))
+        if isinstance(known, UnknownProduct):
+            effect = UnknownProduct([0.0, 0.1], [1.0, 2.0], (f"position {name}", f"command {name}"))
         values = {p.name: max(p.low, 0.01) if p.name != "first" else -1.0 for p in effect.parameters}
         structure = base.with_term(Term(effect, at, values))
         written = structure.write(structure.first).text()

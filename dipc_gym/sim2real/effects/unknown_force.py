@@ -63,7 +63,7 @@ class UnknownForce(Effect):
         asked = [one for inputs in (evidence.inputs, own) for one in surfaces(inputs, evidence.force, evidence.time)]
         for shape in asked:
             if shape.inputs not in found and shape.inputs != (f"position {at}",):  # that is a law of a kind
-                units = [_unit(evidence.model, one) for one in shape.inputs]
+                units = [unit_of(evidence.model, one) for one in shape.inputs]
                 shaped = UnknownForce(shape, speed, units, at)
                 found[shape.inputs] = shaped, shaped.first
         return list(found.values())
@@ -138,7 +138,7 @@ class UnknownForce(Effect):
         )
 
 
-def _unit(model: mujoco.MjModel, one: str) -> str:
+def unit_of(model: mujoco.MjModel, one: str) -> str:
     """Unit of an input."""
     kind, _, name = one.partition(" ")
     if kind == "command":

@@ -52,11 +52,14 @@ def _named(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
     """An effect with a name in the place of a law of no kind, if it brings most of what that does.
 
     A law of no kind predicts a little better than any effect with a name, also where the name is right. But a name that
-    brings less than half of that only picks up a part of something unknown.
+    brings less than half of that only picks up a part of something unknown; and so does one that leaves several times
+    the noise where a law of no kind leaves none: it follows the law for as far as the data go together.
     """
     if not chosen.term.effect.of_no_kind or chosen.fitted is None:
         return chosen
     most = current.error - SEARCH.most * (current.error - chosen.fitted.error)
+    if common_error(chosen.fitted.mse) < SCORE.at_floor:
+        most = min(most, SEARCH.in_reach)
     names = [t for t in clear if not t.term.effect.of_no_kind and t.fitted is not None and t.fitted.error < most]
     return min(names, key=lambda t: t.score, default=chosen)
 

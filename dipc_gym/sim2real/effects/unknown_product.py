@@ -1,0 +1,143 @@
+"""What has no name and goes in proportion to one thing, by a factor that depends on another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.physics import RESIDUAL
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, joint_of
+from dipc_gym.sim2real.effects.law import Array, Law, described, holding_new
+from dipc_gym.sim2real.effects.tables import grow, odd_blocks
+from dipc_gym.sim2real.effects.unknown_force import WORDS, unit_of
+
+BEYOND = 1.2  # times the largest in the data, to where the force goes on in proportion, and up to which speed it drives
+MOST = 2  # that are proposed: each costs a fit
+
+
+class UnknownProduct(Law):
+    """A force in proportion to a velocity or a command, by a factor that is any function of a position.
+
+    A drag that is larger on one stretch, a drive that pulls harder here than there: a table of both inputs would need
+    the square of the knots, and be coarse. It is asked for last and is no name, as `unknown_force` is.
+
+    Args:
+        knots: of the position.
+        values: of the force there, where what it is in proportion to is as large as `most`.
+        inputs: names of the position, and of what it is in proportion to.
+        most: of that, in its unit.
+        speed: of the joint, up to which it drives.
+        units: of both inputs.
+    """
+
+    id = f"{RESIDUAL}:product"
+    place = "joint"
+    law = "unknown force"
+    of_no_kind = True
+    needs_loader = True
+    unit = "N"
+    kind = "force"
+
+    def __init__(
+        self,
+        knots: Sequence[float] = (),
+        values: Sequence[float] = (),
+        inputs: tuple[str, str] = ("", ""),
+        most: float = 1.0,
+        speed: float = 1.0,
+        units: tuple[str, str] = ("", ""),
+    ) -> None:
+        super().__init__(knots, values)
+        self.names, self.most, self.speed, self.units = inputs, most, speed, units
+
+    def inputs(self, at: str) -> tuple[str, ...]:
+        """Both."""
+        return self.names
+
+    def table(self, evidence: Evidence) -> None:
+        """None: it has two inputs, which `proposals` chooses."""
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """The products that take most of the unexplained force, of blocks of time that did not fit them."""
+        tried = []
+        for carrier in _carriers(evidence):
+            for position in (name for name in evidence.inputs if name.startswith("position ")):
+                found = self._grown(evidence, position, carrier)
+                if found is not None:
+                    tried.append(found)
+        best = sorted(tried, key=lambda one: one[0])[:MOST]
+        return [(shaped, shaped.guess) for _, shaped in best]
+
+    def _grown(self, evidence: Evidence, position: str, carrier: str) -> tuple[float, UnknownProduct] | None:
+        """What a product leaves of the force, and the product; None where one of its inputs never changes."""
+        x, y = evidence.inputs[position], evidence.inputs[carrier]
+        most = BEYOND * float(np.abs(y).max())
+        if not (most > 0 and np.ptp(x) > 0):
+            return None
+        others = [evidence.velocity, evidence.direction, np.ones_like(y), y]
+        knots, values = grow(x, evidence.force, y / most, others, evidence.time)
+        if len(knots) == 2 and np.ptp(values) == 0:
+            return None
+        late = odd_blocks(evidence.time)
+        law = np.interp(x, knots, values) * y / most
+        columns = np.column_stack([law, *others])
+        left = 0.0
+        for fitted, told in ((late, ~late), (~late, late)):
+            weights = np.linalg.lstsq(columns[fitted], evidence.force[fitted], rcond=None)[0]
+            left += float(np.sum((evidence.force[told] - columns[told] @ weights) ** 2))
+        units = (unit_of(evidence.model, position), unit_of(evidence.model, carrier))
+        speed = BEYOND * float(np.abs(evidence.velocity).max()) or 1.0
+        shaped = UnknownProduct(knots.tolist(), values.tolist(), (position, carrier), most, speed, units)
+        return left, shaped
+
+    def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
+        shaped = UnknownProduct(knots.tolist(), values.tolist(), self.names, self.most, self.speed, self.units)
+        shaped.parameters = holding_new(shaped.parameters, new)
+        return shaped, shaped.guess
+
+    def _surface(self, values: Values) -> tuple[list[float], Array]:
+        """The same as a table of both: knots along the second, and levels."""
+        levels = np.array(self.values(values))
+        return [-self.most, self.most], np.stack([-levels, levels], axis=1)
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A table for the loader, with two knots along what it is in proportion to; stock MuJoCo leaves it out."""
+        across, levels = self._surface(values)
+        numbers = [self.speed, len(self.knots), len(across), *self.knots, *across, *levels.ravel().tolist()]
+        document.custom(RESIDUAL, at, numbers)
+        document.depends(RESIDUAL, at, self.names)
+
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
+        """A table of both inputs."""
+        across, levels = self._surface(values)
+        inputs = [
+            {"name": name, "unit": of, "knots": list(knots)}
+            for name, of, knots in zip(self.names, self.units, (self.knots, across), strict=True)
+        ]
+        per = unit[self.parameters[0].name]
+        passive = self.names[1].startswith("velocity") and bool(np.all(levels[:, 1] <= 0))
+        return described(self.kind, inputs, levels.tolist(), per, passive=passive, driven_up_to=self.speed)
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        factors = np.array(self.values(values)) / self.most
+        per = f"{unit[self.parameters[0].name]} per {self.units[1] or 'unit'}"
+        where, what = (WORDS[kind].format(name) for kind, _, name in (one.partition(" ") for one in self.names))
+        return (
+            f"Something acts at {at} that no effect in the catalogue accounts for; modelled as a force in proportion "
+            f"to {what}, by {factors.min():.3g} to {factors.max():.3g} {per}, that depends on {where}."
+        )
+
+
+def _carriers(evidence: Evidence) -> list[str]:
+    """The joint's own velocity, and commands to its own motors."""
+    found = [f"velocity {evidence.at}"]
+    for name in evidence.inputs:
+        kind, _, of = name.partition(" ")
+        if kind == "command" and joint_of(evidence.model, of) == evidence.at:
+            found.append(name)
+    return [name for name in found if name in evidence.inputs]

@@ -1,0 +1,70 @@
+"""Forces in proportion to one thing, by a factor that depends on another."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from sim2real_rigs import CART, NOISE, RK4, record, sweep
+
+from dipc_gym import mjcf, physics
+from dipc_gym.sim2real import catalogue, fit_effect
+
+PRODUCT = "residual.force:product"
+PLACES = np.linspace(-0.1, 0.5, 61)
+# Bell curves: no table of a few knots is one.
+DRAG = -8.0 * np.exp(-(((PLACES - 0.2) / 0.04) ** 2))  # N s/m
+DRIVE = 0.4 * np.exp(-(((PLACES - 0.1) / 0.05) ** 2)) - 0.3 * np.exp(-(((PLACES - 0.28) / 0.06) ** 2))  # N/V
+
+
+def hidden(factor: np.ndarray, carrier: str, most: float) -> physics.Physics:
+    """The cart with a force of which a table knows what it is at the largest speed or command."""
+    levels = np.stack([-factor * most, factor * most], axis=1)
+    numbers = [10.0, len(PLACES), 2, *PLACES, -most, most, *levels.ravel()]
+    names = [
+        f'<text name="dipc_gym:input:{k}:residual.force:cart" data="{of}"/>'
+        for k, of in ((1, "position cart"), (2, carrier))
+    ]
+    entry = f'<numeric name="dipc_gym:residual.force:cart" data="{" ".join(map(str, numbers))}"/>'
+    return physics.load(CART.replace("</mujoco>", f"<custom>{entry}{''.join(names)}</custom></mujoco>"))
+
+
+@pytest.mark.parametrize(
+    ("factor", "carrier", "most", "words"),
+    [(DRAG, "velocity cart", 5.0, "the velocity of cart"), (DRIVE, "command motor", 40.0, "the command to motor")],
+)
+def test_what_it_is_in_proportion_to_and_by_how_much_is_found(
+    factor: np.ndarray, carrier: str, most: float, words: str
+) -> None:
+    run = record(hidden(factor, carrier, most), sweep(4.0), 8.0, noise=NOISE["cart"], step=1e-4, integrator=RK4)
+    (found, *_) = fit_effect(catalogue()[PRODUCT], mjcf.from_text(CART), [run])
+    assert found.error < found.error_without / 8
+    assert f"in proportion to {words}" in found.sentence
+    low, high = (float(one) for one in re.search(r"by (\S+) to (\S+) N per", found.sentence).groups())
+    assert high - low == pytest.approx(np.ptp(factor), rel=0.25)  # damping and gear take up what is everywhere alike
+
+
+def test_a_drag_of_one_sign_is_passive_and_a_drive_is_not() -> None:
+    known = type(catalogue()[PRODUCT])
+    for values, carrier, passive in (
+        ([-1.0, -2.0], "velocity cart", True),
+        ([-1.0, 2.0], "velocity cart", False),
+        ([-1.0, -2.0], "command motor", False),
+    ):
+        law = known([0.0, 1.0], values, ("position cart", carrier), 2.0, 1.0, ("m", "m/s"))
+        assert law.law_of(law.guess, {"value_1": "N"})["passive"] is passive
+
+
+def test_it_drives_nothing_beyond_the_speeds_in_the_data() -> None:
+    """Twice as fast as it was seen, a drive along the motion has faded, and a drag has not."""
+    numbers = "1.0 2 2 0 1 -2 2 -3 3 -3 3"
+    names = '<text name="dipc_gym:input:1:residual.force:cart" data="position cart"/>'
+    names += '<text name="dipc_gym:input:2:residual.force:cart" data="velocity cart"/>'
+    entry = f'<custom><numeric name="dipc_gym:residual.force:cart" data="{numbers}"/>{names}</custom>'
+    (extra,) = physics.load(CART.replace("</mujoco>", f"{entry}</mujoco>")).extras
+    still = np.zeros(3)
+    speed = np.array([0.5, 2.0, 5.0])
+    data = np.broadcast_to(extra.data, (3, len(extra.data)))
+    moment = physics.Moment(still, still, still, still, still, speed, (still, speed))
+    assert physics.force_of(data, moment) == pytest.approx([0.75, 0.0, 0.0])
