@@ -21,6 +21,7 @@ blows come as a surprise.
 from __future__ import annotations
 
 import argparse
+import copy
 import dataclasses
 import json
 import time
@@ -33,7 +34,19 @@ from typing import Any
 import numpy as np
 
 from dipc_gym import compensators, controllers, estimators, runs
-from dipc_gym.compensators import Compensator, Ideal, LuGre, Observed, StaticGain, Stribeck
+from dipc_gym.compensators import (
+    LLNF,
+    MLP,
+    AdaptedHistory,
+    Compensator,
+    History,
+    Ideal,
+    LuGre,
+    Observed,
+    StaticGain,
+    Stribeck,
+)
+from dipc_gym.compensators.base import number_fields
 from dipc_gym.controllers import LQR, lqr
 from dipc_gym.estimators import Command, Differences, Disturbance, Estimator, ExtendedKalman, Kalman
 from dipc_gym.experiments.compare import Comparison
@@ -64,7 +77,7 @@ PAIRS = (
 )
 CHANGED = (
     *(("lqr", "differences", name) for name in ("none", "feedforward", "mlp", "llnf")),
-    *(("lqr", "kalman", "llnf"), ("lqr", "kalman", "lugre"), ("lqr_cart", "kalman", "lugre")),
+    *(("lqr", "kalman", "lugre"), ("lqr_cart", "kalman", "lugre")),
     *(("lqr", "disturbance", "observed"), ("lqr_cart", "disturbance", "observed")),
     *((POLICY, "differences", "llnf"), (OBSERVING, "disturbance", "observed")),
 )
@@ -111,9 +124,8 @@ def balance(
     observed[:, 2] += observed[:, 1]
     eyes = together(seeing)
     states = [eye.initial_state(observed[rows]) for eye, rows in eyes]
-    alike = all(inv.to_dict()["parameters"] == inverse[0].to_dict()["parameters"] for inv in inverse)
-    hands = [(inverse[0], slice(0, n))] if alike else [(inv, slice(i, i + 1)) for i, inv in enumerate(inverse)]
-    memory = [hand.initial_state(len(range(n)[rows])) for hand, rows in hands]
+    hands, begun = stacked(inverse)
+    memory = [*begun]
     standing, cost, cart, held = np.ones(n, dtype=bool), np.zeros(n), np.zeros(n), np.zeros(n)
     supply, rig = plants[0].supply, seeing[0].rig
     modelled = seeing[0].name == "kalman_friction"  # the only one that asks what friction the compensator assumes
@@ -196,6 +208,41 @@ def together(seeing: list[Estimator]) -> list[tuple[Estimator, slice]]:
         begin = np.vstack([each.begin(np.zeros((1, 6))) for each in seeing])
         object.__setattr__(one, "begin", lambda seen: np.hstack([seen, begin[:, 6:]]))
     return [(one, slice(0, len(seeing)))]
+
+
+def stacked(inverse: list[Compensator]) -> tuple[list[tuple[Compensator, slice]], list[np.ndarray]]:
+    """Compensators with the rows that they answer for, and their memory: one for all where its formula allows it.
+
+    Formulas work entry by entry, so numbers may be arrays with an entry for each rig. A network with fewer local models
+    than another gets some that are valid nowhere.
+    """
+    n, one, kind = len(inverse), copy.copy(inverse[0]), type(inverse[0])
+    begun = [each.initial_state(1) for each in inverse]
+    if kind is LLNF:
+        models: list[list[Any]] = [each._models for each in inverse]  # type: ignore[attr-defined]
+        nowhere = (1e6, 1e6, 1e6, 1e150, 1e150, 1e150, 0.0, 0.0, 0.0, 0.0)
+        longest = max(map(len, models))
+        padded = np.array([rows + [nowhere] * (longest - len(rows)) for rows in models])
+        object.__setattr__(one, "_models", [tuple(row) for row in padded.transpose(1, 2, 0)])
+    elif kind is MLP:
+        neurons = np.array([each._neurons for each in inverse])  # type: ignore[attr-defined]
+        object.__setattr__(one, "_neurons", [tuple(row) for row in neurons.transpose(1, 2, 0)])
+        object.__setattr__(one, "outs", np.array([each.outs for each in inverse]).T)  # type: ignore[attr-defined]
+    elif kind in (History, AdaptedHistory):
+        for name in ("inward", "inner"):
+            object.__setattr__(one, name, np.array([getattr(each, name) for each in inverse]))
+        for name in ("outs", "direct"):
+            object.__setattr__(one, name, np.array([getattr(each, name) for each in inverse]).T)
+    elif all(not column.metadata.get("shape") for column in number_fields(kind)):
+        for column in number_fields(kind):
+            if column.name != "period":
+                values = np.array([getattr(each, column.name) for each in inverse])
+                object.__setattr__(one, column.name, values)
+    else:
+        return [(each, slice(i, i + 1)) for i, each in enumerate(inverse)], begun
+    object.__setattr__(one, "supply", None)
+    object.__setattr__(one, "_limits", [])  # of the training, whose warnings are not looked at here
+    return [(one, slice(0, n))], [np.concatenate(begun)]
 
 
 def trained(folder: Path, seed: int, estimator: str, compensator: str, plant: Plant) -> tuple[Estimator, Compensator]:
