@@ -220,7 +220,7 @@ def stacked(inverse: list[Compensator]) -> tuple[list[tuple[Compensator, slice]]
     begun = [each.initial_state(1) for each in inverse]
     if kind is LLNF:
         models: list[list[Any]] = [each._models for each in inverse]  # type: ignore[attr-defined]
-        nowhere = (1e6, 1e6, 1e6, 1e150, 1e150, 1e150, 0.0, 0.0, 0.0, 0.0)
+        nowhere = (1e6, 1e6, 1e6, 1e100, 1e100, 1e100, 0.0, 0.0, 0.0, 0.0)
         longest = max(map(len, models))
         padded = np.array([rows + [nowhere] * (longest - len(rows)) for rows in models])
         object.__setattr__(one, "_models", [tuple(row) for row in padded.transpose(1, 2, 0)])
