@@ -101,7 +101,7 @@ def against_first(
     Args:
         cells: what runs gave, with their controller, compensator and seed.
         wanted: controllers and compensators; the first is what the others are compared with.
-        of: what is compared, a positive number of every cell; the result has it as `OF_ratio`.
+        of: what is compared, a positive number of every cell; with it begins the name of the ratio.
     """
     sizes = {(c["controller"], c["compensator"], c["seed"]): c[of] for c in cells if c["survived"]}
     found = []
