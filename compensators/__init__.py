@@ -8,6 +8,7 @@ volts = compensators.load("llnf.json").voltage(force=8.0, velocity=0.1)
 
 from dipc_gym.compensators.base import (
     Compensator,
+    FallbackWarning,
     FitFigures,
     InputRange,
     OutOfRangeWarning,
@@ -29,7 +30,7 @@ from dipc_gym.compensators.llnf_lagged import LaggedLLNF
 from dipc_gym.compensators.lolimot import LOLIMOT
 from dipc_gym.compensators.lugre import LuGre
 from dipc_gym.compensators.maxwell_slip import MaxwellSlip
-from dipc_gym.compensators.memory import FallbackWarning, Remembering
+from dipc_gym.compensators.memory import Remembering
 from dipc_gym.compensators.mlp import MLP
 from dipc_gym.compensators.observed import Observed
 from dipc_gym.compensators.registry import fit, kind, names, register

@@ -25,8 +25,18 @@ MARGIN = 0.5
 """Share of the training range beyond each of its ends from which on a query counts as far outside."""
 
 
+HUGE = 1e6
+"""No force in N and no velocity in m/s of a rig is this large."""
+GARBAGE = "a force or velocity is not finite, or larger than any rig's"
+NO_NUMBER = "it gives no finite voltage"
+
+
 class OutOfRangeWarning(UserWarning):
     """A learned compensator is asked far outside the range of its training data."""
+
+
+class FallbackWarning(UserWarning):
+    """A compensator was fed garbage and went back to what it was trained to be."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +170,9 @@ class Compensator(ABC):
     0.99 and 1.09 times the cost for the LLNF, 0.5 and 1.2 times for the MLP. On the first call after
     `reset`, v(k-1) is taken to be v(k). A compensator that needs another memory is a `Remembering` one.
 
-    The voltage is not limited to the supply; that is the amplifier's business.
+    Whatever comes in, `voltage` and `voltage_batch` give a finite voltage, within the supply where it is known. Where
+    force or velocity is not finite or impossibly large, they give the voltage of no force at standstill, forget the
+    previous velocity, and say so once (`FallbackWarning`). The formula itself is not limited.
 
     Attributes:
         name: Name under which the compensator is registered.
@@ -169,6 +181,11 @@ class Compensator(ABC):
         ranges: Training range of each input (force, velocity, previous velocity); empty if nothing was
             learned. A query further out than half a range beyond it warns once (`OutOfRangeWarning`).
         figures: How well it fits its identification run, or None.
+        supply: Largest voltage either way, V; None if it is not known. A fit takes it from the rig. `ForceCommand`
+            leaves it to the environment's amplifier, which says what it clipped.
+
+    Raises:
+        ValueError: The supply is not a positive, finite number.
     """
 
     name: ClassVar[str] = ""
@@ -177,12 +194,16 @@ class Compensator(ABC):
 
     ranges: tuple[InputRange, ...] = field(default=(), kw_only=True)
     figures: FitFigures | None = field(default=None, kw_only=True)
+    supply: float | None = field(default=None, kw_only=True)
     _memory: list[float] = field(
         default_factory=lambda: [math.nan], init=False, repr=False, compare=False, kw_only=True
     )
     _limits: list[float] = field(default_factory=list, init=False, repr=False, compare=False, kw_only=True)
+    _fallen: list[bool] = field(default_factory=list, init=False, repr=False, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
+        if self.supply is not None and not 0 < self.supply < math.inf:
+            raise ValueError(f"supply is {self.supply}; it must be a positive, finite number of volts, or None")
         self._watch_range()
 
     @classmethod
@@ -221,11 +242,18 @@ class Compensator(ABC):
         memory[0] = velocity
         if previous != previous:  # NaN: the first call after a reset
             previous = velocity
+        if not (-HUGE < force < HUGE and -HUGE < velocity < HUGE):  # NaN is not between them either
+            self._fall(GARBAGE)
+            force, velocity, previous, memory[0] = 0.0, 0.0, 0.0, math.nan
         if self._limits:
             low_force, high_force, low_velocity, high_velocity = self._limits
             if not (low_force <= force <= high_force and low_velocity <= velocity <= high_velocity):
                 self._warn(force, velocity)
-        return float(self.volts(force, velocity, previous))
+        volts = float(self.volts(force, velocity, previous))
+        if not math.isfinite(volts):
+            self._fall(NO_NUMBER)
+            return 0.0
+        return volts if self.supply is None else min(max(volts, -self.supply), self.supply)
 
     def voltage_batch(self, force: Array, velocity: Array, state: Array) -> tuple[Array, Array]:
         """Return the motor voltages for many rigs at once; the object itself keeps no memory of the call.
@@ -240,9 +268,19 @@ class Compensator(ABC):
             (n,) motor voltages, V, and the state for the next call.
         """
         force, velocity = np.asarray(force, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
+        previous, after = np.where(np.isnan(state), velocity, state), velocity.copy()
+        usable = (np.abs(force) < HUGE) & (np.abs(velocity) < HUGE) & (np.abs(previous) < HUGE)
+        if not usable.all():
+            self._fall(GARBAGE)
+            force, velocity, previous = (np.where(usable, signal, 0.0) for signal in (force, velocity, previous))
+            after = np.where(usable, after, math.nan)
         self._check_range(force, velocity)
-        previous = np.where(np.isnan(state), velocity, state)
-        return self.volts(force, velocity, previous), velocity.copy()
+        volts = self.volts(force, velocity, previous)
+        sound = np.isfinite(volts)
+        if not sound.all():
+            self._fall(NO_NUMBER)
+            volts = np.where(sound, volts, 0.0)
+        return volts if self.supply is None else np.clip(volts, -self.supply, self.supply), after
 
     def state(self) -> Array:
         """Return what `voltage` remembers now, as `voltage_batch` takes it for one rig."""
@@ -285,6 +323,7 @@ class Compensator(ABC):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, strings, lists and dicts, as `load` takes it."""
+        within = {} if self.supply is None else {"low": -self.supply, "high": self.supply}
         return {
             "schema": SCHEMA,
             "kind": self.name,
@@ -292,7 +331,7 @@ class Compensator(ABC):
                 {"name": name, "unit": unit, "low": limits.low, "high": limits.high}
                 for (name, unit), limits in zip(INPUTS, self.ranges, strict=False)
             ],
-            "output": {"name": "voltage", "unit": "V"},
+            "output": {"name": "voltage", "unit": "V", **within},
             "parameters": {column.name: _as_lists(getattr(self, column.name)) for column in number_fields(type(self))},
             "fit": None if self.figures is None else dataclasses.asdict(self.figures),
         }
@@ -324,6 +363,16 @@ class Compensator(ABC):
             OutOfRangeWarning,
             stacklevel=3,
         )
+
+    def _fall(self, why: str) -> None:
+        """Say, once, that it was fed garbage."""
+        if not self._fallen:
+            self._fallen.append(True)
+            warnings.warn(
+                f"the {self.name} compensator: {why}; it goes on as it was trained (said once)",
+                FallbackWarning,
+                stacklevel=3,
+            )
 
 
 def numbers(*shape: int | str, positive: bool = False) -> Any:

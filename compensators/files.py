@@ -31,6 +31,7 @@ FORMAT = Format("compensator file", "compensators.save", "train the compensator 
 WIDEST = 1e5  # N or m/s; a training range that goes further is no rig's
 HIGHEST = 1e5
 """V, within the ranges of its inputs; ten times the largest supply that a plant can have."""
+OUTPUT = {"name": "voltage", "unit": "V"}
 PROBES = 9
 """Values of each input at which a compensator is tried, both ends included."""
 
@@ -81,16 +82,31 @@ class _Reader(untrusted.Reader):
         name = data["kind"]
         if not isinstance(name, str) or name not in names():
             self.fail("kind", f"is {shown(name)}; there are {', '.join(names())} (register an own one before loading)")
-        if data["output"] != {"name": "voltage", "unit": "V"}:
-            self.fail("output", 'must be {"name": "voltage", "unit": "V"}')
+        supply = self.supply(data["output"])
         ranges, figures = self.ranges(data["inputs"]), self.figures(data["fit"])
         values = self.parameters(kind(name), data["parameters"])
         try:
-            compensator = kind(name)(**values, ranges=ranges, figures=figures)
+            compensator = kind(name)(**values, ranges=ranges, figures=figures, supply=supply)
         except ValueError as error:
             self.fail("parameters", str(error))
+        if supply not in (None, compensator.supply):
+            self.fail("output.high", f"is {supply} V, and the supply among its parameters {compensator.supply} V")
         self.probe(compensator)
         return compensator
+
+    def supply(self, entry: Any) -> float | None:
+        """The supply from the range of the output; files of earlier versions have none."""
+        if not isinstance(entry, Mapping) or {**entry, "low": 0, "high": 0} != {**OUTPUT, "low": 0, "high": 0}:
+            self.fail(
+                "output", 'must be {"name": "voltage", "unit": "V"}, with "low" and "high" if the supply is known'
+            )
+        if "low" not in entry and "high" not in entry:
+            return None
+        self.members(entry, (*OUTPUT, "low", "high"), "output")
+        supply = self.positive(entry["high"], "output.high")
+        if self.number(entry["low"], "output.low") != -supply:
+            self.fail("output.low", f"is {entry['low']}; a supply is as large either way, {-supply} here")
+        return supply
 
     def ranges(self, entries: Any) -> tuple[InputRange, ...]:
         if not isinstance(entries, list | tuple) or len(entries) not in (0, len(INPUTS)):

@@ -82,7 +82,7 @@ class Friedland(Remembering):
         sign = np.tanh(speed / self.sign_velocity)
         miss = self.newtons_per_volt * volts - self.viscous * speed - inertia - level * sign
         most = self.newtons_per_volt * self.supply_voltage
-        level = np.clip(level + min(self.rate * self.period, 1.0) * sign * miss, 0.0, most)
+        level = np.clip(level + np.minimum(self.rate * self.period, 1.0) * sign * miss, 0.0, most)
         friction = level * np.tanh(velocity / self.sign_velocity)
         volts = np.clip((force + friction) / self.newtons_per_volt, -self.supply_voltage, self.supply_voltage)
         return volts, np.stack([level, velocity, volts], axis=1)

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from abc import abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from dipc_gym.compensators.base import Array, Compensator, RigConstants, Samples, Signal, numbers
-
-HUGE = 1e6
-"""No force in N and no velocity in m/s of a rig is this large."""
-
-
-class FallbackWarning(UserWarning):
-    """A compensator with a memory was fed garbage and went back to what it was trained to be."""
+from dipc_gym.compensators.base import GARBAGE, HUGE, Array, Compensator, RigConstants, Samples, Signal, numbers
 
 
 @dataclass(frozen=True)
@@ -41,7 +33,10 @@ class Remembering(Compensator):
     newtons_per_volt: float = numbers(positive=True)
     supply_voltage: float = numbers(positive=True)
     period: float = numbers(positive=True)
-    _fallen: list[bool] = field(default_factory=list, init=False, repr=False, compare=False, kw_only=True)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "supply", self.supply_voltage)
+        super().__post_init__()
 
     @abstractmethod
     def begin(self, n: int) -> Array:
@@ -72,7 +67,7 @@ class Remembering(Compensator):
         force, velocity = np.asarray(force, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
         usable = (np.abs(force) < HUGE) & (np.abs(velocity) < HUGE) & np.isfinite(state).all(axis=1)
         if not usable.all():
-            self._fall("a force or velocity is not finite, or larger than any rig's")
+            self._fall(GARBAGE)
             force, velocity = np.where(usable, force, 0.0), np.where(usable, velocity, 0.0)
             state = np.where(usable[:, None], state, self.begin(len(force)))
         self._check_range(force, velocity)
@@ -114,15 +109,6 @@ class Remembering(Compensator):
         replayed = np.empty(len(samples.force))
         replayed[index[first:]] = volts[first:]
         return np.clip(replayed, -self.supply_voltage, self.supply_voltage)
-
-    def _fall(self, why: str) -> None:
-        if not self._fallen:
-            self._fallen.append(True)
-            warnings.warn(
-                f"the {self.name} compensator: {why}; it goes on as it was trained (said once)",
-                FallbackWarning,
-                stacklevel=3,
-            )
 
 
 def given(rig: RigConstants) -> tuple[float, float, float]:

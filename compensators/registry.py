@@ -82,7 +82,8 @@ def fit(name: str, samples: Samples, rig: RigConstants, *, seed: int = 0) -> Com
         >>> round(fit("feedforward", samples, rig).coulomb, 3)
         2.0
     """
-    return judged(kind(name).fit(samples, rig, seed=seed), samples)
+    found = dataclasses.replace(kind(name).fit(samples, rig, seed=seed), supply=rig.supply_voltage)
+    return judged(found, samples)
 
 
 def judged(compensator: Compensator, samples: Samples) -> Compensator:

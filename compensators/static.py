@@ -88,7 +88,9 @@ class Ideal(Compensator):
         Raises:
             TypeError: No friction given.
         """
-        return super().voltage_batch(np.asarray(force) + _known(friction), velocity, state)
+        with np.errstate(invalid="ignore", over="ignore"):
+            wanted = np.asarray(force) + _known(friction)
+        return super().voltage_batch(wanted, velocity, state)
 
 
 def _known(friction: Signal | None) -> Signal:

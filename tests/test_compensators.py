@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from dipc_gym import compensators
 from dipc_gym.compensators import (
     LLNF,
     MLP,
@@ -318,8 +319,93 @@ def test_the_margin_is_half_the_range():
 
 
 def test_what_learned_nothing_never_warns(fitted):
-    fitted["none"].voltage(1e9, 1e9)
-    fitted["ideal"].voltage(1e9, 1e9, friction=0.0)
+    fitted["none"].voltage(9e5, 9e5)
+    fitted["ideal"].voltage(9e5, 9e5, friction=0.0)
+
+
+# Garbage in
+
+
+BAD = (math.nan, math.inf, -math.inf, 1e300, -1e300, 2e6)
+SIGNALS = st.one_of(st.sampled_from(BAD), st.floats(), st.floats(-50, 50))
+
+
+def fed(compensator, rows):
+    """Keyword arguments and the other inputs of rows (force, velocity, friction)."""
+    force, velocity, friction = np.array(rows, dtype=float).T
+    return force, velocity, {"friction": friction} if compensator.needs_friction else {}
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(rows=st.lists(st.lists(st.tuples(SIGNALS, SIGNALS, SIGNALS), min_size=3, max_size=3), min_size=4, max_size=4))
+@pytest.mark.filterwarnings("ignore::dipc_gym.compensators.OutOfRangeWarning")
+@pytest.mark.filterwarnings("ignore::dipc_gym.compensators.FallbackWarning")
+@pytest.mark.parametrize("name", KINDS)
+def test_no_input_gives_more_than_the_supply(fitted, name, rows):
+    """Three rigs, four periods of anything: alone and together the same voltages, finite and within the supply."""
+    many, alone = replace(fitted[name]), [replace(fitted[name]) for _ in range(3)]
+    state = many.initial_state(3)
+    for row in rows:
+        force, velocity, known = fed(many, row)
+        volts, state = many.voltage_batch(force, velocity, state, **known)
+        assert (np.abs(volts) <= RIG.supply_voltage).all()  # also that there is no NaN among them
+        for i, one in enumerate(alone):
+            given_one = {key: float(value[i]) for key, value in known.items()}
+            assert one.voltage(float(force[i]), float(velocity[i]), **given_one) == volts[i]
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("name", KINDS)
+def test_after_garbage_it_is_as_trained_and_the_other_rigs_never_knew(fitted, name, bad):
+    struck, spared = replace(fitted[name]), replace(fitted[name])
+    usual = [(5.0, 0.2, 1.0), (-4.0, 0.1, 1.0), (3.0, -0.1, -1.0)]
+    force, velocity, known = fed(struck, usual)
+    _, before = struck.voltage_batch(force, velocity, struck.initial_state(3), **known)
+    expected, after_expected = spared.voltage_batch(force, velocity, before, **known)
+    for column in range(2 + struck.needs_friction):
+        rows = [list(row) for row in usual]
+        rows[1][column] = bad
+        force, velocity, known = fed(struck, rows)
+        again = replace(struck)
+        with pytest.warns(compensators.FallbackWarning, match=f"the {name} compensator: .* as it was trained"):
+            volts, after = again.voltage_batch(force, velocity, before, **known)
+        again.voltage_batch(force, velocity, before, **known)  # not said again: pytest would turn that into an error
+        assert volts[[0, 2]].tolist() == expected[[0, 2]].tolist()
+        np.testing.assert_array_equal(after[[0, 2]], after_expected[[0, 2]])
+        fresh = replace(fitted[name])
+        if isinstance(fresh, compensators.Remembering):
+            _, begun = fresh.voltage_batch(np.zeros(1), np.zeros(1), fresh.initial_state(1))
+        else:
+            begun = fresh.initial_state(1)
+        np.testing.assert_array_equal(after[1], begun[0])
+
+
+@pytest.mark.filterwarnings("ignore::dipc_gym.compensators.OutOfRangeWarning")
+def test_without_a_known_supply_it_is_finite_and_no_more(fitted):
+    """As made by hand, or read from a file of an earlier version."""
+    made = replace(fitted["feedforward"], supply=None)
+    assert made.voltage(1e5, 0.0) > 1e4
+    with pytest.warns(compensators.FallbackWarning):
+        assert abs(made.voltage(math.nan, 0.0)) < RIG.supply_voltage
+    early = made.to_dict()
+    assert early["output"] == {"name": "voltage", "unit": "V"}
+    assert load(early) == made
+    assert load(fitted["feedforward"].to_dict()).supply == RIG.supply_voltage
+
+
+def test_a_formula_that_overflows_gives_no_voltage_and_says_so():
+    steep = Feedforward(1e305, 0.0, 0.0, 0.0, 0.01)
+    with pytest.warns(compensators.FallbackWarning, match="no finite voltage"):
+        assert steep.voltage(1e5, 0.0) == 0.0
+    with pytest.warns(compensators.FallbackWarning, match="no finite voltage"), np.errstate(over="ignore"):
+        volts, _ = replace(steep).voltage_batch(np.array([1e5, 1e-305]), np.zeros(2), steep.initial_state(2))
+    assert volts.tolist() == [0.0, pytest.approx(1.0)]
+
+
+@pytest.mark.parametrize("supply", [0.0, -24.0, math.nan, math.inf])
+def test_an_impossible_supply_is_refused(supply):
+    with pytest.raises(ValueError, match="supply is"):
+        StaticGain(4.0, supply=supply)
 
 
 # Names
@@ -539,6 +625,9 @@ def cut(*keys):
         (put("inputs", 2, "low", value=1e3), r"inputs\[2\].low", "exchange"),
         (put("inputs", 2, "high", value=math.nan), r"inputs\[2\].high", "finite"),
         (put("output", value={"name": "voltage", "unit": "mV"}), "output", "must be"),
+        (put("output", value={"name": "voltage", "unit": "V", "high": 24.0}), "output.low", "is missing"),
+        (put("output", "low", value=-12.0), "output.low", "as large either way"),
+        (put("output", "high", value=-1.0), "output.high", "above zero"),
         (put("fit", "test_mse", value=-1.0), "fit.test_mse", "not negative"),
         (put("fit", "test_samples", value=1.5), "fit.test_samples", "must be a whole number"),
         (put("fit", value=7), "fit", "must be an object"),
@@ -548,7 +637,7 @@ def cut(*keys):
 )
 def test_a_hand_edited_file_is_refused_with_its_field(tmp_path, edit, field, message):
     ranges = (InputRange(-50.0, 50.0), InputRange(-1.0, 1.0), InputRange(-1.0, 1.0))
-    data = replace(small_llnf(), ranges=ranges, figures=FitFigures(0.1, 0.2, 50, 50)).to_dict()
+    data = replace(small_llnf(), ranges=ranges, figures=FitFigures(0.1, 0.2, 50, 50), supply=24.0).to_dict()
     data = json.loads(json.dumps(data))
     load(data)
     edit(data)

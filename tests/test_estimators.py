@@ -367,6 +367,28 @@ def test_whatever_comes_in_what_goes_out_is_finite_and_within_the_motor(made, ri
             assert np.abs(estimator.friction(state)) <= rig.largest_force
 
 
+@pytest.mark.filterwarnings("ignore::dipc_gym.estimators.EstimateWarning")
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e300])
+@pytest.mark.parametrize("name", NAMES)
+def test_garbage_of_one_rig_is_its_own_and_passes(made, rig, name, bad):
+    """Readings and commands of the second of three rigs are garbage for a while; soon it sees what it would have."""
+    estimator, rng = replace(made[name]), np.random.default_rng(5)
+    force, read = rng.normal(0, 2, (400, 3)), np.zeros((400, 3, 3))
+    states = [estimator.initial_state(np.zeros((3, 6))) for _ in range(2)]
+    long = 80 if name == "moving_horizon" else 400  # slow, and forgets what is older than its horizon
+    for k in range(long):
+        for struck in (0, 1):
+            command, seen = force[k].copy(), read[k].copy()
+            if struck and 20 <= k < 23:
+                command[1], seen[1] = bad, bad
+            volts = np.clip(command / rig.newtons_per_volt, -rig.supply, rig.supply) if np.isfinite(bad) else command
+            states[struck] = estimator.update(states[struck], seen, Command(command, volts))
+            assert np.isfinite(states[struck]).all()
+        np.testing.assert_array_equal(states[0][[0, 2]], states[1][[0, 2]])
+    seen, missed = (estimator.observation(state)[1] for state in states)
+    np.testing.assert_allclose(missed, seen, atol=1e-3)
+
+
 # Files
 
 

@@ -244,6 +244,24 @@ def test_training_refuses_what_cannot_support_it(
         assert not (tmp_path / "mine.json").exists()
 
 
+@pytest.mark.parametrize(("amplitude", "refused"), [(0.5, True), (1.0, True), (2.0, True), (2.9, False), (3.5, False)])
+def test_training_refuses_a_cart_that_does_not_slide(
+    amplitude: float, refused: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The motor breaks the static friction of 11 N at 2.8 V; below, the cart moves on its bristles."""
+    recording.write(identify(sweep=Sweep(duration=30.0, amplitude=amplitude)).run, path := tmp_path / "sweep.csv")
+    assert train(path) == (2 if refused else 0)
+    assert ("it does not slide; drive it harder" in capsys.readouterr().err) == refused
+
+
+def test_a_spring_beside_friction_is_no_reason_to_refuse() -> None:
+    """A strong run whose losses follow position most: a cable that pulls, say."""
+    data = sweep_samples()
+    position = 0.005 * np.cumsum(data.velocity)
+    pulled = dataclasses.replace(data, voltage=data.force / 4 + 40 * position, position=position)
+    assert examine(pulled, RIG, force_noise=0.1).refusal is None
+
+
 def test_training_refuses_a_run_whose_poles_swing(
     run: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,7 +18,7 @@ from gymnasium.wrappers import ClipAction, NormalizeObservation, RescaleAction, 
 
 import dipc_gym
 from dipc_gym import compensators, mjcf, recording
-from dipc_gym.compensators import Compensator, CompensatorError, Ideal, RigConstants, Samples, StaticGain
+from dipc_gym.compensators import Compensator, CompensatorError, Feedforward, Ideal, RigConstants, Samples, StaticGain
 from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.wrappers import ForceCommand, RecordRun, VectorForceCommand, VectorRecordRun
@@ -97,6 +97,28 @@ def test_force_is_limited_to_what_the_motor_can_do() -> None:
     tight = ForceCommand(rig(), GAIN, force_limit=10.0)
     tight.reset(seed=0)
     assert tight.step(np.array([-50.0]))[4]["force"] == -10.0
+
+
+@pytest.mark.parametrize("supply", [24.0, 12.0])
+def test_the_environment_limits_the_voltage_and_says_so(supply: float) -> None:
+    """The compensator leaves it to the environment, whichever supply it was trained for."""
+    trained = Feedforward(0.25, 30.0, 0.0, 0.0, 1e-3, supply=24.0)
+    env = ForceCommand(gymnasium.make("DIPC-Friction-v0", plant={"supply": supply}), trained)
+    rigs = gymnasium.make_vec("DIPC-Friction-v0", 1, vectorization_mode="vector_entry_point", plant={"supply": supply})
+    envs = VectorForceCommand(rigs, trained)
+    env.reset(seed=0)
+    envs.reset(seed=0)
+    said = []
+    for _ in range(20):
+        _, _, fell, _, info = env.step([10.0])
+        infos = envs.step(np.array([[10.0]]))[4]
+        if fell:  # the vector environment begins anew
+            break
+        assert (info["voltage"], info["clipped"]) == (infos["voltage"][0], infos["clipped"][0])
+        assert info["clipped"] == (abs(info["voltage"]) == supply)
+        said.append(info["clipped"])
+    assert True in said
+    assert trained.supply == 24.0
 
 
 def test_ideal_removes_the_limit_cycle() -> None:

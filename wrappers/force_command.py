@@ -147,7 +147,7 @@ def check_volts(outer: spaces.Space[Any], inner: spaces.Space[Any]) -> None:
 
 
 def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path) -> Compensator:
-    """A compensator of one's own: it has a memory, which two environments must not share.
+    """A compensator of one's own: it has a memory, which two environments must not share, and leaves out the limit.
 
     Raises:
         compensators.CompensatorError: a file or dictionary is broken, or a kind is named that has to be fitted first.
@@ -171,9 +171,9 @@ def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path
             f"{compensator}: neither a file nor a kind of compensator; kinds, which have to be fitted to a rig, are "
             f"{', '.join(compensators.names())}{near}"
         )
-    return copy.deepcopy(
-        compensator if isinstance(compensator, Compensator) else compensators.load(_plain(compensator))
-    )
+    own = copy.deepcopy(compensator if isinstance(compensator, Compensator) else compensators.load(_plain(compensator)))
+    object.__setattr__(own, "supply", None)  # the environment's amplifier limits voltages, and says where it did
+    return own
 
 
 def force_range(plant: Plant, force_limit: float | None) -> tuple[float, spaces.Space[NDArray[np.float32]]]:

@@ -39,10 +39,12 @@ class ExtendedKalman(Estimator):
 
     observes_friction: ClassVar[bool] = True
     _linear: tuple[Array, Array] = field(init=False, repr=False, compare=False)
+    _walk: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         F, G = lqr.sampled(np.array(self.rig.A), np.array(self.rig.B)[:, None], self.rig.period / self.substeps)
         object.__setattr__(self, "_linear", (F, G[:, 0]))
+        object.__setattr__(self, "_walk", wander(self.dry, self.rig))
 
     @property
     def substeps(self) -> int:
@@ -68,8 +70,8 @@ class ExtendedKalman(Estimator):
             x, slope = self._step(x, motor)
             jacobian = slope @ jacobian
         P = jacobian @ P @ jacobian.transpose(0, 2, 1) + FLOOR * np.eye(SIZE)
-        P[:, 7, 7] += (LEVEL * wander(self.dry, self.rig) / 2) ** 2
-        P[:, 6, 6] += (wander(self.dry, self.rig) / self.dry.bristle_stiffness) ** 2
+        P[:, 7, 7] += (LEVEL * self._walk / 2) ** 2
+        P[:, 6, 6] += (self._walk / self.dry.bristle_stiffness) ** 2
         S = P[:, :3, :3] + self.rig.reading_covariance
         gain = P[:, :, :3] @ np.linalg.inv(S)
         x = x + (gain @ (readings - x[:, :3])[:, :, None])[:, :, 0]
@@ -110,7 +112,7 @@ class ExtendedKalman(Estimator):
         """Bristle (n,) after a substep, m; force in it, N; slopes of both against velocity and bristle before."""
         dry, h = self.dry, self.rig.period / self.substeps
         bump = (dry.static - dry.coulomb) * np.exp(-((v / dry.stribeck_velocity) ** 2))
-        level = max(dry.coulomb, 1e-3) + bump
+        level = np.maximum(dry.coulomb, 1e-3) + bump
         rate = dry.bristle_stiffness * np.abs(v) / level
         bent = -2 * v / dry.stribeck_velocity**2 * bump  # slope of the level
         rate_slope = dry.bristle_stiffness * (np.sign(v) * level - np.abs(v) * bent) / level**2

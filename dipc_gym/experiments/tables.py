@@ -90,22 +90,29 @@ def _rig_by_rig(cells: Sequence[Mapping[str, Any]], wanted: Sequence[tuple[str, 
     return pairs
 
 
-def against_first(cells: Sequence[Mapping[str, Any]], wanted: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
+def against_first(
+    cells: Sequence[Mapping[str, Any]], wanted: Sequence[tuple[str, str]], of: str = "cost"
+) -> list[dict[str, Any]]:
     """Each pair's cost over that of the first pair on the same rig: geometric mean, and its 95 % interval.
 
     Costs differ by factors, so their logarithms are compared: a t interval for the mean of the differences over rigs on
     which both stood. Without two such rigs there is none.
+
+    Args:
+        cells: what runs gave, with their controller, compensator and seed.
+        wanted: controllers and compensators; the first is what the others are compared with.
+        of: what is compared, a positive number of every cell; with it begins the name of the ratio.
     """
-    costs = {(c["controller"], c["compensator"], c["seed"]): c["cost"] for c in cells if c["survived"]}
+    sizes = {(c["controller"], c["compensator"], c["seed"]): c[of] for c in cells if c["survived"]}
     found = []
     for pair in wanted[1:]:
-        seeds = [seed for *names, seed in costs if tuple(names) == pair and (*wanted[0], seed) in costs]
+        seeds = [seed for *names, seed in sizes if tuple(names) == pair and (*wanted[0], seed) in sizes]
         if len(seeds) < 2:
             continue
-        logs = np.log([costs[(*pair, seed)] / costs[(*wanted[0], seed)] for seed in seeds])
+        logs = np.log([sizes[(*pair, seed)] / sizes[(*wanted[0], seed)] for seed in seeds])
         half = float(stats.t.ppf(0.975, len(logs) - 1) * logs.std(ddof=1) / np.sqrt(len(logs)))
         ratio, low, high = np.exp([logs.mean(), logs.mean() - half, logs.mean() + half]).tolist()
-        row = {"controller": pair[0], "compensator": pair[1], "than": list(wanted[0]), "cost_ratio": ratio}
+        row = {"controller": pair[0], "compensator": pair[1], "than": list(wanted[0]), f"{of}_ratio": ratio}
         found.append({**row, "low": low, "high": high, "rigs": len(logs), "less_on": int((logs < 0).sum())})
     return found
 

@@ -88,7 +88,7 @@ def examine(samples: Samples, rig: RigConstants, *, force_noise: float) -> Excit
         reversals=reversals,
         counts=counts.astype(np.intp),
         missing=() if nothing else tuple(_missing(force, velocity, counts)),
-        refusal=_refusal(force, velocity, volts, force_noise, reversals),
+        refusal=_refusal(force, velocity, volts, force_noise, reversals) or _sticking(samples, rig),
     )
 
 
@@ -147,6 +147,31 @@ def _refusal(force: Array, velocity: Array, volts: Array, force_noise: float, re
             "check --map and --unit, that voltage and position have one clock, and that the poles were locked"
         )
     return None
+
+
+def _sticking(samples: Samples, rig: RigConstants) -> str | None:
+    """Why a run shows no dry friction: the cart was pushed so gently that it bent what holds it, and did not slide.
+
+    Friction that slides follows the direction of motion; one that is bent follows position, as a spring.
+    """
+    if samples.position is None:
+        return None
+    train = samples.train
+    force, velocity, position = samples.force[train], samples.velocity[train], samples.position[train]
+    share = float(np.abs(force).max()) / (rig.newtons_per_volt * rig.supply_voltage)
+    lost = rig.newtons_per_volt * samples.voltage[train] - force
+    sign = np.tanh(velocity / (EXCITATION.slow * np.abs(velocity).max()))
+
+    def left(follows: Array) -> float:
+        columns = np.column_stack([follows, velocity, np.ones_like(velocity)])
+        return float(np.var(lost - columns @ np.linalg.lstsq(columns, lost)[0]))
+
+    if share > EXCITATION.weak or left(sign) < left(position):
+        return None
+    return (
+        f"the cart moves within {1000 * np.ptp(position):.2g} mm, and what holds it back follows its position, as a "
+        "spring does, rather than its direction: it does not slide; drive it harder"
+    )
 
 
 def _reversals(velocity: Array) -> int:

@@ -26,6 +26,8 @@ class ExcitationSettings:
         above_noise: times its noise, that this part must exceed as well: else it may be nothing but that
         least_explained: share of the voltage's variance that force and velocity explain in any run of a rig with the
             columns right
+        weak: share of what the motor can exert, within which a force may be too small to set the cart sliding; above
+            it, what is lost may follow position for another reason
     """
 
     rows: int = 9
@@ -42,6 +44,7 @@ class ExcitationSettings:
     least_own: float = 0.05
     above_noise: float = 2.0
     least_explained: float = 0.5
+    weak: float = 0.1
 
 
 EXCITATION = ExcitationSettings()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,13 +112,14 @@ def compensator(model: str | Path, plant: Plant | str | None = None, *, seed: in
     """
     env = DoublePendulumEnv(plant=plant, model=model)
     law = steady(cart_model(env.source, env.plant))
-    run = identify(plant, model=str(model), seed=seed).samples
+    identified = identify(plant, model=str(model), seed=seed)
+    run = identified.samples
 
     def error(curve: Curve) -> float:
         return _error(curve, run)
 
     best = min((law.curve(width) for width in WIDTHS.tolist()), key=error)
-    return registry.judged(best, run), law
+    return registry.judged(dataclasses.replace(best, supply=identified.cart.constants.supply_voltage), run), law
 
 
 def steady(model: mujoco.MjModel) -> Law:
