@@ -53,6 +53,47 @@ def test_a_law_made_finer_is_the_same_law(data: st.DataObject, kind: type, times
     assert all(p.sigma >= max(q.sigma for q in begun.parameters) for p in old)  # what is new holds on to where it was
 
 
+@given(
+    low=st.floats(-2.0, 0.1),
+    high=st.floats(0.3, 3.0),
+    kind=st.sampled_from(["friction", "map"]),
+    size=st.floats(0.1, 9),
+)
+def test_a_law_that_goes_farther_begins_as_it_was(low: float, high: float, kind: str, size: float) -> None:
+    """Constant from its ends on, or parallel to its input; a table that is long enough stays."""
+    law = (FrictionOfPosition if kind == "friction" else CommandMap)([0.0, 0.1, 0.2], [size, 2 * size, 0.5 * size])
+    found = law.reaching(law.guess, low, high)
+    if found is None:
+        assert low > -0.01
+        assert high < 0.21
+        return
+    longer, guess = found
+    assert set(law.knots) <= set(longer.knots)
+    assert longer.knots[0] <= min(low, 0.0) + 0.01
+    assert longer.knots[-1] >= max(high, 0.2) - 0.01
+    assert len(longer.knots) <= 3 + 2 * 8 + 2
+    values = np.array(longer.values(guess))
+    outside = np.array(longer.knots) > 0.2
+    goes_on = np.array(longer.knots)[outside] - 0.2 if kind == "map" else 0.0
+    np.testing.assert_allclose(values[outside], 0.5 * size + goes_on, rtol=1e-12)
+
+
+def test_friction_over_time_is_told_to_the_end_of_the_recordings() -> None:
+    """Windows of the last fifth choose nothing of the law's shape, but what is fitted last goes on over them."""
+    grows = np.linspace(2.0, 6.0, 41)
+    entry = f'<custom><numeric name="dipc_gym:friction.time:cart" data="0 20 {" ".join(map(str, grows))}"/></custom>'
+    dry = CART.replace("<joint ", '<joint frictionloss="2" ', 1).replace("</mujoco>", f"{entry}</mujoco>")
+    settings = {"noise": sim2real_rigs.NOISE["cart"], "step": 2e-4, "integrator": sim2real_rigs.RK4}
+    run, other = (record(physics.load(dry), sweep(strength), 20.0, **settings) for strength in (6.0, 5.0))
+    names = ("friction.coulomb", "friction.time")
+    found = diagnose(mjcf.from_text(CART), [run], [other], effects=[catalogue()[one] for one in names])
+    (missing,) = found.missing
+    assert missing.effect == "friction.time"
+    (along,), levels = missing.law["table"]["inputs"], missing.law["table"]["levels"]
+    assert along["knots"][-1] > 19.5
+    assert np.interp([4.0, 12.0, 19.0], along["knots"], levels) == pytest.approx([2.8, 4.4, 5.8], abs=0.15)
+
+
 def test_new_knots_of_friction_over_speed_bend_a_little() -> None:
     """A bend is a ramp with a limit. Of a ramp that is nothing no derivative says what more of it would do."""
     law = FrictionOfSpeed([0.0, 0.2, 0.8], [3.0, 2.0, 4.0])

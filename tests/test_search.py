@@ -21,7 +21,7 @@ from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.selection import kinds
+from dipc_gym.sim2real.selection import choice, kinds
 from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.fitter import Fitter
@@ -182,6 +182,19 @@ def test_what_a_law_depends_on_may_be_its_kind(
     assert [term.key for term in found.structure.terms] == [kind]
     assert len(told) == 1
     assert found.error < 1.1 * modelled.error
+
+
+@pytest.mark.parametrize(
+    ("before", "left", "most"),
+    [
+        (100.0, 20.0, 60.0),  # most of what a law without a name brings is half of it
+        (100.0, 1.0, 3.0),  # where that leaves nothing, a name may leave a little
+        (4.0, 1.0, 2.5),
+    ],
+)
+def test_what_a_name_may_leave_to_go_before_a_law_without_one(before: float, left: float, most: float) -> None:
+    """Errors in units of noise."""
+    assert choice.before_unnamed(before, np.full(20, left**2)) == pytest.approx(most)
 
 
 def test_a_law_of_two_inputs_has_no_kind(sprung: Search) -> None:

@@ -103,6 +103,10 @@ class Law(Effect):
         """Its one input at this place."""
         return (f"{self.of} {at}",) if self.of in ("position", "speed", "command") else ()
 
+    def along(self, at: str) -> str:
+        """Name of the input that its knots lie along, or `time`; empty for one that no window tells of."""
+        return self.of if self.of == "time" else next(iter(self.inputs(at)), "")
+
     @abstractmethod
     def table(self, evidence: Evidence) -> tuple[Array, Array] | None:
         """Knots and values that the evidence asks for; None where it asks for nothing."""
@@ -126,6 +130,28 @@ class Law(Effect):
         if len(knots) == len(old):
             return []
         return [self._begun(knots, np.interp(knots, old, self.values(values)), ~np.isin(knots, old))]
+
+    def reaching(self, values: Values, low: float, high: float) -> tuple[Effect, Values] | None:
+        """The same law with a table that goes as far as its input does; it begins as it was. None where it goes as far.
+
+        Args:
+            values: of the parameters.
+            low: smallest input.
+            high: largest.
+        """
+        old, levels = np.array(self.knots), np.array(self.values(values))
+        stretch = max(float(np.median(np.diff(old))), max(old[0] - low, high - old[-1]) / LAWS.most_beyond)
+        more = [
+            end + sign * stretch * np.arange(1, np.ceil(far / stretch) + 1)
+            for end, sign, far in ((old[0], -1, old[0] - low), (old[-1], 1, high - old[-1]))
+            if far > LAWS.beyond * (old[-1] - old[0])
+        ]
+        if not more:
+            return None
+        knots = np.sort(np.concatenate([old, *more]))
+        inside = np.clip(knots, old[0], old[-1])
+        longer = np.interp(inside, old, levels) + (knots - inside if self.outside == "parallel" else 0.0)
+        return self._begun(knots, longer, ~np.isin(knots, old))
 
     @property
     def narrowest(self) -> Array:

@@ -57,6 +57,8 @@ class LawSettings:
         twice: times the narrowest stretch, from which one is bisected; two would leave out, by rounding, a stretch that
             is exactly twice as long
         most_levels: of a table of two inputs that fits make finer: each costs a simulation for its derivatives
+        beyond: share of a table's length that its input has to go beyond an end of it for the table to be made longer
+        most_beyond: stretches by which it is made longer at an end: what goes far is told by few data
     """
 
     step: float = 0.3
@@ -65,6 +67,8 @@ class LawSettings:
     narrowest: int = 256
     twice: float = 1.9
     most_levels: int = 144
+    beyond: float = 0.02
+    most_beyond: int = 8
 
 
 LAWS = LawSettings()

@@ -58,6 +58,10 @@ class UnknownProduct(Law):
         """Both."""
         return self.names
 
+    def along(self, at: str) -> str:
+        """The position."""
+        return self.names[0]
+
     def table(self, evidence: Evidence) -> None:
         """None: it has two inputs, which `proposals` chooses."""
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dipc_gym.sim2real.effects.base import joint_of
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import common_error
@@ -49,19 +52,27 @@ def _tells(term: Term, fitted: Fit, current: Fit) -> bool:
 
 
 def _named(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
-    """An effect with a name in the place of a law of no kind, if it brings most of what that does.
+    """An effect with a name in the place of a law of no kind, see `before_unnamed`."""
+    if not chosen.term.effect.of_no_kind or chosen.fitted is None:
+        return chosen
+    most = before_unnamed(current.error, chosen.fitted.mse)
+    names = [t for t in clear if not t.term.effect.of_no_kind and t.fitted is not None and t.fitted.error < most]
+    return min(names, key=lambda t: t.score, default=chosen)
+
+
+def before_unnamed(before: float, mse: NDArray[np.float64]) -> float:
+    """Error, times the noise, below which an effect with a name goes before a law of no kind.
 
     A law of no kind predicts a little better than any effect with a name, also where the name is right. But a name that
     brings less than half of that only picks up a part of something unknown; and so does one that leaves several times
     the noise where a law of no kind leaves none: it follows the law for as far as the data go together.
+
+    Args:
+        before: error without either.
+        mse: what the law of no kind leaves, mean square of each window, (n,).
     """
-    if not chosen.term.effect.of_no_kind or chosen.fitted is None:
-        return chosen
-    most = current.error - SEARCH.most * (current.error - chosen.fitted.error)
-    if common_error(chosen.fitted.mse) < SCORE.at_floor:
-        most = min(most, SEARCH.in_reach)
-    names = [t for t in clear if not t.term.effect.of_no_kind and t.fitted is not None and t.fitted.error < most]
-    return min(names, key=lambda t: t.score, default=chosen)
+    most = before - SEARCH.most * (before - float(np.sqrt(np.mean(mse))))
+    return min(most, SEARCH.in_reach) if common_error(mse) < SCORE.at_floor else most
 
 
 def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:

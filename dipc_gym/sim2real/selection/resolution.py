@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
-from dipc_gym.sim2real.model.structure import Term, carry
+from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+from dipc_gym.sim2real.selection.support import input_of
+from dipc_gym.sim2real.simulation.windows import Windows
+
+Array = NDArray[np.float64]
 
 
 def refined(fitter: Fitter, current: Fit, key: str, tell: Callable[[str], None] = lambda line: None) -> Fit:
@@ -32,6 +36,26 @@ def refined(fitter: Fitter, current: Fit, key: str, tell: Callable[[str], None] 
         tell(f"{key} made finer: error {finer.error:.3g} x noise (was {current.error:.3g})")
         current = finer
     return current
+
+
+def reaching(fitted: Fit, windows: Windows) -> tuple[Structure, Array]:
+    """A fit's structure with laws that go as far as their inputs do in some windows, and parameters to begin at.
+
+    A table ends where the data did that it was grown on; what is fitted last may go on from there, most of all in time.
+    """
+    structure, z = fitted.structure, fitted.z
+    for term in fitted.structure.terms:
+        name = term.effect.along(term.at) if isinstance(term.effect, Law) else ""
+        if not isinstance(term.effect, Law) or not name:
+            continue
+        inputs = input_of(name, fitted, windows)[windows.valid]
+        longer = term.effect.reaching(structure.term_values(z, term), float(inputs.min()), float(inputs.max()))
+        if longer is not None:
+            others = structure.without(term.key)
+            kept = carry(structure, z, others)
+            structure = others.with_term(Term(longer[0], term.at, dict(longer[1])))
+            z = carry(others, kept, structure)
+    return structure, z
 
 
 def _finer(fitter: Fitter, current: Fit, key: str) -> Fit | None:

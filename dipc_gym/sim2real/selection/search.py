@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.model.structure import names
-from dipc_gym.sim2real.selection import kinds, ranking, rounds
+from dipc_gym.sim2real.model.structure import Structure, names
+from dipc_gym.sim2real.selection import choice, kinds, ranking, rounds
 from dipc_gym.sim2real.selection.events import attend
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
 from dipc_gym.sim2real.selection.progress import Journal, Partition, Progress
 from dipc_gym.sim2real.selection.prune import prune
-from dipc_gym.sim2real.selection.resolution import refined
+from dipc_gym.sim2real.selection.resolution import reaching, refined
 from dipc_gym.sim2real.selection.scorer import Scorer, enough
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.selection.stop import Stop
@@ -74,16 +74,18 @@ class Searched:
 
     def refined(self, fitted: Fit) -> tuple[Searched, Fit]:
         """With halved steps, and a structure fitted in these: what takes fine steps is off at any."""
-        return self._fitted_over(self.partition.finer(), fitted, fitted.initial)
+        return self._fitted_over(self.partition.finer(), (fitted.structure, fitted.z), fitted.initial)
 
     def whole(self, fitted: Fit) -> tuple[Searched, Fit]:
         """With all windows to fit, and a structure fitted to them: a table of dozens of values lacks none of them."""
         partition = self.partition.whole()
-        return self._fitted_over(partition, fitted, partition.problem.initial)
+        return self._fitted_over(partition, reaching(fitted, partition.problem.windows), partition.problem.initial)
 
-    def _fitted_over(self, partition: Partition, fitted: Fit, begin: Array) -> tuple[Searched, Fit]:
+    def _fitted_over(
+        self, partition: Partition, begin: tuple[Structure, Array], initial: Array
+    ) -> tuple[Searched, Fit]:
         over = replace(self, fitter=self.fitter.over(partition), progress=replace(self.progress, partition=partition))
-        return over, fit(partition.problem, fitted.structure, fitted.z, begin, most=ESTIMATION.from_afar)
+        return over, fit(partition.problem, *begin, initial, most=ESTIMATION.from_afar)
 
 
 class Search:
@@ -158,7 +160,7 @@ class Search:
 
     def _modelled(self, ends: Sequence[Sequence[Fit]]) -> Fit:
         """What is left beside the ends of several paths, modelled; of these, what predicts windows best that it was
-        not fitted to.
+        not fitted to, and what has names alone before what has not, see `choice.before_unnamed`.
 
         A law of a kind may fit better than formulas and stand in the way of what is left beside both.
         """
@@ -166,11 +168,20 @@ class Search:
         for end in ends:
             if end is not self.progress.path:
                 self._back_to(end)
-            if self._done(self._add(len(self.question.joints))):
-                return self.progress.current
+            self._add(len(self.question.joints))
             found.append(self.progress.path)
-        losses = ranking.losses([self.scorer.comparison_mse(path[-1]) for path in map(self.progress.informed, found)])
-        self.journal.go_back(found[int(np.argmin(losses))])
+            if self.stop.asked:
+                return self.progress.current
+        compared = [self.scorer.comparison_mse(path[-1]) for path in map(self.progress.informed, found)]
+        losses, best = ranking.losses(compared), int(np.argmin(ranking.losses(compared)))
+        begin = float(np.sqrt(np.mean(self.scorer.comparison_mse(self.progress.path[0]))))
+        named = [
+            k
+            for k, path in enumerate(found)
+            if not any(term.effect.of_no_kind for term in path[-1].structure.terms)
+            and np.sqrt(np.mean(compared[k])) < choice.before_unnamed(begin, compared[best])
+        ]
+        self.journal.go_back(found[min(named, key=lambda k: losses[k], default=best)])
         return self.progress.current
 
     def _back_to(self, path: Sequence[Fit]) -> None:
@@ -209,7 +220,10 @@ class Search:
 
     def _step(self) -> bool:
         """Add what a round accepts, and prune; whether there may be more to add."""
+        known = len(self.partition.problem.windows)
         self._go_on(attend(self.progress, self.scorer))
+        if len(self.partition.problem.windows) > known:  # they may ask for more of a law than those did that it had
+            self.journal.correct(self._finer(self.progress.current))
         before = self.progress.current
         if enough(self.progress.path[0], before):
             return False
@@ -220,11 +234,15 @@ class Search:
         added = better.structure.terms[-1].key
         new = ", ".join(names(better.structure.terms[len(before.structure.terms) :])) or added
         self.tell(StageEnd(f"added {new}", "round"))
-        pruned = prune(self.question, self.fitter, better, self.tell)
-        for key in names(pruned.structure.terms):
-            pruned = refined(self.fitter, pruned, key, self.tell)
+        pruned = self._finer(prune(self.question, self.fitter, better, self.tell))
         self.journal.correct(pruned)
         return added in names(pruned.structure.terms) or self.scorer.compare(pruned, before).clear
+
+    def _finer(self, fitted: Fit) -> Fit:
+        """A fit whose laws are as fine as its windows ask for."""
+        for key in names(fitted.structure.terms):
+            fitted = refined(self.fitter, fitted, key, self.tell)
+        return fitted
 
     def _go_on(self, progress: Progress) -> None:
         """Go on from here, on these windows."""

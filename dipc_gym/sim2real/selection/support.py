@@ -24,8 +24,8 @@ def supported(fitted: Fit, seen: Problem, asked: Problem) -> NDArray[np.bool_]:
     there = np.ones(len(asked.windows), dtype=bool)
     names = {name for term in fitted.structure.terms for name in term.effect.inputs(term.at)}
     for name in sorted(names):
-        known = np.sort(_input(name, fitted, seen.windows)[seen.windows.valid])
-        values = _input(name, fitted, asked.windows)
+        known = np.sort(input_of(name, fitted, seen.windows)[seen.windows.valid])
+        values = input_of(name, fitted, asked.windows)
         at = np.clip(np.searchsorted(known, values), 1, len(known) - 1)
         apart = np.minimum(np.abs(values - known[at - 1]), np.abs(values - known[at]))
         far = apart > SEARCH.beyond * (known[-1] - known[0])
@@ -33,8 +33,10 @@ def supported(fitted: Fit, seen: Problem, asked: Problem) -> NDArray[np.bool_]:
     return there
 
 
-def _input(name: str, fitted: Fit, windows: Windows) -> Array:
-    """What a law depends on, at the samples of windows, (n, m); names are those of `Evidence.inputs`, and speeds."""
+def input_of(name: str, fitted: Fit, windows: Windows) -> Array:
+    """What a law depends on, at the samples of windows, (n, m): as `Evidence.inputs` calls it, a speed, or `time`."""
+    if name == "time":
+        return windows.start[:, None] + windows.times
     kind, _, at = name.partition(" ")
     out = np.zeros(windows.times.shape)
     for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
