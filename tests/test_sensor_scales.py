@@ -13,6 +13,7 @@ from sim2real_rigs import CART, HANGING, NOISE, RK4, record, sweep
 from dipc_gym import mjcf, physics
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real import catalogue, fit_effect
+from dipc_gym.sim2real.effects.base import Misread
 from dipc_gym.sim2real.estimation import states
 
 WAVE = 0.08  # m, what the belt moves in a turn of its pulley
@@ -60,6 +61,31 @@ def test_the_motion_is_estimated_from_what_a_bent_scale_means() -> None:
     motion = states.estimate(run, rig, np.array([1e-6]))
     assert np.abs(run.sensors - straight.sensors).max() > 0.0025
     np.testing.assert_allclose(motion.position, straight.sensors, atol=2e-5)
+
+
+def test_what_a_scale_is_asked_for_is_free_of_what_initial_states_could_explain() -> None:
+    """The normal equations are those of explicit columns, projected window by window."""
+    rng = np.random.default_rng(3)
+    n, m, sensors, free = 5, 7, 2, 4
+    Q, _ = np.linalg.qr(rng.normal(size=(n, m * sensors + free, free)))
+
+    def projected(columns: np.ndarray) -> np.ndarray:
+        return columns - Q @ (np.swapaxes(Q, 1, 2) @ columns)
+
+    left = projected(rng.normal(size=(n, m * sensors + free, 1)))[..., 0]
+    rows, scale, present = np.arange(m) * sensors + 1, rng.uniform(0, 2, (n, m)), rng.normal(size=(n, m))
+    seen = Misread(np.zeros((n, m)), np.zeros((n, m)), present, left, Q, rows, scale)
+    errors, some = rng.normal(size=(n, m, 3)), np.array([True, True, False, True, False])
+    columns = np.zeros((n, m * sensors + free, 4))
+    columns[:, rows] = scale[..., None] * np.concatenate([errors, present[..., None]], axis=2)
+    columns = projected(columns)
+    weight = np.sqrt(1 / (1 + np.mean(left**2, axis=1)))[some, None]
+    H = (weight[..., None] * columns[some, :, :3]).reshape(-1, 3)
+    target = (weight * (left + columns[..., 3])[some]).ravel()
+    normal, right, total = seen.asked(errors, some)
+    np.testing.assert_allclose(normal, H.T @ H, atol=1e-12)
+    np.testing.assert_allclose(right, H.T @ target, atol=1e-12)
+    assert total == pytest.approx(target @ target)
 
 
 @pytest.mark.parametrize("rig", ["cart", "hanging"])

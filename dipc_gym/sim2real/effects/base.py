@@ -75,12 +75,23 @@ class Misread:
     rows: NDArray[np.intp]
     scale: Array
 
-    def shown(self, errors: Array) -> Array:
-        """How errors of the reading (n, m, k) would show in what is left, (n, M, k)."""
-        out = np.zeros((*self.left.shape, errors.shape[2]))
-        out[:, self.rows] = self.scale[..., None] * errors
-        Q = self.sensitivity
-        return np.asarray(out - Q @ (np.swapaxes(Q, 1, 2) @ out))
+    def asked(self, errors: Array, windows: NDArray[np.bool_]) -> tuple[Array, Array, float]:
+        """Normal equations of errors (n, m, k) of the reading that explain what is left of some windows, (n,).
+
+        Returns:
+            Normal matrix (k, k), right-hand side (k,), and the sum of squares to be explained. Each window weighs as in
+            a fit, so that few that are far off do not decide.
+        """
+        Q, scale = self.sensitivity[windows], self.scale[windows][..., None]
+        weight = 1.0 / (1.0 + np.mean(self.left[windows] ** 2, axis=1))
+        own = scale * np.concatenate([errors[windows], self.present[windows][..., None]], axis=2)
+        # Less what initial states could explain; what is left is free of that already.
+        of_states = np.swapaxes(Q[:, self.rows], 1, 2) @ own
+        normal = np.einsum("n,nmi,nmj->ij", weight, own, own, optimize=True)
+        normal -= np.einsum("n,nsi,nsj->ij", weight, of_states, of_states, optimize=True)
+        right = np.einsum("n,nmi,nm->i", weight, own, self.left[windows][:, self.rows], optimize=True)
+        total = float(weight @ np.sum(self.left[windows] ** 2, axis=1))
+        return normal[:-1, :-1], right[:-1] + normal[:-1, -1], total + 2 * float(right[-1]) + float(normal[-1, -1])
 
 
 @dataclass(frozen=True)

@@ -50,20 +50,16 @@ class ScaleMap(Law):
             return None
         edges = np.linspace(low, high, BINS + 1)
         n, m = seen.reading.shape
-        columns = seen.shown(hats(edges, seen.reading.ravel()).reshape(n, m, -1))
-        target = seen.left + seen.shown(seen.present[..., None])[..., 0]
-        weight = np.sqrt(1.0 / (1.0 + np.mean(seen.left**2, axis=1)))  # few windows do not decide
-        columns, target = weight[:, None, None] * columns, weight[:, None] * target
+        errors = hats(edges, seen.reading.ravel()).reshape(n, m, -1)
 
-        def part(which: NDArray[np.bool_]) -> Nested:
-            return Nested(columns[which].reshape(-1, BINS + 1), target[which].ravel(), between_knots)
+        def part(windows: NDArray[np.bool_]) -> Nested:
+            return Nested(*seen.asked(errors, windows), between_knots)
 
         counts = np.append(0, np.cumsum(np.histogram(x, edges)[0]))
         chosen = grown(part(~late), part(late), counts)
-        error = part(np.ones(n, dtype=bool)).weights(chosen)
-        knots = edges[chosen]
+        error, knots = part(np.ones(n, dtype=bool)).weights(chosen), edges[chosen]
         # How steep the scale is as a whole, other parameters say as well; a constant error, initial states.
-        bent = error[: len(knots)] - np.polynomial.Polynomial.fit(x, np.interp(x, knots, error), 1)(knots)
+        bent = error - np.polynomial.Polynomial.fit(x, np.interp(x, knots, error), 1)(knots)
         if np.abs(bent).max() * seen.scale.max() < FAINT:
             return None
         return knots, knots + bent

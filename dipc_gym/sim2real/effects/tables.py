@@ -8,6 +8,7 @@ is LOLIMOT's idea (Nelles 1996) in one dimension: the knot that removes most of 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,10 +42,10 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     if confirming.all() or not confirming.any():
         confirming = np.arange(len(x)) % 2 == 1
     columns = np.column_stack([hats(edges, x) * carrier[:, None], *beside])
-    parts = [Nested(columns[part], force[part], between_knots) for part in (~confirming, confirming)]
+    parts = [Nested.of(columns[part], force[part], between_knots) for part in (~confirming, confirming)]
     counts = np.append(0, np.cumsum(np.histogram(x, edges)[0]))
     knots = grown(parts[0], parts[1], counts)
-    return edges[knots], Nested(columns, force, between_knots).weights(knots)[: len(knots)]
+    return edges[knots], Nested.of(columns, force, between_knots).weights(knots)[: len(knots)]
 
 
 def grown(fitted: Nested, confirming: Nested, counts: NDArray[np.intp]) -> list[int]:
@@ -89,23 +90,35 @@ def _room(k: int, chosen: Sequence[int], counts: NDArray[np.intp]) -> bool:
     return k not in chosen and min(counts[k] - counts[below], counts[above] - counts[k]) >= TABLES.fewest
 
 
+@dataclass(frozen=True)
 class Nested:
     """Normal equations of a function on a fine grid and of the regressors beside it; coarser ones are subspaces.
 
-    Args:
-        columns: of the fine function, then of the regressors beside it, (n, k).
-        force: to be explained, (n,).
+    Attributes:
+        normal: of the fine function's values, then of the weights of the regressors beside it, (k, k).
+        right: right-hand side, (k,).
+        total: sum of squares to be explained.
         coarse: gives, for knots, the fine function's values for each of the coarser one's, (fine, coarse).
     """
 
-    def __init__(self, columns: Array, force: Array, coarse: Callable[[Sequence[int]], Array]) -> None:
-        self.normal, self.right, self.total = columns.T @ columns, columns.T @ force, float(force @ force)
-        self.size = max(float(np.trace(self.normal)), 1e-300) / len(self.normal)
-        self._coarse = coarse
+    normal: Array
+    right: Array
+    total: float
+    coarse: Callable[[Sequence[int]], Array]
+
+    @classmethod
+    def of(cls, columns: Array, force: Array, coarse: Callable[[Sequence[int]], Array]) -> Nested:
+        """Those of columns (n, k) and what they are to explain, (n,)."""
+        return cls(columns.T @ columns, columns.T @ force, float(force @ force), coarse)
+
+    @property
+    def size(self) -> float:
+        """Of the normal equations, on average."""
+        return max(float(np.trace(self.normal)), 1e-300) / len(self.normal)
 
     def _both(self, knots: Sequence[int]) -> Array:
         """A coarse function's values on the fine grid, and the other regressors as they are."""
-        function = self._coarse(knots)
+        function = self.coarse(knots)
         others = len(self.right) - len(function)
         out = np.zeros((len(self.right), function.shape[1] + others))
         out[: len(function), : function.shape[1]] = function
