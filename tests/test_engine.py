@@ -22,6 +22,7 @@ from dipc_gym.engine import Uncovered, check, machine, program
 from dipc_gym.engine.layout import CONTROLS, Head
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.mjcf.edit import Document
+from dipc_gym.physics import entries
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
@@ -522,7 +523,7 @@ def test_without_a_cache_it_works_as_well(folder: Path) -> None:
 
 def test_a_law_that_is_more_than_arithmetic_is_left_to_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
     """A user's law may do anything; the engine leaves it out, and goes on with all others."""
-    monkeypatch.setattr(physics, "_rules", dict(physics._rules))
+    monkeypatch.setattr(entries, "_rules", dict(entries._rules))
     physics.register(
         "friction.mine", "friction", lambda data, now: data[..., 0] + np.interp(now.position, [-1, 1], [1, 2])
     )

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from dipc_gym import cli, physics
 from dipc_gym.export import law as laws
 from dipc_gym.export.law import Input, Law, LawError
+from dipc_gym.physics import formulas
 from dipc_gym.sim2real import result
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
@@ -163,17 +164,17 @@ def test_a_law_is_what_the_loader_applies(key: str, tmp_path: Path) -> None:
         first, second = law.inputs
         data = np.array([1.5, 3, 2, *first.knots, *second.knots, *law.levels.ravel()])
         moment = physics.Moment(zero, zero, zero, zero, zero, speed, tuple(given))
-        applied = physics.force_of(np.tile(data, (500, 1)), moment)
+        applied = formulas.force_of(np.tile(data, (500, 1)), moment)
         found = law(*given, speed=speed)
     elif key in ("motor.map@motor", "sensor.map@cart"):
-        applied = physics.mapped(
+        applied = formulas.mapped(
             np.array([*effect.knots, *effect.first]), physics.Moment(zero, zero, zero, zero, given[0])
         )
         found = law(*given)
     else:
         even = np.linspace(-0.2, 0.3, 501)  # the file has knots at even distances
         data = np.tile([-0.2, 0.3, *np.interp(even, law.inputs[0].knots, law.levels)], (500, 1))
-        applied = physics.friction_along(data, physics.Moment(zero, given[0], zero, zero, zero))
+        applied = formulas.friction_along(data, physics.Moment(zero, given[0], zero, zero, zero))
         found = law(*given)
     np.testing.assert_allclose(applied, found, rtol=1e-9, atol=1e-12)
 

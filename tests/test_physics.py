@@ -16,6 +16,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.engine import program
 from dipc_gym.engine.run import Commands, Jobs
 from dipc_gym.engine.run import run as engine_run
+from dipc_gym.physics import entries, formulas
 
 MASS = 2.0
 
@@ -114,7 +115,7 @@ def test_friction_between_stations_is_linear_and_beyond_them_constant(x: float, 
     data = np.array([-1.0, 2.0, *levels])
     now = physics.Moment(*(np.asarray(v) for v in (0.0, x, 0.0, 0.0, 0.0)))
     expected = np.interp(x, np.linspace(-1, 2, len(levels)), levels)
-    assert physics.friction_along(data, now) == pytest.approx(expected, abs=1e-4)
+    assert formulas.friction_along(data, now) == pytest.approx(expected, abs=1e-4)
 
 
 def test_friction_along_the_rail_holds_where_it_is_high_and_lets_go_where_it_is_low() -> None:
@@ -264,11 +265,11 @@ def test_entries_of_others_are_left_alone() -> None:
 
 
 def test_a_registered_effect_is_understood(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(physics, "_rules", dict(physics._rules))
+    monkeypatch.setattr(entries, "_rules", dict(entries._rules))
     physics.register("motor.square", "command", lambda data, now: data[..., 0] * now.value**2)
     assert cart(entry("motor.square", "motor", 0.5)).command(np.array([4.0])) == [8.0]
     with pytest.raises(ValueError, match="registered already"):
-        physics.register("motor.square", "command", physics.deadzone)
+        physics.register("motor.square", "command", formulas.deadzone)
 
 
 @pytest.mark.parametrize(
@@ -373,7 +374,7 @@ def test_an_entry_that_is_let_in_gives_a_number_wherever_the_joint_is(
             numbers = [1.0, 2, 2, -1, 1, -1, 1, *numbers[:4]]
     effect, stage = rule
     extra = physics.Extra(effect, "cart", stage, 0, np.array(numbers), (("position", 0), ("velocity", 0)))
-    if not physics._usable(extra):
+    if not entries.usable(extra):
         return
     time, position, drive, weight, value, speed = (np.float64(x) for x in at)
     now = physics.Moment(np.abs(time), position, drive, weight, value, speed, (position, speed))

@@ -9,6 +9,7 @@ import pytest
 from sim2real_rigs import CART, NOISE, RK4, record, sweep
 
 from dipc_gym import mjcf, physics
+from dipc_gym.physics import formulas
 from dipc_gym.sim2real import catalogue, fit_effect
 
 PRODUCT = "residual.force:product"
@@ -67,4 +68,4 @@ def test_it_drives_nothing_beyond_the_speeds_in_the_data() -> None:
     speed = np.array([0.5, 2.0, 5.0])
     data = np.broadcast_to(extra.data, (3, len(extra.data)))
     moment = physics.Moment(still, still, still, still, still, speed, (still, speed))
-    assert physics.force_of(data, moment) == pytest.approx([0.75, 0.0, 0.0])
+    assert formulas.force_of(data, moment) == pytest.approx([0.75, 0.0, 0.0])

@@ -1,0 +1,40 @@
+"""The physics that MJCF cannot say, kept under `<custom>` of the same file and applied around MuJoCo's step.
+
+MuJoCo has no dead zone in an amplifier, no sensor with a wrong gain, no friction that varies along a rail. Such
+effects stand in the model file as
+
+    <custom>
+      <numeric name="dipc_gym:motor.deadzone:motor" data="0.4"/>
+    </custom>
+
+that is `dipc_gym:EFFECT:PLACE`, with the effect's numbers as data. Stock MuJoCo ignores the entry and simulates the
+model without it; `load` applies it. Four kinds of effect exist, each a small function on arrays whose last axis is
+the control, the sensor or the degree of freedom, so that one environment and a batch of a thousand run the same code:
+
+    command    changes the command before the model sees it
+    force      adds a generalised force that depends on time
+    friction   sets the dry friction of a joint at each step
+    sensor     changes a sensor's reading
+
+and `timing.sensor_lag`, a sensor that follows its reading with a time constant, which alone has a memory.
+
+`formulas` has the functions, `entries` reads and refuses what stands in a file, `applied` puts both around a model.
+"""
+
+from dipc_gym.physics.applied import Physics, from_model, load, stack
+from dipc_gym.physics.entries import RESIDUAL, Extra, Rule, Stage, register, rules
+from dipc_gym.physics.formulas import Moment
+
+__all__ = [
+    "RESIDUAL",
+    "Extra",
+    "Moment",
+    "Physics",
+    "Rule",
+    "Stage",
+    "from_model",
+    "load",
+    "register",
+    "rules",
+    "stack",
+]

@@ -1,0 +1,250 @@
+"""Entries of `<custom>`: which the loader understands, and what is refused of what a file says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym import mjcf
+from dipc_gym.physics import formulas
+from dipc_gym.physics.formulas import Moment, moment
+from dipc_gym.safety.naming import suggestion
+
+Stage = Literal["command", "force", "friction", "sensor", "lag"]
+Rule = Callable[[NDArray[np.float64], Moment], NDArray[np.float64]]
+Array = NDArray[np.float64]
+
+LARGEST = 1e9  # of an entry's numbers; of what comes of them, its square
+CLOSEST = 1e-12  # of a table's knots, as a share of what they are, or of 1
+SHORTEST_LAG, LONGEST_LAG = 1e-9, 1e6  # time constants, s
+TRIED = (-100.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 100.0)  # positions, forces, commands and times
+OUTERMOST = (-1e10, 1e10)  # MuJoCo bounds a state to this; what comes of it need but be a number
+MOST_KNOTS = 256  # of a table in a file
+MOST_LEVELS = 4096  # of a surface
+MOST_NUMBERS = 3 * MOST_LEVELS  # of any entry
+HEAD = 16  # numbers of an entry that say more than one level of a table
+
+_TABLES = frozenset({"motor.map", "sensor.map"})
+_EVEN = frozenset({"friction.position", "friction.time"})  # tables of equal distances between two ends
+_PLACED = (formulas.friction_along, formulas.friction_over_time, formulas.friction_wave)
+RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
+
+_rules: dict[str, tuple[Stage, Rule]] = {
+    "motor.deadzone": ("command", formulas.deadzone),
+    "sensor.gain": ("sensor", formulas.sensor_gain),
+    "sensor.bias": ("sensor", formulas.sensor_bias),
+    "sensor.eccentric": ("sensor", formulas.sensor_eccentric),
+    "timing.sensor_lag": ("lag", formulas.lag),
+    "friction.position": ("friction", formulas.friction_along),
+    "motor.map": ("command", formulas.mapped),
+    "sensor.map": ("sensor", formulas.mapped),
+    "friction.time": ("friction", formulas.friction_over_time),
+    "friction.wave": ("friction", formulas.friction_wave),
+    "friction.load": ("friction", formulas.friction_under_load),
+    "disturbance.periodic": ("force", formulas.periodic_force),
+    "disturbance.pulse": ("force", formulas.pulse_force),
+    RESIDUAL: ("force", formulas.force_of),
+}
+
+
+def register(effect: str, stage: Stage, rule: Rule) -> None:
+    """Make the loader understand a further effect.
+
+    Args:
+        effect: its id, as in `dipc_gym:EFFECT:PLACE`.
+        stage: where it acts.
+        rule: `rule(data, moment)`; for `command` and `sensor` the new value, for `friction` the level of dry friction,
+            for `force` the force to add.
+
+    Raises:
+        ValueError: the id is taken.
+    """
+    if effect in _rules:
+        raise ValueError(f"an effect {effect!r} is registered already")
+    _rules[effect] = (stage, rule)
+
+
+def rules() -> list[tuple[str, Stage, Rule]]:
+    """Every effect that the loader understands: id, stage, rule."""
+    return [(effect, stage, rule) for effect, (stage, rule) in _rules.items()]
+
+
+@dataclass(frozen=True)
+class Extra:
+    """One entry of `<custom>`: a rule, the place it acts at, and its numbers.
+
+    Attributes:
+        effect: id of the effect.
+        at: name of the actuator, sensor or joint.
+        stage: where it acts.
+        index: the control, sensor address or degree of freedom.
+        data: the numbers, (k,), or (n, k) for n simulations.
+        inputs: of a law that depends on more than its place: `position`, `velocity` or `command`, and the index of the
+            coordinate, the degree of freedom or the control.
+    """
+
+    effect: str
+    at: str
+    stage: Stage
+    index: int
+    data: Array
+    inputs: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def pressed(self) -> bool:
+        """Whether it is dry friction that may depend on the forces at its joint, and not on place and time alone."""
+        return self.stage == "friction" and _rules[self.effect][1] not in _PLACED
+
+    def __call__(self, now: Moment) -> Array:
+        """Apply the rule."""
+        return _rules[self.effect][1](self.data, now)
+
+
+def read(model: mujoco.MjModel) -> list[Extra]:
+    """The entries of a compiled model, in the order of the file.
+
+    Raises:
+        mjcf.MjcfError: one names an unknown effect or place, or has numbers that it cannot have.
+    """
+    extras = []
+    for i in range(model.nnumeric):
+        name = model.numeric(i).name
+        if not name.startswith(mjcf.PREFIX + ":"):
+            continue
+        parts = name.split(":", 2)
+        if len(parts) != 3 or parts[1] not in _rules:
+            near = suggestion(parts[1] if len(parts) > 1 else "", _rules)
+            raise mjcf.MjcfError(f"<custom> entry {name!r}: known effects are {', '.join(sorted(_rules))}{near}")
+        stage = _rules[parts[1]][0]
+        index, inputs = _index(model, name, stage, parts[2]), _inputs(model, parts[1], parts[2])
+        extras.append(Extra(parts[1], parts[2], stage, index, model.numeric(i).data.copy(), inputs))
+    for extra in extras:
+        if not usable(extra):
+            entry, rule = f"{mjcf.PREFIX}:{extra.effect}:{extra.at}", (_rules[extra.effect][1].__doc__ or "").strip()
+            raise mjcf.MjcfError(
+                f"<custom> entry '{entry}' has the numbers {_shown(extra.data)}, too few, too many or out of range"
+                f"{_fault(extra)}; {rule.partition(chr(10))[0]}"
+            )
+    return extras
+
+
+def _shown(numbers: Array) -> str:
+    """Numbers of an entry, the first of many."""
+    more = f", and {len(numbers) - HEAD:,} more" if len(numbers) > HEAD else ""
+    return f"{numbers[:HEAD].tolist()}{more}"
+
+
+def _fault(extra: Extra) -> str:
+    """What is wrong with the numbers of an entry, where one thing can be told; begins with a colon."""
+    numbers = extra.data
+    if len(numbers) > MOST_NUMBERS:
+        return f": {len(numbers):,} numbers, more than {MOST_NUMBERS:,}"
+    wild = np.flatnonzero(~(np.abs(numbers) <= LARGEST))
+    if len(wild):
+        return f": number {wild[0] + 1} is {numbers[wild[0]]:g}"
+    if extra.effect in _TABLES and len(numbers) % 2 == 0 and not _increase(numbers[: len(numbers) // 2]):
+        return ": its knots do not increase"
+    if extra.effect in _EVEN and len(numbers) > 1 and not _increase(numbers[:2]):
+        return f": it goes from {numbers[0]:g} to {numbers[1]:g}"
+    if extra.effect != RESIDUAL or len(numbers) < 3 or not np.all(numbers[1:3] == np.round(numbers[1:3])):
+        return ""
+    m, n = int(numbers[1]), int(numbers[2])
+    if numbers[0] <= 0:
+        return f": its speed is {numbers[0]:g}, and must be positive"
+    if m * n > MOST_LEVELS:
+        return f": a table of {m} x {n} is {m * n:,} levels, more than {MOST_LEVELS:,}"
+    if len(numbers) != 3 + m + n + m * n:
+        return f": a table of {m} x {n} has {3 + m + n + m * n} numbers, not {len(numbers)}"
+    if not (_increase(numbers[3 : 3 + m]) and _increase(numbers[3 + m : 3 + m + n])):
+        return ": its knots do not increase"
+    return ": what it depends on is not said" if not extra.inputs else ""
+
+
+def _increase(knots: Array) -> bool:
+    """Whether knots increase by steps that numbers of their size can tell, and that can be divided by."""
+    return bool(np.all(np.diff(knots) > CLOSEST * np.maximum(1.0, np.abs(knots[1:]))))
+
+
+def usable(extra: Extra) -> bool:
+    """Whether an entry's numbers give numbers, wherever a joint is and whenever it is."""
+    numbers = extra.data
+    if not (0 < len(numbers) <= MOST_NUMBERS and np.all(np.abs(numbers) <= LARGEST)):
+        return False
+    if extra.stage == "lag" and not SHORTEST_LAG <= numbers[0] <= LONGEST_LAG:
+        return False
+    if extra.effect in _TABLES:
+        knots = numbers[: len(numbers) // 2]
+        if len(numbers) % 2 or not 2 <= len(knots) <= MOST_KNOTS or not _increase(knots):
+            return False
+    if extra.effect in _EVEN and not _increase(numbers[:2]):
+        return False
+    if extra.effect == RESIDUAL and not _is_surface(extra):
+        return False
+    # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on. Levels
+    # of a table are bounded by now, and so is what lies between two of them.
+    usual = np.unique([*numbers[:HEAD], numbers.min(), numbers.max(), *TRIED])
+    try:
+        with np.errstate(all="ignore"):
+            near, far = _alike(extra, usual), _alike(extra, np.array(OUTERMOST))
+        return bool(np.all(np.abs(near) <= LARGEST**2) and np.all(np.isfinite(far)))
+    except (IndexError, ValueError):
+        return False
+
+
+def _alike(extra: Extra, x: Array) -> Array:
+    """What comes of an entry where position, force, command, time and all else are the same number of x (n,)."""
+    everywhere = replace(extra, data=np.broadcast_to(extra.data, (len(x), len(extra.data))))
+    return everywhere(replace(moment(np.abs(x), x, x, x, x), speed=x, inputs=(x, x)))
+
+
+def _is_surface(extra: Extra) -> bool:
+    """Whether the numbers of a residual law are those of one, and what it depends on is said."""
+    head, remainder = extra.data[:3], extra.data[3:]
+    if len(head) < 3 or not 1 <= len(extra.inputs) <= 2 or head[0] <= 0:
+        return False
+    if not (np.all(head[1:] == np.round(head[1:])) and head[1] >= 2 and len(extra.inputs) <= head[2] <= MOST_LEVELS):
+        return False
+    m, n = int(head[1]), int(head[2])
+    sorted_ = _increase(remainder[:m]) and _increase(remainder[m : m + n])
+    return bool(m * n <= MOST_LEVELS and len(remainder) == m + n + m * n and sorted_)
+
+
+def _inputs(model: mujoco.MjModel, effect: str, at: str) -> tuple[tuple[str, int], ...]:
+    """What a law depends on beyond its place, as `<text>` of `<custom>` names it."""
+    if effect != RESIDUAL:
+        return ()
+    texts = mjcf.texts(model)
+    joints = {model.joint(j).name: j for j in range(model.njnt)}
+    commands = {control: k for k, control in enumerate(mjcf.controls(model))}
+    found = []
+    for name in (f"{mjcf.INPUTS}{k}:{effect}:{at}" for k in (1, 2)):
+        if name not in texts:
+            break
+        kind, _, of = texts[name].partition(" ")
+        known = {"position": joints, "velocity": joints, "command": commands}.get(kind)
+        if known is None or of not in known:
+            what = f"{', '.join(known)}{suggestion(of, known)}" if known else "position, velocity and command"
+            raise mjcf.MjcfError(f"<custom> entry {name!r}: no {texts[name]!r} in the model; there are {what}")
+        address = {"position": model.jnt_qposadr, "velocity": model.jnt_dofadr}.get(kind)
+        found.append((kind, known[of] if address is None else int(address[known[of]])))
+    return tuple(found)
+
+
+def _index(model: mujoco.MjModel, name: str, stage: Stage, at: str) -> int:
+    known: Mapping[str, int]
+    if stage == "command":
+        known = {control: i for i, control in enumerate(mjcf.controls(model))}
+    elif stage in ("sensor", "lag"):
+        addresses = mjcf.sensor_addresses(model)
+        known = {sensor: int(a) for sensor, a in zip(mjcf.scalar_sensors(model), addresses, strict=True)}
+    else:
+        known = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
+    if at not in known:
+        there_are = f"there are {', '.join(known)}{suggestion(at, known)}"
+        raise mjcf.MjcfError(f"<custom> entry {name!r}: no {at!r} in the model; {there_are}")
+    return known[at]

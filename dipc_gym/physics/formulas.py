@@ -1,0 +1,180 @@
+"""What each entry of `<custom>` does: small functions on arrays whose last axes are its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What an effect may look at when it acts.
+
+    Attributes:
+        time: simulation time, s, (...).
+        position: position of the joint it acts on, m or rad, (...); zeros for commands and sensors.
+        drive: force of the actuators on the joint, N or N m, (...).
+        weight: force that gravity and the motion of other joints ask of it, MuJoCo's bias, N or N m, (...).
+        value: the command or the reading to change, (...); zeros for forces and friction.
+        speed: velocity of the joint it acts on, m/s or rad/s, (...); zeros for commands and sensors.
+        inputs: what else a law depends on, in the order in which the file names them, (...) each.
+    """
+
+    time: Array
+    position: Array
+    drive: Array
+    weight: Array
+    value: Array
+    speed: Any = 0.0
+    inputs: tuple[Any, ...] = ()
+
+
+def moment(
+    time: Array | float,
+    position: Array | float = 0.0,
+    drive: Array | float = 0.0,
+    weight: Array | float = 0.0,
+    value: Array | float = 0.0,
+) -> Moment:
+    """A moment of these numbers, or arrays of them."""
+    numbers = [np.asarray(x) for x in (time, position, drive, weight, value)]
+    return Moment(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4])
+
+
+def deadzone(data: Array, now: Moment) -> Array:
+    """Command u becomes sign(u) max(|u| - width, 0); data: width."""
+    return np.sign(now.value) * np.maximum(np.abs(now.value) - data[..., 0], 0.0)
+
+
+def sensor_bias(data: Array, now: Moment) -> Array:
+    """Reading plus a constant; data: bias."""
+    return now.value + data[..., 0]
+
+
+def sensor_gain(data: Array, now: Moment) -> Array:
+    """Reading times a factor; data: gain."""
+    return now.value * data[..., 0]
+
+
+def sensor_eccentric(data: Array, now: Moment) -> Array:
+    """Reading y + sine sin(a) + cosine cos(a), a = 2 pi y / wavelength; data: these three numbers."""
+    angle = 2 * np.pi * now.value / data[..., 2]
+    return np.asarray(now.value + data[..., 0] * np.sin(angle) + data[..., 1] * np.cos(angle))
+
+
+def lag(data: Array, now: Moment) -> Array:
+    """The reading that a lag settles at, the input itself (`Physics.sense` keeps time); data: time constant > 0."""
+    return now.value + 0.0 * data[..., 0]
+
+
+def friction_along(data: Array, now: Moment) -> Array:
+    """Dry friction interpolated over position; data: first and last position, then levels at equal distances."""
+    first, last = data[..., 0], data[..., 1]
+    return np.maximum(_tabulated(data[..., 2:], (now.position - first) / (last - first)), 0.0)
+
+
+def friction_over_time(data: Array, now: Moment) -> Array:
+    """Dry friction interpolated over time; data: first and last time, then levels at equal distances."""
+    first, last = data[..., 0], data[..., 1]
+    return np.maximum(_tabulated(data[..., 2:], (now.time - first) / (last - first)), 0.0)
+
+
+def _tabulated(table: Array, share: Array) -> Array:
+    """A table (..., k) of equal distances at a share of its length; beyond its ends it goes on as it ends."""
+    if not isinstance(table, np.ndarray):  # of the engine, which writes code for it
+        return table.at(share)
+    last = table.shape[-1] - 1
+    along = np.clip(share * last, 0.0, last)
+    # Not a number of a simulation that diverged; `along` hands it on.
+    below = np.maximum(np.minimum(np.nan_to_num(along).astype(np.intp), last - 1), 0)
+    at = np.take_along_axis(table, below[..., None], -1)[..., 0]
+    above = np.take_along_axis(table, below[..., None] + 1, -1)[..., 0]
+    return np.asarray(at + (along - below) * (above - at))
+
+
+def table(data: Array, x: Array) -> Array:
+    """A table, piecewise linear and constant outside; data (..., 2 k): its knots, increasing, then its values there."""
+    knots, values = np.split(data, 2, axis=-1)
+    share = np.clip((np.asarray(x)[..., None] - knots[..., :-1]) / np.diff(knots, axis=-1), 0.0, 1.0)
+    return np.asarray(values[..., 0] + np.sum(share * np.diff(values, axis=-1), axis=-1))
+
+
+def mapped(data: Array, now: Moment) -> Array:
+    """A command or reading mapped by a table; data: at least two of them, increasing, then as many that they become.
+
+    Outside the table it becomes as much more or less than the table's end as it is beyond it.
+    """
+    knots, _ = np.split(data, 2, axis=-1)
+    inside = np.clip(now.value, knots[..., 0], knots[..., -1])
+    return table(data, inside) + (now.value - inside)
+
+
+def friction_wave(data: Array, now: Moment) -> Array:
+    """Dry friction level + sine sin(a) + cosine cos(a), a = 2 pi q / wavelength; data: these four numbers."""
+    angle = 2 * np.pi * now.position / data[..., 3]
+    return np.maximum(data[..., 0] + data[..., 1] * np.sin(angle) + data[..., 2] * np.cos(angle), 0.0)
+
+
+def friction_under_load(data: Array, now: Moment) -> Array:
+    """Dry friction level + by_drive |drive| + by_weight |weight|; data: level, by_drive, by_weight."""
+    return data[..., 0] + data[..., 1] * np.abs(now.drive) + data[..., 2] * np.abs(now.weight)
+
+
+def periodic_force(data: Array, now: Moment) -> Array:
+    """Amplitude sin(2 pi frequency t + phase); data: amplitude, frequency, phase."""
+    return data[..., 0] * np.sin(2 * np.pi * data[..., 1] * now.time + data[..., 2])
+
+
+def pulse_force(data: Array, now: Moment) -> Array:
+    """A constant force from start on for a duration; data: force, start, duration."""
+    over = now.time - data[..., 1] >= data[..., 2]
+    return np.where(now.time >= data[..., 1], np.where(over, 0.0, data[..., 0]), 0.0)
+
+
+def force_of(data: Array, now: Moment) -> Array:
+    """A force interpolated over one or two inputs; data: speed, counts of both knots, knots of each, levels.
+
+    Each knot of the first input has a row of levels over the second; without a second that has one knot, 0. Beyond its
+    ends a table goes on as it ends. A force along the motion fades where the joint is faster than that speed, the
+    largest in the data: it cannot drive it on for ever.
+    """
+    first, second = now.inputs
+    force = _surface(data[..., 3:], data[..., 1], data[..., 2], first, second)
+    fades = np.clip(np.abs(now.speed) / data[..., 0] - 1.0, 0.0, 1.0)
+    return np.where(force * now.speed > 0, force * (1.0 - fades), force)
+
+
+def _surface(data: Array, rows: Array, columns: Array, x: Array, y: Array) -> Array:
+    """A table with rows of columns, straight lines between: its knots along both, then its levels.
+
+    The counts are the same in all simulations of a batch.
+    """
+    if not isinstance(data, np.ndarray):  # of the engine, which writes code for it
+        return data.across(rows, columns, x, y)
+    m, n = int(np.ravel(rows)[0]), int(np.ravel(columns)[0])
+    low, high, up = _between(data[..., :m], x)
+    left, right, along = _between(data[..., m : m + n], y)
+    levels = data[..., m + n :]
+    corners = [_entry(levels, r * n + c) for r in (low, high) for c in (left, right)]
+    one, other = (corners[k] + along * (corners[k + 1] - corners[k]) for k in (0, 2))
+    return np.asarray(one + up * (other - one))
+
+
+def _between(knots: Array, x: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Entries below and above a number among knots (..., k), and how far between them it is, 0 to 1."""
+    last = knots.shape[-1] - 1
+    below = np.sum(np.asarray(x)[..., None] >= knots[..., 1:-1], axis=-1) if last else np.zeros(np.shape(x), np.intp)
+    above = np.minimum(below + 1, last)
+    one, other = _entry(knots, below), _entry(knots, above)
+    return below, above, np.clip((x - one) / np.where(last, other - one, 1.0), 0.0, 1.0)
+
+
+def _entry(table: Array, k: NDArray[np.intp]) -> Array:
+    """Entry k (...) of each table (..., n)."""
+    whole = np.broadcast_to(table, (*np.shape(k), table.shape[-1]))
+    return np.asarray(np.take_along_axis(whole, np.asarray(k)[..., None], -1)[..., 0])
