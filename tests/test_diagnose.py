@@ -528,6 +528,15 @@ def test_a_sentence_on_parameters_says_whether_others_would_do(others: bool, sai
     assert ("Nothing is open" in sentences.next_experiment("recalibrated", [], others=others)) != others
 
 
+@pytest.mark.parametrize("verdict", ["partly explained", "modelled", "unexplained"])
+@pytest.mark.parametrize(("after", "worse"), [(13.8, True), (8.0, False)])
+def test_the_sentence_says_where_held_out_data_are_predicted_worse(verdict: str, after: float, worse: bool) -> None:
+    """A leg that was swept to and fro, held against one that rests: no friction of the sweep need hold there."""
+    said = sentences.in_one_sentence(verdict, [], [], Errors(12.2, 21.0, after))
+    assert ("worse than as given" in said) is worse
+    assert ("That helps," in said) is (verdict == "partly explained" and not worse)
+
+
 def test_a_sentence_says_that_a_model_diverges() -> None:
     wild = SensorFit("arm", "rad", 1e-3, 0.5, Errors(math.nan, math.inf, 0.001))
     tame = SensorFit("cart", "m", 1e-5, 0.5, Errors(0.02, 0.01, 0.001))

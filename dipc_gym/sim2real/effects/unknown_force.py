@@ -18,6 +18,7 @@ from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.surfaces import Surface, surfaces
 
 WORDS = {"position": "the position of {}", "velocity": "the velocity of {}", "command": "the command to {}"}
+BEYOND = 1.2  # times the fastest and largest in the data, up to which a force without a name acts as it does there
 
 
 class UnknownForce(Effect):
@@ -57,7 +58,7 @@ class UnknownForce(Effect):
 
         Under feedback all joints and the command move together; which of them a force follows only a fit tells.
         """
-        at, speed = evidence.at, 1.2 * float(np.max(np.abs(evidence.velocity))) or 1.0
+        at, speed = evidence.at, driven_up_to(evidence)
         own = {name: x for name, x in evidence.inputs.items() if name in (f"position {at}", f"velocity {at}")}
         found: dict[tuple[str, ...], tuple[Effect, Values]] = {}
         asked = [one for inputs in (evidence.inputs, own) for one in surfaces(inputs, evidence.force, evidence.time)]
@@ -131,11 +132,22 @@ class UnknownForce(Effect):
         """In words."""
         assert self.shape is not None
         levels, force = [values[name] for name in self.first], next(iter(unit.values()))
-        inputs = (WORDS[kind].format(name) for kind, _, name in (one.partition(" ") for one in self.shape.inputs))
+        inputs = map(in_words, self.shape.inputs)
         return (
             f"Something acts at {at} that no effect in the catalogue accounts for; modelled as a force of "
             f"{min(levels):.3g} to {max(levels):.3g} {force} that depends on {' and '.join(inputs)}."
         )
+
+
+def driven_up_to(evidence: Evidence) -> float:
+    """Speed of the joint, beyond which a force without a name drives no further."""
+    return BEYOND * float(np.max(np.abs(evidence.velocity))) or 1.0
+
+
+def in_words(one: str) -> str:
+    """An input, as a sentence has it."""
+    kind, _, name = one.partition(" ")
+    return WORDS[kind].format(name)
 
 
 def unit_of(model: mujoco.MjModel, one: str) -> str:

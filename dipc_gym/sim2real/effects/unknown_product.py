@@ -13,9 +13,8 @@ from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, joint_of
 from dipc_gym.sim2real.effects.law import Array, Law, described, holding_new
 from dipc_gym.sim2real.effects.tables import grow, odd_blocks
-from dipc_gym.sim2real.effects.unknown_force import WORDS, unit_of
+from dipc_gym.sim2real.effects.unknown_force import BEYOND, driven_up_to, in_words, unit_of
 
-BEYOND = 1.2  # times the largest in the data, to where the force goes on in proportion, and up to which speed it drives
 MOST = 2  # that are proposed: each costs a fit
 
 
@@ -94,8 +93,8 @@ class UnknownProduct(Law):
             weights = np.linalg.lstsq(columns[fitted], evidence.force[fitted], rcond=None)[0]
             left += float(np.sum((evidence.force[told] - columns[told] @ weights) ** 2))
         units = (unit_of(evidence.model, position), unit_of(evidence.model, carrier))
-        speed = BEYOND * float(np.abs(evidence.velocity).max()) or 1.0
-        shaped = UnknownProduct(knots.tolist(), values.tolist(), (position, carrier), most, speed, units)
+        speed, names = driven_up_to(evidence), (position, carrier)
+        shaped = UnknownProduct(knots.tolist(), values.tolist(), names, most, speed, units)
         return left, shaped
 
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
@@ -130,7 +129,7 @@ class UnknownProduct(Law):
         """In words."""
         factors = np.array(self.values(values)) / self.most
         per = f"{unit[self.parameters[0].name]} per {self.units[1] or 'unit'}"
-        where, what = (WORDS[kind].format(name) for kind, _, name in (one.partition(" ") for one in self.names))
+        where, what = map(in_words, self.names)
         return (
             f"Something acts at {at} that no effect in the catalogue accounts for; modelled as a force in proportion "
             f"to {what}, by {factors.min():.3g} to {factors.max():.3g} {per}, that depends on {where}."

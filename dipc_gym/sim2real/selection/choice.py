@@ -75,6 +75,30 @@ def before_unnamed(before: float, mse: NDArray[np.float64]) -> float:
     return min(most, SEARCH.in_reach) if common_error(mse) < SCORE.at_floor else most
 
 
+Path = tuple[Fit, ...]
+
+
+def of_ends(scorer: Scorer, paths: Sequence[Path]) -> Path:
+    """Of several paths the one whose end predicts windows best that it was not fitted to.
+
+    One with names alone goes before one with laws of no kind, see `before_unnamed`.
+
+    Args:
+        scorer: compares fits.
+        paths: the fits of each, the first without effects.
+    """
+    compared = [scorer.comparison_mse(path[-1]) for path in paths]
+    losses = ranking.losses(compared)
+    best, begin = int(np.argmin(losses)), scorer.comparison_error(paths[0][0])
+    named = [
+        k
+        for k, path in enumerate(paths)
+        if not any(term.effect.of_no_kind for term in path[-1].structure.terms)
+        and np.sqrt(np.mean(compared[k])) < before_unnamed(begin, compared[best])
+    ]
+    return paths[min(named, key=lambda k: losses[k], default=best)]
+
+
 def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:
     """The simplest of the fitted hypotheses, sorted by score, that predict as well as the first."""
     best = done[0].fitted

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.sim2real.effects.base import Effect, Values
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
@@ -51,10 +52,7 @@ def reaching(fitted: Fit, windows: Windows) -> tuple[Structure, Array]:
         inputs = input_of(name, fitted, windows)[windows.valid]
         longer = term.effect.reaching(structure.term_values(z, term), float(inputs.min()), float(inputs.max()))
         if longer is not None:
-            others = structure.without(term.key)
-            kept = carry(structure, z, others)
-            structure = others.with_term(Term(longer[0], term.at, dict(longer[1])))
-            z = carry(others, kept, structure)
+            structure, z = _instead(structure, z, term, *longer)
     return structure, z
 
 
@@ -79,19 +77,24 @@ def _finer(fitter: Fitter, current: Fit, key: str) -> Fit | None:
 def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
     """The best fit with more parameters of one law; None where it has none."""
     term = next(term for term in current.structure.terms if term.key == key)
-    others = current.structure.without(key)
-    kept = carry(current.structure, current.z, others)
     found: list[Fit] = []
     values = current.structure.term_values(current.z, term)
     for effect, guess in term.effect.finer(values, _told(current, key)):
-        structure = others.with_term(Term(effect, term.at, dict(guess)))
-        begin = carry(others, kept, structure)
+        structure, begin = _instead(current.structure, current.z, term, effect, guess)
         try:
             found.append(fit(fitter.problem, structure, begin, current.initial, tolerance=SEARCH.rough))
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             continue
     losses = ranking.losses([one.mse for one in found])
     return found[int(np.argmin(losses))] if found else None
+
+
+def _instead(structure: Structure, z: Array, term: Term, effect: Effect, guess: Values) -> tuple[Structure, Array]:
+    """A structure with another shape of one effect, and mapped parameters; those of the shape begin anew."""
+    others = structure.without(term.key)
+    kept = carry(structure, z, others)
+    reshaped = others.with_term(Term(effect, term.at, dict(guess)))
+    return reshaped, carry(others, kept, reshaped)
 
 
 def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:

@@ -19,7 +19,7 @@ from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure, names
-from dipc_gym.sim2real.selection import choice, kinds, ranking, rounds
+from dipc_gym.sim2real.selection import beside, choice, kinds, rounds
 from dipc_gym.sim2real.selection.events import attend
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
@@ -153,14 +153,13 @@ class Search:
         found = self._modelled([self.progress.path, *ends])
         if self.stop.asked:
             return found
-        named = kinds.named(self.question, self.fitter, found, self.progress.path[0], self.tell)
-        if named is not found:
-            self.journal.correct(named)
+        begin = self.progress.path[0]
+        found = kinds.named(self.question, self.fitter, found, begin, self.tell)
+        self.journal.correct(beside.least(self.question, self.fitter, found, begin, self.tell))
         return self.progress.current
 
     def _modelled(self, ends: Sequence[Sequence[Fit]]) -> Fit:
-        """What is left beside the ends of several paths, modelled; of these, what predicts windows best that it was
-        not fitted to, and what has names alone before what has not, see `choice.before_unnamed`.
+        """What is left beside the ends of several paths, modelled; of these one, see `choice.of_ends`.
 
         A law of a kind may fit better than formulas and stand in the way of what is left beside both.
         """
@@ -172,16 +171,7 @@ class Search:
             found.append(self.progress.path)
             if self.stop.asked:
                 return self.progress.current
-        compared = [self.scorer.comparison_mse(path[-1]) for path in map(self.progress.informed, found)]
-        losses, best = ranking.losses(compared), int(np.argmin(ranking.losses(compared)))
-        begin = float(np.sqrt(np.mean(self.scorer.comparison_mse(self.progress.path[0]))))
-        named = [
-            k
-            for k, path in enumerate(found)
-            if not any(term.effect.of_no_kind for term in path[-1].structure.terms)
-            and np.sqrt(np.mean(compared[k])) < choice.before_unnamed(begin, compared[best])
-        ]
-        self.journal.go_back(found[min(named, key=lambda k: losses[k], default=best)])
+        self.journal.go_back(choice.of_ends(self.scorer, [self.progress.informed(path) for path in found]))
         return self.progress.current
 
     def _back_to(self, path: Sequence[Fit]) -> None:

@@ -151,6 +151,8 @@ class SearchSettings:
         ahead: halvings that are tried before a law is as fine as it may be: a narrow spot shows only when knots lie as
             near as it is wide
         fine: parameters of a law, from which on only one more: each costs a simulation in every step of a fit
+        least: standard deviations, in sizes of the law, with which one of no kind is held to nothing beside effects
+            with names, the tightest first: the last hardly holds, as when the law was found
         short: share of the predicted gain of a pair that its sketch must bring: of less, the straight lines misled
     """
 
@@ -180,6 +182,7 @@ class SearchSettings:
     laws: float = 0.02
     kinds: int = 2
     pairs: int = 2
+    least: tuple[float, ...] = (0.3, 1.0, 5.0)
     short: float = 0.5
     halvings: int = 6
     beyond: float = 0.02

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
-from dipc_gym.sim2real.model.structure import names
-from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.model.structure import Term, names
+from dipc_gym.sim2real.selection import beside, ranking
 from dipc_gym.sim2real.selection.prune import prune
+from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import judge, sentences, sparse
@@ -131,8 +132,9 @@ def _believable(
 
     An effect that is told from other causes by when it acts alone (a push, a motor that heats) stays only where next to
     nothing is left: no other recording of the rig shares it. All other effects are named if windows that no fit has
-    touched are better predicted with them than without, all else refitted, by more than the standard error. How much is
-    left beside them does not matter; that they are no chance, the search has told by all windows.
+    touched are better predicted with them than without, all else refitted, by more than the standard error; beside laws
+    of no kind, which can do the same, also if they are without these, see `beside.names_alone`. How much is left beside
+    them does not matter; that they are no chance, the search has told by all windows.
     """
     recalibrated = judge.error_on(validation, search.progress.path[0])
     notes = list[str]()
@@ -145,15 +147,24 @@ def _believable(
         # Without an event that it was fitted beside, an effect may do harm.
         notes.append(sentences.refutation(upheld.structure.terms, recalibrated, left))
         return search.progress.path[0], notes, frozenset()
-    unnamed = set[str]()
-    for term in upheld.structure.terms:
-        if term.effect.of_no_kind:  # no name, whatever it is worth
-            continue
-        gained = judge.on_untouched(search, upheld, search.fitter.without(upheld, term.key))
-        if gained.gain < max(VERDICT.named, gained.error):
-            unnamed.add(term.key)
-            notes.append(sentences.no_name(term, gained.gain))
-    return upheld, notes, frozenset(unnamed)
+    named = [term for term in upheld.structure.terms if not term.effect.of_no_kind]
+    gained = {term.key: _gained(search, upheld, term) for term in named}
+    missed = [term for term in named if not _believed(gained[term.key])]
+    alone = beside.names_alone(search.fitter, upheld, search.progress.path[0]) if missed else None
+    if alone is not None:
+        missed = [term for term in missed if not _believed(_gained(search, alone, term))]
+    notes += [sentences.no_name(term, gained[term.key].gain) for term in missed]
+    return upheld, notes, frozenset(term.key for term in missed)
+
+
+def _gained(search: Searched, fitted: Fit, term: Term) -> Improvement:
+    """How much better windows that no fit has touched are predicted with an effect than without, all else refitted."""
+    return judge.on_untouched(search, fitted, search.fitter.without(fitted, term.key))
+
+
+def _believed(gained: Improvement) -> bool:
+    """Whether an effect improves predictions by enough, and evenly enough, to be named."""
+    return gained.gain >= max(VERDICT.named, gained.error)
 
 
 def _with_fewest_parameters(search: Searched, fitted: Fit, validation: Problem) -> tuple[Fit, float]:

@@ -19,8 +19,9 @@ from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, p
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.settings import MODEL
-from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.model.structure import Term, names
 from dipc_gym.sim2real.result import Errors, Missing
+from dipc_gym.sim2real.selection import beside
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
@@ -137,6 +138,9 @@ def missing_effects(
         wide: half widths of the intervals of the mapped parameters, (p,).
     """
     final = found.fitted
+    # Beside a law that can do the same, nothing is lost without a name.
+    alone = beside.names_alone(search.fitter, final, search.progress.path[0])
+    worth = [final] if alone is None else [final, alone]
     missing = []
     for term in final.structure.terms:
         if term.key in found.unnamed:
@@ -158,7 +162,7 @@ def missing_effects(
                 "unknown" if term.effect.of_no_kind else term.effect.name,
                 term.at,
                 sentence,
-                judge.share(search, final, term.key),
+                max(judge.share(search, one, term.key) for one in worth if term.key in names(one.structure.terms)),
                 _parameters(final, term, units, known),
                 tuple(_each_once([_name(rival.term) for rival in rivals if rival.same])),
                 tuple(_each_once(tried)),
@@ -186,11 +190,11 @@ def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -
     finite.
     """
     parameters: dict[str, dict[str, Any]] = {}
-    names = {f"{term.key}.{p.name}": p.name for p in term.effect.parameters}
+    own = {f"{term.key}.{p.name}": p.name for p in term.effect.parameters}
     for slot, z, half in zip(final.structure.slots, final.z, wide, strict=True):
-        if slot.key not in names:
+        if slot.key not in own:
             continue
-        name = names[slot.key]
+        name = own[slot.key]
         parameters[name] = {"value": slot.value(z), "unit": units[name]}
         if np.isfinite(half):
             low, high = sorted((slot.value(z - half), slot.value(z + half)))

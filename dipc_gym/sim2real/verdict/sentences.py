@@ -59,6 +59,12 @@ def in_one_sentence(
     if written is not None:
         at = f"improved.xml at its own step of {1e3 * written.timestep:g} ms"
         fall += f" ({at}: {written.held_out.improved:.3g})"
+    worse = errors.improved > max(errors.nominal, SCORE.at_floor)
+    if worse:
+        fall += (
+            ". That is worse than as given: what was fitted is driven otherwise than what is held out. Fit both kinds "
+            "of motion, and hold out one recording of each"
+        )
     known = " ".join(m.sentence for m in missing if m.effect != "unknown" or m.law is not None)
     left = ""
     if errors.improved > SCORE.at_floor:
@@ -77,7 +83,8 @@ def in_one_sentence(
         law = " ".join(m.sentence for m in missing) or "What the model lacks has no name, but a law that predicts it."
         return f"{law} {fall}.{left}"
     if verdict == "partly explained":
-        return f"{known} That helps, but structure is left that no known effect accounts for. {fall}."
+        helps = "That helps where it was fitted" if worse else "That helps"
+        return f"{known} {helps}, but structure is left that no known effect accounts for. {fall}."
     return f"{missing[0].sentence if missing else ''} {fall}.".strip()
 
 

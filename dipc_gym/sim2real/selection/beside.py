@@ -1,0 +1,78 @@
+"""Effects with names beside laws of no kind: a law of no kind can do what friction does, and is to do only the rest."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+
+from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.model.structure import Term, carry
+from dipc_gym.sim2real.selection import choice
+from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.hypotheses import Question
+from dipc_gym.sim2real.selection.prune import prune
+from dipc_gym.sim2real.selection.settings import SEARCH
+
+
+def names_alone(fitter: Fitter, current: Fit, begin: Fit) -> Fit | None:
+    """The effects with names of a fit without its laws of no kind, refitted, where they go before these.
+
+    Beside a law of the same motion no name is missed, also where it is right: taken out, the law does what it did.
+    What a name is worth shows without the law; whether it goes before that is asked as in a round of the search, see
+    `choice.before_unnamed`.
+
+    Args:
+        fitter: fits to the windows of the fit.
+        current: the fit.
+        begin: the fit without effects, maybe to other windows.
+
+    Returns:
+        None where the fit has no law of no kind, or no name, or where the names alone leave too much.
+    """
+    alone = current
+    for term in current.structure.terms:
+        if term.effect.of_no_kind:
+            alone = fitter.without(alone, term.key)
+    if alone is current or not alone.structure.terms:
+        return None
+    return alone if alone.error < choice.before_unnamed(begin.error, current.mse) else None
+
+
+def least(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Callable[[str], None]) -> Fit:
+    """A fit whose laws of no kind do only what effects with names cannot do, where names go before these laws.
+
+    Friction and a table over the same velocity share a force in any proportion, and how a search came to them says in
+    which. So the names are fitted alone, less those that are idle then, and the laws to what they leave, held to
+    nothing as tightly as predictions allow.
+
+    Args:
+        question: has the effects that may be plainer than one that is idle.
+        fitter: fits to the windows of the fit.
+        current: the fit.
+        begin: the fit without effects, against which gains are counted.
+        tell: called with a line if the fit is another one.
+    """
+    alone = names_alone(fitter, current, begin)
+    if alone is None:
+        return current
+    names = prune(question, fitter, alone, tell)
+    for hold in SEARCH.least:
+        structure = names.structure
+        for term in current.structure.terms:
+            if term.effect.of_no_kind:
+                structure = structure.with_term(_from_nothing(term, hold))
+        z = carry(names.structure, names.z, structure)
+        fitted = fit(fitter.problem, structure, z, names.initial, most=SEARCH.most_anew)
+        if fitter.scorer.alike(current, fitted, begin):
+            tell(f"what has no name does only what is left beside names: error {fitted.error:.3g} x noise")
+            return fitted
+    return current
+
+
+def _from_nothing(term: Term, hold: float) -> Term:
+    """A law that is nothing, and held there with this standard deviation, in sizes of the law that it was."""
+    law = copy.copy(term.effect)
+    law.parameters = tuple(replace(p, sigma=hold / LAWS.step) for p in law.parameters)
+    return Term(law, term.at, dict.fromkeys(term.guess, 0.0))

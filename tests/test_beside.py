@@ -1,0 +1,90 @@
+"""Names beside laws of no kind, on a cart with friction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_diagnose import run
+from test_search import begun
+
+from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects.surfaces import Surface
+from dipc_gym.sim2real.effects.unknown_force import UnknownForce
+from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.selection import beside
+from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.verdict.conclude import conclude
+
+DRY = 3.0  # N
+VELOCITIES = np.array([-0.4, -2e-3, 2e-3, 0.4])
+
+
+@pytest.fixture(scope="module")
+def search() -> Search:
+    """One that has not begun, of friction that is uneven along the way."""
+    return begun([run(3, 20, DRY, uneven=(0.5, 0.02))], ("friction.coulomb", "residual.force"))
+
+
+def shared(search: Search, *, dry: float, tabled: float, over: str = "velocity cart") -> Fit:
+    """A fit in which friction and a table over velocity begin with these parts of it, N."""
+    bare = search.progress.path[0]
+    shape = Surface((over,), (VELOCITIES,), -tabled * np.sign(VELOCITIES))
+    law = UnknownForce(shape, 1.0, ("m/s",), "cart")
+    structure = bare.structure.with_term(Term(law, "cart", law.first))
+    if dry:
+        structure = structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": dry}))
+    return fit(search.partition.problem, structure, None, bare.initial)
+
+
+def parts(fitted: Fit) -> tuple[float, float]:
+    """Level of friction, and the largest of the table, N."""
+    values = fitted.structure.values(fitted.z)
+    table = [abs(value) for key, value in values.items() if key.startswith("residual")]
+    return values["friction.coulomb@cart.level"], max(table)
+
+
+def test_a_table_beside_friction_does_only_what_friction_does_not(search: Search) -> None:
+    """It begins with half of it, and a fit leaves it about that: data say the same of any proportion."""
+    bare, both = search.progress.path[0], shared(search, dry=DRY / 2, tabled=DRY / 2)
+    assert parts(both)[1] > DRY / 4
+    told = list[str]()
+    least = beside.least(search.question, search.fitter, both, bare, told.append)
+    assert len(told) == 1
+    friction, table = parts(least)
+    assert friction == pytest.approx(DRY, rel=0.1)
+    assert table < DRY / 6
+    assert search.scorer.comparison_error(least) < 1.1 * search.scorer.comparison_error(both)
+
+
+def test_without_a_name_or_without_a_law_there_is_nothing_to_share(search: Search) -> None:
+    bare = search.progress.path[0]
+    table = shared(search, dry=0.0, tabled=DRY)
+    named = search.fitter.without(shared(search, dry=DRY / 2, tabled=DRY / 2), "residual.force@cart")
+    for one in (table, named):
+        assert beside.names_alone(search.fitter, one, bare) is None
+        assert beside.least(search.question, search.fitter, one, bare, print) is one
+
+
+def test_a_name_that_leaves_most_of_it_does_not_go_before_a_law() -> None:
+    """On a stiff spring friction is a small part of what is missing."""
+    stiff = begun([run(3, 20, 0.3, spring=400.0)], ("friction.coulomb", "residual.force"))
+    bare, places = stiff.progress.path[0], np.array([-0.5, 0.5])
+    law = UnknownForce(Surface(("position cart",), (places,), -400.0 * places), 1.0, ("m",), "cart")
+    structure = bare.structure.with_term(Term(law, "cart", law.first))
+    structure = structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 0.3}))
+    both = fit(stiff.partition.problem, structure, None, bare.initial)
+    assert beside.names_alone(stiff.fitter, both, bare) is None
+
+
+def test_friction_keeps_its_name_beside_a_table_that_could_do_the_same(search: Search) -> None:
+    """Without it the table does what it did, and nothing is lost."""
+    bare, both = search.progress.path[0], shared(search, dry=DRY / 2, tabled=DRY / 2)
+    assert search.scorer.compare(both, search.fitter.without(both, "friction.coulomb@cart")).gain < 0.1
+    alone = search.fitter.without(both, "residual.force@cart")
+    outcome = begun([run(3, 20, DRY, uneven=(0.5, 0.02))], ("friction.coulomb", "residual.force"))
+    outcome.journal.accept(alone)
+    outcome.journal.accept(both)
+    assert bare.error > 2 * alone.error
+    concluded = conclude(outcome.outcome)[1]
+    assert "friction.coulomb@cart" not in concluded.unnamed
