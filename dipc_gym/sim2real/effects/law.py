@@ -1,4 +1,4 @@
-"""A law of any shape: an effect whose parameters are the values of a table."""
+"""Laws of any shape: effects whose parameters are the values of a table."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry
 from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.tables import grow
 
 Array = NDArray[np.float64]
 
@@ -188,3 +190,53 @@ class Law(Effect):
         table = self.values(values)
         most = self.knots[int(np.argmax(np.abs(table)))]
         return f"{min(table):.3g} to {max(table):.3g} {unit[self.parameters[0].name]}, largest near {most:.3g}"
+
+
+class Map(Law):
+    """What becomes of a command or a reading. One that leaves it as it is does nothing."""
+
+    slide = ""
+    passive, outside = None, "parallel"
+    from_nothing = False
+    needs_loader = True
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A table for the loader."""
+        document.custom(self.id, at, [*self.knots, *self.values(values)])
+
+
+class FrictionLaw(Law):
+    """Coulomb friction with a level for each value of one input."""
+
+    place = "joint"
+    law = kind = "dry friction"
+    unit = "N"
+    lowest = 0.0
+    needs_loader = True
+    entry: str  # of <custom>
+
+    def __init__(self, knots: Sequence[float] = (), values: Sequence[float] = ()) -> None:
+        super().__init__(knots, values)
+        self.levels = self.linear
+
+    def table(self, evidence: Evidence) -> tuple[Array, Array]:
+        """Force that opposes motion, by the input."""
+        beside = [np.ones_like(evidence.force), evidence.velocity]
+        knots, more = grow(self.seen(evidence), evidence.force, -evidence.direction, beside, evidence.time)
+        level = 0.0 if evidence.level is None else evidence.level
+        return knots, np.maximum(level + more, LAWS.driest * evidence.dry_level)
+
+    @abstractmethod
+    def seen(self, evidence: Evidence) -> Array:
+        """The input at the samples of the evidence, (n,)."""
+
+    @abstractmethod
+    def in_stock(self, levels: Array) -> float:
+        """The one level that stock MuJoCo gets."""
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A table for the loader, and one level for stock MuJoCo."""
+        levels = np.array(self.values(values))
+        dry(document, at, max(self.in_stock(levels), LAWS.there))
+        even = np.linspace(self.knots[0], self.knots[-1], LAWS.narrowest + 1)  # every knot is one of these
+        document.custom(self.entry, at, [even[0], even[-1], *np.interp(even, self.knots, levels)])

@@ -7,25 +7,20 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Evidence, Values, dof, joint_of
-from dipc_gym.sim2real.effects.law import Array, Law
+from dipc_gym.sim2real.effects.law import Array, Map
 from dipc_gym.sim2real.effects.tables import grow
 
 
-class CommandMap(Law):
+class CommandMap(Map):
     """A map from the command that was sent to the one that acts: an amplifier with a bent characteristic."""
 
     id = "motor.map"
     place = "actuator"
     law = "command"
-    of, slide = "command", ""
-    kind, passive, outside = "command that acts", None, "parallel"
-    unit = "command"
-    from_nothing = False
+    of, kind, unit = "command", "command that acts", "command"
     rivals = ("motor.deadzone", "motor.saturation")
     contains = ("motor.deadzone", "motor.saturation")
-    needs_loader = True
 
     def table(self, evidence: Evidence) -> tuple[Array, Array] | None:
         """The unexplained force by command, in commands."""
@@ -35,10 +30,6 @@ class CommandMap(Law):
         beside = [evidence.velocity, evidence.direction]
         knots, more = grow(evidence.command, evidence.force / gain, np.ones_like(evidence.force), beside, evidence.time)
         return knots, knots + more
-
-    def edit(self, document: Document, at: str, values: Values) -> None:
-        """A table for the loader."""
-        document.custom("motor.map", at, [*self.knots, *self.values(values)])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

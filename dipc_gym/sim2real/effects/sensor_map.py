@@ -8,29 +8,24 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Evidence, Values, sensed_position
-from dipc_gym.sim2real.effects.law import Array, Law
+from dipc_gym.sim2real.effects.law import Array, Map
 from dipc_gym.sim2real.effects.settings import TABLES
-from dipc_gym.sim2real.effects.tables import Nested, between_knots, grown, hats, odd_blocks
+from dipc_gym.sim2real.effects.tables import Nested, grown, hats, odd_blocks
 
 BINS = 128  # of the range of motion; no knot lies closer to another than one of them
 FAINT = 0.5  # of the sensor's noise: an error of the scale that is nowhere larger shows in no reading
 
 
-class ScaleMap(Law):
+class ScaleMap(Map):
     """A map from what a sensor should read to what it reads: a worn potentiometer, a camera's lens, a slack belt."""
 
     id = "sensor.map"
     place = "sensor"
     law = "scale"
-    of, slide = "reading", ""
-    kind, passive, outside = "reading", None, "parallel"
-    unit = "reading"
-    from_nothing = False
+    of, kind, unit = "reading", "reading", "reading"
     rivals = ("sensor.eccentric", "sensor.gain", "load.position:law", "friction.position:law")
     contains = ("sensor.eccentric", "sensor.gain", "sensor.bias")
-    needs_loader = True
     moves_readings = True
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
@@ -53,7 +48,7 @@ class ScaleMap(Law):
         errors = hats(edges, seen.reading.ravel()).reshape(n, m, -1)
 
         def part(windows: NDArray[np.bool_]) -> Nested:
-            return Nested(*seen.asked(errors, windows), between_knots)
+            return Nested(*seen.asked(errors, windows))
 
         counts = np.append(0, np.cumsum(np.histogram(x, edges)[0]))
         chosen = grown(part(~late), part(late), counts)
@@ -67,10 +62,6 @@ class ScaleMap(Law):
     def per(self, unit: Mapping[str, str]) -> str:
         """What it reads is what it should read, in another place."""
         return unit[self.parameters[0].name]
-
-    def edit(self, document: Document, at: str, values: Values) -> None:
-        """A table for the loader."""
-        document.custom(self.id, at, [*self.knots, *self.values(values)])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -59,6 +59,9 @@ class LawSettings:
         most_levels: of a table of two inputs that fits make finer: each costs a simulation for its derivatives
         beyond: share of a table's length that its input has to go beyond an end of it for the table to be made longer
         most_beyond: stretches by which it is made longer at an end: what goes far is told by few data
+        driest: share of the dry friction that forces tell, below which no first level lies: what does nothing has no
+            slope to begin with
+        there: N or N m, least level that is written: a joint without any is another model to MuJoCo
     """
 
     step: float = 0.3
@@ -69,6 +72,8 @@ class LawSettings:
     most_levels: int = 144
     beyond: float = 0.02
     most_beyond: int = 8
+    driest: float = 0.05
+    there: float = 1e-9
 
 
 LAWS = LawSettings()

@@ -7,7 +7,7 @@ is LOLIMOT's idea (Nelles 1996) in one dimension: the knot that removes most of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,10 +42,10 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     if confirming.all() or not confirming.any():
         confirming = np.arange(len(x)) % 2 == 1
     columns = np.column_stack([hats(edges, x) * carrier[:, None], *beside])
-    parts = [Nested.of(columns[part], force[part], between_knots) for part in (~confirming, confirming)]
+    parts = [Nested.of(columns[part], force[part]) for part in (~confirming, confirming)]
     counts = np.append(0, np.cumsum(np.histogram(x, edges)[0]))
     knots = grown(parts[0], parts[1], counts)
-    return edges[knots], Nested.of(columns, force, between_knots).weights(knots)[: len(knots)]
+    return edges[knots], Nested.of(columns, force).weights(knots)[: len(knots)]
 
 
 def grown(fitted: Nested, confirming: Nested, counts: NDArray[np.intp]) -> list[int]:
@@ -92,24 +92,22 @@ def _room(k: int, chosen: Sequence[int], counts: NDArray[np.intp]) -> bool:
 
 @dataclass(frozen=True)
 class Nested:
-    """Normal equations of a function on a fine grid and of the regressors beside it; coarser ones are subspaces.
+    """Normal equations of a table at all edges and of the regressors beside it; tables of fewer knots are subspaces.
 
     Attributes:
-        normal: of the fine function's values, then of the weights of the regressors beside it, (k, k).
+        normal: of the table's values, then of the weights of the regressors beside it, (k, k).
         right: right-hand side, (k,).
         total: sum of squares to be explained.
-        coarse: gives, for knots, the fine function's values for each of the coarser one's, (fine, coarse).
     """
 
     normal: Array
     right: Array
     total: float
-    coarse: Callable[[Sequence[int]], Array]
 
     @classmethod
-    def of(cls, columns: Array, force: Array, coarse: Callable[[Sequence[int]], Array]) -> Nested:
+    def of(cls, columns: Array, force: Array) -> Nested:
         """Those of columns (n, k) and what they are to explain, (n,)."""
-        return cls(columns.T @ columns, columns.T @ force, float(force @ force), coarse)
+        return cls(columns.T @ columns, columns.T @ force, float(force @ force))
 
     @property
     def size(self) -> float:
@@ -117,8 +115,8 @@ class Nested:
         return max(float(np.trace(self.normal)), 1e-300) / len(self.normal)
 
     def _both(self, knots: Sequence[int]) -> Array:
-        """A coarse function's values on the fine grid, and the other regressors as they are."""
-        function = self.coarse(knots)
+        """The values at all edges of a table with these knots, and the other regressors as they are."""
+        function = _between_knots(knots)
         others = len(self.right) - len(function)
         out = np.zeros((len(self.right), function.shape[1] + others))
         out[: len(function), : function.shape[1]] = function
@@ -151,7 +149,7 @@ def hats(edges: Array, x: Array) -> Array:
     return out
 
 
-def between_knots(knots: Sequence[int]) -> Array:
+def _between_knots(knots: Sequence[int]) -> Array:
     """Values at all edges of a table for each of its values at knots, (edges, knots)."""
     edges = np.arange(knots[-1] + 1)
     return np.stack([np.interp(edges, knots, unit) for unit in np.eye(len(knots))], axis=1)
