@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dipc_gym.sim2real.verdict.closed_form import closed_form
+from dipc_gym.sim2real.verdict.closed_form import Formula, formulas
 
 PLACE, SPEED = np.linspace(-0.4, 0.5, 33), np.linspace(0.0, 0.9, 25)
 LAWS = {
@@ -18,6 +18,11 @@ LAWS = {
     "power": (SPEED, lambda x: 1 + 4 * x**1.7),
     "exponential": (SPEED, lambda x: 2 + 1.5 * np.exp(-x / 0.08)),
 }
+
+
+def closed_form(x: np.ndarray, values: np.ndarray, precision: np.ndarray, samples: int) -> Formula | None:
+    """The formula that says as much as a table, where there is one."""
+    return next(reversed(formulas(x, values, precision, samples)), None)
 
 
 @pytest.mark.parametrize("kind", LAWS)

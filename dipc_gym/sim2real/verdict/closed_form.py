@@ -128,21 +128,6 @@ def _said(kind: str, factors: Sequence[float], p: dict[str, float], unit: str, p
     return f"a Gaussian of {size}, {abs(p['width']):.3g} {per} wide, at {p['at']:.3g} {per}"
 
 
-def closed_form(x: Array, values: Array, precision: Array, samples: int) -> Formula | None:
-    """The formula in the place of a table; None where no formula says as much for fewer parameters.
-
-    See `formulas`, of which it is the last.
-
-    Example:
-        >>> x = np.linspace(-1, 1, 21)
-        >>> found = closed_form(x, 2 + 3 * np.exp(-0.5 * ((x - 0.3) / 0.2) ** 2), 1e4 * np.eye(21), 100)
-        >>> found.text("N", "m")
-        '2 N and a Gaussian of 3 N, 0.2 m wide, at 0.3 m'
-    """
-    found = formulas(x, values, precision, samples)
-    return found[-1] if found else None
-
-
 def formulas(x: Array, values: Array, precision: Array, samples: int) -> list[Formula]:
     """Formulas for a table, each with more parameters than the one before, and nearer; none where none is worth it.
 
@@ -154,6 +139,12 @@ def formulas(x: Array, values: Array, precision: Array, samples: int) -> list[Fo
         values: at the knots, (m,).
         precision: inverse covariance of the values, (m, m).
         samples: that told them: windows, or readings.
+
+    Example:
+        >>> x = np.linspace(-1, 1, 21)
+        >>> *_, found = formulas(x, 2 + 3 * np.exp(-0.5 * ((x - 0.3) / 0.2) ** 2), 1e4 * np.eye(21), 100)
+        >>> found.text("N", "m")
+        '2 N and a Gaussian of 3 N, 0.2 m wide, at 0.3 m'
     """
     size, axes = np.linalg.eigh(0.5 * (precision + precision.T))
     known = size > FORMULAS.singular * max(float(size.max()), 1e-300)

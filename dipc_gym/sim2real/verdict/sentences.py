@@ -62,8 +62,8 @@ def in_one_sentence(
     worse = errors.improved > max(errors.nominal, SCORE.at_floor)
     if worse:
         fall += (
-            ". That is worse than as given: what was fitted is driven otherwise than what is held out. Fit both kinds "
-            "of motion, and hold out one recording of each"
+            ". That is worse than as given: what was fitted does not hold there, where the rig is driven otherwise or "
+            "has changed. Fit recordings of both, and hold out one of each"
         )
     known = " ".join(m.sentence for m in missing if m.effect != "unknown" or m.law is not None)
     left = ""
