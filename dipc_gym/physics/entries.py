@@ -26,6 +26,7 @@ TRIED = (-100.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 100.0)  # positions, forces, comma
 OUTERMOST = (-1e10, 1e10)  # MuJoCo bounds a state to this; what comes of it need but be a number
 MOST_KNOTS = 256  # of a table in a file
 MOST_LEVELS = 4096  # of a surface
+FEWEST_EVEN = 4  # numbers of a table of equal distances: its ends, and two levels
 MOST_NUMBERS = 3 * MOST_LEVELS  # of any entry
 HEAD = 16  # numbers of an entry that say more than one level of a table
 
@@ -177,16 +178,15 @@ def usable(extra: Extra) -> bool:
         return False
     if extra.stage == "lag" and not SHORTEST_LAG <= numbers[0] <= LONGEST_LAG:
         return False
+    # A table of bounded levels over knots that increase gives bounded numbers everywhere.
     if extra.effect in _TABLES:
         knots = numbers[: len(numbers) // 2]
-        if len(numbers) % 2 or not 2 <= len(knots) <= MOST_KNOTS or not _increase(knots):
-            return False
-    if extra.effect in _EVEN and not _increase(numbers[:2]):
-        return False
-    if extra.effect == RESIDUAL and not _is_surface(extra):
-        return False
-    # At its own numbers as positions a table of no length shows itself, and a wave of none a little further on. Levels
-    # of a table are bounded by now, and so is what lies between two of them.
+        return len(numbers) % 2 == 0 and 2 <= len(knots) <= MOST_KNOTS and _increase(knots)
+    if extra.effect in _EVEN:
+        return len(numbers) >= FEWEST_EVEN and _increase(numbers[:2])
+    if extra.effect == RESIDUAL:
+        return _is_surface(extra)
+    # At its own numbers as positions a wave of no length shows itself.
     usual = np.unique([*numbers[:HEAD], numbers.min(), numbers.max(), *TRIED])
     try:
         with np.errstate(all="ignore"):

@@ -100,6 +100,8 @@ def _tabulated(table: Array, share: Array) -> Array:
 def table(data: Array, x: Array) -> Array:
     """A table, piecewise linear and constant outside; data (..., 2 k): its knots, increasing, then its values there."""
     knots, values = np.split(data, 2, axis=-1)
+    if data.ndim == 1:
+        return np.asarray(np.interp(x, knots, values))
     share = np.clip((np.asarray(x)[..., None] - knots[..., :-1]) / np.diff(knots, axis=-1), 0.0, 1.0)
     return np.asarray(values[..., 0] + np.sum(share * np.diff(values, axis=-1), axis=-1))
 

@@ -346,6 +346,35 @@ class Design:
 
 
 @dataclass(frozen=True)
+class Beyond:
+    """Held-out windows in which laws are asked for what they were not fitted with: there they only stay as they end.
+
+    Attributes:
+        count: such windows.
+        of: held-out windows.
+        there: error of the improved model there, in units of noise.
+        within: errors on all others, in units of noise.
+        inputs: those of the laws that go beyond: `name`, and their ranges, `fitted` and `asked`, two numbers each.
+    """
+
+    count: int
+    of: int
+    there: float
+    within: Errors
+    inputs: tuple[Mapping[str, Any], ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in diagnosis.json."""
+        return {
+            "windows": self.count,
+            "of": self.of,
+            "improved_in_noise": round(self.there, 4),
+            "elsewhere_in_noise": self.within.in_noise(),
+            "inputs": [dict(one) for one in self.inputs],
+        }
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What was found; `to_dict` is diagnosis.json, `improved` the text of improved.xml.
 
@@ -358,6 +387,7 @@ class Diagnosis:
         comparison: errors on windows between the fitted ones.
         held_out: errors on windows that no fit has touched, and that chose nothing.
         validation: errors on windows that no fit has touched, and that chose among models.
+        beyond: held-out windows that go beyond what laws were fitted with; None where none does.
         written: errors of the improved model's file at its own step; None where that is the model as given.
         sensors: errors of each sensor on the held-out windows, in its own unit.
         force: error of the inverse model on the same data, of the force that each joint transmits.
@@ -378,6 +408,7 @@ class Diagnosis:
     comparison: Errors | None = None
     held_out: Errors | None = None
     validation: Errors | None = None
+    beyond: Beyond | None = None
     written: AsWritten | None = None
     sensors: tuple[SensorFit, ...] = ()
     force: dict[str, Errors] = field(default_factory=dict)
@@ -412,6 +443,8 @@ class Diagnosis:
                 fit["held_out_by_sensor"] = {one.name: one.to_dict() for one in self.sensors}
             if self.validation is not None:
                 fit["validation_in_noise"] = self.validation.in_noise()
+            if self.beyond is not None:
+                fit["held_out_beyond"] = self.beyond.to_dict()
             if self.written is not None:
                 fit["as_written"] = self.written.to_dict()
         return {

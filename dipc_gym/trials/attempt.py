@@ -19,6 +19,7 @@ from typing import Any
 import dipc_gym
 from dipc_gym.safety import intact
 from dipc_gym.safety.places import inside
+from dipc_gym.trials.covered import error_within
 from dipc_gym.trials.records import digests
 
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv")
@@ -64,7 +65,7 @@ def run_tool(folder: Path, out: Path, *, seed: int = 0, patience: float = PATIEN
     return _read(written)
 
 
-def replay_tool(model: Path, recording: Path, *, step: float | None) -> dict[str, float]:
+def replay_tool(model: Path, recording: Path, *, step: float | None) -> dict[str, Any]:
     """Prediction error of a model on a recording, as the tool's `replay` command measures it.
 
     Args:
@@ -73,14 +74,18 @@ def replay_tool(model: Path, recording: Path, *, step: float | None) -> dict[str
         step: s; None for the model's own integrator and step.
 
     Returns:
-        Root mean square error of each sensor in windows of 0.25 s, SI units.
+        What it says of windows of 0.25 s: errors of each sensor in SI units, and of each window in units of noise.
     """
     with tempfile.TemporaryDirectory(prefix="replay-") as place:
         out = Path(place) / "replay.json"
         command = [sys.executable, "-m", "dipc_gym", "replay", str(model.absolute()), str(recording.absolute())]
         command += ["--window", str(WINDOW), "--json", str(out)]
         _call(command + ([] if step is None else ["--step", str(step)]), Path(place), PATIENCE)
-        return {name: sensor["error"] for name, sensor in _read(out)["sensors"].items()}
+        return _read(out)
+
+
+def _by_sensor(replayed: dict[str, Any]) -> dict[str, float]:
+    return {name: sensor["error"] for name, sensor in replayed["sensors"].items()}
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -143,7 +148,8 @@ class Attempt:
         Returns:
             Texts by name of file: what the tool wrote, and `attempt.json`. That has the tool's version, seconds and
             their limit, what went wrong or null, whether time was up, and the errors by sensor on `test.csv` of a
-            converged simulation (`sensor_errors`) and at the file's own step.
+            converged simulation (`sensor_errors`) and at the file's own step; of the former also the error in windows
+            that go no further than the recordings that the tool was given (`error_within`).
 
         Raises:
             KeyboardInterrupt: the tool was interrupted, which is no failure.
@@ -152,6 +158,7 @@ class Attempt:
         begun = time.perf_counter()
         note: dict[str, Any] = {"trial": self.name, "tool": tool(), "limit": self.limit, "failure": None}
         note |= {"timed_out": False, "sensor_errors": None, "sensor_errors_own_step": None, "replay_failure": None}
+        note["error_within"] = None
         folder = Path(self.folder)
         with tempfile.TemporaryDirectory(prefix="result-") as place:
             result = Path(place) / "result"
@@ -164,8 +171,11 @@ class Attempt:
                 improved = inside(result, diagnosis.get("improved_model") or "improved.xml")
                 model = improved if improved.exists() else folder / "nominal.xml"
                 try:
-                    note["sensor_errors"] = replay_tool(model, folder / "test.csv", step=CONVERGED)
-                    note["sensor_errors_own_step"] = replay_tool(model, folder / "test.csv", step=None)
+                    test = folder / "test.csv"
+                    replayed = replay_tool(model, test, step=CONVERGED)
+                    note["sensor_errors"] = _by_sensor(replayed)
+                    note["error_within"] = error_within([folder / name for name in GIVEN[1:]], test, replayed)
+                    note["sensor_errors_own_step"] = _by_sensor(replay_tool(model, test, step=None))
                 except RuntimeError as error:
                     note["replay_failure"] = str(error)
             written = {path.name: path.read_text(encoding="utf-8") for path in result.glob("*")}

@@ -56,6 +56,7 @@ class Grade:
         reached: share of the reachable improvement on the held-out recording, converged simulation.
         reached_own_step: the same with the integrator and step of the model's file.
         error: of the improved model on the held-out recording, in noise standard deviations, converged simulation.
+        error_within: the same in windows that go no further than the recordings that the tool was given.
         inside: printed intervals that cover the truth.
         printed: intervals printed for parameters whose truth is known.
         parameters: parameters whose truth is known, of rightly named effects.
@@ -84,6 +85,7 @@ class Grade:
     reached: float | None = None
     reached_own_step: float | None = None
     error: float | None = None
+    error_within: float | None = None
     inside: int = 0
     printed: int = 0
     parameters: int = 0
@@ -142,6 +144,7 @@ def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attemp
     result.reached_own_step = _reached(answer, attempt.get("sensor_errors_own_step"))
     errors = attempt.get("sensor_errors")
     result.error = None if errors is None else in_noise(errors, answer["noise"])
+    result.error_within = attempt.get("error_within")
     return result
 
 

@@ -34,7 +34,13 @@ ANSWER = {
     "noise": {str: float},
 }
 ATTEMPT = {"seconds": float, "failure": (None, str), "sensor_errors": (None, {str: float})}
-ATTEMPT_MAY = {"sensor_errors_own_step": (None, {str: float}), "tool": str, "timed_out": bool, "files": {str: str}}
+ATTEMPT_MAY = {
+    "sensor_errors_own_step": (None, {str: float}),
+    "error_within": (None, float),
+    "tool": str,
+    "timed_out": bool,
+    "files": {str: str},
+}
 DIAGNOSIS = {"verdict": str, "missing": [NAMED], "recalibrated": [object]}
 CONTEST = {name: {"error": float, "seconds": float} for name in ("sysid", "network")}
 PLAIN = re.compile(r"[\w.:+@/ -]{1,100}")

@@ -19,18 +19,33 @@ def supported(fitted: Fit, seen: Problem, asked: Problem) -> NDArray[np.bool_]:
     Args:
         fitted: to the windows seen.
         seen: windows.
-        asked: windows of the same recordings.
+        asked: windows, of the same recordings or of others.
     """
     there = np.ones(len(asked.windows), dtype=bool)
-    names = {name for term in fitted.structure.terms for name in term.effect.inputs(term.at)}
-    for name in sorted(names):
-        known = np.sort(input_of(name, fitted, seen.windows)[seen.windows.valid])
-        values = input_of(name, fitted, asked.windows)
-        at = np.clip(np.searchsorted(known, values), 1, len(known) - 1)
-        apart = np.minimum(np.abs(values - known[at - 1]), np.abs(values - known[at]))
-        far = apart > SEARCH.beyond * (known[-1] - known[0])
-        there &= ~(far & asked.windows.valid).any(axis=1)
+    for name in inputs_of(fitted):
+        there &= ~_far(name, fitted, seen, asked)
     return there
+
+
+def inputs_of(fitted: Fit) -> list[str]:
+    """What the laws of a fit depend on."""
+    return sorted({name for term in fitted.structure.terms for name in term.effect.inputs(term.at)})
+
+
+def span(name: str, fitted: Fit, problem: Problem) -> tuple[float, float]:
+    """The smallest and largest that an input gets in some windows."""
+    values = input_of(name, fitted, problem.windows)[problem.windows.valid]
+    return float(values.min()), float(values.max())
+
+
+def _far(name: str, fitted: Fit, seen: Problem, asked: Problem) -> NDArray[np.bool_]:
+    """Windows in which one input is far from all that were seen, (n,)."""
+    known = np.sort(input_of(name, fitted, seen.windows)[seen.windows.valid])
+    values = input_of(name, fitted, asked.windows)
+    at = np.clip(np.searchsorted(known, values), 1, len(known) - 1)
+    apart = np.minimum(np.abs(values - known[at - 1]), np.abs(values - known[at]))
+    far = apart > SEARCH.beyond * (known[-1] - known[0])
+    return np.asarray((far & asked.windows.valid).any(axis=1))
 
 
 def input_of(name: str, fitted: Fit, windows: Windows) -> Array:

@@ -17,13 +17,14 @@ from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import names
-from dipc_gym.sim2real.result import Details, Diagnosis, Errors, Located, Missing, SensorFit
+from dipc_gym.sim2real.result import Beyond, Details, Diagnosis, Errors, Located, Missing, SensorFit
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.data import sampled_slowly
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
+from dipc_gym.sim2real.verdict.beyond import beyond
 from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.details import details, predictions, sensor_fits
 from dipc_gym.sim2real.verdict.guarded import Guarded
@@ -89,6 +90,7 @@ def judgement(
             others=others,
             written=written,
             sensors=sensors,
+            beyond=measured.beyond,
         ),
         tuple(located),
         tuple(named.missing),
@@ -96,6 +98,7 @@ def judgement(
         measured.comparison,
         measured.test,
         last.validation,
+        measured.beyond,
         written,
         sensors,
         measured.force,
@@ -103,6 +106,7 @@ def judgement(
             verdict,
             named.missing,
             others=bool(measured.changed and others),
+            beyond=measured.beyond,
             slow=any(sampled_slowly(r) for r in (*case.given.recordings, *last.problem.windows.recordings)),
         ),
         improved,
@@ -171,6 +175,7 @@ class _Measured:
     Attributes:
         comparison: errors on the windows that were compared on.
         test: on test data.
+        beyond: of these, what goes beyond what laws were fitted with; None where nothing does.
         force: of the inverse models there, at each joint.
         wide: half widths of the intervals of the mapped parameters, (p,).
         changed: parameters of the model that had to change.
@@ -179,10 +184,16 @@ class _Measured:
 
     comparison: Errors
     test: Errors
+    beyond: Beyond | None
     force: dict[str, Errors]
     wide: Array
     changed: list[dict[str, Any]]
     notes: list[str] = field(default_factory=list)
+
+    @property
+    def telling(self) -> Errors:
+        """On the test data that say what is still missing: those in which laws have data."""
+        return self.test if self.beyond is None else self.beyond.within
 
 
 def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guarded) -> _Measured:
@@ -210,6 +221,12 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
         lambda: Errors(*(judge.error_on(last.problem, f) for f in three)),
         lambda: fitted,
     )
+    outside: Beyond | None = late(
+        "What goes beyond the fitted data",
+        lambda: beyond(three, search.partition.problem, last.problem),
+        lambda: None,
+    )
+    notes += sentences.goes_beyond(outside) if outside is not None else []
     force = late(
         "The error of forces", lambda: _force_errors(three, case.prepared.structure.base, test), dict[str, Errors]
     )
@@ -224,7 +241,7 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
         lambda: np.full(len(final.z), np.inf),
     )
     changed = late("Which parameters changed", lambda: findings.changed_parameters(final, wide), list[dict[str, Any]])
-    return _Measured(comparison, errors, force, wide, changed, notes)
+    return _Measured(comparison, errors, outside, force, wide, changed, notes)
 
 
 @dataclass(frozen=True)
@@ -237,7 +254,7 @@ class _Named:
 
 
 def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Located], late: Guarded) -> _Named:
-    search, found, final, errors = last.search, last.found, last.found.fitted, measured.test
+    search, found, final, errors = last.search, last.found, last.found.fitted, measured.telling
     modelled = [term for term in final.structure.terms if term.effect.of_no_kind]
     terms = [term for term in final.structure.terms if term not in modelled and term.key not in found.unnamed]
     verdict = judge.verdict(
@@ -254,7 +271,7 @@ def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Loc
         notes.append(sentences.not_in_test(measured.comparison.recalibrated, errors.nominal))
     missing = late(
         "How much each effect is worth",
-        lambda: findings.missing_effects(search, found, last.problem, errors, verdict, measured.wide),
+        lambda: findings.missing_effects(search, found, last.problem, measured.test, verdict, measured.wide),
         lambda: findings.named_alone(final),
     )
     if search.stop.asked:

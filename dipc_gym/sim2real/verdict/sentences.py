@@ -8,7 +8,7 @@ from typing import Any
 
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.result import AsWritten, Errors, Missing, SensorFit, scaled
+from dipc_gym.sim2real.result import AsWritten, Beyond, Errors, Missing, SensorFit, scaled
 from dipc_gym.sim2real.selection.settings import SCORE, WINDOWS
 from dipc_gym.sim2real.verdict.conventions import Convention
 from dipc_gym.sim2real.verdict.settings import VERDICT
@@ -38,6 +38,7 @@ def in_one_sentence(
     others: bool = False,
     written: AsWritten | None = None,
     sensors: Sequence[SensorFit] = (),
+    beyond: Beyond | None = None,
 ) -> str:
     """What happened, in words that a rig's owner understands.
 
@@ -49,6 +50,7 @@ def in_one_sentence(
         others: whether other parameters would have done as well.
         written: what the improved model comes to at its own step.
         sensors: errors of each, in its own unit.
+        beyond: held-out windows that go beyond what laws were fitted with.
     """
     goes = "falls" if errors.improved < errors.nominal else "goes"
     times = f"from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
@@ -59,6 +61,13 @@ def in_one_sentence(
     if written is not None:
         at = f"improved.xml at its own step of {1e3 * written.timestep:g} ms"
         fall += f" ({at}: {written.held_out.improved:.3g})"
+    telling = errors
+    if beyond is not None:
+        telling = beyond.within
+        fall += (
+            f"; in the {beyond.of - beyond.count} of {beyond.of} windows that stay where its laws have data, from "
+            f"{telling.nominal:.3g} to {telling.improved:.3g} times"
+        )
     worse = errors.improved > max(errors.nominal, SCORE.at_floor)
     if worse:
         fall += (
@@ -67,7 +76,7 @@ def in_one_sentence(
         )
     known = " ".join(m.sentence for m in missing if m.effect != "unknown" or m.law is not None)
     left = ""
-    if errors.improved > SCORE.at_floor:
+    if telling.improved > SCORE.at_floor:
         left = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
     if verdict == "consistent":
         told = " and ".join(f"{_shown(one.errors.nominal, one.unit)} at {one.name}" for one in _telling(sensors))
@@ -78,7 +87,8 @@ def in_one_sentence(
         instead = " (or others, which predict as well: see the notes)" if others else ""
         return f"No physics is missing; wrong parameters were: {names}{instead}. {fall}.{left}"
     if verdict == "explained":
-        return f"The model lacks this: {known} {fall}; what is left is as small as noise."
+        where = " there" if beyond is not None else ""
+        return f"The model lacks this: {known} {fall}; what is left{where} is as small as noise."
     if verdict == "modelled":
         law = " ".join(m.sentence for m in missing) or "What the model lacks has no name, but a law that predicts it."
         return f"{law} {fall}.{left}"
@@ -120,7 +130,34 @@ def _shown(value: float, unit: str, *, bare: bool = False) -> str:
     return f"{number:.3g}" if bare else f"{number:.3g} {name}".strip()
 
 
-def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = False, slow: bool = False) -> str:
+def goes_beyond(outside: Beyond) -> list[str]:
+    """Note on held-out windows that go beyond what laws were fitted with."""
+    one = outside.count == 1
+    return [
+        f"{outside.count} of {outside.of} held-out windows {'goes' if one else 'go'} beyond what laws were fitted with "
+        f"({_ranges(outside)}). Laws stay there as they end, and the error is {outside.there:.3g} times the noise; "
+        "such windows do not say what else is missing."
+    ]
+
+
+def _ranges(outside: Beyond) -> str:
+    """What goes how far beyond what was fitted."""
+    ranges = []
+    for one in outside.inputs:
+        (least, most), (low, high) = one["fitted"], one["asked"]
+        name = one["name"].replace(" ", " of ", 1)
+        ranges.append(f"{name} from {low:.3g} to {high:.3g}, fitted from {least:.3g} to {most:.3g}")
+    return "; ".join(ranges) or "between fitted data that lie apart"
+
+
+def next_experiment(
+    verdict: str,
+    missing: Sequence[Missing],
+    *,
+    others: bool = False,
+    slow: bool = False,
+    beyond: Beyond | None = None,
+) -> str:
     """What to record to settle what is left.
 
     Args:
@@ -128,6 +165,7 @@ def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = 
         missing: effects that were found.
         others: whether other model parameters than those that changed would have done as well.
         slow: whether a recording is sampled slowly; see `data.sampled_slowly`.
+        beyond: held-out windows that go beyond what laws were fitted with.
     """
     open_ = [(m, s) for m in missing for s in m.same_here]
     if open_:
@@ -143,6 +181,11 @@ def next_experiment(verdict: str, missing: Sequence[Missing], *, others: bool = 
         return (
             f"{r['effect']} at {r['at']} predicts nearly as well as {m.effect} at {m.at}. Record slow reversals and "
             "fast steps over the whole range for a minute."
+        )
+    if beyond is not None:
+        return (
+            f"Fit recordings that go as far as the held-out data do ({_ranges(beyond)}): a law says nothing of where "
+            "no data were."
         )
     if verdict == "modelled":
         return (
