@@ -100,10 +100,9 @@ def _tabulated(table: Array, share: Array) -> Array:
 def table(data: Array, x: Array) -> Array:
     """A table, piecewise linear and constant outside; data (..., 2 k): its knots, increasing, then its values there."""
     knots, values = np.split(data, 2, axis=-1)
-    if data.ndim == 1:
-        return np.asarray(np.interp(x, knots, values))
-    share = np.clip((np.asarray(x)[..., None] - knots[..., :-1]) / np.diff(knots, axis=-1), 0.0, 1.0)
-    return np.asarray(values[..., 0] + np.sum(share * np.diff(values, axis=-1), axis=-1))
+    below, above, share = _between(knots, x)
+    at = _entry(values, below)
+    return np.asarray(at + share * (_entry(values, above) - at))
 
 
 def mapped(data: Array, now: Moment) -> Array:
@@ -170,7 +169,10 @@ def _surface(data: Array, rows: Array, columns: Array, x: Array, y: Array) -> Ar
 def _between(knots: Array, x: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Entries below and above a number among knots (..., k), and how far between them it is, 0 to 1."""
     last = knots.shape[-1] - 1
-    below = np.sum(np.asarray(x)[..., None] >= knots[..., 1:-1], axis=-1) if last else np.zeros(np.shape(x), np.intp)
+    if knots.ndim == 1:  # of one simulation, with many samples
+        below = np.asarray(np.searchsorted(knots[1:-1], x, side="right"))
+    else:
+        below = np.sum(np.asarray(x)[..., None] >= knots[..., 1:-1], axis=-1)
     above = np.minimum(below + 1, last)
     one, other = _entry(knots, below), _entry(knots, above)
     return below, above, np.clip((x - one) / np.where(last, other - one, 1.0), 0.0, 1.0)
@@ -178,5 +180,7 @@ def _between(knots: Array, x: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]
 
 def _entry(table: Array, k: NDArray[np.intp]) -> Array:
     """Entry k (...) of each table (..., n)."""
+    if table.ndim == 1:
+        return np.asarray(table[k])
     whole = np.broadcast_to(table, (*np.shape(k), table.shape[-1]))
     return np.asarray(np.take_along_axis(whole, np.asarray(k)[..., None], -1)[..., 0])
