@@ -13,8 +13,10 @@ from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import beside
+from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Search
-from dipc_gym.sim2real.verdict.conclude import conclude
+from dipc_gym.sim2real.verdict import sentences
+from dipc_gym.sim2real.verdict.conclude import conclude, divided_over
 
 DRY = 3.0  # N
 VELOCITIES = np.array([-0.4, -2e-3, 2e-3, 0.4])
@@ -88,3 +90,28 @@ def test_friction_keeps_its_name_beside_a_table_that_could_do_the_same(search: S
     assert bare.error > 2 * alone.error
     concluded = conclude(outcome.outcome)[1]
     assert "friction.coulomb@cart" not in concluded.unnamed
+
+
+@pytest.mark.parametrize(
+    ("after", "divided"),
+    [
+        ([50.0, 50.0, 50.0, 50.0], False),  # better throughout
+        ([100.0, 100.0, 20.0, 100.0], False),  # where it acts, and nowhere else
+        ([150.0, 60.0, 140.0, 50.0], True),  # better here and worse there
+        ([150.0, 140.0, 130.0, 160.0], True),
+        ([100.0, 100.0, 100.0, 100.0], False),
+    ],
+)
+def test_a_law_without_a_name_goes_where_validation_data_are_divided_over_it(after: list[float], divided: bool) -> None:
+    """Mean square errors of three windows in each of four seconds, 100 without the law."""
+    blocks = np.repeat(np.arange(4), 3)
+    gained = compare(np.repeat(after, 3), np.full(12, 100.0), blocks)
+    assert divided_over(gained) is divided
+
+
+@pytest.mark.parametrize(("gain", "words"), [(0.1, "by 5 % better"), (-0.2, "no better")])
+def test_the_note_says_how_divided_they_are(gain: float, words: str) -> None:
+    law = UnknownForce(Surface(("velocity cart",), (VELOCITIES,), VELOCITIES), 1.0, ("m/s",), "cart")
+    said = sentences.divided(Term(law, "cart", law.first), gain)
+    assert said.startswith("residual.force@cart would explain more")
+    assert words in said

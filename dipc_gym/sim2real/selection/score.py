@@ -26,11 +26,13 @@ class Improvement:
         error: standard error of it, over blocks of a second.
         shows: whether it shows at the noise in a few blocks, far beyond it, and in none the other way: an effect that
             acts in three of eighty windows is there, though its gain is as uncertain as it is uneven.
+        worst: mean gain of the block that lost most.
     """
 
     gain: float
     error: float
     shows: bool = False
+    worst: float = 0.0
 
     @property
     def clear(self) -> bool:
@@ -69,12 +71,12 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp], forces: tuple[Arra
     sizes = np.bincount(blocks)
     sums, sizes = sums[sizes > 0], sizes[sizes > 0]
     mean = float(np.sum(sums) / np.sum(sizes))
-    if len(sums) < SCORE.fewest_blocks:
-        return Improvement(mean, math.inf)
     each = sums / sizes
+    if len(sums) < SCORE.fewest_blocks:
+        return Improvement(mean, math.inf, worst=float(each.min()))
     shows = usual < SCORE.usual and int(np.sum(each > SCORE.large)) >= SCORE.blocks and not np.any(each < -SCORE.large)
     spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
-    return Improvement(mean, float(spread) * _few_blocks(len(sums)), shows)
+    return Improvement(mean, float(spread) * _few_blocks(len(sums)), shows, float(each.min()))
 
 
 def _fall(after: Array, before: Array) -> Array:

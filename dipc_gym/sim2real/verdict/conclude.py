@@ -142,6 +142,13 @@ def _believable(
         if term.effect.leaves < EFFECTS.leaves and error - 1 > term.effect.leaves * (recalibrated - 1):
             notes.append(sentences.not_alone(term, error))
             upheld = search.fitter.without(upheld, term.key)
+    for term in upheld.structure.terms:
+        if term.effect.of_no_kind:
+            without = search.fitter.without(upheld, term.key)
+            gained = judge.on(validation, upheld, without)
+            if divided_over(gained):
+                notes.append(sentences.divided(term, gained.gain))
+                upheld = without
     left = judge.error_on(validation, upheld)
     if upheld.structure.terms and left > recalibrated:
         # Without an event that it was fitted beside, an effect may do harm.
@@ -160,6 +167,15 @@ def _believable(
 def _gained(search: Searched, fitted: Fit, term: Term) -> Improvement:
     """How much better windows that no fit has touched are predicted with an effect than without, all else refitted."""
     return judge.on_untouched(search, fitted, search.fitter.without(fitted, term.key))
+
+
+def divided_over(gained: Improvement) -> bool:
+    """Whether validation data do not clearly speak for a law of no kind, and some of them speak against it.
+
+    It has no physics that would make it hold elsewhere, so it must predict there. One that acts in few windows gains
+    little, unevenly, and loses nowhere.
+    """
+    return gained.gain < gained.error and gained.worst < -VERDICT.named
 
 
 def _believed(gained: Improvement) -> bool:

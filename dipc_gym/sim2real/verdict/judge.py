@@ -247,6 +247,12 @@ def fair(search: Searched, fitted: Fit) -> Problem:
     return validation.pick(there) if there.any() else search.partition.comparison
 
 
+def on(problem: Problem, new: Fit, old: Fit) -> Improvement:
+    """How much better one fit predicts windows than another."""
+    (after, _), (before, _) = (evaluate(problem, one.structure, one.z) for one in (new, old))
+    return compare_on(problem, new, old, after, before, problem.blocks)
+
+
 def on_untouched(search: Searched, new: Fit, old: Fit) -> Improvement:
     """How much better one fit predicts than another on windows that no fit has touched, validation among them."""
     untouched, validation = search.partition.comparison, fair(search, new)

@@ -326,6 +326,16 @@ def not_alone(term: Term, left: float) -> str:
     )
 
 
+def divided(term: Term, gain: float) -> str:
+    """Note on a law of no kind over which validation data are divided; the fall of the log square error."""
+    share = 100 * (1 - math.exp(-gain / 2))
+    much = f"by {share:.0f} % better" if share > 0 else "no better"
+    return (
+        f"{term.key} would explain more of what was fitted, but validation data are divided over it: it predicts some "
+        f"of them worse, and all of them {much}; improved.xml leaves it out."
+    )
+
+
 def no_name(term: Term, gain: float) -> str:
     """Note on an effect that improves predictions by less than it would have to; the fall of the log square error."""
     return (
