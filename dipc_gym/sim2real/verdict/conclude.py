@@ -145,9 +145,9 @@ def _believable(
     for term in upheld.structure.terms:
         if term.effect.of_no_kind:
             without = search.fitter.without(upheld, term.key)
-            gained = judge.on(validation, upheld, without)
-            if divided_over(gained):
-                notes.append(sentences.divided(term, gained.gain))
+            predicted = judge.on(validation, upheld, without)
+            if divided_over(predicted):
+                notes.append(sentences.divided(term, predicted.gain))
                 upheld = without
     left = judge.error_on(validation, upheld)
     if upheld.structure.terms and left > recalibrated:
