@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
+from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, sensed_position
 from dipc_gym.sim2real.effects.settings import EFFECTS
@@ -38,9 +39,8 @@ class Eccentric(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """A wave of one turn at a hinge, and those whose acceleration the force asks for."""
-        joint = evidence.model.sensor(evidence.at).objid[0]
-        hinge = evidence.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-        return eccentric(evidence, FEWEST, [TURN] if hinge else [])
+        joint = int(evidence.model.sensor(evidence.at).objid[0])
+        return eccentric(evidence, FEWEST, [TURN] if mjcf.is_hinge(evidence.model, joint) else [])
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader."""
