@@ -143,7 +143,7 @@ def matlab(file: Path, fields: Sequence[str]) -> dict[str, np.ndarray]:
 
     try:
         found = loadmat(file)
-    except NotImplementedError:
+    except NotImplementedError:  # what scipy says of version 7.3, which is HDF5
         raise OtherLayout(f"{file}: a MATLAB file of version 7.3; save it again in MATLAB with -v7") from None
     except ValueError as error:
         raise OtherLayout(f"{file}: not a MATLAB file ({error})") from None

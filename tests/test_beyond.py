@@ -74,7 +74,7 @@ def test_what_is_said_of_them(count: int) -> None:
     said = sentences.in_one_sentence("explained", [], [], Errors(129.0, 130.0, 12.6), beyond=found)
     assert f"to 12.6 times the noise; in the {40 - count} of 40 windows that stay where its laws have data" in said
     assert said.endswith("from 140 to 1 times; what is left there is as small as noise.")
-    (note,) = sentences.goes_beyond(found)
+    note = sentences.goes_beyond(found)
     assert note.startswith(f"{count} of 40 held-out windows {'goes' if count == 1 else 'go'} beyond")
     assert "position of cart from -0.355 to 0.0713, fitted from -0.146 to 0.209" in note
     assert "position of cart from -0.355" in sentences.next_experiment("explained", [], beyond=found)

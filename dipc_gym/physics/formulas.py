@@ -92,9 +92,8 @@ def _tabulated(table: Array, share: Array) -> Array:
     along = np.clip(share * last, 0.0, last)
     # Not a number of a simulation that diverged; `along` hands it on.
     below = np.maximum(np.minimum(np.nan_to_num(along).astype(np.intp), last - 1), 0)
-    at = np.take_along_axis(table, below[..., None], -1)[..., 0]
-    above = np.take_along_axis(table, below[..., None] + 1, -1)[..., 0]
-    return np.asarray(at + (along - below) * (above - at))
+    at = _entry(table, below)
+    return np.asarray(at + (along - below) * (_entry(table, below + 1) - at))
 
 
 def table(data: Array, x: Array) -> Array:

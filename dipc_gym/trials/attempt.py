@@ -157,8 +157,8 @@ class Attempt:
         """
         begun = time.perf_counter()
         note: dict[str, Any] = {"trial": self.name, "tool": tool(), "limit": self.limit, "failure": None}
-        note |= {"timed_out": False, "sensor_errors": None, "sensor_errors_own_step": None, "replay_failure": None}
-        note["error_within"] = None
+        unknown = ("sensor_errors", "sensor_errors_own_step", "error_within", "replay_failure")
+        note |= {"timed_out": False, **dict.fromkeys(unknown)}
         folder = Path(self.folder)
         with tempfile.TemporaryDirectory(prefix="result-") as place:
             result = Path(place) / "result"

@@ -393,3 +393,8 @@ def dry(document: Document, joint: str, level: float) -> None:
     """Dry friction that holds: stiff within two steps, and iterated so that joints do not creep."""
     document.set(document.joint(joint), frictionloss=level, solreffriction=(2 * document.timestep, 1))
     document.at_least(noslip_iterations=3, iterations=100)
+
+
+def dry_beside(document: Document, joint: str, level: float) -> None:
+    """The same where something beside it sets the level: never none, which to MuJoCo is another model."""
+    dry(document, joint, max(level, EFFECTS.there))

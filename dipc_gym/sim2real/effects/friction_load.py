@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 
 
 class UnderLoad(Effect):
@@ -48,7 +48,7 @@ class UnderLoad(Effect):
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader; stock MuJoCo gets the level without load."""
-        dry(document, at, max(values["level"], 1e-9))
+        dry_beside(document, at, values["level"])
         document.custom(self.id, at, [values["level"], values["by_drive"], values["by_weight"]])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:

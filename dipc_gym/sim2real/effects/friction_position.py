@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 
 KNOTS = 5  # of the table along the way
 
@@ -42,7 +42,7 @@ class AlongTheWay(Effect):
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader; stock MuJoCo gets the mean level."""
         levels = [values[f"level_{k + 1}"] for k in range(KNOTS)]
-        dry(document, at, max(float(np.mean(levels)), 1e-9))
+        dry_beside(document, at, float(np.mean(levels)))
         document.custom(self.id, at, [values["first"], values["last"], *levels])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, dry
-from dipc_gym.sim2real.effects.law import Array, Law
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, dry_beside
+from dipc_gym.sim2real.effects.law import Array, Law, first_levels
 from dipc_gym.sim2real.effects.tables import grow, odd_force_of_speed
 
 SLOW = 0.05  # of the usual speed, below which an estimated velocity does not tell the direction of motion
@@ -44,8 +44,7 @@ class FrictionOfSpeed(Law):
         beside = [np.ones_like(velocity)]
         knots, more = grow(np.abs(velocity), evidence.force[moves], -np.sign(velocity), beside, time)
         knots[0] = 0.0
-        level = 0.0 if evidence.level is None else evidence.level
-        return knots, np.maximum(level + more, 0.05 * evidence.dry_level)
+        return knots, first_levels(evidence, more)
 
     @property
     def narrowest(self) -> Array:
@@ -60,7 +59,7 @@ class FrictionOfSpeed(Law):
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Dry friction of the level at rest, and what speed adds to it or takes away."""
         levels = self.values(values)
-        dry(document, at, max(levels[0], 1e-9))
+        dry_beside(document, at, levels[0])
         odd_force_of_speed(document, f"{at}_speed", at, self.knots, np.subtract(levels, levels[0]).tolist())
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.effects.waves import waves
 
@@ -35,7 +35,7 @@ class Uneven(Effect):
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader; stock MuJoCo gets the mean level."""
-        dry(document, at, max(values["level"], 1e-9))
+        dry_beside(document, at, values["level"])
         document.custom("friction.wave", at, [values[p.name] for p in self.parameters])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.tables import grow
 
@@ -66,6 +66,12 @@ def holding_new(parameters: Sequence[Parameter], new: NDArray[np.bool_]) -> tupl
     return tuple(
         replace(p, sigma=LAWS.new / LAWS.step) if added else p for p, added in zip(parameters, new, strict=True)
     )
+
+
+def first_levels(evidence: Evidence, more: Array) -> Array:
+    """Levels of friction that a law begins with: those that are there, and what forces ask for beside them, (m,)."""
+    level = 0.0 if evidence.level is None else evidence.level
+    return np.maximum(level + more, LAWS.driest * evidence.dry_level)
 
 
 class Law(Effect):
@@ -223,8 +229,7 @@ class FrictionLaw(Law):
         """Force that opposes motion, by the input."""
         beside = [np.ones_like(evidence.force), evidence.velocity]
         knots, more = grow(self.seen(evidence), evidence.force, -evidence.direction, beside, evidence.time)
-        level = 0.0 if evidence.level is None else evidence.level
-        return knots, np.maximum(level + more, LAWS.driest * evidence.dry_level)
+        return knots, first_levels(evidence, more)
 
     @abstractmethod
     def seen(self, evidence: Evidence) -> Array:
@@ -237,6 +242,6 @@ class FrictionLaw(Law):
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader, and one level for stock MuJoCo."""
         levels = np.array(self.values(values))
-        dry(document, at, max(self.in_stock(levels), LAWS.there))
+        dry_beside(document, at, self.in_stock(levels))
         even = np.linspace(self.knots[0], self.knots[-1], LAWS.narrowest + 1)  # every knot is one of these
         document.custom(self.entry, at, [even[0], even[-1], *np.interp(even, self.knots, levels)])

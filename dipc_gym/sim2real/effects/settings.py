@@ -28,6 +28,8 @@ class EffectSettings:
             about as much
         dry: shares of the unexplained force between which a first level of dry friction is kept: a regression may give
             none, or a wrong sign, and what does nothing has no slope to begin with
+        there: N or N m, least level of it that is written where something else sets the level: a joint without any is
+            another model to MuJoCo
     """
 
     leaves: float = 1 / 3
@@ -39,6 +41,7 @@ class EffectSettings:
     faint: float = 0.01
     uncertain: float = 0.05
     dry: tuple[float, float] = (0.1, 2.0)
+    there: float = 1e-9
 
 
 EFFECTS = EffectSettings()
@@ -61,7 +64,6 @@ class LawSettings:
         most_beyond: stretches by which it is made longer at an end: what goes far is told by few data
         driest: share of the dry friction that forces tell, below which no first level lies: what does nothing has no
             slope to begin with
-        there: N or N m, least level that is written: a joint without any is another model to MuJoCo
     """
 
     step: float = 0.3
@@ -73,7 +75,6 @@ class LawSettings:
     beyond: float = 0.02
     most_beyond: int = 8
     driest: float = 0.05
-    there: float = 1e-9
 
 
 LAWS = LawSettings()

@@ -168,6 +168,16 @@ class Structure:
         """This structure less one effect."""
         return replace(self, terms=tuple(t for t in self.terms if t.key != key))
 
+    @property
+    def unnamed(self) -> tuple[Term, ...]:
+        """Its laws of no kind."""
+        return tuple(term for term in self.terms if term.effect.of_no_kind)
+
+    @property
+    def named(self) -> tuple[Term, ...]:
+        """Its effects with names."""
+        return tuple(term for term in self.terms if not term.effect.of_no_kind)
+
     def elaborates(self, other: Structure) -> bool:
         """Whether this is another structure with effects in the place of plainer ones that they contain."""
 

@@ -32,9 +32,8 @@ def names_alone(fitter: Fitter, current: Fit, begin: Fit) -> Fit | None:
         None where the fit has no law of no kind, or no name, or where the names alone leave too much.
     """
     alone = current
-    for term in current.structure.terms:
-        if term.effect.of_no_kind:
-            alone = fitter.without(alone, term.key)
+    for term in current.structure.unnamed:
+        alone = fitter.without(alone, term.key)
     if alone is current or not alone.structure.terms:
         return None
     return alone if alone.error < choice.before_unnamed(begin.error, current.mse) else None
@@ -60,9 +59,8 @@ def least(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     names = prune(question, fitter, alone, tell)
     for hold in SEARCH.least:
         structure = names.structure
-        for term in current.structure.terms:
-            if term.effect.of_no_kind:
-                structure = structure.with_term(_from_nothing(term, hold))
+        for term in current.structure.unnamed:
+            structure = structure.with_term(_from_nothing(term, hold))
         z = carry(names.structure, names.z, structure)
         fitted = fit(fitter.problem, structure, z, names.initial, most=SEARCH.most_anew)
         if fitter.scorer.alike(current, fitted, begin):

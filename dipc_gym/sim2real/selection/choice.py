@@ -75,10 +75,7 @@ def before_unnamed(before: float, mse: NDArray[np.float64]) -> float:
     return min(most, SEARCH.in_reach) if common_error(mse) < SCORE.at_floor else most
 
 
-Path = tuple[Fit, ...]
-
-
-def of_ends(scorer: Scorer, paths: Sequence[Path]) -> Path:
+def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]:
     """Of several paths the one whose end predicts windows best that it was not fitted to.
 
     One with names alone goes before one with laws of no kind, see `before_unnamed`.
@@ -93,8 +90,7 @@ def of_ends(scorer: Scorer, paths: Sequence[Path]) -> Path:
     named = [
         k
         for k, path in enumerate(paths)
-        if not any(term.effect.of_no_kind for term in path[-1].structure.terms)
-        and np.sqrt(np.mean(compared[k])) < before_unnamed(begin, compared[best])
+        if not path[-1].structure.unnamed and scorer.comparison_error(path[-1]) < before_unnamed(begin, compared[best])
     ]
     return paths[min(named, key=lambda k: losses[k], default=best)]
 

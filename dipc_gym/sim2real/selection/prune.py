@@ -25,7 +25,7 @@ def prune(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str]
         current: the fit to prune.
         tell: called with a line about each effect that goes.
     """
-    unnamed = [term.at for term in current.structure.terms if term.effect.of_no_kind]
+    unnamed = [term.at for term in current.structure.unnamed]
     for term in current.structure.terms:
         # A law of no kind takes over whatever depends on the same. It was asked beside the name, not in its place.
         if term.at in unnamed and not term.effect.of_no_kind:

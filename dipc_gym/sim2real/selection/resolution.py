@@ -15,7 +15,7 @@ from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
-from dipc_gym.sim2real.selection.support import input_of
+from dipc_gym.sim2real.selection.support import span
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -49,8 +49,7 @@ def reaching(fitted: Fit, windows: Windows) -> tuple[Structure, Array]:
         name = term.effect.along(term.at) if isinstance(term.effect, Law) else ""
         if not isinstance(term.effect, Law) or not name:
             continue
-        inputs = input_of(name, fitted, windows)[windows.valid]
-        longer = term.effect.reaching(structure.term_values(z, term), float(inputs.min()), float(inputs.max()))
+        longer = term.effect.reaching(structure.term_values(z, term), *span(name, fitted, windows))
         if longer is not None:
             structure, z = _instead(structure, z, term, *longer)
     return structure, z

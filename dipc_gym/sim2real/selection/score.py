@@ -72,11 +72,12 @@ def compare(new: Array, old: Array, blocks: NDArray[np.intp], forces: tuple[Arra
     sums, sizes = sums[sizes > 0], sizes[sizes > 0]
     mean = float(np.sum(sums) / np.sum(sizes))
     each = sums / sizes
+    worst = float(each.min())
     if len(sums) < SCORE.fewest_blocks:
-        return Improvement(mean, math.inf, worst=float(each.min()))
+        return Improvement(mean, math.inf, worst=worst)
     shows = usual < SCORE.usual and int(np.sum(each > SCORE.large)) >= SCORE.blocks and not np.any(each < -SCORE.large)
     spread = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / (len(sums) - 1)) / np.sum(sizes)
-    return Improvement(mean, float(spread) * _few_blocks(len(sums)), shows, float(each.min()))
+    return Improvement(mean, float(spread) * _few_blocks(len(sums)), shows, worst)
 
 
 def _fall(after: Array, before: Array) -> Array:

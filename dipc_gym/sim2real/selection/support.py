@@ -32,9 +32,9 @@ def inputs_of(fitted: Fit) -> list[str]:
     return sorted({name for term in fitted.structure.terms for name in term.effect.inputs(term.at)})
 
 
-def span(name: str, fitted: Fit, problem: Problem) -> tuple[float, float]:
+def span(name: str, fitted: Fit, windows: Windows) -> tuple[float, float]:
     """The smallest and largest that an input gets in some windows."""
-    values = input_of(name, fitted, problem.windows)[problem.windows.valid]
+    values = input_of(name, fitted, windows)[windows.valid]
     return float(values.min()), float(values.max())
 
 

@@ -35,7 +35,7 @@ def beyond(fits: tuple[Fit, Fit, Fit], seen: Problem, test: Problem) -> Beyond |
         tuple(
             {"name": name, "fitted": list(fitted), "asked": list(asked)}
             for name in inputs_of(improved)
-            for fitted, asked in [(span(name, improved, seen), span(name, improved, test))]
+            for fitted, asked in [(span(name, improved, seen.windows), span(name, improved, test.windows))]
             if asked[0] < fitted[0] or asked[1] > fitted[1]
         ),
     )

@@ -134,7 +134,8 @@ def _believable(
     nothing is left: no other recording of the rig shares it. All other effects are named if windows that no fit has
     touched are better predicted with them than without, all else refitted, by more than the standard error; beside laws
     of no kind, which can do the same, also if they are without these, see `beside.names_alone`. How much is left beside
-    them does not matter; that they are no chance, the search has told by all windows.
+    them does not matter; that they are no chance, the search has told by all windows. A law of no kind goes where
+    validation data are divided over it.
     """
     recalibrated = judge.error_on(validation, search.progress.path[0])
     notes = list[str]()
@@ -142,19 +143,18 @@ def _believable(
         if term.effect.leaves < EFFECTS.leaves and error - 1 > term.effect.leaves * (recalibrated - 1):
             notes.append(sentences.not_alone(term, error))
             upheld = search.fitter.without(upheld, term.key)
-    for term in upheld.structure.terms:
-        if term.effect.of_no_kind:
-            without = search.fitter.without(upheld, term.key)
-            predicted = judge.on(validation, upheld, without)
-            if divided_over(predicted):
-                notes.append(sentences.divided(term, predicted.gain))
-                upheld = without
+    for term in upheld.structure.unnamed:
+        without = search.fitter.without(upheld, term.key)
+        predicted = judge.on(validation, upheld, without)
+        if divided_over(predicted):
+            notes.append(sentences.divided(term, predicted.gain))
+            upheld = without
     left = judge.error_on(validation, upheld)
     if upheld.structure.terms and left > recalibrated:
         # Without an event that it was fitted beside, an effect may do harm.
         notes.append(sentences.refutation(upheld.structure.terms, recalibrated, left))
         return search.progress.path[0], notes, frozenset()
-    named = [term for term in upheld.structure.terms if not term.effect.of_no_kind]
+    named = upheld.structure.named
     gained = {term.key: _gained(search, upheld, term) for term in named}
     missed = [term for term in named if not _believed(gained[term.key])]
     alone = beside.names_alone(search.fitter, upheld, search.progress.path[0]) if missed else None

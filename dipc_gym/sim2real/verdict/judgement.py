@@ -226,7 +226,8 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
         lambda: beyond(three, search.partition.problem, last.problem),
         lambda: None,
     )
-    notes += sentences.goes_beyond(outside) if outside is not None else []
+    if outside is not None:
+        notes.append(sentences.goes_beyond(outside))
     force = late(
         "The error of forces", lambda: _force_errors(three, case.prepared.structure.base, test), dict[str, Errors]
     )
@@ -255,15 +256,14 @@ class _Named:
 
 def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Located], late: Guarded) -> _Named:
     search, found, final, errors = last.search, last.found, last.found.fitted, measured.telling
-    modelled = [term for term in final.structure.terms if term.effect.of_no_kind]
-    terms = [term for term in final.structure.terms if term not in modelled and term.key not in found.unnamed]
+    terms = [term for term in final.structure.named if term.key not in found.unnamed]
     verdict = judge.verdict(
         (errors.nominal, errors.recalibrated, errors.improved),
         judge.negligible(errors.recalibrated, last.problem.motion, located[0]),
         len(terms),
         len(measured.changed),
         len(found.unnamed),
-        len(modelled),
+        len(final.structure.unnamed),
         measured.comparison.recalibrated,
     )
     notes = list[str]()

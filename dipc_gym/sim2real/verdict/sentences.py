@@ -130,14 +130,14 @@ def _shown(value: float, unit: str, *, bare: bool = False) -> str:
     return f"{number:.3g}" if bare else f"{number:.3g} {name}".strip()
 
 
-def goes_beyond(outside: Beyond) -> list[str]:
+def goes_beyond(outside: Beyond) -> str:
     """Note on held-out windows that go beyond what laws were fitted with."""
     one = outside.count == 1
-    return [
+    return (
         f"{outside.count} of {outside.of} held-out windows {'goes' if one else 'go'} beyond what laws were fitted with "
         f"({_ranges(outside)}). Laws stay there as they end, and the error is {outside.there:.3g} times the noise; "
         "such windows do not say what else is missing."
-    ]
+    )
 
 
 def _ranges(outside: Beyond) -> str:
@@ -326,10 +326,14 @@ def not_alone(term: Term, left: float) -> str:
     )
 
 
+def _smaller(gain: float) -> str:
+    """By how much an error is smaller whose log square fell so far."""
+    return f"{100 * (1 - math.exp(-gain / 2)):.0f} %"
+
+
 def divided(term: Term, gain: float) -> str:
     """Note on a law of no kind over which validation data are divided; the fall of the log square error."""
-    share = 100 * (1 - math.exp(-gain / 2))
-    much = f"by {share:.0f} % better" if share > 0 else "no better"
+    much = f"by {_smaller(gain)} better" if gain > 0 else "no better"
     return (
         f"{term.key} would explain more of what was fitted, but validation data are divided over it: it predicts some "
         f"of them worse, and all of them {much}; improved.xml leaves it out."
@@ -339,6 +343,6 @@ def divided(term: Term, gain: float) -> str:
 def no_name(term: Term, gain: float) -> str:
     """Note on an effect that improves predictions by less than it would have to; the fall of the log square error."""
     return (
-        f"{term.key} improves predictions of windows that no fit has touched by {100 * (1 - math.exp(-gain / 2)):.0f} "
-        "%, which is too little, or too uneven, to be believed; improved.xml holds it, and it is not named."
+        f"{term.key} improves predictions of windows that no fit has touched by {_smaller(gain)}, which is too little, "
+        "or too uneven, to be believed; improved.xml holds it, and it is not named."
     )
