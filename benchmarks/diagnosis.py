@@ -26,7 +26,7 @@ from dipc_gym.recording import Recording
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
 
-PERIOD, FINE, NOISE = 0.002, 2e-4, 5e-5  # s, s, rad
+PERIOD, FINE, NOISE = 0.002, 5e-5, 5e-5  # s, s, rad; MuJoCo softens dry friction, the less the finer the step
 AXES = ["1 0 0", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0"]
 COULOMB = (2.0, 1.6, 0.9, 0.2, 0.12, 0.05, 0.03)  # N m
 VISCOUS = (1.0, 0.8, 0.5, 0.1, 0.06, 0.03, 0.02)  # N m s/rad

@@ -136,23 +136,29 @@ def differentiate(
     initial = np.repeat(jobs.initial, packs, axis=0)
     values = jobs.commands.values[jobs.which[0]]
     commands = np.repeat(values[None], packs if directions.commands is not None else 1, axis=0)
-    changed = directions.commands if directions.commands is not None else np.zeros((LANES, *values.shape))
+    moved = _still(commands.shape) if directions.commands is None else _packed(directions.commands, packs)
     out = np.empty((packs, windows, *jobs.times.shape[1:]))
     ends = np.empty((packs, windows, nx))
     tangents = {
         At.PARAMETER_TANGENTS: _packed(directions.parameters, packs),
         At.INITIAL_TANGENTS: _packed(directions.initial, packs),
-        At.COMMAND_TANGENTS: _packed(changed, len(commands)),
+        At.COMMAND_TANGENTS: moved,
         At.READING_TANGENTS: np.zeros((*out.shape, LANES)),
         At.END_TANGENTS: np.zeros((*ends.shape, LANES)),
     }
-    moved = replace(jobs, commands=Commands(jobs.commands.stamps, commands))
-    _call(program, moved, rows, initial, step, threads, out, ends, tangents)
+    packed = replace(jobs, commands=Commands(jobs.commands.stamps, commands))
+    _call(program, packed, rows, initial, step, threads, out, ends, tangents)
     readings, states = (
         np.moveaxis(tangents[at], -1, 1).reshape(packs * LANES, *shape)[:count]
         for at, shape in ((At.READING_TANGENTS, out.shape[1:]), (At.END_TANGENTS, ends.shape[1:]))
     )
     return out[0], readings, ends[0], states
+
+
+@functools.lru_cache(maxsize=1)
+def _still(shape: tuple[int, ...]) -> Array:
+    """Tangents of commands that do not change; as many numbers as recordings have, and asked for in every fit."""
+    return np.zeros((*shape, LANES))
 
 
 def _packed(directions: Array, packs: int) -> Array:

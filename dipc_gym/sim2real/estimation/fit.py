@@ -153,6 +153,7 @@ def fit(
     *,
     most: int = ESTIMATION.steps,
     tolerance: float = ESTIMATION.tolerance,
+    hopeless: float = np.inf,
 ) -> Fit:
     """Fit the parameters of a structure and the windows' initial states (Levenberg-Marquardt).
 
@@ -163,6 +164,8 @@ def fit(
         initial: initial states to begin at, (n, 2 nb).
         most: at most so many accepted steps.
         tolerance: stop when the objective falls by less than this share.
+        hopeless: stop when after two steps the derivatives foretell no mean loss below this: those at the first guess
+            mislead where a shape is far off.
     """
     shooting = Shooting(problem, structure)
     z = structure.clip(structure.first if z is None else z)
@@ -184,6 +187,10 @@ def fit(
         scale = typical(mse)
         w = 1.0 / (scale + mse) / problem.counts
         H, g = (each / len(w) for each in prior.in_fit(quadratics.A, quadratics.b, z, w, problem.counts))
+        if steps > 1 and np.isfinite(hopeless):
+            best = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, np.full(len(z), np.inf))
+            if mean_loss(np.maximum(quadratics.after(best - z), 0.0) / problem.counts, 1.0) > hopeless:
+                break
         now, accepted = penalised(mse, z, scale), False
         for _ in range(ESTIMATION.tries):
             # No parameter may do more than double, or change by a factor of e.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,9 +58,14 @@ class Fitter:
         """Whether an effect has to be simulated in finer steps than the others."""
         return term.effect.finest < self.problem.stepping.timestep
 
-    def sketch(self, base: Fit, structure: Structure) -> Fit | None:
+    def sketch(self, base: Fit, structure: Structure, *, rival: bool = False) -> Fit | None:
         """Fit a structure to a subset of the windows, from the parameters of `base`; None where it cannot be
         simulated.
+
+        Args:
+            base: a fit to all windows.
+            structure: to be fitted.
+            rival: whether it is to predict as well as `base`: one that cannot come near is not fitted on.
         """
         z, initial = carry(base.structure, base.z, structure), base.initial[self.subset]
         # A search that begins anew lays the same hypotheses over the same fit without effects. What is written tells
@@ -69,17 +75,19 @@ class Fitter:
         if asked in self._begun:
             return self._begun[asked][1]
         try:
-            sketch = self._rough(structure, z, initial)
+            hopeless = mean_loss(base.mse[self.subset], 1.0) + SEARCH.hopeless if rival else math.inf
+            sketch = self._rough(structure, z, initial, hopeless)
             if _stuck(sketch, base, self.subset):
-                sketch = min(sketch, self._rough(structure, _from_nothing(structure, z), initial), key=_left)
+                sketch = min(sketch, self._rough(structure, _from_nothing(structure, z), initial, hopeless), key=_left)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             sketch = None
         if not base.structure.terms:
             self._begun[asked] = base, sketch
         return sketch
 
-    def _rough(self, structure: Structure, z: Array, initial: Array) -> Fit:
-        return fit(self.problem.pick(self.subset), structure, z, initial, most=SEARCH.sketched, tolerance=SEARCH.rough)
+    def _rough(self, structure: Structure, z: Array, initial: Array, hopeless: float = math.inf) -> Fit:
+        some = self.problem.pick(self.subset)
+        return fit(some, structure, z, initial, most=SEARCH.sketched, tolerance=SEARCH.rough, hopeless=hopeless)
 
     def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.
@@ -140,6 +148,11 @@ class Fitter:
         """Refit with one effect less, from the parameters that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.initial)
+
+    def roughly_without(self, current: Fit, key: str) -> Fit:
+        """A sketch with one effect less: enough to tell how much is lost without it."""
+        structure = current.structure.without(key)
+        return self._rough(structure, carry(current.structure, current.z, structure), current.initial[self.subset])
 
     def remember(self, fitted: Fit) -> None:
         """Keep a full fit, so that it need not be made again while the windows are the same."""

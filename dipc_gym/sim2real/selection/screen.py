@@ -7,6 +7,7 @@ and friction nothing without drag. Laid over the residual side by side, the two 
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -74,12 +75,12 @@ def screen(problem: Problem, current: Fit, terms: Sequence[Term], subset: NDArra
     guesses: dict[tuple[str, int], list[Term]] = {}
     for term in terms:  # a law of any shape has numbers of its own in each of its shapes
         guesses.setdefault((term.key, id(term.effect) if term.effect.free else 0), []).append(term)
-    some, currently = problem.pick(subset), current.pick(subset)
+    whole, some = _Fitted(problem, current), _Fitted(problem.pick(subset), current.pick(subset))
     luck = _luck(problem, current, subset)
     found = []
     for group in guesses.values():
         slow = min(group[0].effect.finest, current.structure.finest) < problem.stepping.timestep
-        tried = _best(*((some, currently) if slow else (problem, current)), group)
+        tried = _best(some if slow else whole, group)
         if tried is not None:
             here = (
                 {"predicted_gain": max(tried.predicted_gain - luck, 0.0)}
@@ -90,8 +91,22 @@ def screen(problem: Problem, current: Fit, terms: Sequence[Term], subset: NDArra
     return sorted(found, key=lambda tried: -tried.predicted_gain)
 
 
-def _best(problem: Problem, current: Fit, group: Sequence[Term]) -> Tried | None:
+@dataclass(frozen=True)
+class _Fitted:
+    """Windows and a fit to them, with what every hypothesis that is laid over it asks for."""
+
+    problem: Problem
+    current: Fit
+
+    @functools.cached_property
+    def moved(self) -> Array:
+        """An orthonormal basis of what other initial states change in each window, (n, M, 2 nb)."""
+        return np.linalg.qr(self.current.sensitivity)[0]
+
+
+def _best(fitted: _Fitted, group: Sequence[Term]) -> Tried | None:
     """The most promising guess of one effect at one place; None if none can be simulated."""
+    problem, current = fitted.problem, fitted.current
     possible, variants = [], []
     for term in group:
         structure = current.structure.with_term(term)
@@ -105,21 +120,20 @@ def _best(problem: Problem, current: Fit, group: Sequence[Term]) -> Tried | None
     all_readings = predict_with(problem, current.structure.with_term(possible[0]), variants, current.initial[None])
     tried = []
     for term, readings in zip(possible, all_readings, strict=True):
-        response = _response(problem, current, readings)
+        response = _response(fitted, readings)
         predicted_gain, size = _promise(problem, current, term.effect, response)
         scaled = _scaled(term, size)
         tried.append(Tried(scaled, predicted_gain, response=response if scaled is term else size * response))
     return max(tried, key=lambda one: one.predicted_gain)
 
 
-def _response(problem: Problem, current: Fit, readings: Array) -> Array:
+def _response(fitted: _Fitted, readings: Array) -> Array:
     """What `readings` (n, m, ns) add to the predictions of a fit, less what the initial states could explain, (n,
     M).
     """
-    change = current.raw - normalised_residual(problem, readings)
-    n = len(current.mse)
-    rows = np.concatenate([change.reshape(n, -1, 1), np.zeros((n, current.sensitivity.shape[2], 1))], axis=1)
-    Q, _ = np.linalg.qr(current.sensitivity)
+    change, Q = fitted.current.raw - normalised_residual(fitted.problem, readings), fitted.moved
+    n = len(change)
+    rows = np.concatenate([change.reshape(n, -1, 1), np.zeros((n, Q.shape[2], 1))], axis=1)
     return np.asarray((rows - Q @ (np.swapaxes(Q, 1, 2) @ rows))[..., 0])
 
 

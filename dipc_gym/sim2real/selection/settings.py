@@ -136,6 +136,8 @@ class SearchSettings:
         earns: share of the excess error that an effect must remove where it does not come down to the noise: the best
             of dozens takes up some of anything
         sketched: steps of a sketch: enough to tell which hypotheses keep up, and no more
+        hopeless: mean log square error, by which derivatives foretell a rival to stay behind (an error seven times as
+            large) where it is not fitted on: what they foretell from afar is off by less
         goes_on: steps of a sketch or fit that was still on its way, or whose windows are others now: a long valley
             takes more than a fit has elsewhere
         polished: steps of a fit that goes on until nothing changes; few fits need as many
@@ -176,6 +178,7 @@ class SearchSettings:
     in_reach: float = 3.0
     earns: float = 0.1
     sketched: int = 5
+    hopeless: float = 4.0
     goes_on: int = 15
     polished: int = 25
     most_anew: int = 30

@@ -125,7 +125,7 @@ def choice_shift(fitted: Fit, others: Sequence[Fit]) -> Array:
 
 
 def missing_effects(
-    search: Searched, found: Conclusion, test: Problem, errors: Errors, verdict: str, wide: Array
+    search: Searched, found: Conclusion, test: Problem, nominal: Fit, verdict: str, wide: Array
 ) -> list[Missing]:
     """The effects that a search came to, the strongest first.
 
@@ -133,7 +133,7 @@ def missing_effects(
         search: that has run.
         found: what it came to.
         test: windows to judge by.
-        errors: on these.
+        nominal: the model as given.
         verdict: see `judge.verdict`.
         wide: half widths of the intervals of the mapped parameters, (p,).
     """
@@ -141,6 +141,8 @@ def missing_effects(
     # Beside a law that can do the same, nothing is lost without a name.
     alone = beside.names_alone(search.fitter, final, search.progress.path[0])
     worth = [final] if alone is None else [final, alone]
+    some = test.pick(np.unique(np.linspace(0, len(test.windows) - 1, VERDICT.windows).round().astype(np.intp)))
+    as_given = judge.error_on(some, nominal) if any(found.rivals.values()) else 1.0
     missing = []
     for term in final.structure.terms:
         if term.key in found.unnamed:
@@ -156,7 +158,7 @@ def missing_effects(
         # leaves no blocks to resample.
         known = wide if verdict == "explained" and not term.effect.once else np.full(len(final.z), np.inf)
         rivals = [one for one in found.rivals[term.key] if _name(one.term) != _name(term)]
-        tried = sorted((_rival(rival, test, errors) for rival in rivals), key=lambda one: one["held_out"])
+        tried = sorted((_rival(rival, some, as_given) for rival in rivals), key=lambda one: one["held_out"])
         missing.append(
             Missing(
                 "unknown" if term.effect.of_no_kind else term.effect.name,
@@ -243,11 +245,11 @@ def _formula(search: Searched, final: Fit, term: Term) -> Formula | None:
     return None
 
 
-def _rival(rival: judge.Rival, test: Problem, errors: Errors) -> dict[str, Any]:
-    """One of the other effects that were tried, with its error on test data relative to the nominal model's."""
+def _rival(rival: judge.Rival, test: Problem, as_given: float) -> dict[str, Any]:
+    """One of the other effects that were tried, with its error on test data relative to that of the model as given."""
     return {
         **_name(rival.term),
-        "held_out": round(judge.error_on(test, rival.fitted) / max(errors.nominal, 1e-12), 6),
+        "held_out": round(judge.error_on(test, rival.fitted) / max(as_given, 1e-12), 6),
         "ruled_out": rival.ruled_out,
     }
 

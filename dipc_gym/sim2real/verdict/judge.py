@@ -7,10 +7,12 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from dipc_gym.sim2real.effects.base import joint_of
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.unexplained import Scene
@@ -79,7 +81,7 @@ def share(search: Searched, full: Fit, key: str) -> float:
     if len(full.structure.terms) == 1:
         return 1.0
     best, worst = search.scorer.comparison_error(full), search.scorer.comparison_error(search.progress.path[0])
-    without = search.scorer.comparison_error(search.fitter.without(full, key))
+    without = search.scorer.comparison_error(search.fitter.roughly_without(full, key))
     return float(np.clip((without - best) / max(worst - best, 1e-9), 0.0, 1.0))
 
 
@@ -95,7 +97,7 @@ def rivals(search: Searched, full: Fit, term: Term) -> list[Rival]:
     for others, structure, before in _stand_ins(search, full, term, provisional=error > SCORE.at_floor):
         swapped = before.fitted if before else search.fitter.remembered(structure)
         if swapped is None:
-            sketch = before.sketch if before else search.fitter.sketch(full, structure)
+            sketch = before.sketch if before else search.fitter.sketch(full, structure, rival=True)
             if sketch is None:
                 continue
             if search.fitter.behind(sketch, full):
@@ -143,6 +145,8 @@ def _stand_ins(
         and not t.term.effect.of_no_kind
         and term.effect.id not in t.term.effect.contains
         and (t.fitted is not None or (t.term.effect.id in listed and (t.sketch is not None or not provisional)))
+        # What came close may act anywhere; what an effect is mistaken for acts at its joint.
+        and (t.fitted is not None or not _apart(full.structure.model, term, t.term))
     ]
     others.sort(key=lambda t: (t.score, -t.predicted_gain))
     remaining = full.structure.without(term.key)
@@ -163,6 +167,16 @@ def _stand_ins(
     if len(parts) > 1 and all(part is not None and part.key not in present for part in parts):
         terms = [part.term for part in parts if part is not None]
         yield terms, functools.reduce(Structure.with_term, terms, remaining), None
+
+
+def _apart(model: mujoco.MjModel, one: Term, other: Term) -> bool:
+    """Whether two effects act at joints, or at motors of joints, that are not the same."""
+    joints = [
+        term.at if term.effect.place == "joint" else joint_of(model, term.at)
+        for term in (one, other)
+        if term.effect.place in ("joint", "actuator")
+    ]
+    return len(joints) == 2 and None not in joints and joints[0] != joints[1]
 
 
 def locate(scene: Scene, joints: Sequence[str]) -> list[Located]:

@@ -271,7 +271,7 @@ def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Loc
         notes.append(sentences.not_in_test(measured.comparison.recalibrated, errors.nominal))
     missing = late(
         "How much each effect is worth",
-        lambda: findings.missing_effects(search, found, last.problem, measured.test, verdict, measured.wide),
+        lambda: findings.missing_effects(search, found, last.problem, last.three[0], verdict, measured.wide),
         lambda: findings.named_alone(final),
     )
     if search.stop.asked:

@@ -71,6 +71,7 @@ class VerdictSettings:
         swaps: effects that may give way to rivals after the search: after each, all the others are judged anew
         rivals: effects of its round that are tried in the place of one, the likeliest first, for each costs a fit
         rivals_left: the same where structure is left: names are provisional then, and telling them apart is worth less
+        windows: of the test data, at most, on which each rival is judged: how far off it is shows in a few
         light: of the largest load, added to each joint's before unexplained forces are compared with them: a joint that
             carries next to nothing would have the largest share of any mismatch
         bins: of a quantity, between which a force's variance is told: enough for a narrow pattern, and few enough for
@@ -122,6 +123,7 @@ class VerdictSettings:
     swaps: int = 3
     rivals: int = 5
     rivals_left: int = 3
+    windows: int = 24
     light: float = 0.05
     bins: int = 24
     sure: float = 0.95
