@@ -500,6 +500,27 @@ def test_a_number_at_its_bound_does_not_hold_the_others_back() -> None:
     assert reached == pytest.approx([0.1, z[1]])
 
 
+def test_a_fit_that_cannot_come_near_is_left_early() -> None:
+    """Damping in the place of 4 N of dry friction leaves far more than the noise, and what is left says so."""
+    P = ready(run(friction=4.0, seconds=3.0), CART.replace('damping="21.4"', 'damping="60"'))
+    wrong = free(P, "cart.damping")
+    right = wrong.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.0}))
+    whole, left = fit(P.problem, wrong), fit(P.problem, wrong, hopeless=2.0)
+    assert left.steps == 2 < whole.steps
+    assert min(left.error, whole.error) > np.exp(1.0)
+    kept = fit(P.problem, right, hopeless=2.0)
+    assert kept.error == fit(P.problem, right).error < 1.1
+
+
+def test_what_differs_between_regimes_widens_the_intervals_beside_it() -> None:
+    """Square drag that a model leaves out: damping is another one at every speed, and each second has all speeds."""
+    rig = physics.load(CART.replace('damping="21.4"', 'damping="21.4 40"'))
+    P = ready(record(rig, sweep(4.0), 8.0, noise=NOISY, step=5e-4, integrator=RK4))
+    fitted = fit(P.problem, free(P, "cart.damping"))
+    regimes, seconds = judge.between_regimes(fitted, P.problem), judge.intervals(fitted, P.problem)
+    assert regimes[0] > seconds[0] > 0
+
+
 def test_one_second_of_data_gives_no_interval() -> None:
     S = ready(run(seconds=3.0))
     first = S.problem.pick(S.problem.windows.start < 1.0)

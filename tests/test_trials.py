@@ -623,6 +623,59 @@ def test_false_alarms_wrong_parameters_and_the_unknown():
     assert grade.grade(whole, part, FINE).unknown is True
 
 
+def test_a_law_and_the_effect_beside_it_are_judged_each_by_itself():
+    two = sealed(
+        "single",
+        [("motor.map", "motor"), ("friction.coulomb", "cart")],
+        beside=True,
+        share_of_each={"motor.map@motor": 7.0, "friction.coulomb@cart": 5.0},
+    )
+    level = one("friction.coulomb", level=(3.1, 2.9, 3.2))
+    judged = grade.grade(two, said(level, one("motor.map", "motor")), FINE)
+    assert (judged.name, judged.set, judged.place, judged.beside, judged.size) == (True, True, True, True, 7.0)
+    assert (judged.inside, judged.printed, judged.said) == (1, 1, ["motor.map"])
+    judged = grade.grade(two, said(level), FINE)
+    assert (judged.name, judged.beside) == (False, True)
+    judged = grade.grade(two, said(one("motor.map", "motor"), one("friction.coulomb", "pole1")), FINE)
+    assert (judged.name, judged.set, judged.beside) == (True, False, False)
+    faint = two | {"share_of_each": {"motor.map@motor": 7.0, "friction.coulomb@cart": 1.0}}
+    assert grade.grade(faint, said(one("motor.map", "motor")), FINE).beside is None
+    nameless = sealed(
+        "unknown",
+        [("unknown", "cart"), ("friction.coulomb", "cart")],
+        beside=True,
+        share_of_each={"unknown@cart": 7.0, "friction.coulomb@cart": 5.0},
+    )
+    judged = grade.grade(nameless, said(one("unknown"), level), FINE)
+    assert (judged.unknown, judged.misnamed, judged.beside, judged.inside) == (True, False, True, 1)
+    judged = grade.grade(nameless, said(level, one("load.spring")), FINE)
+    assert (judged.unknown, judged.misnamed, judged.beside) == (False, True, True)
+
+
+def test_a_third_of_the_laws_stands_beside_what_machines_usually_have(tmp_path):
+    plans = generate.plans(5, laws=True)
+    assert 25 <= sum(plan.beside for plan in plans) <= 55
+    assert not any(plan.beside for plan in plans if plan.kind == "null")
+    assert not any(plan.beside for plan in generate.plans(5, full=True))
+    (tmp_path / "sealed").mkdir()
+    for number, effect in enumerate(("friction.speed", "load.position", "motor.map"), start=1):
+        plan = generate.Plan(number, "single", "cart", effect, False, laws=True, beside=True)
+        generate.make_trial(tmp_path, plan, 3)
+        held = answer_of(tmp_path, plan)
+        law, usual = held["missing"]
+        assert law["effect"] == effect
+        # What the law may have in itself is not hidden beside it: nobody could tell the two apart.
+        assert (
+            usual["effect"]
+            in {
+                "friction.speed": {"load.constant"},
+                "load.position": {"friction.coulomb", "drag.quadratic"},
+                "motor.map": {"friction.coulomb", "drag.quadratic", "load.constant"},
+            }[effect]
+        )
+        assert held["share_of_each"].keys() == {f"{m['effect']}@{m['at']}" for m in held["missing"]}
+
+
 def test_a_failed_diagnosis_is_a_wrong_one():
     broken = {"seconds": 1.0, "failure": "it broke", "sensor_errors": None}
     judged = grade.grade(sealed(), None, broken)

@@ -24,6 +24,7 @@ from dipc_gym.trials.secret import Plan, Secret
 SCHEMA = "dipc-gym/trial/1"
 SMALL = {"null": 15, "single": 18, "pair": 3, "unknown": 3, "wrong": 3}  # trials of each kind
 LAWS = {"single": 60, "unknown": 60, "null": 30}  # trials of each kind, with --laws
+BESIDE = 1 / 3  # of the laws that are hidden beside an effect with a name
 FULL = {"null": 150, "single": 182, "pair": 36, "unknown": 32, "wrong": 30}  # trials of each kind, with --full
 # Shares of the trials.
 RIG_WEIGHTS = {"cart": 0.3, "hanging": 0.2, "upright": 0.15, "motor_axis": 0.2, "pendulum": 0.15}
@@ -49,7 +50,7 @@ def plans(seed: int, *, count: int | None = None, full: bool = False, laws: bool
     """
     if count is not None and count < 1:
         raise ValueError(f"count is {count}; it is the number of trials, 1 or more")
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 7]))
+    rng, other = (np.random.default_rng(np.random.SeedSequence([seed, k])) for k in (7, 8))
     amounts = LAWS if laws else FULL if full else SMALL
     hides = shapes.named if laws else effects
     kinds = [kind for kind, amount in amounts.items() for _ in range(amount)]
@@ -59,7 +60,7 @@ def plans(seed: int, *, count: int | None = None, full: bool = False, laws: bool
     kinds = kinds[:count]
     # Eight draws meet every variant of a rig.
     possible = {
-        name: {e.name for other in range(8) for e in hides(make(np.random.default_rng(other)))}
+        name: {e.name for draw in range(8) for e in hides(make(np.random.default_rng(draw)))}
         for name, make in rigs.RIGS.items()
     }
     ids = sorted({name for names in possible.values() for name in names})
@@ -83,7 +84,8 @@ def plans(seed: int, *, count: int | None = None, full: bool = False, laws: bool
         else:
             rig = str(rng.choice(names, p=weights / weights.sum()))
         tuned = bool(rng.random() < 0.3) and kind in ("single", "pair") and rig != "upright"
-        result.append(Plan(number, kind, rig, effect, tuned and not laws, laws))
+        beside = laws and kind != "null" and bool(other.random() < BESIDE)
+        result.append(Plan(number, kind, rig, effect, tuned and not laws, laws, beside))
     return result
 
 

@@ -53,6 +53,8 @@ class Grade:
         renumbered: parameters called wrong where none are.
         unknown: unknown physics called unknown.
         misnamed: unknown physics given a known name.
+        beside: an effect with a name that is hidden beside a law, and moves predictions by twice the noise or more
+            beside it, is named at its place.
         reached: share of the reachable improvement on the held-out recording, converged simulation.
         reached_own_step: the same with the integrator and step of the model's file.
         error: of the improved model on the held-out recording, in noise standard deviations, converged simulation.
@@ -82,6 +84,7 @@ class Grade:
     renumbered: bool | None = None
     unknown: bool | None = None
     misnamed: bool | None = None
+    beside: bool | None = None
     reached: float | None = None
     reached_own_step: float | None = None
     error: float | None = None
@@ -113,6 +116,8 @@ def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attemp
     # What a refit explains, or a simulator with wrong parameters lacks, shows against the nominal model only.
     renumber = answer["recalibrated_suffices"] or answer["kind"] == "wrong"
     size = answer["moved_from_nominal" if renumber else "share_of_signal"]
+    if answer.get("beside"):
+        size = answer["share_of_each"][_key(answer["missing"][0])]
     result = Grade(
         trial=answer["trial"],
         rig=answer["rig"],
@@ -135,17 +140,38 @@ def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attemp
             result.renumbered = refitted and result.verdict == "recalibrated"
         else:
             result.name = diagnosis is not None and not said and result.verdict == "recalibrated"
-    elif answer["kind"] == "unknown":
-        _grade_unknown(result, answer, said)
     else:
-        _grade_names(result, answer, said)
         _grade_intervals(result, answer, said)
+        law, about_it = _beside(result, answer, said) if answer.get("beside") else (answer, said)
+        if answer["kind"] == "unknown":
+            _grade_unknown(result, law, about_it)
+        else:
+            _grade_names(result, law, about_it)
     result.reached = _reached(answer, attempt.get("sensor_errors"))
     result.reached_own_step = _reached(answer, attempt.get("sensor_errors_own_step"))
     errors = attempt.get("sensor_errors")
     result.error = None if errors is None else in_noise(errors, answer["noise"])
     result.error_within = attempt.get("error_within")
     return result
+
+
+def _beside(
+    result: Grade, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]
+) -> tuple[Mapping[str, Any], Sequence[Mapping[str, Any]]]:
+    """Grade the effect with a name beside a law; the answer about the law alone, and what else was said."""
+    law, usual = answer["missing"]
+    places = _accepted(answer, usual)
+    its = [m for m in said if _route(m, usual, places) and m["at"] in places.get(m["effect"], set())]
+    if answer["share_of_each"][_key(usual)] >= CLEAR:
+        result.beside = bool(its)
+    others = [m for m in said if m not in its]
+    result.said = [m["effect"] for m in others]
+    # What takes only the usual effect up leaves the law unsaid.
+    return {**answer, "missing": [law], "recalibrated_suffices": False}, others
+
+
+def _key(effect: Mapping[str, Any]) -> str:
+    return f"{effect['effect']}@{effect['at']}"
 
 
 def _accepted(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, set[str]]:

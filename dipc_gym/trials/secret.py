@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,6 +17,19 @@ from dipc_gym.trials.prediction import ONES, WINDOW, Recording, Windows, fit, pr
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig, excitation
 
 LEVELS = ("friction.coulomb", "friction.stribeck", "friction.asymmetric", "friction.position")
+USUAL = ("friction.coulomb", "drag.quadratic", "load.constant")
+"""What is hidden beside a law; viscous friction is a parameter that models have already."""
+WITHIN = (
+    ("friction.speed", ("friction.coulomb", "drag.quadratic")),
+    ("friction", ("friction.coulomb",)),
+    ("breakaway", ("friction.coulomb",)),
+    ("hysteresis", ("friction.coulomb",)),
+    ("drag", ("drag.quadratic",)),
+    ("load", ("load.constant",)),
+    ("spring", ("load.constant",)),
+    ("torque", ("load.constant",)),
+)
+"""How the kind of a law begins, and which of these it may hold in itself."""
 SAME = 0.1
 """Two models are the same on a rig when their predictions differ by less than this many noise standard deviations
 (and by less than this share of the effect, where the effect itself is smaller than the noise)."""
@@ -34,6 +48,7 @@ class Plan:
         effect: id for a single, else empty.
         tuned: refit the nominal model's damping and motor constant to the training recordings beforehand.
         laws: of the trial of laws; what is hidden has a shape of its own.
+        beside: of these, whether an effect with a name is hidden as well that most machines have.
     """
 
     number: int
@@ -42,6 +57,7 @@ class Plan:
     effect: str
     tuned: bool
     laws: bool = False
+    beside: bool = False
 
     @property
     def name(self) -> str:
@@ -77,6 +93,8 @@ class Secret:
             parameters[index("coulomb", 0)] = rig.force[0] * np.exp(rng.uniform(np.log(0.05), np.log(0.25)))
             rig = rigs.with_parameters(rig, parameters)
         hidden = _choose(plan, rig, rng, known)
+        if plan.beside:
+            hidden.append(_usual(rig, hidden[0], rng))
         once = any(h.effect.name == "disturbance.pulse" for h in hidden) and bool(rng.random() < 0.5)
         true = rig.parameters
         for one in hidden:
@@ -189,6 +207,7 @@ class Secret:
                 for h in self.hidden
             ],
             "all_of": len(self.hidden) > 1,
+            "beside": plan.beside,
             "wrong": self.wrong,
             "includes": sorted({name for h in self.hidden for name in h.effect.includes}),
             "parameters": {f"{h.effect.name}@{h.effect.at}": h.parameters() for h in self.hidden},
@@ -366,6 +385,17 @@ def _choose(plan: Plan, rig: Rig, rng: np.random.Generator, known: bool) -> list
         merges = any(together == set(names) for sets in SETS.values() for names in sets)
         if family != other and second.name not in RIVALS.get(first.name, ()) and not merges:
             return [draw(first, rng), draw(second, rng)]
+
+
+def _usual(rig: Rig, law: Hidden, rng: np.random.Generator) -> Hidden:
+    """An effect that most machines have, at the driven joint, from the upper half of its range; none that a law of this
+    kind has in it already.
+    """
+    within = next((names for begins, names in WITHIN if (law.effect.kind or law.effect.name).startswith(begins)), ())
+    usual = [e for e in effects(rig) if e.name in USUAL and e.name not in within and e.at == rig.joints[0]]
+    picked = usual[rng.integers(len(usual))]
+    upper = tuple(replace(p, low=math.sqrt(p.low * p.high)) for p in picked.parameters)
+    return draw(replace(picked, parameters=upper), rng)
 
 
 def _without_level(hidden: Hidden) -> Hidden:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,6 @@ from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.settings import MODEL
 from dipc_gym.sim2real.model.structure import Term, names
 from dipc_gym.sim2real.result import Errors, Missing
-from dipc_gym.sim2real.selection import beside
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
@@ -124,8 +123,41 @@ def choice_shift(fitted: Fit, others: Sequence[Fit]) -> Array:
     return shift
 
 
+@dataclass(frozen=True)
+class Wide:
+    """Half widths of 90 % intervals of the mapped parameters, (p,) each, infinite where nothing is known.
+
+    Attributes:
+        of_laws: of what stands in tables, from resampled seconds of the recordings.
+        of_names: of what has a name, and of the model; wider where something is left, or modelled by a law of no kind.
+    """
+
+    of_laws: Array
+    of_names: Array
+
+
+def beside_unknown(search: Searched, final: Fit, alone: Fit | None, wide: Array) -> Array:
+    """Half widths (p,) beside physics that is left out, or modelled by a law of no kind, infinite for values of tables.
+
+    What has a name makes up for it, by as much as parameters differ between regimes of motion, and as they move where
+    the law is left out.
+
+    Args:
+        search: that has run.
+        final: what it came to.
+        alone: see `beside.names_alone`.
+        wide: half widths where nothing is left, (p,).
+    """
+    wider = np.maximum(wide, judge.between_regimes(final, search.partition.problem))
+    if alone is not None:
+        known = {slot.key: z for slot, z in zip(alone.structure.slots, alone.z, strict=True)}
+        there = [known.get(slot.key, z) for slot, z in zip(final.structure.slots, final.z, strict=True)]
+        wider += np.abs(np.array(there) - final.z)
+    return np.where(final.structure.tables < 0, wider, np.inf)
+
+
 def missing_effects(
-    search: Searched, found: Conclusion, test: Problem, nominal: Fit, verdict: str, wide: Array
+    search: Searched, found: Conclusion, test: Problem, nominal: Fit, alone: Fit | None, wide: Wide
 ) -> list[Missing]:
     """The effects that a search came to, the strongest first.
 
@@ -134,12 +166,10 @@ def missing_effects(
         found: what it came to.
         test: windows to judge by.
         nominal: the model as given.
-        verdict: see `judge.verdict`.
-        wide: half widths of the intervals of the mapped parameters, (p,).
+        alone: see `beside.names_alone`: beside a law that can do the same, nothing is lost without a name.
+        wide: of the intervals of the parameters.
     """
     final = found.fitted
-    # Beside a law that can do the same, nothing is lost without a name.
-    alone = beside.names_alone(search.fitter, final, search.progress.path[0])
     worth = [final] if alone is None else [final, alone]
     some = test.pick(np.unique(np.linspace(0, len(test.windows) - 1, VERDICT.windows).round().astype(np.intp)))
     as_given = judge.error_on(some, nominal) if any(found.rivals.values()) else 1.0
@@ -149,14 +179,13 @@ def missing_effects(
             continue
         units = improve.place_units(final.structure, term)
         sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
-        law = _law(final, term, units, wide)
+        law = _law(final, term, units, wide.of_laws)
         if law is not None and (formula := _formula(search, final, term)) is not None:
             unit, per = law["table"]["unit"], law["table"]["inputs"][0]["unit"]
             law["formula"] = formula.to_dict(unit, per)
             sentence += f" Its shape is that of a formula: {formula.text(unit, per)}."
-        # With structure left, an interval would tell how sure a wrong model is of its parameter; what happened once
-        # leaves no blocks to resample.
-        known = wide if verdict == "explained" and not term.effect.once else np.full(len(final.z), np.inf)
+        # What happened once leaves no blocks to resample.
+        known = np.full(len(final.z), np.inf) if term.effect.once else wide.of_names
         rivals = [one for one in found.rivals[term.key] if _name(one.term) != _name(term)]
         tried = sorted((_rival(rival, some, as_given) for rival in rivals), key=lambda one: one["held_out"])
         missing.append(

@@ -18,6 +18,7 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.result import Beyond, Details, Diagnosis, Errors, Located, Missing, SensorFit
+from dipc_gym.sim2real.selection import beside
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.data import sampled_slowly
@@ -177,7 +178,8 @@ class _Measured:
         test: on test data.
         beyond: of these, what goes beyond what laws were fitted with; None where nothing does.
         force: of the inverse models there, at each joint.
-        wide: half widths of the intervals of the mapped parameters, (p,).
+        wide: of the intervals of the parameters.
+        alone: what has a name without laws of no kind, where that goes before them.
         changed: parameters of the model that had to change.
         notes: in sentences.
     """
@@ -186,7 +188,8 @@ class _Measured:
     test: Errors
     beyond: Beyond | None
     force: dict[str, Errors]
-    wide: Array
+    wide: findings.Wide
+    alone: Fit | None
     changed: list[dict[str, Any]]
     notes: list[str] = field(default_factory=list)
 
@@ -241,8 +244,22 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
         ),
         lambda: np.full(len(final.z), np.inf),
     )
-    changed = late("Which parameters changed", lambda: findings.changed_parameters(final, wide), list[dict[str, Any]])
-    return _Measured(comparison, errors, outside, force, wide, changed, notes)
+    alone: Fit | None = late(
+        "Names without laws", lambda: beside.names_alone(search.fitter, final, search.progress.path[0]), lambda: None
+    )
+    left = max(comparison.improved, (errors if outside is None else outside.within).improved)
+    if final.structure.unnamed or left > SCORE.at_floor:
+        of_names = late(
+            "What is left adds to the intervals",
+            lambda: findings.beside_unknown(search, final, alone, wide),
+            lambda: np.full(len(final.z), np.inf),
+        )
+    else:
+        of_names = wide
+    changed = late(
+        "Which parameters changed", lambda: findings.changed_parameters(final, of_names), list[dict[str, Any]]
+    )
+    return _Measured(comparison, errors, outside, force, findings.Wide(wide, of_names), alone, changed, notes)
 
 
 @dataclass(frozen=True)
@@ -271,7 +288,7 @@ def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Loc
         notes.append(sentences.not_in_test(measured.comparison.recalibrated, errors.nominal))
     missing = late(
         "How much each effect is worth",
-        lambda: findings.missing_effects(search, found, last.problem, last.three[0], verdict, measured.wide),
+        lambda: findings.missing_effects(search, found, last.problem, last.three[0], measured.alone, measured.wide),
         lambda: findings.named_alone(final),
     )
     if search.stop.asked:

@@ -77,6 +77,8 @@ class VerdictSettings:
         bins: of a quantity, between which a force's variance is told: enough for a narrow pattern, and few enough for
             hundreds of samples in each
         sure: quantile to which an interval reaches on either side: 90 % lie within, which a dozen blocks can tell
+        regimes: into which windows are parted by where they begin, and by how fast, to see what parameters are in each:
+            as many as have half a dozen windows
         told: squares of one reading's noise, that doubling a parameter has to change for data to know of it
         small: share of the motion within a window: a smaller mismatch is called missing physics only if it has a
             pattern, for every real recording holds a little
@@ -127,6 +129,7 @@ class VerdictSettings:
     light: float = 0.05
     bins: int = 24
     sure: float = 0.95
+    regimes: int = 8
     told: float = 1.0
     small: float = 1e-3
     pattern: float = 0.1
