@@ -135,7 +135,12 @@ def test_vectors_of_every_kind_go_through_c(tmp_path: Path) -> None:
     mixed = program.join(a, b, a * b).affine(np.arange(12).reshape(4, 3) / 7, [0.1, 0.2, 0.3, 0.4])
     chosen = (mixed.part(1, 3) - kept).below(0.2).choose(kept * 2, mixed.part(0, 3) / 3)
     program.update(kept, chosen.clip(-5.0, 5.0))
-    result = abs(chosen).total() + mixed.least() * (-kept.part(2)).exp() + program.previous("a", a)
+    square, single = mixed.pick([0, 1, 1, 3]), program.join(a).affine([[0.3]], 0.1).pick([0, 0])
+    whole = square.times(program.join(mixed.part(2), kept, single), 2)  # (2, 2) times (2, 3)
+    halves = whole.times(whole.pick([0, 3, 1, 4, 2, 5]), 3, half=True)  # and that times itself, turned over
+    dot, outer = kept.times(chosen, 3), square.part(0, 2).times(single, 1)
+    result = halves.total() + whole.part(1) * dot - outer.least() * a.times(b, 1)
+    result = result + abs(chosen).total() + mixed.least() * (-kept.part(2)).exp() + program.previous("a", a)
     program.output("y", result + (1 - a) / (2 + abs(b)) - program.first())
     rows = np.random.default_rng(4).normal(size=(300, 7, 2))
     memory, expected = program.memory(7), []
@@ -143,7 +148,24 @@ def test_vectors_of_every_kind_go_through_c(tmp_path: Path) -> None:
         outputs, memory = program.run({"a": row[:, 0], "b": row[:, 1]}, memory)
         expected.append(outputs["y"][0])
     values = in_c(compiled(tmp_path, program, inputs=("a", "b")), rows)
-    np.testing.assert_allclose(values, expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(values, expected, rtol=1e-13, atol=1e-13)
+
+
+def test_products_are_those_of_matrices_and_are_counted() -> None:
+    rng = np.random.default_rng(5)
+    first, second = rng.normal(size=(4, 3)), rng.normal(size=(3, 5))
+    program = Program()
+    a, b = program.constant(first.ravel()), program.constant(second.ravel())
+    turned = a.pick([3 * i + j for j in range(3) for i in range(4)])
+    program.output("whole", a.times(b, 3))
+    program.output("half", a.times(turned, 3, half=True))
+    outputs, _ = program.run({}, {})
+    np.testing.assert_allclose(outputs["whole"].reshape(4, 5), first @ second, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(outputs["half"][:, 0], (first @ first.T)[np.tril_indices(4)], rtol=0, atol=1e-14)
+    assert program.cost() == {"multiplications": 3 * (20 + 10), "additions": 2 * (20 + 10)}
+    for wrong in (lambda: a.times(b, 2), lambda: a.times(b, 0), lambda: a.times(b, 3, half=True), lambda: a.pick([12])):
+        with pytest.raises(ValueError, match="entries"):
+            wrong()
 
 
 @needs_compiler
@@ -259,6 +281,8 @@ SEEN = {
     "kalman of a late rig, history": ("kalman", "lqr", history, LATE),
     "disturbance of a late rig, observed": ("disturbance", "lqr", lambda: Observed(4.0), LATE),
     "differences, lugre": ("differences", "lqr", lugre, 0.0),
+    "ekf, observed": ("ekf", "lqr_cart", lambda: Observed(4.0), 0.0),
+    "ekf, lugre": ("ekf", "lqr", lugre, 0.0),
     "disturbance, observed, a policy that sees through it": ("disturbance", OBSERVING, lambda: Observed(4.0), 0.0),
 }
 
@@ -317,11 +341,15 @@ def test_an_estimator_goes_along_from_its_file(folder: Path, capsys: pytest.Capt
     Path("slow.json").write_text('{"control_period": 0.01}')
     assert cli.main([*arguments, "--plant", "slow.json", "--out", "slow.h"]) == 2
     assert "is for a control period of 5 ms, and the plant's is 10 ms" in capsys.readouterr().err
-    estimators.save(seeing("ekf"), "ekf.json")
-    arguments[3] = "ekf.json"
-    assert cli.main([*arguments, "--out", "ekf.h"]) == 2
-    assert "the estimator 'ekf' (ExtendedKalman) has no form" in capsys.readouterr().err
-    assert not any(Path(name).exists() for name in ("blind.h", "slow.h", "ekf.h"))
+    for name, says in (
+        ("rigid_body", "the estimator 'rigid_body' has no form that can be exported: it needs sine and cosine"),
+        ("moving_horizon", "the estimator 'moving_horizon' (MovingHorizon) has no form"),
+    ):
+        estimators.save(seeing(name), "other.json")
+        arguments[3] = "other.json"
+        assert cli.main([*arguments, "--out", "other.h"]) == 2
+        assert says in capsys.readouterr().err
+    assert not any(Path(name).exists() for name in ("blind.h", "slow.h", "other.h"))
 
 
 # ------------------------------------------------------------------------------------------------ ONNX
@@ -352,6 +380,8 @@ def test_every_operation_goes_through_onnx() -> None:
     kept = program.state("kept", [0.5, -0.5])
     program.update(kept, program.join(x, x.sigmoid()))
     y = abs(x).exp() - x.tanh().maximum(kept).minimum(0.3).total() / 3 + (x - kept).least() * x.below(0.1)
+    turned = program.join(kept, x).times(kept.pick([1, 0, 1]), 1).pick([8, 0, 4, 2])  # 4 of the 9 entries
+    y = y + turned.times(turned.pick([0, 2, 1, 3]), 2, half=True).total()
     program.output("y", (x.within(0.7)).choose(y, -y).part(0))
     session = onnxruntime.InferenceSession(onnx.graph(program, about="test"))
     state, memory = onnx.first_state(program), program.memory()

@@ -42,8 +42,8 @@ COMPENSATORS: dict[str, Compensator] = {
     "observed": Observed(4.0),
 }
 NO_FORM = {"ideal", "maxwell_slip", "friedland", "disturbance_observer", "llnf_lagged", "llnf_adaptive"}
-SEEING = {name: loops.seeing(name) for name in ("differences", "kalman", "disturbance")}
-BLIND = {"kalman_friction", "ekf", "moving_horizon", "rigid_body"}
+SEEING = {name: loops.seeing(name) for name in ("differences", "kalman", "disturbance", "ekf")}
+BLIND = {"kalman_friction", "moving_horizon", "rigid_body"}
 
 
 def pairs() -> list[tuple[str, str, str]]:
