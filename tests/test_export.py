@@ -256,6 +256,20 @@ def test_the_cost_of_an_llnf_is_counted(models: int) -> None:
     assert costs[0]["exponentials"] == models
 
 
+@pytest.mark.parametrize(
+    ("estimator", "says"),
+    [
+        ("disturbance", "86 additions and 88 multiplications"),
+        ("ekf", "1,424 additions, 1,569 multiplications, 16 divisions and 6 exponentials"),
+    ],
+)
+def test_the_costs_on_the_page_are_those_of_the_pairs(estimator: str, says: str) -> None:
+    program = Loop(seeing(estimator), controllers.balancing("lqr_cart"), Observed(4.0), LIMIT, SUPPLY).program()
+    assert says in (Path(__file__).parents[1] / "docs" / "rig.md").read_text()
+    counts = [part.split() for part in says.replace(" and ", ", ").split(", ")]
+    assert all(program.cost()[kind] == int(count.replace(",", "")) for count, kind in counts)
+
+
 def test_values_that_do_not_belong_together_are_refused() -> None:
     one, other = Program(), Program()
     with pytest.raises(ValueError, match="2 and 3 entries do not go together"):
