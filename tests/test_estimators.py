@@ -213,9 +213,11 @@ def test_the_filters_slopes_are_those_of_its_step(made, v, z):
         np.testing.assert_allclose(slope[:, i], difference, rtol=2e-3, atol=2e-5)
 
 
-def test_the_filters_covariance_is_what_products_of_full_matrices_give(made, rig):
+@pytest.mark.parametrize("period", [0.001, 0.005, 0.023])
+def test_the_filters_covariance_is_what_products_of_full_matrices_give(rig, period):
     """A period, worked out anew: the slope of the whole motion by differences, the textbook's gain and covariance."""
-    ekf = made["ekf"]
+    rig = replace(rig, period=period)
+    ekf = estimators.kind("ekf")(rig, DRY)
     noise = np.diag([FLOOR] * 6 + [FLOOR + (ekf._walk / DRY.bristle_stiffness) ** 2, (0.2 * ekf._walk / 2) ** 2])
     readings, volts = np.array([[0.01, 0.002, -0.001]]), np.array([1.5])
     state = np.array([[0.01, 0.002, -0.001, 0.08, 0.05, -0.02, 1e-4, 0.5]])

@@ -15,6 +15,8 @@ from dipc_gym.estimators.kalman import FLOOR, wander
 
 STEP = 0.001
 """Longest step of the bristle's integration, s."""
+STRETCH = 10
+"""Of these steps are looked at together; the sums over those before grow with each."""
 SIZE = 8
 """Six states of the rig, the bristle, and the force that the model leaves unexplained."""
 ROWS, COLUMNS = np.tril_indices(SIZE)
@@ -40,7 +42,7 @@ class ExtendedKalman(Estimator):
 
     The filter is written once, as a program: NumPy runs it here, and the export writes it in C. The motion is linear
     but for the bristle, so the slope of a whole period is that of the linear part, and a column times a row for each
-    step of the bristle; that and the symmetry of the covariance take a sixth of what products of full matrices would.
+    step of the bristle; with that and the symmetry of the covariance it takes a third of what full matrices would.
 
     Source:
         Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Transactions on Automatic Control 40 (1995) 419-425.
@@ -118,13 +120,21 @@ class ExtendedKalman(Estimator):
         return self._corrected(x, self._spread(P, slope), readings)
 
     def _moved(self, x: Value, motor: Value) -> tuple[Value, Value]:
-        """State (8,) a period later without a look at the encoders, and the slope (7, 8) of all but the last of it.
+        """State (8,) a period later without a look at the encoders, and the slope (7, 8) of all but the last of it."""
+        x, slope = self._coasted(x, motor, min(STRETCH, self.substeps))
+        for done in range(STRETCH, self.substeps, STRETCH):
+            x, further = self._coasted(x, motor, min(STRETCH, self.substeps - done))
+            slope = further.times(x.program.join(slope, x.program.constant(np.eye(SIZE)[7])), SIZE)
+        return x, slope
 
-        Between two steps of the bristle the rig takes steps of a linear model, in which the state before the period
-        and the force of each step count with constant weights. Only how velocity and bristle depend on the state
-        before has therefore to be followed from step to step, and not how everything does.
+    def _coasted(self, x: Value, motor: Value, n: int) -> tuple[Value, Value]:
+        """The same over some steps of the bristle.
+
+        Between two steps of the bristle the rig takes steps of a linear model, in which the state before and the
+        force of each step count with constant weights. Only how velocity and bristle depend on the state before has
+        therefore to be followed from step to step, and not how everything does.
         """
-        program, (F, G), n = x.program, self._linear, self.substeps
+        program, (F, G) = x.program, self._linear
         powers = [np.eye(6)]
         for _ in range(n):
             powers.append(F @ powers[-1])
