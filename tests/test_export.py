@@ -341,14 +341,15 @@ def test_single_precision_balances_as_well(name: str) -> None:
 
 @needs_compiler
 def test_an_estimator_goes_along_from_its_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    estimators.save(seeing("disturbance"), "sees.json")
     compensators.save(Observed(4.0), "observed.json")
     arguments = ["export", "observed.json", "--estimator", "sees.json", "--controller", "lqr_cart", "--to", "c"]
-    assert cli.main([*arguments, "--out", "rig.h"]) == 0
-    assert "Estimator: disturbance of sees.json" in Path("rig.h").read_text()
-    for define in ([], ["-DRIG_FLOAT"]):
-        subprocess.run([str(GCC), *STRICT, *define, "rig_test.c", "-o", "check", "-lm"], check=True)
-        assert subprocess.run(["./check"], capture_output=True).returncode == 0
+    for name in ("ekf", "disturbance"):
+        estimators.save(seeing(name), "sees.json")
+        assert cli.main([*arguments, "--out", f"{name}.h"]) == 0
+        assert f"Estimator: {name} of sees.json" in Path(f"{name}.h").read_text()
+        for define in ([], [f"-D{name.upper()}_FLOAT"]):
+            subprocess.run([str(GCC), *STRICT, *define, f"{name}_test.c", "-o", "check", "-lm"], check=True)
+            assert subprocess.run(["./check"], capture_output=True).returncode == 0
     capsys.readouterr()
     assert cli.main(["export", "observed.json", "--to", "c", "--out", "blind.h"]) == 2
     assert "feeds forward the friction that an estimator observes" in capsys.readouterr().err
