@@ -218,6 +218,14 @@ def test_a_formula_of_ones_own_writes_itself() -> None:
     np.testing.assert_allclose(in_numpy(program, rows, np.float64), in_python(LQR(), TwoWay(), rows), atol=1e-11)
 
 
+def test_dither_goes_on_from_period_to_period() -> None:
+    """Where readings say that the rig is at rest upright, the wave alone is left."""
+    program = Loop(DIFFERENCE, controllers.balancing("dither"), StaticGain(4.0), LIMIT, SUPPLY).program()
+    shaking = controllers.balancing("dither")
+    expected = [shaking.force(np.zeros(6)) / 4.0 for _ in range(30)]
+    np.testing.assert_array_equal(in_numpy(program, np.zeros((30, 1, 3)), np.float64)[:, 0], expected)
+
+
 @pytest.mark.parametrize(
     ("estimator", "controller", "compensator", "says"),
     [
