@@ -77,7 +77,7 @@ PAIRS = (
 CHANGED = (
     *(("lqr", "differences", name) for name in ("none", "feedforward", "mlp", "llnf")),
     *(("lqr", "kalman", "lugre"), ("lqr_cart", "kalman", "lugre")),
-    *(("lqr", "disturbance", "observed"), ("lqr_cart", "disturbance", "observed")),
+    *(("lqr", "disturbance", "observed"), ("lqr_cart", "disturbance", "observed"), ("lqr_cart", "ekf", "observed")),
     *((POLICY, "differences", "llnf"), (OBSERVING, "disturbance", "observed")),
 )
 """What is compared on changed rigs."""
