@@ -28,7 +28,6 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -78,7 +77,7 @@ PAIRS = (
 CHANGED = (
     *(("lqr", "differences", name) for name in ("none", "feedforward", "mlp", "llnf")),
     *(("lqr", "kalman", "lugre"), ("lqr_cart", "kalman", "lugre")),
-    *(("lqr", "disturbance", "observed"), ("lqr_cart", "disturbance", "observed")),
+    *(("lqr", "disturbance", "observed"), ("lqr_cart", "disturbance", "observed"), ("lqr_cart", "ekf", "observed")),
     *((POLICY, "differences", "llnf"), (OBSERVING, "disturbance", "observed")),
 )
 """What is compared on changed rigs."""
@@ -200,11 +199,10 @@ def together(seeing: list[Estimator]) -> list[tuple[Estimator, slice]]:
     one: Any = dataclasses.replace(seeing[0])
     if isinstance(one, Kalman | Disturbance):  # constant gains, which a product takes in a stack
         object.__setattr__(one, "_next", np.stack([each._next for each in seeing]))
-    if isinstance(one, ExtendedKalman):  # numbers of friction, in formulas that take each entry by itself
-        numbers = [dataclasses.asdict(each.dry) for each in seeing]
-        dry = SimpleNamespace(**{name: np.array([each[name] for each in numbers]) for name in numbers[0]})
-        object.__setattr__(one, "dry", dry)
-        object.__setattr__(one, "_walk", np.array([each._walk for each in seeing]))
+    if isinstance(one, ExtendedKalman):  # numbers of friction, which are constants of its programs, a column each
+        for name in ("_following", "_observing"):
+            mine, *others = (getattr(each, name).prepared(np.dtype(np.float64))[0] for each in (one, *seeing))
+            mine[:] = [np.hstack(columns) for columns in zip(*others, strict=True)]
         begin = np.vstack([each.begin(np.zeros((1, 6))) for each in seeing])
         object.__setattr__(one, "begin", lambda seen: np.hstack([seen, begin[:, 6:]]))
     return [(one, slice(0, len(seeing)))]

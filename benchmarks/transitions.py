@@ -1,6 +1,7 @@
 """From any equilibrium to any other: plan, learn from the plan, and try both.
 
     python -m benchmarks.transitions --out runs/transitions [--rigs 2] [--resets 15] [--tasks "up-down to up-up"]
+    python -m benchmarks.transitions --out runs/transitions --seed 1
 
 For each task that is no `hold`: `dipc-gym plan`, `dipc-gym train-policy --task swing-up --algo dagger` from that plan,
 then fifteen resets of each on rigs of `compare`, as benchmarks.swing_up does. A plan and a policy that are in the
@@ -34,17 +35,19 @@ def main() -> None:
     options.add_argument("--out", type=Path, required=True)
     options.add_argument("--rigs", type=int, default=2)
     options.add_argument("--resets", type=int, default=15)
+    options.add_argument("--seed", type=int, default=0, help="of the training; with another one the plan stays")
     options.add_argument("--tasks", nargs="+", choices=list(TASKS), metavar="TASK")
     given = options.parse_args()
     warnings.simplefilter("ignore")
     given.out.mkdir(parents=True, exist_ok=True)
     for name in given.tasks or [name for name, task in TASKS.items() if "hold" not in task.tags]:
         task, short = TASKS[name], name.replace(" ", "-")
-        plan, folder = given.out / f"{short}.json", given.out / short
+        plan, folder = given.out / f"{short}.json", given.out / f"{short}{f'-{given.seed}' if given.seed else ''}"
         print(name, flush=True)
         if not made(plan, "plan", "--out", str(plan), "--start", task.start, "--goal", task.goal, "--resets", "0"):
             continue
         learn = "train-policy", "--out", str(folder), "--task", "swing-up", "--algo", "dagger", "--plan", str(plan)
+        learn += "--seed", str(given.seed)
         for what, there in (("plan", True), ("policy", made(folder / "policy.json", *learn))):
             file = plan if what == "plan" else folder / "policy.json"
             for seed in range(given.rigs if there else 0):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.memory import Remembering, given, known_mass
+
+if TYPE_CHECKING:
+    from dipc_gym.dataflow import Program, Value
 
 SHARES = np.linspace(0.05, 1.0, 20)  # of what is felt anew that the observer takes on in a period; the run chooses
 
@@ -67,10 +70,21 @@ class DisturbanceObserver(Remembering):
 
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
         """Observe the past period, compensate in the coming one."""
-        observed, before, volts = memory.T
+        volts, observed = self.felt(force, velocity, *memory.T)
+        return volts, np.stack([observed, velocity, volts], axis=1)
+
+    def express(self, program: Program, force: Value, velocity: Value) -> Value:
+        """Write it into a program that can be exported: the same formula, on values of the program."""
+        memory = [program.state(name, 0.0) for name in ("disturbance", "velocity_before", "applied")]
+        volts, observed = self.felt(force, velocity, *memory)
+        for state, value in zip(memory, (observed, velocity, volts), strict=True):
+            program.update(state, value)
+        return volts
+
+    def felt(self, force: Any, velocity: Any, observed: Any, before: Any, volts: Any) -> tuple[Any, Any]:
+        """Voltage (n,) and what is observed (n,), N, after the past period."""
         felt = self.newtons_per_volt * volts - self.viscous * 0.5 * (velocity + before)
         felt = felt - self.mass * (velocity - before) / self.period
         most = self.newtons_per_volt * self.supply_voltage
-        observed = np.clip(observed + self.share * (felt - observed), -most, most)
-        volts = np.clip((force + observed) / self.newtons_per_volt, -self.supply_voltage, self.supply_voltage)
-        return volts, np.stack([observed, velocity, volts], axis=1)
+        observed = (observed + self.share * (felt - observed)).clip(-most, most)
+        return ((force + observed) / self.newtons_per_volt).clip(-self.supply_voltage, self.supply_voltage), observed

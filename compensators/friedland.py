@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.memory import Remembering, given, known_mass
+
+if TYPE_CHECKING:
+    from dipc_gym.dataflow import Program, Value
 
 RATES = np.geomspace(0.3, 100.0, 16)  # of learning, of which the run chooses
 WIDTHS = np.geomspace(1e-3, 0.1, 11)  # m/s, of the smooth sign, of which the run chooses
@@ -76,13 +79,25 @@ class Friedland(Remembering):
 
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
         """Learn from the past period, then compensate in the coming one."""
-        level, before, volts = memory.T
+        volts, level = self.learned(force, velocity, *memory.T)
+        return volts, np.stack([level, velocity, volts], axis=1)
+
+    def express(self, program: Program, force: Value, velocity: Value) -> Value:
+        """Write it into a program that can be exported: the same formula, on values of the program."""
+        known = ("level", self.level), ("velocity_before", 0.0), ("applied", 0.0)
+        memory = [program.state(name, first) for name, first in known]
+        volts, level = self.learned(force, velocity, *memory)
+        for state, value in zip(memory, (level, velocity, volts), strict=True):
+            program.update(state, value)
+        return volts
+
+    def learned(self, force: Any, velocity: Any, level: Any, before: Any, volts: Any) -> tuple[Any, Any]:
+        """Voltage (n,) and the level (n,) that was learned from the past period."""
         inertia = self.mass * (velocity - before) / self.period
         speed = 0.5 * (velocity + before)
         sign = np.tanh(speed / self.sign_velocity)
         miss = self.newtons_per_volt * volts - self.viscous * speed - inertia - level * sign
         most = self.newtons_per_volt * self.supply_voltage
-        level = np.clip(level + np.minimum(self.rate * self.period, 1.0) * sign * miss, 0.0, most)
+        level = (level + np.minimum(self.rate * self.period, 1.0) * sign * miss).clip(0.0, most)
         friction = level * np.tanh(velocity / self.sign_velocity)
-        volts = np.clip((force + friction) / self.newtons_per_volt, -self.supply_voltage, self.supply_voltage)
-        return volts, np.stack([level, velocity, volts], axis=1)
+        return ((force + friction) / self.newtons_per_volt).clip(-self.supply_voltage, self.supply_voltage), level

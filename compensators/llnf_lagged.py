@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.lolimot import LOLIMOT
 from dipc_gym.compensators.memory import Remembering, given
+
+if TYPE_CHECKING:
+    from dipc_gym.dataflow import Program, Value
 
 LAGS = 4
 """Velocities v(k) to v(k-4) and forces F(k) to F(k-4) can be inputs."""
@@ -102,6 +106,25 @@ class LaggedLLNF(Remembering):
             total = total + validity
             blend = blend + validity * output
         return blend / total, np.concatenate([forces[:, :LAGS], velocities[:, :LAGS]], axis=1)
+
+    def express(self, program: Program, force: Value, velocity: Value) -> Value:
+        """The same blend, on vectors with an entry for each local model."""
+        signals = []
+        for name, now in (("past_forces", force), ("past_velocities", velocity)):
+            past = program.state(name, np.zeros(LAGS))
+            signals.append(program.join(now, past))
+            program.update(past, signals[-1].part(0, LAGS))
+        table = program.join(*signals)
+        exponents, outputs = program.constant(np.zeros(len(self.levels))), program.constant(self.levels)
+        inverses = math.sqrt(0.5) / np.array(self.sigmas)
+        for i, (centre, inverse, slope) in enumerate(
+            zip(np.array(self.centres).T, inverses.T, np.array(self.slopes).T, strict=True)
+        ):
+            distance = table.part(int(self.inputs[i])) - program.constant(centre)
+            scaled = distance * program.constant(inverse)
+            exponents, outputs = exponents + scaled * scaled, outputs + program.constant(slope) * distance
+        validities = (exponents.least() - exponents).exp()
+        return (validities * outputs).total() / validities.total()
 
 
 def _lagged(values: Array) -> Array:

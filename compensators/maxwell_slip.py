@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from scipy import optimize
 
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.memory import Remembering, Track, given
+
+if TYPE_CHECKING:
+    from dipc_gym.dataflow import Program, Value
 
 STRETCHES = np.geomspace(2e-5, 4e-3, 8)
 """Displacements at which the springs begin to slip, m: from the encoder's count to what no rail's creep exceeds."""
@@ -94,6 +97,20 @@ class MaxwellSlip(Remembering):
             friction = friction + (level + extra * bump) * ahead[:, i]
         volts = (force + friction) / self.newtons_per_volt
         return volts, np.concatenate([springs, velocity[:, None]], axis=1)
+
+    def express(self, program: Program, force: Value, velocity: Value) -> Value:
+        """Write it into a program that can be exported, on vectors with an entry for each spring."""
+        springs = program.state("springs", np.zeros(len(self.stretches)))
+        before, half = program.state("velocity_before", 0.0), 0.5 * self.period
+        per_metre = program.constant(1.0 / np.array(self.stretches))
+        now = (springs + half * (before + velocity) * per_metre).clip(-1.0, 1.0)
+        ahead = (now + half * velocity * per_metre).clip(-1.0, 1.0)
+        share = velocity * (1.0 / self.bump_velocity)
+        bump = (-(share * share)).exp()
+        held = (program.constant(self.levels) + bump * program.constant(self.bumps)) * ahead
+        program.update(springs, now)
+        program.update(before, velocity)
+        return (force + self.per_velocity * velocity + held.total()) / self.newtons_per_volt
 
 
 def _stretch(springs: Array, displacement: Array, stretches: Array) -> Array:

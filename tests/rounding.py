@@ -93,6 +93,17 @@ def _bounded(step: Step, operands: list[Pair]) -> Pair:
             return a.min(axis=0, keepdims=True), da.max(axis=0, keepdims=True)
         case "part", ((a, da),):
             return a[step.start : step.start + step.size], da[step.start : step.start + step.size]
+        case "pick", ((a, da),):
+            return a[list(step.places)], da[list(step.places)]
+        case "product", ((a, da), (b, db)):
+            value = error = np.zeros(0)
+            for k in range(step.inner):
+                first, off = (x.reshape(-1, step.inner, x.shape[1])[:, k, None] for x in (a, da))
+                second, away = (x.reshape(step.inner, -1, x.shape[1])[None, k] for x in (b, db))
+                product, lost = _rounded(first * second, np.abs(first) * away + off * (np.abs(second) + away))
+                value, error = (product, lost) if k == 0 else _rounded(value + product, error + lost)
+            half = np.tril_indices(len(value)) if step.half else (slice(None), slice(None))
+            return tuple(x[half].reshape(step.size, -1) for x in (value, error))
         case "join", parts:
             runs = max(a.shape[1] for a, _ in parts)
             wide = [[np.broadcast_to(x, (len(x), runs)) for x in part] for part in parts]

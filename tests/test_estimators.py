@@ -16,8 +16,10 @@ from hypothesis.extra.numpy import arrays
 from dipc_gym import compensators, estimators, runs
 from dipc_gym.compensators import Samples, StaticGain
 from dipc_gym.controllers import LQR, lqr
+from dipc_gym.dataflow import Program
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.estimators import Command, EstimateWarning, EstimatorError, RigModel
+from dipc_gym.estimators.kalman import FLOOR
 from dipc_gym.plant import Encoders, Friction, Plant
 from dipc_gym.wrappers import EstimateState, ForceCommand, VectorEstimateState, VectorForceCommand
 
@@ -193,17 +195,51 @@ def test_the_bristle_of_the_filter_is_that_of_the_compensator(made, rig):
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(v=st.floats(-0.5, 0.5), z=st.floats(-4e-4, 4e-4))
 def test_the_filters_slopes_are_those_of_its_step(made, v, z):
-    """The Jacobian against central differences; at rest friction has a kink, and one side's slope is as good."""
-    ekf, step = made["ekf"], 1e-7
+    """The Jacobian of a bristle's step against central differences; at rest friction has a kink, and one side's slope
+    is as good."""
+    step, program = 1e-7, Program()
     if abs(v) < 1e-5:
         v = 1e-5
-    x = np.array([[0.01, 0.002, -0.001, v, 0.05, -0.02, z, 0.5]])
-    _, slope = ekf._step(x, np.array([3.0]))
-    for i in range(8):
-        size = step * (1e-3 if i == 6 else 1.0)
-        nudge = size * np.eye(8)[i]
-        difference = (ekf._step(x + nudge, np.array([3.0]))[0] - ekf._step(x - nudge, np.array([3.0]))[0]) / (2 * size)
-        np.testing.assert_allclose(slope[0, :, i], difference[0], rtol=2e-3, atol=2e-5)
+    after, force, of_bristle, of_force = made["ekf"]._bristle(program.input("v"), program.input("z"))
+    program.output("after", program.join(after, force))
+    program.output("slope", program.join(*of_bristle, *of_force))
+
+    def found(name, v, z):
+        return program.run({"v": [v], "z": [z]}, {})[0][name][:, 0]
+
+    slope = found("slope", v, z).reshape(2, 2)
+    for i, (dv, dz) in enumerate(((step, 0.0), (0.0, 1e-3 * step))):
+        difference = (found("after", v + dv, z + dz) - found("after", v - dv, z - dz)) / (2 * (dv + dz))
+        np.testing.assert_allclose(slope[:, i], difference, rtol=2e-3, atol=2e-5)
+
+
+@pytest.mark.parametrize("period", [0.001, 0.005, 0.023])
+def test_the_filters_covariance_is_what_products_of_full_matrices_give(rig, period):
+    """A period, worked out anew: the slope of the whole motion by differences, the textbook's gain and covariance."""
+    rig = replace(rig, period=period)
+    ekf = estimators.kind("ekf")(rig, DRY)
+    noise = np.diag([FLOOR] * 6 + [FLOOR + (ekf._walk / DRY.bristle_stiffness) ** 2, (0.2 * ekf._walk / 2) ** 2])
+    readings, volts = np.array([[0.01, 0.002, -0.001]]), np.array([1.5])
+    state = np.array([[0.01, 0.002, -0.001, 0.08, 0.05, -0.02, 1e-4, 0.5]])
+    state = np.hstack([state, ekf.begin(np.zeros((1, 6)))[:, 8:]])
+    blind = replace(ekf, rig=replace(rig, cart_step=0.1, pole_step=1.0))  # so coarse that nothing is corrected
+
+    def moved(x):
+        return blind.advance(np.hstack([x, 0.0 * state[:, 8:]]), x[:, :3], Command(np.zeros(1), volts))[0, :8]
+
+    steps = np.array([1e-6] * 6 + [1e-9, 1e-6])
+    slope = [(moved(state[:, :8] + d) - moved(state[:, :8] - d)) / (2 * d.sum()) for d in np.diag(steps)]
+    F, P, R = np.array(slope).T, np.zeros((8, 8)), rig.reading_covariance
+    P[np.tril_indices(8)] = state[0, 8:]
+    P = F @ (P + P.T - np.diag(np.diag(P))) @ F.T + noise
+    gain = P[:, :3] @ np.linalg.inv(P[:3, :3] + R)
+    x = moved(state[:, :8])
+    found = ekf.advance(state, readings, Command(np.zeros(1), volts))[0]
+    np.testing.assert_allclose(found[:8], x + gain @ (readings[0] - x[:3]), rtol=1e-5, atol=1e-8)
+    expected = P - gain @ P[:3]
+    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    rows, columns = np.tril_indices(8)
+    np.testing.assert_allclose(found[8:] / size[rows, columns], (expected / size)[rows, columns], rtol=0, atol=1e-5)
 
 
 def test_a_horizon_reads_within_its_counts(made, rig):

@@ -135,7 +135,12 @@ def test_vectors_of_every_kind_go_through_c(tmp_path: Path) -> None:
     mixed = program.join(a, b, a * b).affine(np.arange(12).reshape(4, 3) / 7, [0.1, 0.2, 0.3, 0.4])
     chosen = (mixed.part(1, 3) - kept).below(0.2).choose(kept * 2, mixed.part(0, 3) / 3)
     program.update(kept, chosen.clip(-5.0, 5.0))
-    result = abs(chosen).total() + mixed.least() * (-kept.part(2)).exp() + program.previous("a", a)
+    square, single = mixed.pick([0, 1, 1, 3]), program.join(a).affine([[0.3]], 0.1).pick([0, 0])
+    whole = square.times(program.join(mixed.part(2), kept, single), 2)  # (2, 2) times (2, 3)
+    halves = whole.times(whole.pick([0, 3, 1, 4, 2, 5]), 3, half=True)  # and that times itself, turned over
+    dot, outer = kept.times(chosen, 3), square.part(0, 2).times(single, 1)
+    result = halves.total() + whole.part(1) * dot - outer.least() * a.times(b, 1)
+    result = result + abs(chosen).total() + mixed.least() * (-kept.part(2)).exp() + program.previous("a", a)
     program.output("y", result + (1 - a) / (2 + abs(b)) - program.first())
     rows = np.random.default_rng(4).normal(size=(300, 7, 2))
     memory, expected = program.memory(7), []
@@ -143,7 +148,24 @@ def test_vectors_of_every_kind_go_through_c(tmp_path: Path) -> None:
         outputs, memory = program.run({"a": row[:, 0], "b": row[:, 1]}, memory)
         expected.append(outputs["y"][0])
     values = in_c(compiled(tmp_path, program, inputs=("a", "b")), rows)
-    np.testing.assert_allclose(values, expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(values, expected, rtol=1e-13, atol=1e-13)
+
+
+def test_products_are_those_of_matrices_and_are_counted() -> None:
+    rng = np.random.default_rng(5)
+    first, second = rng.normal(size=(4, 3)), rng.normal(size=(3, 5))
+    program = Program()
+    a, b = program.constant(first.ravel()), program.constant(second.ravel())
+    turned = a.pick([3 * i + j for j in range(3) for i in range(4)])
+    program.output("whole", a.times(b, 3))
+    program.output("half", a.times(turned, 3, half=True))
+    outputs, _ = program.run({}, {})
+    np.testing.assert_allclose(outputs["whole"].reshape(4, 5), first @ second, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(outputs["half"][:, 0], (first @ first.T)[np.tril_indices(4)], rtol=0, atol=1e-14)
+    assert program.cost() == {"multiplications": 3 * (20 + 10), "additions": 2 * (20 + 10)}
+    for wrong in (lambda: a.times(b, 2), lambda: a.times(b, 0), lambda: a.times(b, 3, half=True), lambda: a.pick([12])):
+        with pytest.raises(ValueError, match="entries"):
+            wrong()
 
 
 @needs_compiler
@@ -196,6 +218,14 @@ def test_a_formula_of_ones_own_writes_itself() -> None:
     np.testing.assert_allclose(in_numpy(program, rows, np.float64), in_python(LQR(), TwoWay(), rows), atol=1e-11)
 
 
+def test_dither_goes_on_from_period_to_period() -> None:
+    """Where readings say that the rig is at rest upright, the wave alone is left."""
+    program = Loop(DIFFERENCE, controllers.balancing("dither"), StaticGain(4.0), LIMIT, SUPPLY).program()
+    shaking = controllers.balancing("dither")
+    expected = [shaking.force(np.zeros(6)) / 4.0 for _ in range(30)]
+    np.testing.assert_array_equal(in_numpy(program, np.zeros((30, 1, 3)), np.float64)[:, 0], expected)
+
+
 @pytest.mark.parametrize(
     ("estimator", "controller", "compensator", "says"),
     [
@@ -234,6 +264,20 @@ def test_the_cost_of_an_llnf_is_counted(models: int) -> None:
     assert costs[0]["exponentials"] == models
 
 
+@pytest.mark.parametrize(
+    ("estimator", "says"),
+    [
+        ("disturbance", "86 additions and 88 multiplications"),
+        ("ekf", "1,424 additions, 1,569 multiplications, 16 divisions and 6 exponentials"),
+    ],
+)
+def test_the_costs_on_the_page_are_those_of_the_pairs(estimator: str, says: str) -> None:
+    program = Loop(seeing(estimator), controllers.balancing("lqr_cart"), Observed(4.0), LIMIT, SUPPLY).program()
+    assert says in (Path(__file__).parents[1] / "docs" / "rig.md").read_text()
+    counts = [part.split() for part in says.replace(" and ", ", ").split(", ")]
+    assert all(program.cost()[kind] == int(count.replace(",", "")) for count, kind in counts)
+
+
 def test_values_that_do_not_belong_together_are_refused() -> None:
     one, other = Program(), Program()
     with pytest.raises(ValueError, match="2 and 3 entries do not go together"):
@@ -259,6 +303,8 @@ SEEN = {
     "kalman of a late rig, history": ("kalman", "lqr", history, LATE),
     "disturbance of a late rig, observed": ("disturbance", "lqr", lambda: Observed(4.0), LATE),
     "differences, lugre": ("differences", "lqr", lugre, 0.0),
+    "ekf, observed": ("ekf", "lqr_cart", lambda: Observed(4.0), 0.0),
+    "ekf, lugre": ("ekf", "lqr", lugre, 0.0),
     "disturbance, observed, a policy that sees through it": ("disturbance", OBSERVING, lambda: Observed(4.0), 0.0),
 }
 
@@ -303,25 +349,30 @@ def test_single_precision_balances_as_well(name: str) -> None:
 
 @needs_compiler
 def test_an_estimator_goes_along_from_its_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    estimators.save(seeing("disturbance"), "sees.json")
     compensators.save(Observed(4.0), "observed.json")
     arguments = ["export", "observed.json", "--estimator", "sees.json", "--controller", "lqr_cart", "--to", "c"]
-    assert cli.main([*arguments, "--out", "rig.h"]) == 0
-    assert "Estimator: disturbance of sees.json" in Path("rig.h").read_text()
-    for define in ([], ["-DRIG_FLOAT"]):
-        subprocess.run([str(GCC), *STRICT, *define, "rig_test.c", "-o", "check", "-lm"], check=True)
-        assert subprocess.run(["./check"], capture_output=True).returncode == 0
+    for name in ("ekf", "disturbance"):
+        estimators.save(seeing(name), "sees.json")
+        assert cli.main([*arguments, "--out", f"{name}.h"]) == 0
+        assert f"Estimator: {name} of sees.json" in Path(f"{name}.h").read_text()
+        for define in ([], [f"-D{name.upper()}_FLOAT"]):
+            subprocess.run([str(GCC), *STRICT, *define, f"{name}_test.c", "-o", "check", "-lm"], check=True)
+            assert subprocess.run(["./check"], capture_output=True).returncode == 0
     capsys.readouterr()
     assert cli.main(["export", "observed.json", "--to", "c", "--out", "blind.h"]) == 2
     assert "feeds forward the friction that an estimator observes" in capsys.readouterr().err
     Path("slow.json").write_text('{"control_period": 0.01}')
     assert cli.main([*arguments, "--plant", "slow.json", "--out", "slow.h"]) == 2
     assert "is for a control period of 5 ms, and the plant's is 10 ms" in capsys.readouterr().err
-    estimators.save(seeing("ekf"), "ekf.json")
-    arguments[3] = "ekf.json"
-    assert cli.main([*arguments, "--out", "ekf.h"]) == 2
-    assert "the estimator 'ekf' (ExtendedKalman) has no form" in capsys.readouterr().err
-    assert not any(Path(name).exists() for name in ("blind.h", "slow.h", "ekf.h"))
+    for name, says in (
+        ("rigid_body", "the estimator 'rigid_body' has no form that can be exported: it needs sine and cosine"),
+        ("moving_horizon", "the estimator 'moving_horizon' (MovingHorizon) has no form"),
+    ):
+        estimators.save(seeing(name), "other.json")
+        arguments[3] = "other.json"
+        assert cli.main([*arguments, "--out", "other.h"]) == 2
+        assert says in capsys.readouterr().err
+    assert not any(Path(name).exists() for name in ("blind.h", "slow.h", "other.h"))
 
 
 # ------------------------------------------------------------------------------------------------ ONNX
@@ -352,6 +403,8 @@ def test_every_operation_goes_through_onnx() -> None:
     kept = program.state("kept", [0.5, -0.5])
     program.update(kept, program.join(x, x.sigmoid()))
     y = abs(x).exp() - x.tanh().maximum(kept).minimum(0.3).total() / 3 + (x - kept).least() * x.below(0.1)
+    turned = program.join(kept, x).times(kept.pick([1, 0, 1]), 1).pick([8, 0, 4, 2])  # 4 of the 9 entries
+    y = y + turned.times(turned.pick([0, 2, 1, 3]), 2, half=True).total()
     program.output("y", (x.within(0.7)).choose(y, -y).part(0))
     session = onnxruntime.InferenceSession(onnx.graph(program, about="test"))
     state, memory = onnx.first_state(program), program.memory()

@@ -15,7 +15,18 @@ from loops import FLAGS, GCC, LIMIT, READINGS, SUPPLY, WORDS, needs_compiler
 from rounding import bounded
 
 from dipc_gym import compensators, controllers, estimators, policy
-from dipc_gym.compensators import HILOMOT, Compensator, Curve, Observed, StaticGain, Stribeck
+from dipc_gym.compensators import (
+    HILOMOT,
+    Compensator,
+    Curve,
+    DisturbanceObserver,
+    Friedland,
+    LaggedLLNF,
+    MaxwellSlip,
+    Observed,
+    StaticGain,
+    Stribeck,
+)
 from dipc_gym.dataflow import NoForm, Program
 from dipc_gym.export import c, onnx
 from dipc_gym.export.parts import Loop
@@ -39,11 +50,23 @@ COMPENSATORS: dict[str, Compensator] = {
             if column.init and column.name not in ("ranges", "figures", "supply")
         }
     ),
+    "maxwell_slip": MaxwellSlip(
+        4.0, 24.0, 0.005, (2e-5, 1e-4, 4e-4), (2.0, 4.0, 2.0), (0.5, 1.0, 0.0), bump_velocity=0.02, per_velocity=1.0
+    ),
+    "friedland": Friedland(4.0, 24.0, 0.005, level=6.0, rate=3.0, sign_velocity=0.02, mass=1.26, viscous=40.0),
+    "disturbance_observer": DisturbanceObserver(4.0, 24.0, 0.005, share=0.3, mass=1.26, viscous=40.0),
+    "llnf_lagged": LaggedLLNF(
+        *(4.0, 24.0, 0.005, (0.0, 5.0, 7.0)),
+        centres=((5.0, 0.1, 0.1), (-5.0, -0.1, -0.1)),
+        sigmas=((8.0, 0.2, 0.3), (6.0, 0.3, 0.2)),
+        levels=(1.2, -1.3),
+        slopes=((0.25, 8.0, 0.5), (0.24, 9.0, -0.5)),
+    ),
     "observed": Observed(4.0),
 }
-NO_FORM = {"ideal", "maxwell_slip", "friedland", "disturbance_observer", "llnf_lagged", "llnf_adaptive"}
-SEEING = {name: loops.seeing(name) for name in ("differences", "kalman", "disturbance")}
-BLIND = {"kalman_friction", "ekf", "moving_horizon", "rigid_body"}
+NO_FORM = {"ideal", "llnf_adaptive"}
+SEEING = {name: loops.seeing(name) for name in ("differences", "kalman", "disturbance", "ekf")}
+BLIND = {"kalman_friction", "moving_horizon", "rigid_body"}
 
 
 def pairs() -> list[tuple[str, str, str]]:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.controllers import lqr
 from dipc_gym.controllers.base import Controller
+
+if TYPE_CHECKING:
+    from dipc_gym.dataflow import Program, Value
 
 Array = NDArray[np.float64]
 
@@ -116,6 +120,12 @@ class Dither:
         side = self._calls[0] // self.half % 2
         self._calls[0] += 1
         return -float(self.gain @ observation) + (-self.amplitude if side else self.amplitude)
+
+    def express(self, program: Program, observation: Value) -> Value:
+        """The same, written into a program that can be exported; the wave begins anew with a reset."""
+        calls = program.state("calls", 0.0)
+        program.update(calls, (calls + 1.0).below(2.0 * self.half).choose(calls + 1.0, 0.0))
+        return observation.affine(-self.gain) + calls.below(float(self.half)).choose(self.amplitude, -self.amplitude)
 
 
 def _designed(name: str, cart: float, effort: float) -> Callable[[], Controller]:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from dipc_gym.dataflow import NoForm
 from dipc_gym.estimators.base import LARGEST, Array, Command, Estimator
 from dipc_gym.estimators.kalman import FLOOR, wander, with_friction
 from dipc_gym.estimators.late import Late
 from dipc_gym.mechanics.motion import Motion
+
+if TYPE_CHECKING:
+    from dipc_gym.dataflow import Program, Value
 
 SIZE = 7
 """Six states of the rig, and friction."""
@@ -91,3 +95,11 @@ class RigidBody(Estimator):
     def friction(self, state: Array) -> Array:
         """The seventh state, within what the motor can exert."""
         return np.clip(state[:, 6], -self.rig.largest_force, self.rig.largest_force)
+
+    def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:
+        """Nothing: exported code calls no sine.
+
+        Raises:
+            NoForm: always.
+        """
+        raise NoForm("it needs sine and cosine, and exported code calls the exponential alone; `ekf` has a form")

@@ -380,6 +380,11 @@ class _Writer:
                 return lines
             case "part":
                 return []
+            case "pick":
+                return _places(f"p{place}", step.places) if self.steps[step.operands[0]].size > 1 else []
+            case "product":
+                self.locals += step.size
+                return self._product(place, step)
         self.locals += step.size
         if step.size == 1:
             return [f"    const @_real {name} = {_bare(self._expression(place, 'i'))};"]
@@ -394,7 +399,8 @@ class _Writer:
         lines = _table(f"w{place}", step.weights.ravel())
         if rows == 1:
             lines += [f"    @_real v{place} = {literal(step.numbers.tolist()[0])};"]
-            return lines + self._loop(columns, f"v{place} += w{place}[i] * {self._entry(operand, 'i')};")
+            index = "i" if columns > 1 else "0"
+            return lines + self._loop(columns, f"v{place} += w{place}[{index}] * {self._entry(operand, 'i')};")
         lines += _table(f"b{place}", step.numbers)
         inner = f"for (j = 0; j < {columns}; j++)"
         product = f"v{place}[i] += w{place}[{columns} * i + j] * {self._entry(operand, 'j')};"
@@ -408,6 +414,29 @@ class _Writer:
             f"            {inner}",
             f"                {product}",
             "        }",
+            "    }",
+        ]
+
+    def _product(self, place: int, step: Step) -> list[str]:
+        a, b = step.operands
+        rows, columns = (self.steps[operand].size // step.inner for operand in (a, b))
+        first = f"{self._entry(a, f'{step.inner} * i')} * {self._entry(b, 'j')}"
+        further = f"{self._entry(a, f'{step.inner} * i + k')} * {self._entry(b, f'{columns} * k + j')}"
+        name = f"v{place}[{'i * (i + 1) / 2' if step.half else f'{columns} * i'} + j]" if step.size > 1 else f"v{place}"
+        return [
+            f"    @_real v{place}{f'[{step.size}]' if step.size > 1 else ''};",
+            "    {",
+            f"        int i, j{', k' if step.inner > 1 else ''};",
+            f"        for (i = 0; i < {rows}; i++)",
+            f"            for (j = 0; j {'<= i' if step.half else f'< {columns}'}; j++) {{",
+            f"                @_real sum = {first};",
+            *(
+                [f"                for (k = 1; k < {step.inner}; k++)", f"                    sum += {further};"]
+                if step.inner > 1
+                else []
+            ),
+            f"                {name} = sum;",
+            "            }",
             "    }",
         ]
 
@@ -433,6 +462,9 @@ class _Writer:
                 whole = self.steps[step.operands[0]].size
                 index = f"{step.start} + {index}" if step.size > 1 else str(step.start)
                 return self._entry(step.operands[0], index if whole > 1 else "0")
+            case "pick":
+                chosen = f"p{place}[{index}]" if step.size > 1 else str(step.places[0])
+                return self._entry(step.operands[0], chosen)
         return self._expression(place, index) if place in self.inlined else f"v{place}{at}"
 
     def _expression(self, place: int, index: str) -> str:
@@ -447,6 +479,15 @@ def _table(name: str, numbers: Floats) -> list[str]:
     texts = [literal(x) for x in np.asarray(numbers).tolist()]
     lines = [f"        {', '.join(texts[i : i + 3])}," for i in range(0, len(texts), 3)]
     return [f"    static const @_real {name}[{len(texts)}] = {{", *lines, "    };"]
+
+
+def _places(name: str, places: Sequence[int]) -> list[str]:
+    """A constant array of indices, sixteen a line."""
+    if len(places) == 1:
+        return []
+    kind = "unsigned char" if max(places) < 256 else "unsigned short"
+    lines = [f"        {', '.join(map(str, places[i : i + 16]))}," for i in range(0, len(places), 16)]
+    return [f"    static const {kind} {name}[{len(places)}] = {{", *lines, "    };"]
 
 
 def _bare(expression: str) -> str:

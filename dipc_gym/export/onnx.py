@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -111,6 +112,10 @@ class _Writer:
                 self._node(kind, operands, name, keepdims=1)
             case "part":
                 self._slice(operands[0], step.start, step.size, name)
+            case "pick":
+                self._gather(operands[0], step.places, name)
+            case "product":
+                self._product(operands, step, name)
             case "affine":
                 self._table(f"{name}_weights", step.weights)
                 self._table(f"{name}_biases", step.numbers)
@@ -121,6 +126,25 @@ class _Writer:
             case operation:
                 assert operation in NAMES, (operation, BINARY)
                 self._node(NAMES[operation], operands, name)
+
+    def _product(self, operands: list[str], step: Step, name: str) -> None:
+        """Vectors become matrices for it."""
+        for source, shape, which in zip(
+            operands, ([-1, step.inner], [step.inner, -1]), ("first", "second"), strict=True
+        ):
+            self._table(f"{name}_{which}_shape", np.array(shape, dtype=np.int64))
+            self._node("Reshape", [source, f"{name}_{which}_shape"], f"{name}_{which}")
+        self._node("MatMul", [f"{name}_first", f"{name}_second"], f"{name}_matrix")
+        self._table(f"{name}_shape", np.array([-1], dtype=np.int64))
+        flat = f"{name}_flat" if step.half else name
+        self._node("Reshape", [f"{name}_matrix", f"{name}_shape"], flat)
+        if step.half:
+            rows = self.program.steps[step.operands[0]].size // step.inner
+            self._gather(flat, [rows * i + j for i in range(rows) for j in range(i + 1)], name)
+
+    def _gather(self, source: str, places: Sequence[int], name: str) -> None:
+        self._table(f"{name}_places", np.array(places, dtype=np.int64))
+        self._node("Gather", [source, f"{name}_places"], name)
 
     def _node(self, kind: str, inputs: list[str], output: str, **attributes: Any) -> None:
         self.list.append(self.helper.make_node(kind, inputs, [output], **attributes))

@@ -1,53 +1,27 @@
-"""What a control loop computes once a period, as a short list of vector operations with a memory.
-
-Every part of a loop (estimator, controller, compensator) writes its own formula into a `Program`, once. From there it
-is run in NumPy, written as C, or written as an ONNX graph, with the same operations in the same order.
-"""
+"""Vectors in a program that is being written, and the program: operations from inputs and a memory to outputs."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike
 
-Floats = NDArray[np.floating[Any]]
+from dipc_gym.dataflow.operations import Floats, Step, computing, cost, wide
 
-UNARY = ("exp", "tanh", "sigmoid")
-BINARY = ("add", "subtract", "multiply", "divide", "minimum", "maximum", "less", "within")
-ELEMENTWISE = (*UNARY, *BINARY, "choose")
-REDUCTIONS = ("total", "least")
+Prepared = tuple[
+    list[Floats],
+    list[tuple[int, str]],
+    list[tuple[int, str]],
+    list[tuple[int, Callable[..., Floats], tuple[int, ...]]],
+]
 
 
 class NoForm(ValueError):
     """A part of a control loop that cannot be exported; the message says which, and what to do instead."""
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One operation.
-
-    Attributes:
-        operation: one of `ELEMENTWISE` or `REDUCTIONS`, or `input`, `state`, `constant`, `affine`, `join`, `part`, or
-            `comment`.
-        operands: places of the values that it works on.
-        size: of the result, a vector.
-        name: of an input, a state or a comment.
-        numbers: (size,) of a constant, or what a state is at first.
-        weights: (size, inputs) of an affine map.
-        start: of a part.
-    """
-
-    operation: str
-    operands: tuple[int, ...]
-    size: int
-    name: str = ""
-    numbers: Floats = field(default_factory=lambda: np.zeros(0))
-    weights: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    start: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +121,33 @@ class Value:
             raise ValueError(f"entries {start} to {start + size} of a value of {self.size}")
         return self.program.append("part", (self,), size, start=start)
 
+    def pick(self, places: Sequence[int]) -> Value:
+        """Entries in any order, each as often as it is named.
+
+        Raises:
+            ValueError: there are no such entries.
+        """
+        if not places or min(places) < 0 or max(places) >= self.size:
+            raise ValueError(f"entries {', '.join(map(str, places))} of a value of {self.size}")
+        return self.program.append("pick", (self,), len(places), places=tuple(places))
+
+    def times(self, other: Value, inner: int, *, half: bool = False) -> Value:
+        """The product of two matrices, this value (m, inner) and the other (inner, n), each row after row.
+
+        Args:
+            other: the second matrix.
+            inner: columns of the first, rows of the second.
+            half: the product is symmetric: only its lower triangle, row after row, is computed.
+
+        Raises:
+            ValueError: the values have no such shapes, or half of a product that is not square is asked for.
+        """
+        rows, columns = (value.size // inner if inner > 0 else 0 for value in (self, other))
+        if inner < 1 or (rows * inner, inner * columns) != (self.size, other.size) or (half and rows != columns):
+            raise ValueError(f"values of {self.size} and {other.size} entries have no such product over {inner}")
+        size = rows * (rows + 1) // 2 if half else rows * columns
+        return self.program.append("product", (self, other), size, inner=inner, half=half)
+
     def affine(self, weights: ArrayLike, biases: ArrayLike = 0.0) -> Value:
         """`weights` (m, n) times this value (n,), plus `biases` (m,)."""
         table = np.atleast_2d(np.asarray(weights, dtype=np.float64))
@@ -192,12 +193,13 @@ class Program:
         self.updates: dict[int, int] = {}
         self.outputs: dict[str, int] = {}
         self._first: Value | None = None
+        self._known: dict[tuple[np.dtype[Any], int], Prepared] = {}
 
     # ------------------------------------------------------------------------------------------------ writing
 
     def append(
         self, operation: str, operands: Sequence[Value], size: int, *, name: str = "", numbers: Floats | None = None,
-        weights: Floats | None = None, start: int = 0,
+        weights: Floats | None = None, start: int = 0, places: tuple[int, ...] = (), inner: int = 0, half: bool = False,
     ) -> Value:  # fmt: skip
         """Write an operation; methods of `Value` are the comfortable way."""
         if any(operand.program is not self for operand in operands):
@@ -212,6 +214,9 @@ class Program:
                 none if numbers is None else numbers,
                 np.zeros((0, 0)) if weights is None else weights,
                 start,
+                places,
+                inner,
+                half,
             )
         )
         return Value(self, len(self.steps) - 1, size)
@@ -268,7 +273,9 @@ class Program:
         return self.first().choose(value, kept)
 
     def join(self, *values: Value) -> Value:
-        """One vector of several."""
+        """One vector of several; of one, itself."""
+        if len(values) == 1:
+            return values[0]
         return self.append("join", values, sum(value.size for value in values))
 
     def value(self, value: Value | float) -> Value:
@@ -307,106 +314,41 @@ class Program:
         Returns:
             (size, runs) of each output, and the next memory.
         """
-        values: list[Floats] = []
+        values, given, kept, work = self.prepared(np.dtype(dtype))
+        values = values.copy()
+        for place, name in given:
+            values[place] = np.atleast_1d(np.asarray(inputs[name])).astype(dtype)[None]
+        for place, name in kept:
+            values[place] = memory[name]
+        runs = max((values[place].shape[1] for place, _ in (*given, *kept)), default=1)
         with np.errstate(all="ignore"):  # what is not finite is dealt with by the program itself
-            for step in self.steps:
-                if step.operation == "input":
-                    values.append(np.atleast_1d(np.asarray(inputs[step.name])).astype(dtype)[None])
-                elif step.operation == "state":
-                    values.append(memory[step.name])
-                else:
-                    values.append(_computed(step, [values[place] for place in step.operands], dtype))
-        runs = max((value.shape[1] for value in values), default=1)
-        outputs = {name: _wide(values[place], runs) for name, place in self.outputs.items()}
-        kept = {name: _wide(values[self.updates.get(place, place)], runs) for name, place in self.states.items()}
-        return outputs, kept
+            for place, compute, operands in work:
+                values[place] = compute(*[values[operand] for operand in operands])
+        outputs = {name: wide(values[place], runs) for name, place in self.outputs.items()}
+        return outputs, {name: wide(values[self.updates.get(place, place)], runs) for place, name in kept}
+
+    def prepared(self, dtype: np.dtype[Any]) -> Prepared:
+        """What of a run is the same each time: constants by place, names of inputs and states, and what computes."""
+        if (dtype, len(self.steps)) not in self._known:
+            values: list[Floats] = [np.zeros((0, 1), dtype)] * len(self.steps)
+            named: dict[str, list[tuple[int, str]]] = {"input": [], "state": []}
+            work = []
+            for place, step in enumerate(self.steps):
+                if step.operation == "constant":
+                    values[place] = step.numbers.astype(dtype)[:, None]
+                elif step.operation in named:
+                    named[step.operation].append((place, step.name))
+                elif step.operation != "comment":
+                    work.append((place, computing(step, dtype), step.operands))
+            self._known[dtype, len(self.steps)] = (values, named["input"], named["state"], work)
+        return self._known[dtype, len(self.steps)]
 
     def cost(self) -> Counter[str]:
         """Operations of one call at worst: additions, multiplications, divisions, exponentials, comparisons."""
         count: Counter[str] = Counter()
         for step in self.steps:
-            for kind, times in _COSTS.get(step.operation, {}).items():
-                entries = self.steps[step.operands[0]].size if step.operation in REDUCTIONS else step.size
-                count[kind] += times * entries
-            if step.operation == "affine":
-                count["multiplications"] += step.weights.size
-                count["additions"] += step.weights.size
+            count += cost(step, self.steps[step.operands[0]].size if step.operands else 0)
         return count
-
-
-# What each operation costs a microcontroller, for one number.
-_COSTS = {
-    "add": {"additions": 1},
-    "subtract": {"additions": 1},
-    "multiply": {"multiplications": 1},
-    "divide": {"divisions": 1},
-    "minimum": {"comparisons": 1},
-    "maximum": {"comparisons": 1},
-    "less": {"comparisons": 1},
-    "within": {"comparisons": 2},
-    "choose": {"comparisons": 1},
-    "exp": {"exponentials": 1},
-    "tanh": {"multiplications": 2, "additions": 6, "divisions": 7, "exponentials": 1, "comparisons": 2},
-    "sigmoid": {"additions": 1, "divisions": 1, "exponentials": 1, "comparisons": 1, "multiplications": 1},
-    "total": {"additions": 1},
-    "least": {"comparisons": 1},
-}
-
-
-def _computed(step: Step, operands: list[Floats], dtype: DTypeLike) -> Floats:
-    match step.operation, operands:
-        case "comment", _:
-            return np.zeros((0, 1), dtype)
-        case "constant", _:
-            return step.numbers.astype(dtype)[:, None]
-        case "add", (a, b):
-            return a + b
-        case "subtract", (a, b):
-            return a - b
-        case "multiply", (a, b):
-            return a * b
-        case "divide", (a, b):
-            return a / b
-        case "minimum", (a, b):
-            return np.where(a < b, a, b)
-        case "maximum", (a, b):
-            return np.where(a > b, a, b)
-        case "less", (a, b):
-            return (a < b).astype(dtype)
-        case "within", (a, limit):
-            return ((a < limit) & (-limit < a)).astype(dtype)
-        case "choose", (test, yes, no):
-            return np.where(test > 0.5, yes, no)
-        case "exp", (a,):
-            return np.exp(a)
-        case "tanh", (a,):
-            return np.tanh(a)
-        case "sigmoid", (a,):
-            e = np.exp(-np.abs(a))
-            return np.where(a < 0, e, 1) / (1 + e)
-        case "total", (a,):
-            return np.add.accumulate(a)[-1:]  # in order, as C adds; np.sum adds in pairs
-        case "least", (a,):
-            smallest = a[0]
-            for row in a[1:]:
-                smallest = np.where(row < smallest, row, smallest)
-            return smallest[None]
-        case "part", (a,):
-            return a[step.start : step.start + step.size]
-        case "join", parts:
-            runs = max(part.shape[1] for part in parts)
-            return np.concatenate([_wide(part, runs) for part in parts])
-        case "affine", (a,):
-            weights = step.weights.astype(dtype)
-            result = np.repeat(step.numbers.astype(dtype)[:, None], a.shape[1], axis=1)
-            for column, entry in zip(weights.T, a, strict=True):
-                result = result + column[:, None] * entry
-            return result
-    raise ValueError(f"no operation {step.operation!r}")
-
-
-def _wide(value: Floats, runs: int) -> Floats:
-    return np.broadcast_to(value, (len(value), runs))
 
 
 def _common_size(operands: Sequence[Value]) -> int:
