@@ -515,7 +515,11 @@ def test_a_fit_that_cannot_come_near_is_left_early() -> None:
 def test_what_differs_between_regimes_widens_the_intervals_beside_it() -> None:
     """Square drag that a model leaves out: damping is another one at every speed, and each second has all speeds."""
     rig = physics.load(CART.replace('damping="21.4"', 'damping="21.4 40"'))
-    P = ready(record(rig, sweep(4.0), 8.0, noise=NOISY, step=5e-4, integrator=RK4))
+
+    def swelling(t: float) -> float:
+        return 8.0 * abs(math.sin(math.pi * t)) * math.sin(2 * math.pi * 3.1 * t)
+
+    P = ready(record(rig, swelling, 12.0, noise=NOISY, step=5e-4, integrator=RK4))
     fitted = fit(P.problem, free(P, "cart.damping"))
     regimes, seconds = judge.between_regimes(fitted, P.problem), judge.intervals(fitted, P.problem)
     assert regimes[0] > seconds[0] > 0

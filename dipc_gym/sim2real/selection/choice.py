@@ -13,7 +13,7 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import ranking
-from dipc_gym.sim2real.selection.scorer import Scorer
+from dipc_gym.sim2real.selection.scorer import Scorer, left_by_laws
 from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
@@ -25,25 +25,40 @@ def scored(scorer: Scorer, done: Sequence[Tried]) -> list[Tried]:
     return sorted(found, key=lambda tried: tried.score)
 
 
-def choose(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Fit | None:
-    """The simplest of the hypotheses that predict best, if it is clearly better than `current`."""
+def choose(scorer: Scorer, done: Sequence[Tried], current: Fit, begin: Fit) -> Fit | None:
+    """The simplest of the hypotheses that predict best, if it is clearly better than `current`.
+
+    Args:
+        scorer: compares fits.
+        done: fitted hypotheses, the best first.
+        current: the present fit.
+        begin: the fit without effects.
+    """
     clear = [
         t
         for t in done
-        if t.fitted is not None and scorer.stands_out(t.term, t.fitted, current) and _tells(t.term, t.fitted, current)
+        if t.fitted is not None
+        and scorer.stands_out(t.term, t.fitted, current)
+        and tells(t.term, t.fitted, current, begin)
     ]
     if not clear:
         return None
     return _core(_named(_simplest(scorer, clear, current), clear, current), clear, current).fitted
 
 
-def _tells(term: Term, fitted: Fit, current: Fit) -> bool:
+def tells(term: Term, fitted: Fit, current: Fit, begin: Fit) -> bool:
     """Whether an effect brings most of what is left, if a law of any shape acts on its joint.
 
-    A law of no kind leaves what its table cannot hold, and so does any law near the noise. Every effect that depends on
-    the same quantities takes up some of that.
+    A law of no kind leaves what its table cannot hold, and so does any law near the noise, or where little is left
+    beside what effects brought. Every effect that depends on the same quantities takes up some of that.
+
+    Args:
+        term: the effect.
+        fitted: a fit with it, and maybe with others.
+        current: the fit without.
+        begin: the fit without effects.
     """
-    near = current.error < SEARCH.in_reach
+    near = current.error < SEARCH.in_reach or left_by_laws(begin, current)
     laws = [t.at for t in current.structure.terms if t.effect.of_no_kind or (t.effect.free and near)]
     joint = joint_of(current.structure.model, term.at) if term.effect.place == "actuator" else term.at
     if term.effect.of_no_kind or joint not in laws:

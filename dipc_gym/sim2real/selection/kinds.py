@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -18,7 +20,8 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
 
     A force that depends on a joint's own velocity alone is friction over speed, and one that depends on the command to
     its own motor alone is the curve of that drive. A search may come to the first by a law of no kind, since a law of
-    a kind, asked for alone, may end in a poor fit; with all the rest in place it does not.
+    a kind, asked for alone, may end in a poor fit; with all the rest in place it does not. One that depends on two
+    quantities may be a law of either, once an effect that was found later does the rest, or the sum of two laws.
 
     Args:
         question: effects and places.
@@ -28,28 +31,34 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
         tell: called with a line about each law that got a name.
     """
     for term in current.structure.terms:
-        for effect, at in _kinds(question, current.structure, term):
-            fewer = fitter.without(current, term.key)
-            for shaped in _shapes(question, effect, at, fewer):
-                fitted = fitter.near(current, fewer.structure.with_term(shaped))
-                fitted = fitted and refined(fitter, fitted, shaped.key)
+        if not term.effect.of_no_kind:
+            continue
+        fewer: Fit | None = None
+        for kinds in _kinds(question, current.structure, term):
+            fewer = fewer or fitter.without(current, term.key)
+            for shapes in itertools.product(*(_shapes(question, *kind, fewer) for kind in kinds)):
+                fitted = fitter.near(current, functools.reduce(Structure.with_term, shapes, fewer.structure))
+                for shaped in shapes:
+                    fitted = fitted and refined(fitter, fitted, shaped.key)
                 if fitted and fitter.scorer.alike(current, fitted, begin):
-                    tell(f"{term.key} is {shaped.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
+                    said = " and ".join(shaped.key for shaped in shapes)
+                    tell(f"{term.key} is {said}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
                     return named(question, fitter, fitter.polish(fitted), begin, tell)
     return current
 
 
-def _kinds(question: Question, structure: Structure, term: Term) -> Iterator[tuple[Effect, str]]:
-    """The kind that a law of no kind has by its one input, and its place."""
-    inputs = term.effect.inputs(term.at)
-    if not term.effect.of_no_kind or len(inputs) != 1:
-        return
-    of, _, name = inputs[0].partition(" ")
-    own = joint_of(structure.model, name) if of == "command" else name
-    wanted = f"speed {name}" if of == "velocity" else inputs[0]  # friction is the same either way
-    for effect in question.effects:
-        if own == term.at and effect.free and not effect.of_no_kind and effect.inputs(name) == (wanted,):
-            yield effect, name
+def _kinds(question: Question, structure: Structure, term: Term) -> Iterator[tuple[tuple[Effect, str], ...]]:
+    """The kinds that a law of no kind may have by its inputs, and their places: one of them, then two together."""
+    each: list[list[tuple[Effect, str]]] = []
+    for said in term.effect.inputs(term.at):
+        of, _, name = said.partition(" ")
+        own = joint_of(structure.model, name) if of == "command" else name
+        wanted = f"speed {name}" if of == "velocity" else said  # friction is the same either way
+        laws = [effect for effect in question.effects if effect.free and not effect.of_no_kind]
+        each.append([(law, name) for law in laws if own == term.at and law.inputs(name) == (wanted,)])
+    yield from ((one,) for one in itertools.chain(*each))
+    if len(each) > 1:
+        yield from itertools.product(*each)
 
 
 def _shapes(question: Question, effect: Effect, at: str, fewer: Fit) -> list[Term]:

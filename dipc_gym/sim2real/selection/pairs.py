@@ -8,7 +8,7 @@ import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Structure, names
-from dipc_gym.sim2real.selection import ranking, screen
+from dipc_gym.sim2real.selection import choice, ranking, screen
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Screened
 from dipc_gym.sim2real.selection.score import compare
@@ -55,7 +55,9 @@ def sketched(fitter: Fitter, pairs: Sequence[Pair], current: Fit) -> list[tuple[
     return found
 
 
-def best(fitter: Fitter, sketched: Sequence[tuple[Fit, Fit]], current: Fit) -> tuple[Fit, list[Tried]] | None:
+def best(
+    fitter: Fitter, sketched: Sequence[tuple[Fit, Fit]], current: Fit, begin: Fit
+) -> tuple[Fit, list[Tried]] | None:
     """The simplest of the sketched pairs that predict best, if it is clearly better than `current`; and the hypotheses
     that it accepts.
 
@@ -63,6 +65,7 @@ def best(fitter: Fitter, sketched: Sequence[tuple[Fit, Fit]], current: Fit) -> t
         fitter: fits them to all windows.
         sketched: what each pair was laid over, and its sketch.
         current: the present fit.
+        begin: the fit without effects.
     """
     if not sketched:
         return None
@@ -72,6 +75,9 @@ def best(fitter: Fitter, sketched: Sequence[tuple[Fit, Fit]], current: Fit) -> t
     alike = [pair for pair in sketched if ranking.alike(compare(first.mse, pair[1].mse, blocks), gained)]
     for base, sketch in sorted(alike, key=lambda pair: ranking.cost(pair[1]))[: SEARCH.pairs]:
         fitted = fitter.full(base, sketch, current)
-        if fitted is not None and fitter.scorer.better(fitted, current):
-            return fitted, [Tried(term, 0.0, sketch, fitted) for term in fitted.structure.terms[-2:]]
+        if fitted is None or not fitter.scorer.better(fitted, current):
+            continue
+        both = fitted.structure.terms[-2:]
+        if all(choice.tells(term, fitted, current, begin) for term in both):
+            return fitted, [Tried(term, 0.0, sketch, fitted) for term in both]
     return None

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit
-from dipc_gym.sim2real.selection import choice, groups, pairs, ranking, sketches
+from dipc_gym.sim2real.selection import choice, groups, kinds, pairs, ranking, sketches
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question, screened, starts
 from dipc_gym.sim2real.selection.progress import Journal
@@ -52,15 +52,18 @@ def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal)
     most = ranking.predicted_gain(ranked[0]) if ranked else 0.0
     early = [pair for pair in both if pair[0] > most + SCORE.large]
     tried_early = pairs.sketched(fitter, early, current)
-    found = pairs.best(fitter, [pair for pair in tried_early if pair[1].error < SCORE.at_floor], current)
+    begin = journal.progress.path[0]
+    found = pairs.best(fitter, [pair for pair in tried_early if pair[1].error < SCORE.at_floor], current, begin)
     if found is not None:
         return _accepted(*found, fitter, current, journal)
     done = choice.scored(fitter.scorer, _fitted(fitter, sketched, current, journal))
     journal.update(done)
-    chosen = choice.choose(fitter.scorer, done, current)
+    chosen = choice.choose(fitter.scorer, done, current, begin)
     if chosen is not None:
-        return fitter.polish(chosen)
-    found = pairs.best(fitter, [*tried_early, *pairs.sketched(fitter, both[len(early) :], current)], current)
+        # Two laws of a kind, each alone far from the noise, are seen together as one of no kind.
+        return kinds.named(question, fitter, fitter.polish(chosen), begin, journal.tell)
+    tried_both = [*tried_early, *pairs.sketched(fitter, both[len(early) :], current)]
+    found = pairs.best(fitter, tried_both, current, begin)
     # What a law of any shape leaves is its own bad fit as well, and two effects together take up some of anything.
     if found is None or (phase != Phase.FORMULAS and found[0].error > SEARCH.in_reach):
         return None

@@ -198,6 +198,11 @@ def enough(begin: Fit, current: Fit) -> bool:
 
     No law is exact to the last percent: a contact is not a spring and a damper, a bristle not a bristle.
     """
+    return current.error < SCORE.at_floor and left_by_laws(begin, current)
+
+
+def left_by_laws(begin: Fit, current: Fit) -> bool:
+    """Whether so little is left, beside what effects took away, that their laws may leave it."""
     brought = math.sqrt(max(begin.error**2 - current.error**2, 0.0))
     left = math.sqrt(max(current.error**2 - 1.0, 0.0))
-    return bool(current.structure.terms) and current.error < SCORE.at_floor and left < SEARCH.laws * brought
+    return bool(current.structure.terms) and left < SEARCH.laws * brought

@@ -51,7 +51,11 @@ def improved_model(
     structure, z = option.structure, option.z
     document, forms = structure.write(z), dict(option.forms)
     lines = []
-    for term, found in zip(structure.terms, final.structure.terms, strict=False):
+    # In other forms effects keep their order; fewer are in the forms that they were fitted in.
+    kept = {term.key for term in structure.terms}
+    dropped = [t.key for t in final.structure.terms if len(kept) < len(final.structure.terms) and t.key not in kept]
+    found_terms = [term for term in final.structure.terms if term.key not in dropped]
+    for term, found in zip(structure.terms, found_terms, strict=True):
         lines.append(found.effect.sentence(found.at, structure.term_values(z, term), place_units(structure, term)))
         if found.key in forms:
             lines[-1] += f" Written as {forms[found.key]}, which predicts best at this file's step."
@@ -70,8 +74,7 @@ def improved_model(
         )
     if loaders:
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")
-    dropped = len(final.structure.terms) - len(structure.terms)
-    note = sentences.step_costs(said, errors, dropped=bool(dropped), stiff=bool(_stiff(structure, z)))
+    note = sentences.step_costs(said, errors, dropped=dropped, alone=not kept, stiff=bool(_stiff(structure, z)))
     if not structure.model_parameters and not structure.terms:
         return source.text, said, note
     document.comment("Changed by dipc-gym diagnose.", *lines)

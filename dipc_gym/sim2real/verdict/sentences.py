@@ -246,13 +246,14 @@ def as_written(said: AsWritten, errors: Errors) -> str:
     )
 
 
-def step_costs(said: AsWritten, errors: Errors, *, dropped: bool, stiff: bool) -> str:
+def step_costs(said: AsWritten, errors: Errors, *, dropped: Sequence[str], alone: bool, stiff: bool) -> str:
     """Note on a file that predicts worse at its own step than what was found does in fine ones; empty if it does not.
 
     Args:
         said: what the file comes to.
         errors: in fine steps, in units of noise.
-        dropped: whether effects are left out of the file.
+        dropped: effects that are left out of the file.
+        alone: whether it holds none.
         stiff: whether dry friction in it has constants chosen with its step in mind.
     """
     allowed = SCORE.at_floor * max(errors.improved, 1.0)
@@ -264,7 +265,8 @@ def step_costs(said: AsWritten, errors: Errors, *, dropped: bool, stiff: bool) -
         "parameters make up for that: a shorter step is worth more than any further physics."
     )
     if dropped:
-        note += " With what was found beside it, it would predict worse there than without, so that is left out of it."
+        left_out = "what was found beside it" if alone else " and ".join(dropped)
+        note += f" With {left_out}, it would predict worse there than without, so that is left out of it."
     if said.finer is None:
         return f"{note} None of the steps tried, down to 1/{max(VERDICT.shorter)} of it, brings it there."
     step, error = said.finer

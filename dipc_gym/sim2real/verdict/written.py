@@ -86,7 +86,7 @@ def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequ
     Args:
         physical: with the rig's own parameters; the first in the forms that were fitted.
         refitted: with parameters that make up for the step.
-        plainer: the model as given, and with its own parameters refitted.
+        plainer: the model as given, with its own parameters refitted, and with fewer effects.
         enough: error that fine steps allow.
 
     Returns:
@@ -121,16 +121,17 @@ def written(
     here, there = (predictor.error(final.structure, final.z) for predictor in finely)
     enough, told = (SCORE.at_floor * max(error, 1.0) for error in (here, there))
     as_found = Option(final.structure, final.z, validation.error(final.structure, final.z))
-    physical, refitted = [as_found], list[Option]()
+    physical, refitted, fewer = [as_found], list[Option](), list[Option]()
     if as_found.error > enough:
         physical += _in_other_forms(as_found, validation)
         count = len(partition.problem.windows)
         some = np.unique(np.linspace(0, count - 1, min(VERDICT.refit, count)).round().astype(np.intp))
+        fewer = _with_one_less(final, partition.problem.pick(some), some, validation)
         to_refit = replace(partition.problem.pick(some), stepping=Stepping(timestep), finer=1)
         best = min(physical, key=lambda option: option.error)
         for option in [as_found] if best is as_found else [best, as_found]:
             refitted += _made_up(option, to_refit, validation)
-    taken = choose(physical, refitted, plainer, enough)
+    taken = choose(physical, refitted, [*plainer, *fewer], enough)
     errors = [held_out.error(one.structure, one.z) for one in (nominal, recalibrated, taken)]
     # What is said of the step is said by test data; which shorter one would do is chosen like all else.
     costs = taken.error > enough or errors[-1] > told
@@ -145,6 +146,29 @@ def written(
         None if finer is None else (finer, held_out.at(finer).error(taken.structure, taken.z)),
     )
     return taken, said
+
+
+def _with_one_less(found: Fit, problem: Problem, which: NDArray[np.intp], validation: Predictor) -> list[Option]:
+    """A model without one of several effects, of those that take fine steps.
+
+    A contact, or a stiff coupling, that is worth little may keep a file from predicting at all.
+
+    Args:
+        found: what was found, fitted to all windows.
+        problem: some of these windows, in the steps of the diagnosis.
+        which: of all.
+        validation: windows to choose by.
+    """
+    options = list[Option]()
+    for term in found.structure.terms:
+        if len(found.structure.terms) < 2 or term.effect.finest == np.inf:
+            continue
+        structure = found.structure.without(term.key)
+        begin = carry(found.structure, found.z, structure)
+        with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
+            z = fit(problem, structure, begin, found.initial[which], most=VERDICT.refit_steps).z
+            options.append(Option(structure, z, validation.error(structure, z)))
+    return options
 
 
 def _in_other_forms(found: Option, validation: Predictor) -> list[Option]:
