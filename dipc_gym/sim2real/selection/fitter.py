@@ -82,7 +82,7 @@ class Fitter:
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             sketch = None
         if not base.structure.terms:
-            self._begun[asked] = base, sketch
+            self._begun[asked] = base, sketch and sketch.result()  # dozens, for the whole search
         return sketch
 
     def _rough(self, structure: Structure, z: Array, initial: Array, hopeless: float = math.inf) -> Fit:
@@ -156,7 +156,7 @@ class Fitter:
 
     def remember(self, fitted: Fit) -> None:
         """Keep a full fit, so that it need not be made again while the windows are the same."""
-        self._kept[self._called(fitted.structure)] = fitted
+        self._kept[self._called(fitted.structure)] = fitted.result()
 
     def remembered(self, structure: Structure) -> Fit | None:
         """The fit of a structure to these windows, if one was kept."""

@@ -121,7 +121,7 @@ def rivals(search: Searched, full: Fit, term: Term) -> list[Rival]:
                 continue
             if search.fitter.behind(sketch, full):
                 if len(others) == 1:
-                    found.append(Rival(others[0], sketch, same=False, ruled_out=True))
+                    found.append(Rival(others[0], sketch.result(), same=False, ruled_out=True))
                 continue
             swapped = search.fitter.full(full, sketch)
         if swapped is None:
@@ -133,7 +133,7 @@ def rivals(search: Searched, full: Fit, term: Term) -> list[Rival]:
         same = close and difference.gain < SCORE.worth and reached < max(SCORE.at_floor, VERDICT.same * error)
         better = len(others) == 1 and _better(search, swapped, full)
         if same or len(others) == 1:
-            found += [Rival(other, swapped, same, not close, better) for other in others]
+            found += [Rival(other, swapped.result(), same, not close, better) for other in others]
     return found
 
 
