@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sim2real_rigs import HANGING
 from test_diagnose import NOMINAL, run
 
 from dipc_gym import mjcf
@@ -205,3 +206,17 @@ def test_what_is_concluded_predicts_validation_data_no_worse_than_what_was_there
     assert reached <= least
     assert (best.fitted is last) == (others[0] <= least)
     assert bool(best.notes) == (best.fitted is before)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "apart"),
+    [
+        ("friction.coulomb@pole1", "motor.deadzone@motor", True),  # which drives the cart
+        ("friction.coulomb@cart", "motor.deadzone@motor", False),
+        ("friction.coulomb@pole1", "friction.viscous@pole2", True),
+        ("load.constant@cart", "sensor.bias@pole1", False),  # a sensor that is off pushes all joints
+    ],
+)
+def test_what_an_effect_is_mistaken_for_acts_at_its_joint(one: str, other: str, apart: bool) -> None:
+    terms = [Term(catalogue()[name], at, {}) for name, _, at in (text.partition("@") for text in (one, other))]
+    assert judge._apart(mjcf.compile(HANGING), *terms) == apart

@@ -16,8 +16,22 @@ from paper import inches
 pytest.importorskip("numba")
 
 import dipc_gym
-from dipc_gym.trials import attempt, catalogue, generate, grade, integrator, prediction, publish, rigs, run, score
+from dipc_gym.trials import (
+    attempt,
+    catalogue,
+    generate,
+    grade,
+    integrator,
+    prediction,
+    publish,
+    rigs,
+    run,
+    score,
+    secret,
+    shapes,
+)
 from dipc_gym.trials.entries import SIZE, index
+from dipc_gym.trials.hidden import draw
 
 PACKAGE = Path(dipc_gym.__file__).parent
 PYTHON = sys.executable
@@ -658,22 +672,31 @@ def test_a_third_of_the_laws_stands_beside_what_machines_usually_have(tmp_path):
     assert not any(plan.beside for plan in plans if plan.kind == "null")
     assert not any(plan.beside for plan in generate.plans(5, full=True))
     (tmp_path / "sealed").mkdir()
-    for number, effect in enumerate(("friction.speed", "load.position", "motor.map"), start=1):
-        plan = generate.Plan(number, "single", "cart", effect, False, laws=True, beside=True)
-        generate.make_trial(tmp_path, plan, 3)
-        held = answer_of(tmp_path, plan)
-        law, usual = held["missing"]
-        assert law["effect"] == effect
-        # What the law may have in itself is not hidden beside it: nobody could tell the two apart.
-        assert (
-            usual["effect"]
-            in {
-                "friction.speed": {"load.constant"},
-                "load.position": {"friction.coulomb", "drag.quadratic"},
-                "motor.map": {"friction.coulomb", "drag.quadratic", "load.constant"},
-            }[effect]
-        )
-        assert held["share_of_each"].keys() == {f"{m['effect']}@{m['at']}" for m in held["missing"]}
+    plan = generate.Plan(1, "single", "cart", "motor.map", False, laws=True, beside=True)
+    generate.make_trial(tmp_path, plan, 3)
+    held = answer_of(tmp_path, plan)
+    law, usual = held["missing"]
+    assert (law["effect"], usual["effect"] in secret.USUAL) == ("motor.map", True)
+    assert held["share_of_each"].keys() == {f"{m['effect']}@{m['at']}" for m in held["missing"]}
+
+
+@pytest.mark.parametrize(
+    ("law", "beside"),
+    [
+        ("friction.speed", {"load.constant"}),
+        ("friction.position", {"load.constant", "drag.quadratic"}),
+        ("load.position", {"friction.coulomb", "drag.quadratic"}),
+        ("motor.map", {"friction.coulomb", "drag.quadratic", "load.constant"}),
+    ],
+)
+def test_what_a_law_may_have_in_itself_is_not_hidden_beside_it(law, beside):
+    """Nobody could tell the two apart."""
+    rng = np.random.default_rng(1)
+    rig = rigs.RIGS["cart"](rng)
+    hidden = draw(next(effect for effect in shapes.named(rig) if effect.name == law), rng)
+    usual = [secret._usual(rig, hidden, rng) for _ in range(40)]
+    assert {one.effect.name for one in usual} == beside
+    assert {one.effect.at for one in usual} == {rig.joints[0]}
 
 
 def test_a_failed_diagnosis_is_a_wrong_one():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -14,17 +15,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sim2real_rigs import CART, TORQUE
 
-from dipc_gym import mjcf, recording
+from dipc_gym import mjcf, physics, recording
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import Effect, catalogue
+from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict.settings import VERDICT
-from dipc_gym.sim2real.verdict.written import Option, choose
+from dipc_gym.sim2real.verdict.written import Option, Predictor, _with_one_less, choose
 
 FURUTA = """<mujoco model="furuta">
   <compiler angle="radian"/>
@@ -229,3 +231,18 @@ def test_no_diagnosis_predicts_worse_than_refitted_numbers(
     for errors in (validation, written.validation):
         assert errors.improved <= max(VERDICT.worse * min(errors.nominal, errors.recalibrated), SCORE.at_floor)
     assert found.to_dict()["fit"]["validation_in_noise"]["improved"] == pytest.approx(validation.improved, abs=1e-4)
+
+
+def test_a_file_may_do_without_an_effect_that_takes_fine_steps() -> None:
+    """A winding worth nothing keeps a file from its own step; dry friction does not, and is not asked to go."""
+    rig = physics.load(CART)
+    P = sim2real_rigs.prepared(CART, [sim2real_rigs.record(rig, sim2real_rigs.sweep(4.0), 4.0, noise=1e-5)])
+    friction = Term(catalogue()["friction.coulomb"], "cart", {"level": 0.01})
+    winding = Term(catalogue()["motor.inductance"], "motor", {"time_constant": 1e-4})
+    both = fit(P.problem, P.structure.with_term(friction).with_term(winding), most=2)
+    own = Predictor(P.problem, P.problem).at(1e-3)
+    some = np.arange(0, len(P.problem.windows), 2)
+    [option] = _with_one_less(both, P.problem.pick(some), some, own)
+    assert [term.key for term in option.structure.terms] == [friction.key]
+    assert option.error == own.error(option.structure, option.z) < np.inf
+    assert _with_one_less(replace(both, structure=P.structure.with_term(winding)), P.problem, some, own) == []
