@@ -48,8 +48,9 @@ class Format:
                 raw = file.read(self.largest + 1)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
+            article = "an" if self.name[0] in "aeiou" else "a"
             raise self.error(
-                f"{path}: cannot be read ({reason}); give a {self.name} as {self.writer} makes it"
+                f"{path}: cannot be read ({reason}); give {article} {self.name} as {self.writer} makes it"
             ) from None
         if len(raw) > self.largest:
             raise self.error(f"{path}: larger than {self.largest:,} bytes; this is no {self.name}")
