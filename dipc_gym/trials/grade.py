@@ -177,7 +177,7 @@ def _key(effect: Mapping[str, Any]) -> str:
 def _accepted(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, set[str]]:
     """Acceptable names of one hidden effect, with their places."""
     places = {truth["effect"]: {truth["at"], *truth["also_at"]}}
-    for other in answer["equivalents"].get(f"{truth['effect']}@{truth['at']}", []):
+    for other in answer["equivalents"].get(_key(truth), []):
         places.setdefault(other["effect"], set()).add(other["at"])
     return places
 
@@ -215,7 +215,7 @@ def _grade_names(result: Grade, answer: Mapping[str, Any], said: Sequence[Mappin
         else:
             extra += 1
     alone = answer["share_of_each"]
-    due = [i for i in left if alone.get(f"{truths[i]['effect']}@{truths[i]['at']}", math.inf) >= CLEAR]
+    due = [i for i in left if alone.get(_key(truths[i]), math.inf) >= CLEAR]
     result.set = not due and not extra
     first = said[0]
     routes = [_route(first, truth, places) for truth, places in zip(truths, accepted, strict=True)]
@@ -319,9 +319,7 @@ def _values(answer: Mapping[str, Any], truth: str) -> dict[str, float]:
 
 def _grade_intervals(result: Grade, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> None:
     """Coverage, for effects that are named and placed as the truth is."""
-    hidden = {
-        (m["effect"], at): f"{m['effect']}@{m['at']}" for m in answer["missing"] for at in (m["at"], *m["also_at"])
-    }
+    hidden = {(m["effect"], at): _key(m) for m in answer["missing"] for at in (m["at"], *m["also_at"])}
     for one in said:
         truth = hidden.get((one["effect"], one["at"]))
         if truth is None:

@@ -311,6 +311,13 @@ def joint_of(model: mujoco.MjModel, actuator: str) -> str | None:
     return str(model.joint(int(model.actuator_trnid[i, 0])).name)
 
 
+def acts_on(model: mujoco.MjModel, effect: Effect, at: str) -> str | None:
+    """The joint that an effect acts at, or its actuator does; None for sensors, bodies and other actuators."""
+    if effect.place == "actuator":
+        return joint_of(model, at)
+    return at if effect.place == "joint" else None
+
+
 def sensed_joint(model: mujoco.MjModel, sensor: str) -> str | None:
     """The joint whose position or velocity a sensor reads, or None for one of tendons and actuators."""
     one, kinds = model.sensor(sensor), mujoco.mjtSensor

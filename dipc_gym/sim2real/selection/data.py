@@ -97,7 +97,7 @@ def split(problem: Problem) -> tuple[Problem, Problem, Problem]:
             f"the recordings hold {count} windows of {length:.3g} s for fitting; at least {WINDOWS.fewest} are needed: "
             "record longer"
         )
-    chosen = np.unique(np.linspace(0, count - 1, min(WINDOWS.most, count)).round().astype(np.intp))
+    chosen = evenly(count, WINDOWS.most)
     others = np.setdiff1d(np.arange(count), chosen)
     compared = np.s_[1 :: WINDOWS.every]
     return problem.pick(np.delete(chosen, compared)), problem.pick(chosen[compared]), problem.pick(others)
@@ -155,3 +155,13 @@ def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
 def _beside(windows: Windows, start: Array) -> NDArray[np.bool_]:
     """Which windows are at, or next to, those that begin at `start` (k,) on whichever clock, (n, k)."""
     return np.asarray(np.abs(windows.start[:, None] - start) < windows.times.max() + WINDOWS.apart)
+
+
+def evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Numbers of at most so many out of a count, spread evenly from the first to the last.
+
+    Example:
+        >>> evenly(10, 4).tolist()
+        [0, 3, 6, 9]
+    """
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.intp))

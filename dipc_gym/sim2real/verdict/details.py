@@ -34,6 +34,7 @@ from dipc_gym.sim2real.result import (
     Trace,
 )
 from dipc_gym.sim2real.selection.baseline import Baseline
+from dipc_gym.sim2real.selection.data import evenly
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.search import Searched
@@ -106,12 +107,6 @@ def sensor_fits(w: Windows, model: mujoco.MjModel, predicted: Mapping[str, Array
     return tuple(found)
 
 
-def _evenly(which: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """At most so many of them, spread evenly; one at least."""
-    most = max(most, 1)
-    return which if len(which) <= most else which[np.linspace(0, len(which) - 1, most).round().astype(np.intp)]
-
-
 def _traces(w: Windows, structure: Structure, predicted: Mapping[str, Array], structural: bool) -> Iterator[Trace]:
     """A trace for every sensor and recording; the worst predicted by the model as given comes first."""
     order = []
@@ -128,7 +123,7 @@ def _traces(w: Windows, structure: Structure, predicted: Mapping[str, Array], st
         if place >= MOST_TRACES:
             yield Trace(sensor, unit, recording, NOTHING, NOTHING, NOTHING)
             continue
-        kept = _evenly(mine, MOST_SAMPLES // w.valid.shape[1])
+        kept = mine[evenly(len(mine), max(MOST_SAMPLES // w.valid.shape[1], 1))]
         values = {name: joined(readings[kept, :, k], w.valid[kept]) for name, readings in predicted.items()}
         yield Trace(
             sensor,
@@ -152,7 +147,7 @@ def _rising(time: Array) -> Array:
 
 def _maps(structure: Structure, first: Scene, after: Scene | None, order: Sequence[str]) -> Iterator[Mismatch]:
     """What is unexplained at each joint, in this order of joints."""
-    kept = _evenly(np.arange(len(first.time)), MOST_SAMPLES)
+    kept = evenly(len(first.time), MOST_SAMPLES)
     for place, joint in enumerate(sorted(structure.base, key=list(order).index)):
         j = list(structure.base).index(joint)
         of = mjcf.units(structure.model, joint)
@@ -209,7 +204,7 @@ def _candidate(search: Searched, tried: Tried, status: Status) -> Candidate:
 def _residuals(w: Windows, before: Array, after: Array | None) -> Iterator[SensorResidual]:
     """What two predictions (n, m, ns) leave of each sensor whose noise is known."""
     known = np.flatnonzero(np.isfinite(w.noise))
-    kept = _evenly(np.arange(len(w)), MOST_SAMPLES // w.valid.shape[1])
+    kept = evenly(len(w), max(MOST_SAMPLES // w.valid.shape[1], 1))
     time = _rising(joined((w.start[:, None] + w.times)[kept], w.valid[kept]))
     lags = min(VERDICT.lags, w.valid.shape[1] // 2)
     for place, k in enumerate(known):

@@ -21,6 +21,7 @@ from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.settings import MODEL
 from dipc_gym.sim2real.model.structure import Term, names
 from dipc_gym.sim2real.result import Errors, Missing
+from dipc_gym.sim2real.selection.data import evenly
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
@@ -171,7 +172,7 @@ def missing_effects(
     """
     final = found.fitted
     worth = [final] if alone is None else [final, alone]
-    some = test.pick(np.unique(np.linspace(0, len(test.windows) - 1, VERDICT.windows).round().astype(np.intp)))
+    some = test.pick(evenly(len(test.windows), VERDICT.windows))
     as_given = judge.error_on(some, nominal) if any(found.rivals.values()) else 1.0
     missing = []
     for term in final.structure.terms:

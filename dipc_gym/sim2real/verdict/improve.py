@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording.units import of_sensor
-from dipc_gym.sim2real.effects.base import is_dcmotor, joint_of
+from dipc_gym.sim2real.effects.base import acts_on, is_dcmotor
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import Structure, Term
@@ -100,9 +100,7 @@ def _stiff(structure: Structure, z: Array) -> bool:
 def place_units(structure: Structure, term: Term) -> dict[str, str]:
     """Unit of each parameter of an effect, in terms of its joint's kind."""
     model = structure.model
-    joint = term.at if term.effect.place == "joint" else ""
-    if term.effect.place == "actuator":
-        joint = joint_of(model, term.at) or ""
+    joint = acts_on(model, term.effect, term.at) or ""
     hinge = bool(joint) and mjcf.is_hinge(model, joint)
     units = {}
     for p in term.effect.parameters:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from dipc_gym.sim2real.effects.base import joint_of
+from dipc_gym.sim2real.effects.base import acts_on
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.unexplained import Scene
@@ -190,12 +190,8 @@ def _stand_ins(
 
 def _apart(model: mujoco.MjModel, one: Term, other: Term) -> bool:
     """Whether two effects act at joints, or at motors of joints, that are not the same."""
-    joints = [
-        term.at if term.effect.place == "joint" else joint_of(model, term.at)
-        for term in (one, other)
-        if term.effect.place in ("joint", "actuator")
-    ]
-    return len(joints) == 2 and None not in joints and joints[0] != joints[1]
+    joints = [acts_on(model, term.effect, term.at) for term in (one, other)]
+    return None not in joints and joints[0] != joints[1]
 
 
 def locate(scene: Scene, joints: Sequence[str]) -> list[Located]:

@@ -19,6 +19,7 @@ from dipc_gym.sim2real.estimation.fit import Fit, begun, fit, simulated
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.result import AsWritten, Errors
+from dipc_gym.sim2real.selection.data import evenly
 from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.simulation.batch import Stepping
@@ -124,8 +125,7 @@ def written(
     physical, refitted, fewer = [as_found], list[Option](), list[Option]()
     if as_found.error > enough:
         physical += _in_other_forms(as_found, validation)
-        count = len(partition.problem.windows)
-        some = np.unique(np.linspace(0, count - 1, min(VERDICT.refit, count)).round().astype(np.intp))
+        some = evenly(len(partition.problem.windows), VERDICT.refit)
         fewer = _with_one_less(final, partition.problem.pick(some), some, validation)
         to_refit = replace(partition.problem.pick(some), stepping=Stepping(timestep), finer=1)
         best = min(physical, key=lambda option: option.error)
