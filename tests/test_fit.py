@@ -24,7 +24,7 @@ from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.estimation.shooting import Shooting, typical
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
-from dipc_gym.sim2real.selection.screen import pairs, screen
+from dipc_gym.sim2real.selection.screen import LaidOver, pairs
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict import findings, judge
 
@@ -394,7 +394,7 @@ def test_a_good_guess_has_the_predicted_gain_that_it_brings() -> None:
     S = ready(run, HANGING)
     parameters = tuple(model_parameters(S.structure.document, S.structure.model))
     alone = fit(S.problem, replace(S.structure, model_parameters=parameters), most=8)
-    (tried,) = screen(S.problem, alone, [Term(catalogue()["load.position"], "cart", wave)], np.arange(9))
+    (tried,) = LaidOver(S.problem, alone, np.arange(9)).tried([Term(catalogue()["load.position"], "cart", wave)])
     whole = alone.structure.with_term(tried.term)
     after = fit(S.problem, whole, carry(alone.structure, alone.z, whole), alone.initial)
     brought = float(np.mean(np.log1p(alone.mse) - np.log1p(after.mse)))
@@ -412,7 +412,7 @@ def test_what_model_parameters_do_for_a_subset_is_no_gain_of_an_effect() -> None
     fitted = fit(S.problem, replace(S.structure, model_parameters=parameters), most=8)
     winding = [Term(catalogue()["motor.inductance"], "motor", {"time_constant": 3e-4})]
     every = np.arange(len(S.problem.windows))
-    (eight,), (all_,) = (screen(S.problem, fitted, winding, some) for some in (every[::4], every))
+    (eight,), (all_,) = (LaidOver(S.problem, fitted, some).tried(winding) for some in (every[::4], every))
     assert eight.predicted_gain == pytest.approx(all_.predicted_gain, abs=0.15)
 
 
@@ -440,7 +440,8 @@ def test_effects_that_need_each_other_are_seen_together() -> None:
         "load.spring": {"stiffness": 20.0, "rest": 0.0},
     }
     subset = np.arange(len(S.problem.windows))[::2]
-    tried = screen(S.problem, refitted, [Term(catalogue()[k], "cart", v) for k, v in guesses.items()], subset)
+    terms = [Term(catalogue()[k], "cart", v) for k, v in guesses.items()]
+    tried = LaidOver(S.problem, refitted, subset).tried(terms)
     predicted_gain, structure = pairs(S.problem, refitted, tried, subset)[0]
     assert {term.effect.id for term in structure.terms} == {"drag.quadratic", "friction.coulomb"}
     assert predicted_gain > 1.0 + max(one.predicted_gain for one in tried)
@@ -452,7 +453,7 @@ def test_one_hypothesis_makes_no_pair() -> None:
     S = ready(run(seconds=3.0))
     alone = fit(S.problem, S.structure)
     subset = np.arange(4)
-    tried = screen(S.problem, alone, [Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0})], subset)
+    tried = LaidOver(S.problem, alone, subset).tried([Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0})])
     assert len(tried) == 1
     assert pairs(S.problem, alone, tried, subset) == []
     assert pairs(S.problem, alone, [], subset) == []
@@ -577,7 +578,7 @@ def test_a_pair_is_not_tried_again_under_another_name() -> None:
         Term(known[name], "cart", {key: 1.0})
         for name, key in (("friction.coulomb", "level"), ("drag.quadratic", "coefficient"))
     ]
-    one, other = screen(S.problem, alone, terms, subset)
+    one, other = LaidOver(S.problem, alone, subset).tried(terms)
     again = replace(other, term=replace(other.term, at="elsewhere"))
     gains = [predicted_gain for predicted_gain, _ in pairs(S.problem, alone, [one, other], subset)]
     assert len(gains) == 1

@@ -16,6 +16,7 @@ from dipc_gym.engine.program import parameters_of
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure
+from dipc_gym.sim2real.side_by_side import cores
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
 from dipc_gym.sim2real.simulation.compiled import Compiled, changes, compiled, derivatives
 from dipc_gym.sim2real.simulation.motion import initial_states
@@ -94,7 +95,7 @@ def predict_with(problem: Problem, structure: Structure, variants: Sequence[Phys
         base=structure.base,
         warm=warm,
         warm_initial=initial_states(windows.motions, windows.source, windows.start - warm) if warm else None,
-        threads=problem.threads,
+        threads=cores(problem.threads),
     )
 
 
@@ -122,7 +123,7 @@ def sensitivities(
     try:
         of, change = _with_changes(structure, z, probes, steps, windows, grid_step(windows, stepping))
         begin = initial_states(windows.motions, windows.source, windows.start - warm) if warm else None
-        return derivatives(of, change, steps, initial, warm, begin, problem.threads)
+        return derivatives(of, change, steps, initial, warm, begin, cores(problem.threads))
     except Uncovered:
         return None
 

@@ -6,7 +6,7 @@ import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import mujoco
@@ -123,6 +123,10 @@ class Structure:
                     Slot(key, p.unit, p.low, p.high, p.log, scale, p.sigma, fine=p.fine, above=above, origin=origin)
                 )
         object.__setattr__(self, "slots", tuple(slots))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process gets: all but the number that no other structure has, see `_own`."""
+        return {each.name: getattr(self, each.name) for each in fields(self)} | {"worked_out": self.worked_out}
 
     @functools.cached_property
     def first(self) -> Array:

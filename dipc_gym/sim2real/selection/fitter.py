@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +21,12 @@ from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.scorer import Scorer, earned
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+from dipc_gym.sim2real.side_by_side import side_by_side
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+
+_Asked = tuple[int, str, tuple[str, ...], bytes]  # a sketch: what it begins at, as text, what is free, the windows
 
 
 @dataclass(frozen=True)
@@ -31,9 +39,7 @@ class Fitter:
 
     scorer: Scorer
     _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
-    _begun: dict[tuple[int, str, tuple[str, ...], bytes], tuple[Fit, Fit | None]] = field(
-        default_factory=dict, repr=False
-    )
+    _begun: dict[_Asked, tuple[Fit, Fit | None]] = field(default_factory=dict, repr=False)
 
     def over(self, partition: Partition) -> Fitter:
         """The same to other windows; full fits that were kept stay for when these windows come back."""
@@ -84,6 +90,75 @@ class Fitter:
         if not base.structure.terms:
             self._begun[asked] = base, sketch and sketch.result()  # dozens, for the whole search
         return sketch
+
+    @contextmanager
+    def side_by_side(self, tasks: Sequence[Callable[[], T]], bases: Sequence[Fit]) -> Iterator[Callable[[int], T]]:
+        """Tasks that fit, on all cores, and how to get the result of each by its number; see `side_by_side`.
+
+        Args:
+            tasks: which change nothing but what this remembers.
+            bases: fits that they begin at; what is in these is not copied.
+        """
+        structures = [base.structure for base in bases]
+        shared: list[object] = [*bases, *structures]
+        for structure in structures:
+            effects = [term.effect for term in structure.terms]
+            shared += [structure.document, structure.model, *structure.model_parameters, *effects]
+
+        def remembering(task: Callable[[], T]) -> tuple[T, dict[_Asked, tuple[Fit, Fit | None]]]:
+            before = set(self._begun)
+            found = task()
+            return found, {asked: self._begun[asked] for asked in self._begun if asked not in before}
+
+        with side_by_side([partial(remembering, task) for task in tasks], self.problem.threads, shared) as result:
+
+            def found(k: int) -> T:
+                what, begun = result(k)
+                self._begun.update(begun)
+                return what
+
+            yield found
+
+    @contextmanager
+    def sketched(self, asked: Sequence[tuple[Fit, Structure]]) -> Iterator[Callable[[int], Fit | None]]:
+        """Sketches of several structures, each from the parameters of a fit, on all cores; see `sketch`."""
+
+        def sketch(base: Fit, structure: Structure) -> Fit | None:
+            made = self.sketch(base, structure)
+            return made and made.result()
+
+        with self.side_by_side([partial(sketch, *each) for each in asked], [base for base, _ in asked]) as result:
+            yield result
+
+    @contextmanager
+    def fitted(
+        self, asked: Sequence[tuple[Fit, Fit, Fit | None]], then: Callable[[Fit], Fit] = lambda fitted: fitted
+    ) -> Iterator[Callable[[int], Fit | None]]:
+        """Full fits, compared, on all cores; see `full`.
+
+        Args:
+            asked: base, sketch, and what each has to earn its place beside.
+            then: what else is done with each fit.
+        """
+
+        def compared(base: Fit, sketch: Fit, current: Fit | None) -> tuple[Fit, Array] | None:
+            made = self.full(base, sketch, current)
+            if made is None:
+                return None
+            made = then(made)
+            return made.result(), self.scorer.comparison_mse(made)
+
+        bases = [fit for base, _, current in asked for fit in (base, current) if fit is not None]
+        with self.side_by_side([partial(compared, *each) for each in asked], bases) as result:
+
+            def fitted(k: int) -> Fit | None:
+                found = result(k)
+                if found is None:
+                    return None
+                self.scorer.know(*found)
+                return found[0]
+
+            yield fitted
 
     def _rough(self, structure: Structure, z: Array, initial: Array, hopeless: float = math.inf) -> Fit:
         some = self.problem.pick(self.subset)
@@ -143,6 +218,13 @@ class Fitter:
         return fit(
             self.problem, fitted.structure, fitted.z, fitted.initial, most=0 if fitted.converged else SEARCH.polished
         )
+
+    def whole(self, fitted: Fit) -> Fit:
+        """The same fit with its residuals and Jacobians, see `Fit.result`."""
+        if fitted.whole:
+            return fitted
+        again = fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=0)
+        return replace(again, steps=fitted.steps, converged=fitted.converged)
 
     def without(self, current: Fit, key: str) -> Fit:
         """Refit with one effect less, from the parameters that it has now: the fit before may have been stuck."""

@@ -41,7 +41,8 @@ def sketched(fitter: Fitter, screened: Screened, current: Fit) -> Fit | None:
         gains = screen.together(fitter.problem, current, members, fitter.subset) if wider else []
         first = sorted(zip(gains, wider, strict=True), key=lambda each: -each[0])[: SEARCH.kinds]
         asked = [structure for gain, structure in first if gain > SEARCH.keeps_up * alone]
-        best += [sketch for structure in asked if (sketch := fitter.sketch(current, structure)) is not None]
+        with fitter.sketched([(current, structure) for structure in asked]) as sketch_of:
+            best += [sketch for sketch in map(sketch_of, range(len(asked))) if sketch is not None]
         losses = ranking.losses([one.mse for one in best])
         best = [best[int(np.argmin(losses))]] if best else []
     return best[0] if best else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from dipc_gym.sim2real.selection.progress import Partition, Progress
 from dipc_gym.sim2real.selection.ranking import Start
 from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.settings import SEARCH
+from dipc_gym.sim2real.side_by_side import side_by_side
 
 
 class Phase(IntEnum):
@@ -59,11 +61,11 @@ class Screened:
     tried: list[Tried]
 
 
-def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> list[Term]:
-    """Every effect at every place it can act, with first guesses; events only where most windows are at the noise."""
-    friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in question.joints}
-    levels = {joint: level for joint, level in friction.items() if level > 0}
-    terms, found = current.structure.terms, []
+def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> list[Callable[[], list[Term]]]:
+    """Every effect at every place it can act, each with its first guesses, once they are asked for; events only where
+    most windows are at the noise.
+    """
+    terms, found = current.structure.terms, list[Callable[[], list[Term]]]()
     # Where few data are, a law of any shape is off, and windows stand out in which nothing happened.
     events = ranking.mostly_at_noise(current) and not any(term.effect.free for term in terms)
     for effect in question.effects:
@@ -79,11 +81,18 @@ def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> 
         for at in places(effect, current.structure.model, question.joints, scene.recordings[0]):
             if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):
                 continue
-            seen = _without_plainer(question, current, effect, at, scene) if effect.free else scene
-            evidence = seen.at(effect.place, at, levels)
-            plain = _plain(current, effect, at)
-            found += [Term(shaped, at, {**guess, **plain}) for shaped, guess in effect.proposals(evidence)]
+            found.append(partial(_guessed, question, current, scene, effect, at))
     return found
+
+
+def _guessed(question: Question, current: Fit, scene: Scene, effect: Effect, at: str) -> list[Term]:
+    """An effect at one place, with first guesses."""
+    friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in question.joints}
+    levels = {joint: level for joint, level in friction.items() if level > 0}
+    seen = _without_plainer(question, current, effect, at, scene) if effect.free else scene
+    plain = _plain(current, effect, at)
+    proposals = effect.proposals(seen.at(effect.place, at, levels))
+    return [Term(shaped, at, {**guess, **plain}) for shaped, guess in proposals]
 
 
 def _without_plainer(question: Question, current: Fit, effect: Effect, at: str, scene: Scene) -> Scene:
@@ -130,7 +139,16 @@ def _on_top(question: Question, phase: Phase, partition: Partition, base: Fit, c
     outliers = partition.problem.windows.start[data.outliers(base.mse)]
     scene = replace(question.look(base, outliers), fitted=(partition.problem.windows, base))
     asked = hypotheses(question, phase, base, scene)
-    return Screened(base, handicap, screen.screen(partition.problem, base, asked, partition.subset))
+    laid_over = screen.LaidOver(partition.problem, base, partition.subset)
+    tasks = [partial(_screened, laid_over, guesses) for guesses in asked]
+    with side_by_side(tasks, partition.problem.threads, question.effects) as result:
+        tried = [one for k in range(len(tasks)) for one in result(k)]
+    return Screened(base, handicap, sorted(tried, key=lambda one: -one.predicted_gain))
+
+
+def _screened(laid_over: screen.LaidOver, guesses: Callable[[], list[Term]]) -> list[Tried]:
+    """The best guess of each shape of an effect at one place."""
+    return laid_over.tried(guesses())
 
 
 def starts(found: Sequence[Screened]) -> dict[str, list[Start]]:

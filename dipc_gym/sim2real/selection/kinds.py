@@ -64,4 +64,4 @@ def _kinds(question: Question, structure: Structure, term: Term) -> Iterator[tup
 def _shapes(question: Question, effect: Effect, at: str, fewer: Fit) -> list[Term]:
     """A law of a kind at one place, in the shapes that the evidence asks for."""
     asked = hypotheses(replace(question, effects=[effect]), Phase.SHAPES, fewer, question.look(fewer))
-    return [term for term in asked if term.at == at]
+    return [term for guesses in asked for term in guesses() if term.at == at]

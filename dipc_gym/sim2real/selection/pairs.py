@@ -42,16 +42,18 @@ def sketched(fitter: Fitter, pairs: Sequence[Pair], current: Fit) -> list[tuple[
     """
     found: list[tuple[Fit, Fit]] = []
     short: set[str] = set()
-    for predicted_gain, base, structure in sorted(pairs, key=lambda pair: len(pair[2].slots)):
-        slow = {term.key for term in structure.terms[-2:] if fitter.slow(term)}
-        if slow & short or ranking.idle(structure, [sketch for _, sketch in found]):
-            continue
-        sketch = fitter.sketch(base, structure)
-        if sketch is None:
-            continue
-        found.append((base, sketch))
-        if ranking.brought(sketch, current.mse[fitter.subset]) < SEARCH.short * predicted_gain:
-            short |= slow
+    asked = sorted(pairs, key=lambda pair: len(pair[2].slots))
+    with fitter.sketched([(base, structure) for _, base, structure in asked]) as sketch_of:
+        for k, (predicted_gain, base, structure) in enumerate(asked):
+            slow = {term.key for term in structure.terms[-2:] if fitter.slow(term)}
+            if slow & short or ranking.idle(structure, [sketch for _, sketch in found]):
+                continue
+            sketch = sketch_of(k)
+            if sketch is None:
+                continue
+            found.append((base, sketch))
+            if ranking.brought(sketch, current.mse[fitter.subset]) < SEARCH.short * predicted_gain:
+                short |= slow
     return found
 
 
@@ -73,11 +75,13 @@ def best(
     first, blocks = sketched[int(np.argmin(losses))][1], fitter.problem.blocks[fitter.subset]
     gained = compare(first.mse, current.mse[fitter.subset], blocks).gain
     alike = [pair for pair in sketched if ranking.alike(compare(first.mse, pair[1].mse, blocks), gained)]
-    for base, sketch in sorted(alike, key=lambda pair: ranking.cost(pair[1]))[: SEARCH.pairs]:
-        fitted = fitter.full(base, sketch, current)
-        if fitted is None or not fitter.scorer.better(fitted, current):
-            continue
-        both = fitted.structure.terms[-2:]
-        if all(choice.tells(term, fitted, current, begin) for term in both):
-            return fitted, [Tried(term, 0.0, sketch, fitted) for term in both]
+    first_of = sorted(alike, key=lambda pair: ranking.cost(pair[1]))[: SEARCH.pairs]
+    with fitter.fitted([(base, sketch, current) for base, sketch in first_of]) as fit_of:
+        for k, (_, sketch) in enumerate(first_of):
+            fitted = fit_of(k)
+            if fitted is None or not fitter.scorer.better(fitted, current):
+                continue
+            both = fitted.structure.terms[-2:]
+            if all(choice.tells(term, fitted, current, begin) for term in both):
+                return fitted, [Tried(term, 0.0, sketch, fitted) for term in both]
     return None

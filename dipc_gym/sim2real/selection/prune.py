@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -25,19 +26,30 @@ def prune(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str]
         current: the fit to prune.
         tell: called with a line about each effect that goes.
     """
-    unnamed = [term.at for term in current.structure.unnamed]
-    for term in current.structure.terms:
-        # A law of no kind takes over whatever depends on the same. It was asked beside the name, not in its place.
-        if term.at in unnamed and not term.effect.of_no_kind:
-            continue
-        plain = term.effect.linear and not (term.effect.contains or term.effect.once or term.effect.free)
-        if plain and ranking.foretold_loss(current, [term], fitter.problem.counts) > SCORE.large:
-            continue  # needed beyond doubt, without a refit
-        idle = next(_as_good(question, fitter, current, term), None)
-        if idle is not None:
-            tell(f"{term.key} is more than is needed")
-            return prune(question, fitter, idle, tell)
-    return current
+    asked = [term for term in current.structure.terms if _doubtful(fitter, current, term)]
+    tasks = [partial(_idle, question, fitter, current, term) for term in asked]
+    with fitter.side_by_side(tasks, [current]) as result:
+        found = ((term, result(k)) for k, term in enumerate(asked))
+        term, idle = next(((term, one) for term, one in found if one is not None), (None, None))
+    if term is None or idle is None:
+        return current
+    tell(f"{term.key} is more than is needed")
+    return prune(question, fitter, fitter.whole(idle), tell)
+
+
+def _doubtful(fitter: Fitter, current: Fit, term: Term) -> bool:
+    """Whether an effect may be idle, as far as can be told without a refit."""
+    # A law of no kind takes over whatever depends on the same. It was asked beside the name, not in its place.
+    if term.at in [law.at for law in current.structure.unnamed] and not term.effect.of_no_kind:
+        return False
+    plain = term.effect.linear and not (term.effect.contains or term.effect.once or term.effect.free)
+    return not (plain and ranking.foretold_loss(current, [term], fitter.problem.counts) > SCORE.large)
+
+
+def _idle(question: Question, fitter: Fitter, current: Fit, term: Term) -> Fit | None:
+    """A fit without an effect, or with a plainer one in its place, that does not miss it."""
+    less = next(_as_good(question, fitter, current, term), None)
+    return less and less.result()
 
 
 def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> Iterator[Fit]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,14 +77,20 @@ def _finer(fitter: Fitter, current: Fit, key: str) -> Fit | None:
 def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
     """The best fit with more parameters of one law; None where it has none."""
     term = next(term for term in current.structure.terms if term.key == key)
-    found: list[Fit] = []
     values = current.structure.term_values(current.z, term)
-    for effect, guess in term.effect.finer(values, _told(current, key)):
-        structure, begin = _instead(current.structure, current.z, term, effect, guess)
+    shapes = [
+        _instead(current.structure, current.z, term, *shape) for shape in term.effect.finer(values, _told(current, key))
+    ]
+
+    def reshaped(structure: Structure, begin: Array) -> Fit | None:
         try:
-            found.append(fit(fitter.problem, structure, begin, current.initial, tolerance=SEARCH.rough))
+            return fit(fitter.problem, structure, begin, current.initial, tolerance=SEARCH.rough)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
-            continue
+            return None
+
+    tasks = [partial(reshaped, *shape) for shape in shapes]
+    with fitter.side_by_side(tasks, [current]) as result:
+        found = [one for one in map(result, range(len(tasks))) if one is not None]
     losses = ranking.losses([one.mse for one in found])
     return found[int(np.argmin(losses))] if found else None
 

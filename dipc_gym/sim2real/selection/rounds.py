@@ -81,13 +81,14 @@ def _ahead(fitter: Fitter, group: Fit, sketched: Sequence[Start], current: Fit) 
 def _fitted(fitter: Fitter, sketched: Sequence[Start], current: Fit, journal: Journal) -> list[Tried]:
     """Full fits of the hypotheses whose sketches keep up."""
     done: list[Tried] = []
-    for tried, base in sketches.keeping_up(fitter, sketched, current):
-        assert tried.sketch is not None
-        fitted = fitter.full(base, tried.sketch, None if tried.term.effect.once else current)
-        if fitted is not None:
-            fitted = refined(fitter, fitted, tried.key)
-            done.append(replace(tried, term=ranking.as_fitted(fitted), fitted=fitted))
-            journal.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
+    asked = sketches.keeping_up(fitter, sketched, current)
+    tasks = [(base, tried.sketch, None if tried.term.effect.once else current) for tried, base in asked if tried.sketch]
+    with fitter.fitted(tasks, lambda fitted: refined(fitter, fitted, fitted.structure.terms[-1].key)) as fit_of:
+        for k, (tried, _) in enumerate(asked):
+            fitted = fit_of(k)
+            if fitted is not None:
+                done.append(replace(tried, term=ranking.as_fitted(fitted), fitted=fitted))
+                journal.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
     return done
 
 

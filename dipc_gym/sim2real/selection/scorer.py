@@ -50,8 +50,12 @@ class Scorer:
         of, mse = self._known.get(id(fitted), (lambda: None, np.zeros(0)))
         if of() is not fitted:  # another may have had its place in memory
             mse, _ = evaluate(self.partition.comparison, fitted.structure, fitted.z)
-            self._known[id(fitted)] = (weakref.ref(fitted), mse)
+            self.know(fitted, mse)
         return mse
+
+    def know(self, fitted: Fit, mse: Array) -> None:
+        """Note the mean square errors of the comparison windows that were worked out elsewhere, (n,)."""
+        self._known[id(fitted)] = (weakref.ref(fitted), mse)
 
     def comparison_error(self, fitted: Fit) -> float:
         """Root mean square error on the comparison windows, in units of noise."""

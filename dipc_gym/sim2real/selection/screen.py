@@ -7,7 +7,6 @@ and friction nothing without drag. Laid over the residual side by side, the two 
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -63,45 +62,58 @@ class Tried:
         return replace(self, sketch=sketch, fitted=self.fitted and self.fitted.pick(which))
 
 
-def screen(problem: Problem, current: Fit, terms: Sequence[Term], subset: NDArray[np.intp]) -> list[Tried]:
-    """Rank hypotheses by their predicted gains; the best guess of each shape, the largest predicted gain first.
+class LaidOver:
+    """A fit that hypotheses are laid over.
 
     Args:
         problem: windows to predict.
-        current: fit that the hypotheses are laid over.
-        terms: hypotheses, several guesses of one among them.
+        current: the fit.
         subset: windows that have to do for what must be simulated in finer steps; responses are kept for them.
     """
-    guesses: dict[tuple[str, int], list[Term]] = {}
-    for term in terms:  # a law of any shape has numbers of its own in each of its shapes
-        guesses.setdefault((term.key, id(term.effect) if term.effect.free else 0), []).append(term)
-    whole, some = _Fitted(problem, current), _Fitted(problem.pick(subset), current.pick(subset))
-    luck = _luck(problem, current, subset)
-    found = []
-    for group in guesses.values():
-        slow = min(group[0].effect.finest, current.structure.finest) < problem.stepping.timestep
-        tried = _best(some if slow else whole, group)
-        if tried is not None:
-            here = (
-                {"predicted_gain": max(tried.predicted_gain - luck, 0.0)}
-                if slow
-                else {"response": tried.response[subset]}
-            )
-            found.append(replace(tried, **here))
-    return sorted(found, key=lambda tried: -tried.predicted_gain)
+
+    def __init__(self, problem: Problem, current: Fit, subset: NDArray[np.intp]) -> None:
+        self.current, self.subset, self.step = current, subset, problem.stepping.timestep
+        self.whole, self.some = _Fitted.of(problem, current), _Fitted.of(problem.pick(subset), current.pick(subset))
+        self.luck = _luck(problem, current, subset)
+
+    def tried(self, terms: Sequence[Term]) -> list[Tried]:
+        """Hypotheses with their predicted gains: the best guess of each shape.
+
+        Args:
+            terms: several guesses of one hypothesis among them.
+        """
+        guesses: dict[tuple[str, int], list[Term]] = {}
+        for term in terms:  # a law of any shape has numbers of its own in each of its shapes
+            guesses.setdefault((term.key, id(term.effect) if term.effect.free else 0), []).append(term)
+        found = []
+        for group in guesses.values():
+            slow = min(group[0].effect.finest, self.current.structure.finest) < self.step
+            tried = _best(self.some if slow else self.whole, group)
+            if tried is not None and slow:
+                found.append(replace(tried, predicted_gain=max(tried.predicted_gain - self.luck, 0.0)))
+            elif tried is not None:
+                found.append(replace(tried, response=tried.response[self.subset]))
+        return found
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """Windows and a fit to them, with what every hypothesis that is laid over it asks for."""
+    """Windows and a fit to them, with what every hypothesis that is laid over it asks for.
+
+    Attributes:
+        problem: the windows.
+        current: the fit.
+        moved: an orthonormal basis of what other initial states change in each window, (n, M, 2 nb).
+    """
 
     problem: Problem
     current: Fit
+    moved: Array
 
-    @functools.cached_property
-    def moved(self) -> Array:
-        """An orthonormal basis of what other initial states change in each window, (n, M, 2 nb)."""
-        return np.linalg.qr(self.current.sensitivity)[0]
+    @classmethod
+    def of(cls, problem: Problem, current: Fit) -> _Fitted:
+        """Windows and a fit to them."""
+        return cls(problem, current, np.linalg.qr(current.sensitivity)[0])
 
 
 def _best(fitted: _Fitted, group: Sequence[Term]) -> Tried | None:

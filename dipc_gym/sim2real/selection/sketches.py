@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -60,11 +61,14 @@ def _sketches(
 ) -> list[Start]:
     """Sketches of several hypotheses, plain ones first: what elaborates one that leaves nothing needs none."""
     sketched: list[Start] = []
-    for finalist, base in sorted(first, key=lambda start: len(start[0].term.effect.parameters)):
-        structure = base.structure.with_term(finalist.term)
-        if not ranking.idle(structure, [tried.sketch for tried, _ in sketched if tried.sketch]):
-            tries = sorted(starts[finalist.key], key=ranking.predicted_gain, reverse=True)
-            sketched += _sketched(fitter, tries, current)
+    asked = sorted(first, key=lambda start: len(start[0].term.effect.parameters))
+    tries = [sorted(starts[one.key], key=ranking.predicted_gain, reverse=True) for one, _ in asked]
+    bases = [base for each in tries for _, base in each]
+    with fitter.side_by_side([partial(_sketched, fitter, each, current) for each in tries], bases) as result:
+        for k, (finalist, base) in enumerate(asked):
+            structure = base.structure.with_term(finalist.term)
+            if not ranking.idle(structure, [tried.sketch for tried, _ in sketched if tried.sketch]):
+                sketched += result(k)
     return sketched
 
 
@@ -80,7 +84,7 @@ def _sketched(fitter: Fitter, tries: Sequence[Start], current: Fit) -> list[Star
         sketch = fitter.sketch(base, base.structure.with_term(tried.term))
         if sketch is None:
             continue
-        sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch), base))
+        sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch.result()), base))
         foretold = max(tried.predicted_gain, SCORE.hardly)
         enough = ranking.brought(sketch, before) > foretold and not tried.term.effect.of_no_kind
         if ranking.complete(sketch) or enough:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit
@@ -155,7 +156,8 @@ def _believable(
         notes.append(sentences.refutation(upheld.structure.terms, recalibrated, left))
         return search.progress.path[0], notes, frozenset()
     named = upheld.structure.named
-    gained = {term.key: _gained(search, upheld, term) for term in named}
+    with search.fitter.side_by_side([partial(_gained, search, upheld, term) for term in named], [upheld]) as result:
+        gained = {term.key: result(k) for k, term in enumerate(named)}
     missed = [term for term in named if not _believed(gained[term.key])]
     alone = beside.names_alone(search.fitter, upheld, search.progress.path[0]) if missed else None
     if alone is not None:

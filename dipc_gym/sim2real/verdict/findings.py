@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -174,10 +175,18 @@ def missing_effects(
     worth = [final] if alone is None else [final, alone]
     some = test.pick(evenly(len(test.windows), VERDICT.windows))
     as_given = judge.error_on(some, nominal) if any(found.rivals.values()) else 1.0
+    terms = [term for term in final.structure.terms if term.key not in found.unnamed]
+    rivals = [[one for one in found.rivals[term.key] if _name(one.term) != _name(term)] for term in terms]
+
+    def told(k: int) -> tuple[float, list[dict[str, Any]]]:
+        key = terms[k].key
+        shares = [judge.share(search, one, key) for one in worth if key in names(one.structure.terms)]
+        return max(shares), [_rival(rival, some, as_given) for rival in rivals[k]]
+
+    with search.fitter.side_by_side([partial(told, k) for k in range(len(terms))], worth) as result:
+        asked = [result(k) for k in range(len(terms))]
     missing = []
-    for term in final.structure.terms:
-        if term.key in found.unnamed:
-            continue
+    for term, others, (share, tried) in zip(terms, rivals, asked, strict=True):
         units = improve.place_units(final.structure, term)
         sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
         law = _law(final, term, units, wide.of_laws)
@@ -187,17 +196,15 @@ def missing_effects(
             sentence += f" Its shape is that of a formula: {formula.text(unit, per)}."
         # What happened once leaves no blocks to resample.
         known = np.full(len(final.z), np.inf) if term.effect.once else wide.of_names
-        rivals = [one for one in found.rivals[term.key] if _name(one.term) != _name(term)]
-        tried = sorted((_rival(rival, some, as_given) for rival in rivals), key=lambda one: one["held_out"])
         missing.append(
             Missing(
                 "unknown" if term.effect.of_no_kind else term.effect.name,
                 term.at,
                 sentence,
-                max(judge.share(search, one, term.key) for one in worth if term.key in names(one.structure.terms)),
+                share,
                 _parameters(final, term, units, known),
-                tuple(_each_once([_name(rival.term) for rival in rivals if rival.same])),
-                tuple(_each_once(tried)),
+                tuple(_each_once([_name(rival.term) for rival in others if rival.same])),
+                tuple(_each_once(sorted(tried, key=lambda one: one["held_out"]))),
                 term.effect.needs_loader,
                 law,
             )

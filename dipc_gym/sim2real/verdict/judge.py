@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial, reduce
 
 import mujoco
 import numpy as np
@@ -113,28 +113,45 @@ def rivals(search: Searched, full: Fit, term: Term) -> list[Rival]:
     error = search.scorer.comparison_error(full)
     found: list[Rival] = []
     search.fitter.remember(full)
-    for others, structure, before in _stand_ins(search, full, term, provisional=error > SCORE.at_floor):
-        swapped = before.fitted if before else search.fitter.remembered(structure)
-        if swapped is None:
-            sketch = before.sketch if before else search.fitter.sketch(full, structure, rival=True)
-            if sketch is None:
+    asked = list(_stand_ins(search, full, term, provisional=error > SCORE.at_floor))
+    tasks = [partial(_swapped, search, full, structure, before) for _, structure, before in asked]
+    with search.fitter.side_by_side(tasks, [full]) as result:
+        for k, (others, structure, before) in enumerate(asked):
+            known = before.fitted if before else search.fitter.remembered(structure)
+            swapped, compared = result(k) if known is None else (known, None)
+            if swapped is None:
                 continue
-            if search.fitter.behind(sketch, full):
+            if known is None and compared is None:
                 if len(others) == 1:
-                    found.append(Rival(others[0], sketch.result(), same=False, ruled_out=True))
+                    found.append(Rival(others[0], swapped, same=False, ruled_out=True))
                 continue
-            swapped = search.fitter.full(full, sketch)
-        if swapped is None:
-            continue
-        search.fitter.remember(swapped)
-        difference = search.scorer.compare(full, swapped)
-        reached = search.scorer.comparison_error(swapped)
-        close = difference.alike and difference.gain < VERDICT.told_apart * SCORE.worth
-        same = close and difference.gain < SCORE.worth and reached < max(SCORE.at_floor, VERDICT.same * error)
-        better = len(others) == 1 and _better(search, swapped, full)
-        if same or len(others) == 1:
-            found += [Rival(other, swapped.result(), same, not close, better) for other in others]
+            if compared is not None:
+                search.scorer.know(swapped, compared)
+            search.fitter.remember(swapped)
+            difference = search.scorer.compare(full, swapped)
+            reached = search.scorer.comparison_error(swapped)
+            close = difference.alike and difference.gain < VERDICT.told_apart * SCORE.worth
+            same = close and difference.gain < SCORE.worth and reached < max(SCORE.at_floor, VERDICT.same * error)
+            better = len(others) == 1 and _better(search, swapped, full)
+            if same or len(others) == 1:
+                found += [Rival(other, swapped.result(), same, not close, better) for other in others]
     return found
+
+
+def _swapped(
+    search: Searched, full: Fit, structure: Structure, before: Tried | None
+) -> tuple[Fit | None, Array | None]:
+    """A structure with a rival fitted to all windows, and its mean square errors on those compared on; a sketch, and
+    nothing, where that was enough to rule it out.
+    """
+    fitter = search.fitter
+    if (before.fitted if before else fitter.remembered(structure)) is not None:
+        return None, None  # nobody will ask
+    sketch = before.sketch if before else fitter.sketch(full, structure, rival=True)
+    if sketch is None or fitter.behind(sketch, full):
+        return sketch and sketch.result(), None
+    swapped = fitter.full(full, sketch)
+    return (None, None) if swapped is None else (swapped.result(), search.scorer.comparison_mse(swapped))
 
 
 def _better(search: Searched, swapped: Fit, full: Fit) -> bool:
@@ -185,7 +202,7 @@ def _stand_ins(
     parts = [everything.get(f"{inner}@{term.at}") for inner in term.effect.contains]
     if len(parts) > 1 and all(part is not None and part.key not in present for part in parts):
         terms = [part.term for part in parts if part is not None]
-        yield terms, functools.reduce(Structure.with_term, terms, remaining), None
+        yield terms, reduce(Structure.with_term, terms, remaining), None
 
 
 def _apart(model: mujoco.MjModel, one: Term, other: Term) -> bool:

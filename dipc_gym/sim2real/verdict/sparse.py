@@ -12,6 +12,7 @@ import heapq
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,8 +78,14 @@ def other_parameters(search: Searched, fitted: Fit, fewest: Fit) -> list[Fit]:
         if {keys[i] for i in free} != chosen and known <= set(free)
     )
     likely = heapq.nsmallest(VERDICT.others, choices, key=lambda free: reduced.foretold(free)[0])
-    others = [reduced.refitted(free) for free in likely]
-    return [other for other in others if other is not None and reduced.suffices(other)]
+
+    def other(free: Sequence[int]) -> Fit | None:
+        refitted = reduced.refitted(free)
+        return refitted.result() if refitted is not None and reduced.suffices(refitted) else None
+
+    with search.fitter.side_by_side([partial(other, free) for free in likely], [fitted]) as result:
+        found = [result(k) for k in range(len(likely))]
+    return [one for one in found if one is not None]
 
 
 def _not_nominal(fitted: Fit) -> list[int]:

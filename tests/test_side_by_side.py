@@ -1,0 +1,121 @@
+"""Tasks in forks: results, what is shared, what goes wrong; and a diagnosis that does not depend on how many cores."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dipc_gym import mjcf, recording
+from dipc_gym.sim2real.diagnosis import diagnose
+from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.side_by_side import FORKS, cores, side_by_side
+
+HERE = os.getpid()
+EXAMPLE = Path(__file__).parents[1] / "examples" / "diagnose"
+
+forked = pytest.mark.skipif(not FORKS, reason="this system does not fork")
+
+
+def numbered(k: int) -> Callable[[], tuple[int, int]]:
+    def task() -> tuple[int, int]:
+        time.sleep(0.05 * (k % 2))
+        return k, os.getpid()
+
+    return task
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_results_by_number_whatever_the_order(threads: int) -> None:
+    with side_by_side([numbered(k) for k in range(7)], threads) as result:
+        found = [result(k) for k in (6, 0, 3, 1)]
+    assert [k for k, _ in found] == [6, 0, 3, 1]
+    assert (HERE in {process for _, process in found}) == (threads == 1 or not FORKS)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_what_is_shared_comes_back_as_itself_and_all_else_equal(threads: int) -> None:
+    shared, own = np.arange(3.0), {"a": None}
+    with side_by_side([lambda: (shared, [shared], own, None)] * 2, threads, [shared]) as result:
+        back, (again,), copied, nothing = result(1)
+    assert back is shared
+    assert again is shared
+    assert nothing is None
+    assert copied == own
+    assert (copied is own) == (threads == 1 or not FORKS)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_error_is_that_of_the_task(threads: int) -> None:
+    def fails() -> None:
+        raise ValueError("the task's own")
+
+    with side_by_side([fails, lambda: None], threads) as result:
+        assert result(1) is None
+        with pytest.raises(ValueError, match="the task's own"):
+            result(0)
+
+
+@forked
+def test_what_a_fork_took_with_it_is_done_here() -> None:
+    def dies_elsewhere() -> int:
+        if os.getpid() != HERE:
+            os._exit(1)
+        return os.getpid()
+
+    with side_by_side([dies_elsewhere, dies_elsewhere, dies_elsewhere], 2) as result:
+        assert [result(k) for k in range(3)] == [HERE] * 3
+
+
+@forked
+def test_what_cannot_be_pickled_is_done_here() -> None:
+    with side_by_side([lambda: lambda: 5, lambda: None], 2) as result:
+        assert result(0)() == 5
+
+
+@forked
+def test_what_nobody_asked_for_is_given_up() -> None:
+    with side_by_side([lambda: 1, *[lambda: time.sleep(3600)] * 3], 2) as result:
+        assert result(0) == 1
+    assert not multiprocessing.active_children()
+
+
+def test_of_one_at_a_time_what_nobody_asked_for_never_begins() -> None:
+    def never() -> None:
+        raise AssertionError
+
+    with side_by_side([lambda: 1, never], 1) as result:
+        assert result(0) == 1
+
+
+@forked
+def test_a_fork_has_one_core_and_forks_no_further() -> None:
+    def inner() -> tuple[int, int, int]:
+        with side_by_side([os.getpid, os.getpid], 2) as result:
+            return cores(0), result(0), os.getpid()
+
+    with side_by_side([inner, inner], 2) as result:
+        for k in range(2):
+            one, inside, fork = result(k)
+            assert one == 1
+            assert inside == fork != HERE
+    assert cores(0) >= 1
+    assert cores(5) == 5
+
+
+@pytest.mark.parametrize("kinds", [("friction.", "load.", "drag."), ("friction.speed_law", "unknown.")])
+def test_a_diagnosis_is_the_same_on_any_number_of_cores(kinds: tuple[str, ...]) -> None:
+    model = mjcf.compile(EXAMPLE / "arm.xml")
+    recordings = [recording.read(EXAMPLE / f"run_{k}.csv", model) for k in (1, 2)]
+    effects = [effect for effect in catalogue().values() if effect.id.startswith(kinds)]
+    one, two = (
+        replace(diagnose(EXAMPLE / "arm.xml", recordings, effects=effects, threads=threads), provenance={}).to_dict()
+        for threads in (1, 2)
+    )
+    assert one == two
