@@ -463,7 +463,7 @@ def test_what_the_length_of_a_step_does_to_a_number() -> None:
     """Told from one simulation with halved steps, as twice what a refit with these moves it by."""
     P = prepared(CART, [run()], stepping=Stepping(0.002, mujoco.mjtIntegrator.mjINT_EULER))
     coarse = fit(P.problem, free(P, "cart.damping", "cart.mass"))
-    halved = fit(replace(P.problem, finer=2), coarse.structure, coarse.z, coarse.initial)
+    halved = fit(P.problem.halved_by(1), coarse.structure, coarse.z, coarse.initial)
     assert findings.step_shift(coarse, P.problem) == pytest.approx(2 * np.abs(halved.z - coarse.z), rel=0.1)
     exact = ready(run())
     assert findings.step_shift(fit(exact.problem, coarse.structure), exact.problem).max() < 1e-6
@@ -486,7 +486,7 @@ def test_friction_under_load_knows_the_drive_of_its_own_step() -> None:
     )
     at = P.problem.initial[None]
     coarse = predict(P.problem, loaded, [loaded.first], at)
-    fine = predict(replace(P.problem, finer=32), loaded, [loaded.first], at)
+    fine = predict(P.problem.halved_by(5), loaded, [loaded.first], at)
     without = predict(P.problem, base, [base.first], at)
     assert np.abs(coarse - fine).max() < 2e-4 * np.abs(without - fine).max()
 
@@ -540,8 +540,8 @@ def test_a_model_that_is_to_be_simulated_as_it_is_keeps_its_step() -> None:
     coarse = replace(S.problem, stepping=Stepping(0.002, None))
     physics_of = S.structure.with_term(term)
     own = predict(coarse, physics_of, [physics_of.first], coarse.initial[None])
-    finer = predict(replace(coarse, finer=4), physics_of, [physics_of.first], coarse.initial[None])
-    exact = predict(replace(S.problem, finer=4), physics_of, [physics_of.first], coarse.initial[None])
+    finer = predict(coarse.halved_by(2), physics_of, [physics_of.first], coarse.initial[None])
+    exact = predict(S.problem.halved_by(2), physics_of, [physics_of.first], coarse.initial[None])
     assert np.abs(own - exact).max() > 2 * np.abs(finer - exact).max() > 0
 
 

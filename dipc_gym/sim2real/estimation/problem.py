@@ -38,7 +38,7 @@ class Problem:
         spread: standard deviation of the estimated initial states, (2 nb,).
         stepping: of the simulation.
         threads: 0 for all cores.
-        finer: how many times shorter the steps are than structures need, to see what the step costs.
+        halved: how often the steps of each window are halved beyond what structures need, (n,); None is never.
     """
 
     windows: Windows
@@ -46,17 +46,38 @@ class Problem:
     spread: Array
     stepping: Stepping
     threads: int = 0
-    finer: int = 1
+    halved: NDArray[np.intp] | None = None
 
     def pick(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Problem:
         """Some of the windows."""
-        return replace(self, windows=self.windows.pick(which), initial=self.initial[which])
+        halved = None if self.halved is None else self.halved[which]
+        return replace(self, windows=self.windows.pick(which), initial=self.initial[which], halved=halved)
 
     def join(self, other: Problem) -> Problem:
         """These windows and others of the same recordings."""
+        plain = self.halved is None and other.halved is None
         return replace(
-            self, windows=self.windows.join(other.windows), initial=np.append(self.initial, other.initial, 0)
+            self,
+            windows=self.windows.join(other.windows),
+            initial=np.append(self.initial, other.initial, 0),
+            halved=None if plain else np.append(self.halvings, other.halvings),
         )
+
+    def halved_by(self, times: int | NDArray[np.intp]) -> Problem:
+        """The same windows in steps halved so often, all alike or each for itself, (n,)."""
+        return replace(self, halved=self.halvings + times)
+
+    @property
+    def halvings(self) -> NDArray[np.intp]:
+        """How often the steps of each window are halved, (n,)."""
+        return np.zeros(len(self.windows), dtype=np.intp) if self.halved is None else self.halved
+
+    def by_step(self) -> list[tuple[NDArray[np.intp], Problem, int]]:
+        """The windows of each length of step: which, these alone, and how often it is halved."""
+        if self.halved is None:
+            return [(np.arange(len(self.windows)), self, 0)]
+        each = [(np.flatnonzero(self.halved == times), int(times)) for times in np.unique(self.halved)]
+        return [(which, self if len(each) == 1 else self.pick(which), times) for which, times in each]
 
     @property
     def counts(self) -> Array:
@@ -86,17 +107,22 @@ def predict(problem: Problem, structure: Structure, Z: Sequence[Array], initial:
 
 def predict_with(problem: Problem, structure: Structure, variants: Sequence[Physics], initial: Array) -> Array:
     """Readings (variants, n, m, ns) of models that have this structure."""
-    windows, warm = problem.windows, structure.warm
-    return simulate(
-        variants,
-        windows,
-        initial,
-        _stepping(problem, structure),
-        base=structure.base,
-        warm=warm,
-        warm_initial=initial_states(windows.motions, windows.source, windows.start - warm) if warm else None,
-        threads=cores(problem.threads),
-    )
+    warm, found = structure.warm, list[Array]()
+    for which, part, halved in problem.by_step():
+        windows = part.windows
+        found.append(
+            simulate(
+                variants,
+                windows,
+                initial if part is problem else initial[:, which],
+                _stepping(problem.stepping, structure, halved),
+                base=structure.base,
+                warm=warm,
+                warm_initial=initial_states(windows.motions, windows.source, windows.start - warm) if warm else None,
+                threads=cores(problem.threads),
+            )
+        )
+    return _in_order(problem, found)
 
 
 def sensitivities(
@@ -117,15 +143,31 @@ def sensitivities(
         (p, n, m, ns), and per unit of each initial state (2 nb, n, m, ns); None where the engine does not simulate
         the model or its change.
     """
-    windows, warm = problem.windows, structure.warm
-    stepping = _stepping(replace(problem, stepping=replace(problem.stepping, integrator=_RK4)), structure)
+    warm, found = structure.warm, list[tuple[Array, Array, Array]]()
     steps = np.array([probe[i] - z[i] for i, probe in enumerate(probes)])
     try:
-        of, change = _with_changes(structure, z, probes, steps, windows, grid_step(windows, stepping))
-        begin = initial_states(windows.motions, windows.source, windows.start - warm) if warm else None
-        return derivatives(of, change, steps, initial, warm, begin, cores(problem.threads))
+        for which, part, halved in problem.by_step():
+            windows = part.windows
+            step = grid_step(windows, _stepping(replace(problem.stepping, integrator=_RK4), structure, halved))
+            of, change = _with_changes(structure, z, probes, steps, windows, step)
+            begin = initial_states(windows.motions, windows.source, windows.start - warm) if warm else None
+            here = initial if part is problem else initial[which]
+            found.append(derivatives(of, change, steps, here, warm, begin, cores(problem.threads)))
     except Uncovered:
         return None
+    readings, *changes = zip(*found, strict=True)
+    by_parameter, by_state = (_in_order(problem, each) for each in changes)
+    return _in_order(problem, [each[None] for each in readings])[0], by_parameter, by_state
+
+
+def _in_order(problem: Problem, parts: Sequence[Array]) -> Array:
+    """Arrays (k, windows of one length of step, ...) as one, in the order of a problem's windows, (k, n, ...)."""
+    if len(parts) == 1:
+        return parts[0]
+    out = np.empty((len(parts[0]), len(problem.windows), *parts[0].shape[2:]))
+    for (which, _, _), part in zip(problem.by_step(), parts, strict=True):
+        out[:, which] = part
+    return out
 
 
 def _with_changes(
@@ -171,8 +213,7 @@ def normalised_residual(problem: Problem, readings: Array) -> Array:
     return np.where(problem.windows.valid[..., None], scaled, 0.0)
 
 
-def _stepping(problem: Problem, structure: Structure) -> Stepping:
+def _stepping(given: Stepping, structure: Structure, halved: int) -> Stepping:
     """As fine as the structure needs; a model that is to be simulated as it is keeps its own step."""
-    given = problem.stepping
     finest = math.inf if given.integrator is None else min(structure.finest, structure.own_finest)
-    return replace(given, timestep=min(given.timestep, finest) / problem.finer)
+    return replace(given, timestep=min(given.timestep, finest) / 2**halved)

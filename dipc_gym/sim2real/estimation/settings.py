@@ -60,6 +60,9 @@ class EstimationSettings:
         beside: of a reading, to where the slope of a sensor's scale is asked for
         least_slope: of a scale: one that stands still or runs backwards has no inverse, and is taken to run on slowly
         newton: steps from a reading to what a straight scale would give: four for a wave, a few more for a table
+        integration: root mean square, in units of noise, by which halving a step may change a window's readings: as
+            much adds a thousandth to the error of a right model
+        halvings: of a step at most: what converges no faster than a contact would take hours
         averaged: time, s, over which forces are averaged: no acceleration is known faster than that
     """
 
@@ -97,6 +100,8 @@ class EstimationSettings:
     beside: float = 2.0**-20
     least_slope: float = 0.1
     newton: int = 12
+    integration: float = 0.05
+    halvings: int = 3
     averaged: float = 0.025
 
 

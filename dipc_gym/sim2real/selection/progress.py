@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.steps import controlled
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.screen import Tried
 
@@ -54,9 +55,13 @@ class Partition:
         """The windows that a sketch was fitted to."""
         return self.subset[: len(sketch.mse)]
 
-    def finer(self) -> Partition:
-        """The same windows in half the steps, fitted and compared on."""
-        return replace(self, problem=replace(self.problem, finer=2), comparison=replace(self.comparison, finer=2))
+    def controlled(self, fitted: Fit) -> Partition:
+        """The same windows in steps as fine as a fit asks for, see `steps.controlled`; this one if none are finer."""
+        parts = self.problem, self.comparison, self.aside
+        problem, comparison, aside = (controlled(part, fitted.structure, fitted.z) for part in parts)
+        if problem is self.problem and comparison is self.comparison and aside is self.aside:
+            return self
+        return replace(self, problem=problem, comparison=comparison, aside=aside)
 
     @property
     def spare(self) -> NDArray[np.bool_]:

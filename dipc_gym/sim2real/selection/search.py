@@ -73,8 +73,11 @@ class Searched:
         return search.outcome
 
     def refined(self, fitted: Fit) -> tuple[Searched, Fit]:
-        """With halved steps, and a structure fitted in these: what takes fine steps is off at any."""
-        return self._fitted_over(self.partition.finer(), (fitted.structure, fitted.z), fitted.initial)
+        """With steps as fine as a fit asks for, and its structure fitted in these."""
+        partition = self.partition.controlled(fitted)
+        if partition is self.partition:
+            return self, fitted
+        return self._fitted_over(partition, (fitted.structure, fitted.z), fitted.initial)
 
     def whole(self, fitted: Fit) -> tuple[Searched, Fit]:
         """With all windows to fit, and a structure fitted to them: a table of dozens of values lacks none of them."""

@@ -98,7 +98,7 @@ def step_shift(final: Fit, problem: Problem) -> Array:
     """
     if not len(final.z):
         return np.zeros(0)
-    fine = replace(problem, finer=2 * problem.finer)
+    fine = problem.halved_by(1)
     change = final.raw - normalised_residual(fine, predict(fine, final.structure, [final.z], final.initial[None])[0])
     change = change.reshape(len(change), -1)
     w = 1.0 / (typical(final.mse) + final.mse + np.sum(change**2, axis=1) / problem.counts) / problem.counts

@@ -16,6 +16,7 @@ from dipc_gym import mjcf
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.steps import controlled
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.result import Beyond, Details, Diagnosis, Errors, Located, Missing, SensorFit
 from dipc_gym.sim2real.selection import beside
@@ -138,13 +139,17 @@ class _Chosen:
 
 
 def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, late: Guarded) -> _Chosen:
-    """Fit at half the step, and choose by validation data what predicts best; nothing is chosen after that."""
+    """Fit in steps as fine as predictions ask for, and choose by validation data what predicts best; nothing is chosen
+    after that.
+    """
     coarse, problem = found.fitted, replace(test.problem, stepping=base.partition.problem.stepping)
     nominal, recalibrated = base.nominal, base.recalibrated
     if base.fine is None:
-        # The search compares; what it came to is fitted, judged and reported at half the step.
-        search, final = late("A fit at half the step", lambda: search.refined(coarse), lambda: (search, coarse))
-        problem = problem if final is coarse else replace(problem, finer=2)
+        # The search compares in one step; what it came to is fitted, judged and reported with controlled errors.
+        search, final = late("A fit in finer steps", lambda: search.refined(coarse), lambda: (search, coarse))
+        problem = late(
+            "Finer steps for test data", lambda: controlled(problem, final.structure, final.z), lambda: problem
+        )
         found = replace(found, fitted=final)
     refined = search, found
     found = late(

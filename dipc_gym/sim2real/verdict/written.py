@@ -75,7 +75,7 @@ class Predictor:
 
     def at(self, step: float) -> Predictor:
         """The same windows in other steps of the model's own integrator, s."""
-        return replace(self, own=replace(self.fine, stepping=Stepping(step), finer=1))
+        return replace(self, own=replace(self.fine, stepping=Stepping(step), halved=None))
 
 
 def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequence[Option], enough: float) -> Option:
@@ -127,7 +127,7 @@ def written(
         physical += _in_other_forms(as_found, validation)
         some = evenly(len(partition.problem.windows), VERDICT.refit)
         fewer = _with_one_less(final, partition.problem.pick(some), some, validation)
-        to_refit = replace(partition.problem.pick(some), stepping=Stepping(timestep), finer=1)
+        to_refit = replace(partition.problem.pick(some), stepping=Stepping(timestep), halved=None)
         best = min(physical, key=lambda option: option.error)
         for option in [as_found] if best is as_found else [best, as_found]:
             refitted += _made_up(option, to_refit, validation)
