@@ -77,8 +77,8 @@ def record(seed):
     return recorder.recording(f"run{seed}")
 
 
-def theirs(text, runs, first, *, threads, optimizer):
-    """`mujoco.sysid`: found numbers, its optimised parameters, its residuals."""
+def theirs(text, runs, first, *, threads, optimizer, **most):
+    """`mujoco.sysid`: found numbers, its optimised parameters, its residuals; `most` goes to the optimizer."""
     spec = mujoco.MjSpec.from_string(text)
     model = spec.compile()
     body = model.body(model.jnt_bodyid[0]).name
@@ -106,7 +106,7 @@ def theirs(text, runs, first, *, threads, optimizer):
     sequences = sysid.ModelSequences("rig", spec, [r.name for r in runs], starts, controls, sensors)
     residuals = sysid.build_residual_fn(models_sequences=[sequences], n_threads=threads)
     with contextlib.redirect_stdout(io.StringIO()):  # its optimisers tell every step, asked or not
-        found, _ = sysid.optimize(parameters, residuals, optimizer=optimizer, verbose=False)
+        found, _ = sysid.optimize(parameters, residuals, optimizer=optimizer, verbose=False, **most)
     left, _, _ = residuals(found.as_vector(), found)
     return {name: float(found[name].value[0]) for name in first}, found, np.concatenate([np.ravel(r) for r in left])
 
@@ -118,13 +118,13 @@ def prepared(text, runs, threads, span=(0.0, 1.0)):
     return source, prepare(source, physics.load(source), runs, stepping, span=span, threads=threads)
 
 
-def ours(source, ready, windows):
-    """One fit of mass, damping and friction: found numbers."""
+def ours(source, ready, windows, **most):
+    """One fit of mass, damping and friction: found numbers; `most` goes to the fit."""
     parameters = [n for n in model_parameters(Document(source), ready.structure.model) if n.attribute in TRUE]
     problem = ready.problem
     if windows < len(problem.windows):
         problem = problem.pick(np.linspace(0, len(problem.windows) - 1, windows).astype(int))
-    found = fit(problem, replace(ready.structure, model_parameters=tuple(parameters)))
+    found = fit(problem, replace(ready.structure, model_parameters=tuple(parameters)), **most)
     return {n.attribute: slot.value(z) for n, slot, z in zip(parameters, found.structure.slots, found.z, strict=True)}
 
 
@@ -154,6 +154,30 @@ def speed(threads, repeats):
         ratio = seconds / best[f"dipc-gym, {FITTED} windows"]
         print(f"{name:34}{seconds:8.2f}{ratio:8.1f}" + "".join(f"{found[name][key]:14.3f}" for key in TRUE))
     print(f"{'truth':50}" + "".join(f"{value:14.3f}" for value in TRUE.values()))
+
+    # What an iteration costs: what more of them take longer. The first one of either pays for much else.
+    more = {
+        f"dipc-gym, {FITTED} windows": lambda k: ours(source, ready, FITTED, most=k, tolerance=0.0),
+        f"dipc-gym, all {count} windows": lambda k: ours(source, ready, count, most=k, tolerance=0.0),
+        "mujoco.sysid, optimizer mujoco": lambda k: theirs(
+            text, runs, FIRST, threads=threads, optimizer="mujoco", max_iters=k
+        ),
+    }
+    spent = {name: [iteration(way) for _ in range(repeats)] for name, way in more.items()}
+    usual = {name: float(np.median(each)) for name, each in spent.items()}
+    print(f"\n{'one iteration':34}{'CPU ms':>8}{'ratio':>8}")
+    for name, seconds in usual.items():
+        print(f"{name:34}{1e3 * seconds:8.1f}{usual['mujoco.sysid, optimizer mujoco'] / seconds:8.1f}")
+
+
+def iteration(way, first=1, last=4):
+    """Seconds of the processor that one more iteration takes."""
+    ends = []
+    for most in (first, last):
+        start = time.process_time()
+        way(most)
+        ends.append(time.process_time() - start)
+    return (ends[1] - ends[0]) / (last - first)
 
 
 def with_numbers(source, values):

@@ -75,19 +75,26 @@ class Compiled:
         first = 2 * self.model.nv + self.model.na
         return [(first + k, tendon) for k, tendon in enumerate(yielding(self.model))]
 
-    def commands(self) -> Commands:
-        """Recorded commands as the model sees them; one set if no variant changes them."""
+    def commands(self, warm: float) -> Commands:
+        """Recorded commands as the model sees them, where windows and `warm` seconds before them ask for them; one set
+        if no variant changes them.
+        """
         recordings = self.windows.recordings
-        whole = np.concatenate([r.commands for r in recordings])
+        whole, time = (np.concatenate([getattr(r, what) for r in recordings]) for what in ("commands", "time"))
         if not self.variants[0].stage("command"):
-            return Commands(np.concatenate([r.time for r in recordings]), whole[None])
+            return Commands(time, whole[None])
+        first, count = self._samples(-warm, warm + self.sampled()[1])
+        asked = np.zeros(len(time) + 1, dtype=int)
+        np.add.at(asked, first, 1)
+        np.add.at(asked, first + count, -1)
+        asked = np.cumsum(asked[:-1]) > 0
         made: dict[bytes, Array] = {}
         for variant in self.variants:
             key = _of_commands(variant)
             if key not in made:
-                made[key] = variant.command(whole)
-        values = np.stack([made[_of_commands(variant)] for variant in self.variants])
-        return Commands(np.concatenate([r.time for r in recordings]), values)
+                made[key] = np.zeros_like(whole)
+                made[key][asked] = variant.command(whole[asked])
+        return Commands(time, np.stack([made[_of_commands(variant)] for variant in self.variants]))
 
     def jobs(self, at: float, length: Array, times: Array, initial: Array, commands: Commands) -> Jobs:
         """Simulations of every window from `at` seconds after its start on.
@@ -99,9 +106,19 @@ class Compiled:
             initial: states, (variants, windows, nx).
             commands: of all recordings.
         """
+        clock = self.windows.start + at
+        first, count = self._samples(at, length)
+        sets = np.arange(len(initial)) if len(commands.values) > 1 else np.zeros(len(initial), dtype=np.int64)
+        parameters = self.parameters[: len(initial)]
+        return Jobs(parameters, initial, clock, first, count, commands, sets, times, length, self._limits_matter)
+
+    def _samples(self, at: float, length: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First of the commands that act in each window from `at` seconds after its start on, and how many, (windows,).
+
+        All recordings are counted through.
+        """
         windows = self.windows
-        clock = windows.start + at
-        most = float(self._delays.max(initial=0.0))
+        clock, most = windows.start + at, float(self._delays.max(initial=0.0))
         first, count = np.zeros((2, len(windows)), dtype=np.int64)
         begin = 0
         for i, recording in enumerate(windows.recordings):
@@ -112,9 +129,7 @@ class Compiled:
             first[mine] = begin + early
             count[mine] = np.minimum(late, len(recording.time)) - early
             begin += len(recording.time)
-        sets = np.arange(len(initial)) if len(commands.values) > 1 else np.zeros(len(initial), dtype=np.int64)
-        parameters = self.parameters[: len(initial)]
-        return Jobs(parameters, initial, clock, first, count, commands, sets, times, length, self._limits_matter)
+        return first, count
 
     @property
     def _limits_matter(self) -> bool:
@@ -237,7 +252,7 @@ def predicted(
         warm_initial: as `initial`, `warm` seconds before, (1 or variants, windows, 2 nb).
         threads: 0 for all cores.
     """
-    commands = of.commands()
+    commands = of.commands(warm)
     if warm > 0:
         assert warm_initial is not None
         far = np.broadcast_to(warm_initial, (len(of.variants), *initial.shape[1:]))
@@ -301,7 +316,7 @@ def derivatives(
     links = change[:, GRAVITY : of.program.tree.count].reshape(count, len(of.program.tree.parents), LINK)
     if links[..., :GEOMETRY].any():
         raise Uncovered("derivatives by the geometry of joints")
-    commands = of.commands()
+    commands = of.commands(warm)
     moved = None
     if len(commands.values) > 1:
         moved = np.zeros((count + nb2, *commands.values.shape[1:]))
