@@ -7,11 +7,13 @@ An arm of hinges about changing axes, with dry and viscous friction in every joi
 steps; two recordings at 500 Hz of that, under a controller that follows tones, are diagnosed with a model without any
 friction. The first form times one diagnosis. The second times one after the other with 1 to 7 joints (2 x 10 s), with
 recordings of 2 x 5 to 2 x 80 s (two joints), and with the first 2 to all effects of the catalogue (two joints, 2 x
-10 s), and plots them. Seconds are those of the processor, all threads together, for the machine may be busy; beside
-them stand those on the clock.
+10 s), and plots them. Seconds are those of the processor, all threads and forks together, for the machine may be busy;
+beside them stand those on the clock. Memory is the most that the process held, then the most that one of its forks did,
+which shares nearly all of it.
 """
 
 import argparse
+import os
 import resource
 import sys
 import time
@@ -75,19 +77,25 @@ def measure(joints, seconds, effects, threads):
     runs = [record(joints, seconds, seed) for seed in (1, 2)]
     known = catalogue()
     ordered = [known[name] for name in FIRST] + [known[name] for name in sorted(known) if name not in FIRST]
-    begin = time.process_time(), time.perf_counter()
+    begin = spent(), time.perf_counter()
     model = mjcf.from_text(arm(joints, 1e-3, friction=False))
     found = diagnose(model, runs, effects=ordered[: effects or None], threads=threads)
-    return time.process_time() - begin[0], time.perf_counter() - begin[1], found
+    return spent() - begin[0], time.perf_counter() - begin[1], found
+
+
+def spent():
+    """Seconds of the processor so far, ended forks included."""
+    return sum(os.times()[:4])
 
 
 def tell(joints, seconds, effects, threads):
     """Measure one diagnosis and print it; seconds of the processor, and how many effects were asked for."""
     processor, clock, found = measure(joints, seconds, effects, threads)
     asked = effects or len(catalogue())
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    unit = 1e6 if sys.platform == "darwin" else 1e3
+    own, forks = (resource.getrusage(who).ru_maxrss / unit for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     print(
-        f"{joints:6} {seconds:12g} {asked:8} {processor:12.1f} {clock:9.1f} {memory:14.0f}  {found.verdict}, "
+        f"{joints:6} {seconds:12g} {asked:8} {processor:12.1f} {clock:9.1f} {own:11.0f} {forks:8.0f}  {found.verdict}, "
         f"{len(found.missing)} of {2 * joints} missing effects named",
         flush=True,
     )
@@ -123,7 +131,7 @@ def main():
     parser.add_argument("--threads", type=int, default=0, help="0 for all cores")
     parser.add_argument("--growth", type=Path, metavar="FILE", help="measure how it grows, and plot that")
     options = parser.parse_args()
-    print("joints  seconds of 2  effects  processor s  clock s  most memory MB")
+    print("joints  seconds of 2  effects  processor s  clock s  memory MB, a fork's")
     if options.growth:
         growth(options.growth, options.threads)
     else:
