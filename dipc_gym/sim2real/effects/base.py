@@ -326,6 +326,11 @@ def sensed_joint(model: mujoco.MjModel, sensor: str) -> str | None:
     return str(model.joint(int(one.objid[0])).name)
 
 
+def joint_at(model: mujoco.MjModel, effect: Effect, at: str) -> str | None:
+    """The joint that an effect acts at, its actuator does, or its sensor reads; None for bodies and all else."""
+    return sensed_joint(model, at) if effect.place == "sensor" else acts_on(model, effect, at)
+
+
 def sensed_position(model: mujoco.MjModel, sensor: str) -> bool:
     """Whether a sensor reads the position of one joint."""
     return bool(model.sensor(sensor).type[0] == mujoco.mjtSensor.mjSENS_JOINTPOS)

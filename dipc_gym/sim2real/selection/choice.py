@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.base import joint_of
+from dipc_gym.sim2real.effects.base import joint_at
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.model.structure import Term
@@ -60,8 +60,7 @@ def tells(term: Term, fitted: Fit, current: Fit, begin: Fit) -> bool:
     """
     near = current.error < SEARCH.in_reach or left_by_laws(begin, current)
     laws = [t.at for t in current.structure.terms if t.effect.of_no_kind or (t.effect.free and near)]
-    joint = joint_of(current.structure.model, term.at) if term.effect.place == "actuator" else term.at
-    if term.effect.of_no_kind or joint not in laws:
+    if term.effect.of_no_kind or joint_at(current.structure.model, term.effect, term.at) not in laws:
         return True
     return fitted.error - 1 < SEARCH.most * (current.error - 1)
 

@@ -7,21 +7,24 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from dipc_gym.sim2real.effects.base import Effect, joint_of
+from dipc_gym.sim2real.effects.base import Effect, joint_at, joint_of
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question, hypotheses
 from dipc_gym.sim2real.selection.resolution import refined
+from dipc_gym.sim2real.selection.screen import LaidOver, Tried
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 
 def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Callable[[str], None]) -> Fit:
-    """A fit with laws of a kind in the place of those of no kind, where they predict as well.
+    """A fit with effects that have names, or laws of a kind, in the place of laws of no kind, where they predict as
+    well.
 
-    A force that depends on a joint's own velocity alone is friction over speed, and one that depends on the command to
-    its own motor alone is the curve of that drive. A search may come to the first by a law of no kind, since a law of
-    a kind, asked for alone, may end in a poor fit; with all the rest in place it does not. One that depends on two
-    quantities may be a law of either, once an effect that was found later does the rest, or the sum of two laws.
+    A force that depends on a joint's own velocity alone is friction over speed, or drag, and one that depends on the
+    command to its own motor alone is the curve of that drive. A search may come to the first by a law of no kind, since
+    an effect that was asked for alone may end in a poor fit; with all the rest in place it does not. One that depends
+    on two quantities may be a law of either, once an effect that was found later does the rest, or the sum of two laws.
 
     Args:
         question: effects and places.
@@ -30,14 +33,16 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
         begin: the fit without effects, against which what laws gain is counted.
         tell: called with a line about each law that got a name.
     """
-    for term in current.structure.terms:
-        if not term.effect.of_no_kind:
-            continue
-        fewer: Fit | None = None
-        for kinds in _kinds(question, current.structure, term):
-            fewer = fewer or fitter.without(current, term.key)
-            for shapes in itertools.product(*(_shapes(question, *kind, fewer) for kind in kinds)):
-                fitted = fitter.near(current, functools.reduce(Structure.with_term, shapes, fewer.structure))
+    for term in current.structure.unnamed:
+        fewer = fitter.without(current, term.key)
+        asked = [*_formulas(question, fitter, fewer, term), *_laws(question, fewer, term)]
+        structures = [functools.reduce(Structure.with_term, shapes, fewer.structure) for shapes in asked]
+        with fitter.sketched([(current, structure) for structure in structures]) as sketch_of:
+            for k, shapes in enumerate(asked):
+                sketch = sketch_of(k)
+                if sketch is None or fitter.behind(sketch, current):
+                    continue
+                fitted = fitter.full(current, sketch)
                 for shaped in shapes:
                     fitted = fitted and refined(fitter, fitted, shaped.key)
                 if fitted and fitter.scorer.alike(current, fitted, begin):
@@ -45,6 +50,25 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
                     tell(f"{term.key} is {said}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
                     return named(question, fitter, fitter.polish(fitted), begin, tell)
     return current
+
+
+def _formulas(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> list[tuple[Term]]:
+    """The few effects with names that act where a law of no kind does and promise most without it."""
+    model = fewer.structure.model
+    known = [effect for effect in question.effects if not (effect.free or effect.once or effect.of_the_clock)]
+    laid_over = LaidOver(fitter.problem, fewer, fitter.subset)
+    found = list[Tried]()
+    for guesses in hypotheses(replace(question, effects=known), Phase.FORMULAS, fewer, question.look(fewer)):
+        here = [one for one in guesses() if joint_at(model, one.effect, one.at) == term.at and not fitter.slow(one)]
+        found += laid_over.tried(here)
+    promising = [one for one in found if one.predicted_gain > SCORE.worth]
+    return [(one.term,) for one in sorted(promising, key=lambda one: -one.predicted_gain)[: SEARCH.names]]
+
+
+def _laws(question: Question, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
+    """Laws of the kinds that a law of no kind may have by its inputs, one alone or two together."""
+    for kinds in _kinds(question, fewer.structure, term):
+        yield from itertools.product(*(_shapes(question, *kind, fewer) for kind in kinds))
 
 
 def _kinds(question: Question, structure: Structure, term: Term) -> Iterator[tuple[tuple[Effect, str], ...]]:

@@ -123,6 +123,8 @@ class SearchSettings:
             make up for half
         in_turn: share of the largest predicted gain from which what takes fine steps is sketched, if nothing else does:
             it costs several times as much
+        names: effects with a name that are tried in the place of a law of no kind: what screening promises with the
+            rest in place is nearly what comes
         shapes: laws of any shape that are sketched in a round whatever their predicted gain: that is told from a force
             known roughly
         once: improvement of the log square errors, summed over windows, by which an event that happened once stands
@@ -171,6 +173,7 @@ class SearchSettings:
     fully: int = 3
     keeps_up: float = 0.5
     in_turn: float = 0.25
+    names: int = 3
     shapes: int = 6
     once: float = 1.5
     most: float = 0.5
