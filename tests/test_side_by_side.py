@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -84,6 +86,25 @@ def test_what_nobody_asked_for_is_given_up() -> None:
     with side_by_side([lambda: 1, *[lambda: time.sleep(3600)] * 3], 2) as result:
         assert result(0) == 1
     assert not multiprocessing.active_children()
+
+
+@forked
+def test_forks_end_with_a_parent_that_is_killed() -> None:
+    code = (
+        "import os, time\n"
+        "from dipc_gym.sim2real.side_by_side import side_by_side\n"
+        "def lasts(): print(os.getpid(), flush=True); time.sleep(3600)\n"
+        "with side_by_side([lasts, lasts], 2) as result: result(0)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        forks = [int(parent.stdout.readline()) for _ in range(2)]
+        parent.kill()
+    for _ in range(200):
+        if not any(Path(f"/proc/{fork}").exists() for fork in forks):
+            return
+        time.sleep(0.05)
+    pytest.fail("a fork outlives its parent")
 
 
 def test_of_one_at_a_time_what_nobody_asked_for_never_begins() -> None:

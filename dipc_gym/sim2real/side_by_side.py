@@ -8,6 +8,7 @@ not be used after it (macOS), tasks run one after another, with the same results
 
 from __future__ import annotations
 
+import ctypes
 import io
 import multiprocessing
 import os
@@ -25,6 +26,7 @@ from dipc_gym.safety.interrupts import held_back
 T = TypeVar("T")
 
 FORKS = sys.platform == "linux"
+_ENDS_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 
 _tasks: Sequence[Callable[[], Any]] = ()  # of the present call; forks find them here
 _known: dict[int, Any] = {}  # objects that both sides have, by their place in memory
@@ -95,9 +97,12 @@ def side_by_side(
 
 
 def _begin() -> None:
+    """What a fork does first: it takes one core, leaves Ctrl-C to its parent, and ends with it, however that ends."""
     global _one_of_many
     _one_of_many = True
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # not what its parent would do then
+    ctypes.CDLL(None).prctl(_ENDS_WITH_PARENT, signal.SIGKILL)
 
 
 def _done(k: int) -> bytes:
