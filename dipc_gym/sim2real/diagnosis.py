@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from dipc_gym import mjcf
 from dipc_gym.provenance import made_with
@@ -81,28 +82,51 @@ def diagnose(
     for note in given.notes:  # minutes before the end: whoever made a mistake would rather know at once
         tell(f"note: {note}")
     provenance = _provenance(given, withheld, seed)
+    asked = list(effects if effects is not None else catalogue().values())
+    # Thousands of small matrices: threads of BLAS would wait for each other, and for those that simulate.
+    with threadpool_limits(1, "blas"):
+        try:
+            found = _found(given, withheld, asked, seed if design else None, threads, tell)
+        except CannotTell as why:
+            return _cannot_tell(why, given, provenance)
+    return replace(found, provenance={**provenance, "seconds": round(time.monotonic() - began, 1)})
+
+
+def _found(
+    given: Given,
+    withheld: Withheld,
+    effects: Sequence[Effect],
+    design: int | None,
+    threads: int,
+    tell: Callable[[str], None],
+) -> Diagnosis:
+    """What a model lacks, but for where that comes from.
+
+    Args:
+        given: model and recordings.
+        withheld: what is tested with.
+        effects: the catalogue, or part of it.
+        design: seed of the command that the next experiment should send; None if it is not to be worked out.
+        threads: of the simulations; 0 for all cores.
+        tell: called with lines about progress.
+
+    Raises:
+        CannotTell: the recordings do not say.
+    """
     late = Guarded(Stop(tell))
-    try:
-        case = part(given, threads=threads)
-        test = withheld.test(case)
-        tell(f"{len(case.prepared.problem.windows)} windows of {case.prepared.length:g} s")
-        base = baseline(case)
-        _check_conventions(case, base, tell)
-    except CannotTell as why:
-        return _cannot_tell(why, given, provenance)
-    searched, located = _search(case, base, list(effects if effects is not None else catalogue().values()), late)
+    case = part(given, threads=threads)
+    test = withheld.test(case)
+    tell(f"{len(case.prepared.problem.windows)} windows of {case.prepared.length:g} s")
+    base = baseline(case)
+    _check_conventions(case, base, tell)
+    searched, located = _search(case, base, effects, late)
     searched, concluded = _conclude(searched, late)
     judged, concluded = judgement(case, base, test, searched, concluded, located, late)
     proposed: Design | None = None
-    if design:
-        proposed = late("The next experiment", lambda: _design(case, base, concluded, seed), lambda: None)
+    if design is not None:
+        proposed = late("The next experiment", lambda: _design(case, base, concluded, design), lambda: None)
     first = [sentences.own_step(given.physics.model.opt.timestep, base.fine)] if base.fine is not None else []
-    return replace(
-        judged,
-        notes=(*given.notes, *first, *judged.notes, *late.notes),
-        design=proposed,
-        provenance={**provenance, "seconds": round(time.monotonic() - began, 1)},
-    )
+    return replace(judged, notes=(*given.notes, *first, *judged.notes, *late.notes), design=proposed)
 
 
 def _search(case: Case, base: Baseline, effects: Sequence[Effect], late: Guarded) -> tuple[Searched, Sequence[Located]]:

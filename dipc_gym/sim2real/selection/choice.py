@@ -13,7 +13,7 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import ranking
-from dipc_gym.sim2real.selection.scorer import Scorer, left_by_laws
+from dipc_gym.sim2real.selection.scorer import Scorer, near
 from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
@@ -58,8 +58,8 @@ def tells(term: Term, fitted: Fit, current: Fit, begin: Fit) -> bool:
         current: the fit without.
         begin: the fit without effects.
     """
-    near = current.error < SEARCH.in_reach or left_by_laws(begin, current)
-    laws = [t.at for t in current.structure.terms if t.effect.of_no_kind or (t.effect.free and near)]
+    close = near(begin, current)
+    laws = [t.at for t in current.structure.terms if t.effect.of_no_kind or (t.effect.free and close)]
     if term.effect.of_no_kind or joint_at(current.structure.model, term.effect, term.at) not in laws:
         return True
     return fitted.error - 1 < SEARCH.most * (current.error - 1)

@@ -205,6 +205,11 @@ def enough(begin: Fit, current: Fit) -> bool:
     return current.error < SCORE.at_floor and left_by_laws(begin, current)
 
 
+def near(begin: Fit, current: Fit) -> bool:
+    """Whether a fit may yet come down to the noise, or leaves little beside what effects took away."""
+    return current.error < SEARCH.in_reach or left_by_laws(begin, current)
+
+
 def left_by_laws(begin: Fit, current: Fit) -> bool:
     """Whether so little is left, beside what effects took away, that their laws may leave it."""
     brought = math.sqrt(max(begin.error**2 - current.error**2, 0.0))

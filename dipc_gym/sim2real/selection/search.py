@@ -26,7 +26,7 @@ from dipc_gym.sim2real.selection.hypotheses import Phase, Question
 from dipc_gym.sim2real.selection.progress import Journal, Partition, Progress
 from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.resolution import reaching, refined
-from dipc_gym.sim2real.selection.scorer import Scorer, enough
+from dipc_gym.sim2real.selection.scorer import Scorer, enough, near
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.stages import StageEnd
@@ -232,7 +232,11 @@ class Search:
         return added in names(pruned.structure.terms) or self.scorer.compare(pruned, before).clear
 
     def _finer(self, fitted: Fit) -> Fit:
-        """A fit whose laws are as fine as its windows ask for."""
+        """A fit whose laws are as fine as its windows ask for, where little else can be missing: a law that is made
+        finer before that takes up what something else does.
+        """
+        if not near(self.progress.path[0], fitted):
+            return fitted
         for key in names(fitted.structure.terms):
             fitted = refined(self.fitter, fitted, key, self.tell)
         return fitted
