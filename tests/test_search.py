@@ -165,12 +165,15 @@ def test_several_effects_that_stay_above_the_noise_are_begun_anew(off: float) ->
     [
         ({"most": 3.0}, "command motor", [-8.0, -3.0, 3.0, 8.0], [20.0, 0.0, 0.0, -20.0], "motor.map@motor"),
         ({"coulomb": 3.0}, "velocity cart", [-0.4, -2e-3, 2e-3, 0.4], [3.0, 3.0, -3.0, -3.0], "friction.speed@cart"),
+        ({"coulomb": 3.0}, "velocity cart", [-0.4, -2e-3, 2e-3, 0.4], [3.0, 3.0, -3.0, -3.0], "friction.coulomb@cart"),
     ],
 )
 def test_what_a_law_depends_on_may_be_its_kind(
     hidden: dict[str, float], reads: str, knots: list[float], levels: list[float], kind: str
 ) -> None:
-    """A force of the command to its own motor alone, or of its own velocity alone, gets a name."""
+    """A force of the command to its own motor alone, or of its own velocity alone, gets the name of a law, or of an
+    effect that does as much.
+    """
     search = begun([run(3, 12, **{"coulomb": 0.0, **hidden})], ("residual.force", kind.partition("@")[0]))
     bare = search.progress.current
     shape = Surface((reads,), (np.array(knots),), np.array(levels))
@@ -242,6 +245,31 @@ def test_what_a_law_leaves_is_no_second_effects(
     current, fitted = leaving(before, law), leaving(after, law, drag)
     assert choice.tells(drag, fitted, current, leaving(begin)) == tells
     assert choice.tells(drag, fitted, leaving(before), leaving(begin))  # beside formulas, any of it may be another's
+
+
+@pytest.mark.parametrize(
+    ("begin", "now", "finer"),
+    [
+        (20000.0, 1700.0, False),  # much else is missing
+        (20000.0, 60.0, True),  # little beside what was found
+        (100.0, 2.5, True),  # it may yet come down to the noise
+        (100.0, 5.0, False),
+    ],
+)
+def test_laws_are_made_finer_where_little_else_can_be_missing(
+    dry: Search, monkeypatch: pytest.MonkeyPatch, begin: float, now: float, finer: bool
+) -> None:
+    """Errors in units of noise."""
+    asked = list[str]()
+    monkeypatch.setattr(
+        "dipc_gym.sim2real.selection.search.refined", lambda _, fit, key, tell: asked.append(key) or fit
+    )
+    found = dry.progress.current
+    bare, law = (replace(found, mse=np.full_like(found.mse, error**2)) for error in (begin, now))
+    search = begun([run(1, 12, 3.0)], MANY)
+    search.journal.progress = replace(search.progress, path=(bare,))
+    assert search._finer(law) is law
+    assert bool(asked) == finer
 
 
 @pytest.mark.parametrize(
