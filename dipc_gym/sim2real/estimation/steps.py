@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.estimation.problem import Problem, predict
+from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure
 
@@ -43,5 +43,5 @@ def controlled(problem: Problem, structure: Structure, z: Array) -> Problem:
 
 def change(problem: Problem, after: Array, before: Array) -> Array:
     """Root mean square of how far readings (n, m, ns) moved in each window, in units of noise, (n,)."""
-    moved = np.where(problem.windows.valid[..., None], (after - before) / problem.windows.noise, 0.0)
+    moved = normalised_residual(problem, before) - normalised_residual(problem, after)
     return np.sqrt(np.sum(moved**2, axis=(1, 2)) / problem.counts)

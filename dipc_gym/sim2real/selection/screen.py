@@ -73,8 +73,9 @@ class LaidOver:
 
     def __init__(self, problem: Problem, current: Fit, subset: NDArray[np.intp]) -> None:
         self.current, self.subset, self.step = current, subset, problem.stepping.timestep
-        self.whole, self.some = _Fitted.of(problem, current), _Fitted.of(problem.pick(subset), current.pick(subset))
-        self.luck = _luck(problem, current, subset)
+        some, currently = problem.pick(subset), current.pick(subset)
+        self.whole, self.some = _Fitted.of(problem, current), _Fitted.of(some, currently)
+        self.luck = _luck(problem, current, some, currently)
 
     def tried(self, terms: Sequence[Term]) -> list[Tried]:
         """Hypotheses with their predicted gains: the best guess of each shape.
@@ -175,8 +176,8 @@ def pairs(
     tried = _distinct(tried)
     if len(tried) < 2:
         return []
-    overlay = _Overlay(problem.pick(subset), current.pick(subset), [one.response for one in tried])
-    luck = _luck(problem, current, subset)
+    some, currently = problem.pick(subset), current.pick(subset)
+    overlay, luck = _Overlay(some, currently, [one.response for one in tried]), _luck(problem, current, some, currently)
     found = []
     for (i, one), (j, other) in itertools.combinations(enumerate(tried), 2):
         first, second = one.term, other.term
@@ -203,7 +204,8 @@ def together(
         groups: what screening made of them.
         subset: the windows for which their responses are known.
     """
-    some, currently, luck = problem.pick(subset), current.pick(subset), _luck(problem, current, subset)
+    some, currently = problem.pick(subset), current.pick(subset)
+    luck = _luck(problem, current, some, currently)
 
     def gain(tried: Sequence[Tried]) -> float:
         overlay = _Overlay(some, currently, [one.response for one in tried])
@@ -222,15 +224,15 @@ def _distinct(tried: Sequence[Tried]) -> list[Tried]:
     return sorted((one for one, _ in kept), key=lambda one: -one.predicted_gain)
 
 
-def _luck(problem: Problem, current: Fit, subset: NDArray[np.intp]) -> float:
-    """What a fit's parameters alone seem to gain on a subset of the windows beyond what they do on all: it is no
+def _luck(problem: Problem, current: Fit, some: Problem, currently: Fit) -> float:
+    """What a fit's parameters alone seem to gain on some of the windows beyond what they do on all: it is no
     effect's.
 
     On all windows a fit that has converged has nothing to gain, and less where a step along a null space is cut short.
     """
-    own, here = _Overlay(problem, current, []), _Overlay(problem.pick(subset), current.pick(subset), [])
-    everywhere, among_subset = (overlay.predicted_gain([], [], beside=True)[0] for overlay in (own, here))
-    return max(among_subset - max(everywhere, 0.0), 0.0)
+    overlays = _Overlay(problem, current, []), _Overlay(some, currently, [])
+    everywhere, here = (overlay.predicted_gain([], [], beside=True)[0] for overlay in overlays)
+    return max(here - max(everywhere, 0.0), 0.0)
 
 
 class _Overlay:
