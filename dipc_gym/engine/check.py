@@ -62,6 +62,7 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
         data.ctrl[:commanded] = rng.normal(size=commanded)
         data.qfrc_applied[:] = 0.0
         data.time = float(rng.uniform(0, 10))
+        data.userdata[:] = rng.uniform(size=model.nuserdata) * size.min()
         mujoco.mj_forward(model, data)
         if len(yielding):  # MuJoCo holds them to what they bear at the end of a step, not in between
             bend = rng.uniform(-1, 1, len(yielding)) * model.tendon_springyield[yielding]
@@ -81,12 +82,16 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
         states[:n], states[n : 2 * n], states[2 * n : 2 * n + model.na] = data.qpos, data.qvel, data.act
         if len(yielding):
             states[2 * n + model.na : 2 * n + model.na + len(yielding)] = rests
+        first = 2 * n + model.na + len(yielding)
+        remembered, grown = data.userdata.copy(), source.grown(data)
+        states[first : first + len(grown)] = remembered[len(remembered) - len(grown) :]
         limits, length = model.tendon_range[limited], data.ten_length[limited]
         met = (length < limits[:, 0]) | (length > limits[:, 1])
         found = rates(program, smooth, states, data.ctrl[:commanded].copy(), data.time, met.tolist())
         for what, ours, theirs in (
             ("accelerations", found[n : 2 * n], data.qacc),
             ("rates of hidden states", found[2 * n : 2 * n + model.na], data.act_dot),
+            ("rates of what laws remember", found[first : first + len(grown)], grown),
         ):
             if not np.isfinite(theirs).all():
                 raise Uncovered(f"{what} that are no numbers to MuJoCo itself")

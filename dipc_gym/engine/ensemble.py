@@ -34,9 +34,9 @@ def require(program: Program, parameters: Array) -> None:
         Uncovered: something in it sticks, meets a stop, or is a law that does more than arithmetic on many numbers.
     """
     codes, known = program.codes, rules()
-    for name, rule, dry in (known[k] for k in _laws(codes.tolist())):
-        if dry or not written(rule, WIDTH):
-            raise Uncovered(f"the law of {name} under <custom>")
+    for rule in (known[k] for k in _laws(codes.tolist())):
+        if rule.dry or not all(written(one, WIDTH) for one in (rule.says, rule.memory) if one):
+            raise Uncovered(f"the law of {rule.effect} under <custom>")
     first = int(codes[Head.JOINT_NUMBERS])
     friction = parameters[first + Joint.FRICTION : first + int(codes[Head.JOINTS]) * Joint.SIZE : Joint.SIZE]
     for what, there in (
@@ -66,7 +66,7 @@ class Ensemble:
         write_primal(module, tree, width=WIDTH)
         write_solver(module, tree, width=WIDTH)
         used = _laws(codes)
-        laws = [(rule, dry) if k in used else None for k, (_, rule, dry) in enumerate(rules())]
+        laws = [rule if k in used else None for k, rule in enumerate(rules())]
         self.rates = write_rates(module, laws if used else [], tangents=False, width=WIDTH)
         kind = ir.ArrayType(INT, len(codes))
         self.program = ir.GlobalVariable(module, kind, "program")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from llvmlite import ir
@@ -17,7 +18,24 @@ from dipc_gym.engine.layout import JOINTS, Element, Feature, Force, Head, Joint,
 from dipc_gym.engine.values import INT, POINTER, Value, exp, maximum, minimum, sin, where
 from dipc_gym.physics import Moment
 
-Rule = Callable[[Any, Moment], Any]
+Says = Callable[[Any, Moment], Any]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What `<custom>` may add to a joint.
+
+    Attributes:
+        effect: its id.
+        says: a force, or a level of dry friction.
+        dry: which of both.
+        memory: rate of what it remembers; None for nothing.
+    """
+
+    effect: str
+    says: Says
+    dry: bool
+    memory: Says | None = None
 
 
 class Attached:
@@ -200,7 +218,12 @@ class Attached:
 
 
 def laws(
-    code: Code, program: ir.Value, numbers: Numbers, rules: Sequence[Rule | None], moment: Callable[..., Moment]
+    code: Code,
+    program: ir.Value,
+    numbers: Numbers,
+    rules: Sequence[Rule | None],
+    moment: Callable[..., Moment],
+    rates: Numbers,
 ) -> Any:
     """Repeat for what `<custom>` adds to joints: index of the rule, the joint, and what the rule says of this moment.
 
@@ -209,9 +232,10 @@ def laws(
         program: address of its whole numbers.
         numbers: its parameters.
         rules: in the order of their indices; None for one that does not occur.
-        moment: what a rule may look at, by joint and by what else the law depends on.
+        moment: what a rule may look at, by joint, by what else the law depends on, and by the state that it remembers.
+        rates: of the states; those of what laws remember are set.
     """
-    return _Laws(code, program, numbers, rules, moment)
+    return _Laws(code, program, numbers, rules, moment, rates)
 
 
 class Table:
@@ -334,7 +358,7 @@ def depth_of(attached: Attached, element: ir.Value, own: Numbers) -> tuple[Value
 
 
 @functools.cache
-def written(rule: Rule, width: int = 0) -> bool:
+def written(rule: Says, width: int = 0) -> bool:
     """Whether a law becomes code as it stands, for one simulation or for `width` side by side.
 
     One that a user registered may do anything.
@@ -343,7 +367,7 @@ def written(rule: Rule, width: int = 0) -> bool:
     numbers, count = code.function.args
     now: Any = Moment
     try:
-        names = ("time", "position", "drive", "weight", "value", "speed")
+        names = ("time", "position", "drive", "weight", "value", "speed", "memory")
         of = now(**{name: code.value(0.0) for name in names}, inputs=(code.value(0.0), code.value(0.0)))
         code.value(rule(Table(code, Numbers(code, numbers, numbers), count), of))
     except Exception:  # whatever a law of somebody's does with numbers that are none yet
@@ -382,9 +406,9 @@ class _Terms:
 
 class _Laws:
     def __init__(
-        self, code: Code, program: ir.Value, numbers: Numbers, rules: Sequence[Rule | None], moment: Any
+        self, code: Code, program: ir.Value, numbers: Numbers, rules: Sequence[Rule | None], moment: Any, rates: Numbers
     ) -> None:
-        self.code, self.numbers, self.rules, self.moment = code, numbers, rules, moment
+        self.code, self.numbers, self.rules, self.moment, self.rates = code, numbers, rules, moment, rates
         first, count = code.whole(program, Head.LAW_AT), code.whole(program, Head.LAWS)
         self._each = _Each(code, program, first, count, int(Law.SIZE))
 
@@ -394,11 +418,14 @@ class _Laws:
         own = self.numbers.since(code.whole(law, Law.NUMBERS))
         table, said = Table(code, own, code.whole(law, Law.COUNT)), code.scratch(1)
         said[0] = 0.0
-        now = self.moment(joint, [code.whole(law, part) for part in (Law.FIRST, Law.SECOND)])
+        state = code.whole(law, Law.STATE)
+        now = self.moment(joint, [code.whole(law, part) for part in (Law.FIRST, Law.SECOND)], state)
         for k, rule in enumerate(self.rules):
             if rule is not None:
                 with code.when(code.equal(which, k)):
-                    said[0] = rule(table, now)
+                    said[0] = rule.says(table, now)
+                    if rule.memory is not None:
+                        self.rates[state] = rule.memory(table, now)
         return which, joint, said[0]
 
     def __exit__(self, *what: Any) -> Any:

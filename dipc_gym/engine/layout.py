@@ -129,7 +129,8 @@ class Law(IntEnum):
     COUNT = 3
     FIRST = 4  # state that it depends on, or STATES and a command; and the next
     SECOND = 5
-    SIZE = 6
+    STATE = 6  # what it remembers, -1 for nothing
+    SIZE = 7
 
 
 class Row(IntEnum):

@@ -22,11 +22,11 @@ from dipc_gym.engine.window import SOON, Window, both
 EVENTS = 8  # looked for within one step; what is left over is a small error
 
 
-def write_loop(rules: Sequence[tuple[Rule, bool]], *, tangents: bool) -> ir.Module:
+def write_loop(rules: Sequence[Rule], *, tangents: bool) -> ir.Module:
     """The module with `run(addresses, first row, last row)`, and `probe`, the rates at one moment.
 
     Args:
-        rules: what `<custom>` may add to joints, and whether each is a level of dry friction.
+        rules: what `<custom>` may add to joints.
         tangents: whether derivatives are carried along.
     """
     module = ir.Module("loop")

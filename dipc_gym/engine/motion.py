@@ -22,15 +22,12 @@ FOLLOWED = 0.5  # time constant, in steps, that Runge-Kutta follows safely
 ARGUMENTS = [POINTER] * 16
 
 
-def write_rates(
-    module: ir.Module, rules: Sequence[tuple[Rule, bool] | None], *, tangents: bool, width: int = 0
-) -> ir.Function:
+def write_rates(module: ir.Module, rules: Sequence[Rule | None], *, tangents: bool, width: int = 0) -> ir.Function:
     """Write the function that sets rates, holding forces and levels of friction.
 
     Args:
         module: to write into.
-        rules: what `<custom>` may add to joints, and whether each is a level of dry friction; None in the place of one
-            that no program of this module has.
+        rules: what `<custom>` may add to joints; None in the place of one that no program of this module has.
         tangents: whether derivatives are worked out.
         width: 0, or how many simulations go side by side, without joints that stick and without stops; the forces of
             passive actuators then take the place of the holding forces.
@@ -41,7 +38,7 @@ def write_rates(
 
 
 class _Rates:
-    def __init__(self, code: Code, rules: Sequence[tuple[Rule, bool] | None]) -> None:
+    def __init__(self, code: Code, rules: Sequence[Rule | None]) -> None:
         arguments = code.function.args
         self.code, self.rules = code, rules
         self.program = arguments[0]
@@ -120,7 +117,7 @@ class _Rates:
                         still[k] = 0.0
                     self._kernel_tangent(still, self.bias.beside)
 
-            def moment(joint: Index, inputs: Sequence[ir.Value]) -> Moment:
+            def moment(joint: Index, inputs: Sequence[ir.Value], memory: ir.Value) -> Moment:
                 values: Any = Moment  # made for arrays; values stand in for them
                 return values(
                     speed=self.speeds[joint],
@@ -130,17 +127,17 @@ class _Rates:
                     drive=self.drives[joint],
                     weight=self.bias[joint],
                     value=code.value(0.0),
+                    memory=self.states[code.at.select(code.below(memory, 0), integer(0), memory)],
                 )
 
-            plain = [one and one[0] for one in self.rules]
-            with laws(code, self.program, self.numbers, plain, moment) as (which, joint, says):
+            found = laws(code, self.program, self.numbers, self.rules, moment, self.rates)
+            with found as (which, joint, says):
                 for k, one in enumerate(self.rules):
                     if one is None:
                         continue
-                    dry = one[1]
-                    into = self.levels if dry else self.forces
+                    into = self.levels if one.dry else self.forces
                     with code.when(code.equal(which, k)):
-                        into[joint] = says if dry else into[joint] + says
+                        into[joint] = says if one.dry else into[joint] + says
 
     def _seen(self, one: ir.Value) -> Value:
         """A state or a command that a law depends on."""

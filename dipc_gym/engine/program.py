@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import layout, rigid
-from dipc_gym.engine.forces import written
+from dipc_gym.engine.forces import Rule, written
 from dipc_gym.engine.layout import STATES, Element, Feature, Force, Head, Kind, Law, Sensor
 from dipc_gym.physics import Physics
 
@@ -89,7 +89,8 @@ class _Writer:
         self.numbers: list[float] = numbers.tolist()
         self.ints: list[int] = [0] * int(Head.SIZE)
         self.controls = mjcf.commanded(model)  # what comes after them nobody commands; it stays at zero
-        self.yielding = 0  # springs, whose rests are hidden states behind MuJoCo's activations
+        self.yielding = 0  # springs, whose rests are hidden states behind MuJoCo's activations; then what laws remember
+        self.remembering = len(source.remembering)
         self._joints()
         elements = [*self._tendons(), *self._actuators()]
         self.ints[Head.DELAYS] = len(self.numbers)
@@ -106,7 +107,7 @@ class _Writer:
         self.ints += [number for element in elements for number in element]
         self.ints[Head.JOINTS] = model.nv
         self.ints[Head.CONTROLS] = self.controls
-        self.hidden = model.na + self.yielding
+        self.hidden = model.na + self.yielding + self.remembering
         self.ints[Head.STATES] = 2 * model.nv + self.hidden + lags
         self.ints[Head.PARAMETERS] = len(self.numbers)
         for what, most, count in (
@@ -341,7 +342,7 @@ class _Writer:
             numbers[Sensor.AHEAD] = len(self.numbers) + 1
             tau = lags.get(int(model.sensor_adr[sensor]))
             if tau is not None:
-                numbers[Sensor.LAG] = 2 * model.nv + model.na + self.yielding + late
+                numbers[Sensor.LAG] = 2 * model.nv + model.na + self.yielding + self.remembering + late
                 late += 1
             self.numbers += [tau or 0.0, latest - float(model.sensor_delay[sensor])]
             found.append(numbers)
@@ -367,7 +368,9 @@ class _Writer:
         return [dof + model.nv * speed for dof in dofs], weights
 
     def _laws(self) -> None:
-        known, laws = [name for name, _, _ in rules()], []
+        known, laws = [one.effect for one in rules()], []
+        first = 2 * self.model.nv + self.model.na + self.yielding
+        memories = {id(extra): first + k for k, extra in enumerate(self.physics.remembering)}
         for extra in self.physics.extras:
             if extra.stage not in ("friction", "force"):
                 continue
@@ -378,6 +381,7 @@ class _Writer:
             law[Law.NUMBERS], law[Law.COUNT] = len(self.numbers), len(extra.data)
             seen = [self._input(extra.effect, kind, k) for kind, k in extra.inputs]
             law[Law.FIRST : Law.SECOND + 1] = [*seen, 0, 0][:2]
+            law[Law.STATE] = memories.get(id(extra), -1)
             self.numbers += extra.data.tolist()
             laws.append(law)
         self.ints[Head.LAW_AT], self.ints[Head.LAWS] = len(self.ints), len(laws)
@@ -396,13 +400,14 @@ class _Writer:
         return int(model.jnt_dofadr[int(np.flatnonzero(model.jnt_qposadr == k)[0])])
 
 
-def rules() -> list[tuple[str, physics.Rule, bool]]:
-    """What `<custom>` may add to joints and becomes code as it stands: id, law, whether it is a level of friction."""
-    return [
-        (name, rule, stage == "friction")
-        for name, stage, rule in physics.rules()
-        if stage in ("friction", "force") and written(rule)
-    ]
+def rules() -> list[Rule]:
+    """What `<custom>` may add to joints and becomes code as it stands."""
+    found = []
+    for effect, stage, says in physics.rules():
+        memory = physics.memory_of(effect)
+        if stage in ("friction", "force") and written(says) and (memory is None or written(memory)):
+            found.append(Rule(effect, says, stage == "friction", memory))
+    return found
 
 
 def _check_covered(model: mujoco.MjModel) -> None:

@@ -260,4 +260,4 @@ def rates(
 
 @functools.lru_cache(maxsize=2)
 def _loop(tangents: bool) -> str:
-    return str(write_loop([(rule, dry) for _, rule, dry in rules()], tangents=tangents))
+    return str(write_loop(rules(), tangents=tangents))

@@ -213,6 +213,15 @@ class Document:
                 return
         self.add("custom", "numeric", name=name, data=list(data))
 
+    def remembering(self, effect: str, at: str, data: Sequence[float]) -> None:
+        """Write what MJCF cannot say and what depends on what went before, with room for the number it remembers."""
+        before = len(self.root.findall("custom/numeric"))
+        self.custom(effect, at, data)
+        if len(self.root.findall("custom/numeric")) > before:
+            found = [size for size in self.root.iterfind("size") if size.get("nuserdata")]
+            room = int(found[-1].get("nuserdata", "0")) if found else 0
+            self.set(found[-1] if found else self.section("size"), nuserdata=max(room, 0) + 1)
+
     def depends(self, effect: str, at: str, inputs: Sequence[str]) -> None:
         """Say what a law that the loader applies depends on: `position cart`, `velocity pole1` or `command motor`."""
         for k, said in enumerate(inputs, 1):

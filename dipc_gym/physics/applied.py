@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.physics import entries
 from dipc_gym.physics.entries import Extra, Stage
-from dipc_gym.physics.formulas import moment
+from dipc_gym.physics.formulas import Moment, moment
 
 Array = NDArray[np.float64]
 
@@ -47,6 +47,11 @@ class Physics:
     def acts(self) -> bool:
         """Whether friction or forces have to be written at each step."""
         return any(extra.stage in ("friction", "force") for extra in self.extras)
+
+    @property
+    def remembering(self) -> tuple[Extra, ...]:
+        """The extras that depend on what went before, in the order of what they remember in `userdata`."""
+        return tuple(extra for extra in self.extras if extra.remembers)
 
     @property
     def pressed(self) -> bool:
@@ -103,20 +108,40 @@ class Physics:
         """
         pushed: set[int] = set()
         for extra in self.extras:
+            if extra.stage not in ("friction", "force"):
+                continue
+            j, now = extra.index, self._now(extra, state, step)
             if extra.stage == "friction":
-                j = extra.index
-                drive, weight = state.qfrc_actuator[..., j], state.qfrc_bias[..., j]
-                q = state.qpos[..., self.model.jnt_qposadr[self.model.dof_jntid[j]]]
-                q = q + step / 2 * state.qvel[..., j]
-                frictionloss[..., j] = extra(moment(state.time + step / 2, q, drive, weight))
-            elif extra.stage == "force":
+                frictionloss[..., j] = extra(now)
+            else:
                 # What was applied in the step before still stands there, so the first one replaces it.
-                others = applied[..., extra.index] if extra.index in pushed else 0.0
-                now = moment(state.time + step / 2)
-                if extra.inputs:
-                    now = replace(now, speed=state.qvel[..., extra.index], inputs=self._seen(extra, state, step))
-                applied[..., extra.index] = others + extra(now)
-                pushed.add(extra.index)
+                applied[..., j] = extra(now) + (applied[..., j] if j in pushed else 0.0)
+                pushed.add(j)
+
+    def grown(self, state: Any) -> Array:
+        """Rates of what entries remember, at this moment, (..., memories)."""
+        rates = [extra.grows(self._now(extra, state, 0.0)) for extra in self.remembering]
+        return np.stack(rates, axis=-1) if rates else np.zeros(0)
+
+    def _now(self, extra: Extra, state: Any, step: float) -> Moment:
+        """What an entry looks at in the middle of a step that begins now; what it remembers goes on to its end."""
+        j, time = extra.index, state.time + step / 2
+        speed = state.qvel[..., j]
+        q = state.qpos[..., self.model.jnt_qposadr[self.model.dof_jntid[j]]] + step / 2 * speed
+        if extra.stage == "friction":
+            now = moment(time, q, state.qfrc_actuator[..., j], state.qfrc_bias[..., j])
+        else:
+            now = moment(time, q)
+        now = replace(now, speed=speed, inputs=self._seen(extra, state, step) if extra.inputs else ())
+        if not extra.remembers:
+            return now
+        before = state.userdata[..., extra.slot]
+        if not step:
+            return replace(now, memory=before)
+        now = replace(now, speed=speed + step / 2 * state.qacc[..., j], memory=before)
+        now = replace(now, memory=before + step / 2 * extra.grows(now))
+        state.userdata[..., extra.slot] = before + step * extra.grows(now)
+        return now
 
     def _seen(self, extra: Extra, state: mujoco.MjData, step: float) -> tuple[Array, ...]:
         """What a law depends on, two numbers; positions are those of the middle of a step that begins now."""

@@ -32,7 +32,8 @@ HEAD = 16  # numbers of an entry that say more than one level of a table
 
 _TABLES = frozenset({"motor.map", "sensor.map"})
 _EVEN = frozenset({"friction.position", "friction.time"})  # tables of equal distances between two ends
-_PLACED = (formulas.friction_along, formulas.friction_over_time, formulas.friction_wave)
+_PLACED = (formulas.friction_along, formulas.friction_over_time, formulas.friction_wave, formulas.friction_rested)
+CREEPING, RESTING = "load.creeping", "friction.resting"
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
 
 _rules: dict[str, tuple[Stage, Rule]] = {
@@ -49,11 +50,14 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     "friction.load": ("friction", formulas.friction_under_load),
     "disturbance.periodic": ("force", formulas.periodic_force),
     "disturbance.pulse": ("force", formulas.pulse_force),
+    CREEPING: ("force", formulas.creeping_force),
+    RESTING: ("friction", formulas.friction_rested),
     RESIDUAL: ("force", formulas.force_of),
 }
+_memories: dict[str, Rule] = {CREEPING: formulas.creeping, RESTING: formulas.resting}
 
 
-def register(effect: str, stage: Stage, rule: Rule) -> None:
+def register(effect: str, stage: Stage, rule: Rule, memory: Rule | None = None) -> None:
     """Make the loader understand a further effect.
 
     Args:
@@ -61,18 +65,29 @@ def register(effect: str, stage: Stage, rule: Rule) -> None:
         stage: where it acts.
         rule: `rule(data, moment)`; for `command` and `sensor` the new value, for `friction` the level of dry friction,
             for `force` the force to add.
+        memory: of a force or a level of friction that depends on what went before: rate, per second, of the number that
+            `moment.memory` has, by the joint's position and speed and that number; it begins at 0.
 
     Raises:
-        ValueError: the id is taken.
+        ValueError: the id is taken, or neither a force nor friction is to remember.
     """
     if effect in _rules:
         raise ValueError(f"an effect {effect!r} is registered already")
+    if memory is not None and stage not in ("force", "friction"):
+        raise ValueError(f"{effect!r} changes a {stage}: only a force or friction can remember")
     _rules[effect] = (stage, rule)
+    if memory is not None:
+        _memories[effect] = memory
 
 
 def rules() -> list[tuple[str, Stage, Rule]]:
     """Every effect that the loader understands: id, stage, rule."""
     return [(effect, stage, rule) for effect, (stage, rule) in _rules.items()]
+
+
+def memory_of(effect: str) -> Rule | None:
+    """Rate of what an effect remembers; None for one that remembers nothing."""
+    return _memories.get(effect)
 
 
 @dataclass(frozen=True)
@@ -87,6 +102,7 @@ class Extra:
         data: the numbers, (k,), or (n, k) for n simulations.
         inputs: of a law that depends on more than its place: `position`, `velocity` or `command`, and the index of the
             coordinate, the degree of freedom or the control.
+        slot: of MuJoCo's `userdata`, where it keeps what it remembers; -1 for nothing.
     """
 
     effect: str
@@ -95,6 +111,12 @@ class Extra:
     index: int
     data: Array
     inputs: tuple[tuple[str, int], ...] = ()
+    slot: int = -1
+
+    @property
+    def remembers(self) -> bool:
+        """Whether what it does depends on what went before."""
+        return self.slot >= 0
 
     @property
     def pressed(self) -> bool:
@@ -104,6 +126,10 @@ class Extra:
     def __call__(self, now: Moment) -> Array:
         """Apply the rule."""
         return _rules[self.effect][1](self.data, now)
+
+    def grows(self, now: Moment) -> Array:
+        """Rate of what it remembers, per second."""
+        return _memories[self.effect](self.data, now)
 
 
 def read(model: mujoco.MjModel) -> list[Extra]:
@@ -124,6 +150,7 @@ def read(model: mujoco.MjModel) -> list[Extra]:
         stage = _rules[parts[1]][0]
         index, inputs = _index(model, name, stage, parts[2]), _inputs(model, parts[1], parts[2])
         extras.append(Extra(parts[1], parts[2], stage, index, model.numeric(i).data.copy(), inputs))
+    extras = _with_slots(model, extras)
     for extra in extras:
         if not usable(extra):
             entry, rule = f"{mjcf.PREFIX}:{extra.effect}:{extra.at}", (_rules[extra.effect][1].__doc__ or "").strip()
@@ -132,6 +159,24 @@ def read(model: mujoco.MjModel) -> list[Extra]:
                 f"{_fault(extra)}; {rule.partition(chr(10))[0]}"
             )
     return extras
+
+
+def _with_slots(model: mujoco.MjModel, extras: list[Extra]) -> list[Extra]:
+    """The last numbers of MuJoCo's `userdata` are what entries remember, in their order; those before are the user's.
+
+    Raises:
+        mjcf.MjcfError: there are fewer.
+    """
+    remember = [extra for extra in extras if extra.effect in _memories]
+    first = model.nuserdata - len(remember)
+    if first < 0:
+        names = " and ".join(f"{mjcf.PREFIX}:{extra.effect}:{extra.at}" for extra in remember)
+        raise mjcf.MjcfError(
+            f"{names} under <custom> remember what went before, and the file keeps room for {model.nuserdata} numbers; "
+            f'write <size nuserdata="{len(remember)}"/>'
+        )
+    slots = iter(range(first, model.nuserdata))
+    return [replace(extra, slot=next(slots)) if extra.effect in _memories else extra for extra in extras]
 
 
 def _shown(numbers: Array) -> str:
@@ -186,6 +231,10 @@ def usable(extra: Extra) -> bool:
         return len(numbers) >= FEWEST_EVEN and _increase(numbers[:2])
     if extra.effect == RESIDUAL:
         return _is_surface(extra)
+    if extra.effect == CREEPING:  # one that pushes, or stretches of its own, would drive its joint for ever
+        return len(numbers) >= FEWEST_EVEN and bool(np.all(numbers >= 0)) and bool(numbers[1] > CLOSEST)
+    if extra.effect == RESTING:
+        return len(numbers) == 4 and bool(np.all(numbers[2:] > CLOSEST))
     # At its own numbers as positions a wave of no length shows itself.
     usual = np.unique([*numbers[:HEAD], numbers.min(), numbers.max(), *TRIED])
     try:
@@ -199,7 +248,8 @@ def usable(extra: Extra) -> bool:
 def _alike(extra: Extra, x: Array) -> Array:
     """What comes of an entry where position, force, command, time and all else are the same number of x (n,)."""
     everywhere = replace(extra, data=np.broadcast_to(extra.data, (len(x), len(extra.data))))
-    return everywhere(replace(moment(np.abs(x), x, x, x, x), speed=x, inputs=(x, x)))
+    now = replace(moment(np.abs(x), x, x, x, x), speed=x, inputs=(x, x), memory=x)
+    return np.stack([everywhere(now), everywhere.grows(now)]) if extra.remembers else everywhere(now)
 
 
 def _is_surface(extra: Extra) -> bool:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+SOONEST = 4e-3  # s, in which a memory may fade: usual steps follow that
+
 
 @dataclass(frozen=True)
 class Moment:
@@ -23,6 +25,7 @@ class Moment:
         value: the command or the reading to change, (...); zeros for forces and friction.
         speed: velocity of the joint it acts on, m/s or rad/s, (...); zeros for commands and sensors.
         inputs: what else a law depends on, in the order in which the file names them, (...) each.
+        memory: what a law that remembers has come to, (...).
     """
 
     time: Array
@@ -32,6 +35,7 @@ class Moment:
     value: Array
     speed: Any = 0.0
     inputs: tuple[Any, ...] = ()
+    memory: Any = 0.0
 
 
 def moment(
@@ -147,6 +151,34 @@ def force_of(data: Array, now: Moment) -> Array:
     force = _surface(data[..., 3:], data[..., 1], data[..., 2], first, second)
     fades = np.clip(np.abs(now.speed) / data[..., 0] - 1.0, 0.0, 1.0)
     return np.where(force * now.speed > 0, force * (1.0 - fades), force)
+
+
+def creeping_force(data: Array, now: Moment) -> Array:
+    """A spring that creeps; data: stiffness, furthest stretch, then how fast it gives way at equal stretches from 0.
+
+    It pulls with its stiffness times its stretch, which it remembers.
+    """
+    return -data[..., 0] * now.memory
+
+
+def creeping(data: Array, now: Moment) -> Array:
+    """How fast a spring that creeps is stretched: as fast as its joint moves, less what it gives way.
+
+    Beyond the furthest stretch it gives way in proportion.
+    """
+    share = np.abs(now.memory) / data[..., 1]
+    gives = _tabulated(data[..., 2:], share) * np.maximum(share, 1.0)
+    return now.speed - np.where(now.memory < 0, -gives, gives)
+
+
+def friction_rested(data: Array, now: Moment) -> Array:
+    """Dry friction level + rise (1 - exp(-rested / time)); data: level, rise, time, and the way that wears it off."""
+    return np.maximum(data[..., 0] + data[..., 1] * (1.0 - np.exp(-now.memory / data[..., 2])), 0.0)
+
+
+def resting(data: Array, now: Moment) -> Array:
+    """How fast the time at rest grows: as fast as time, less what motion wears off (Dieterich's law of ageing)."""
+    return 1.0 - now.memory * np.minimum(np.abs(now.speed) / data[..., 3], 1.0 / SOONEST)
 
 
 def _surface(data: Array, rows: Array, columns: Array, x: Array, y: Array) -> Array:

@@ -65,6 +65,8 @@ class MujocoRigs:
         self._applied = self.sims.bind("qfrc_applied") if rig.physics.stage("force") else np.zeros((n, 0))
         if rig.physics.pressed:
             self.sims.bind("qfrc_actuator"), self.sims.bind("qfrc_bias")
+        if rig.physics.remembering:
+            self.sims.bind("qacc")
 
     @property
     def time(self) -> Array:

@@ -24,7 +24,7 @@ from dipc_gym.physics import Extra, Moment, Physics
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_at
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.simulation.memory import bends
+from dipc_gym.sim2real.simulation.memory import bends, memories
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.unseen.parts import along, yielding
 
@@ -265,6 +265,10 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     moments = SimpleNamespace(
         time=motion.time, qpos=position, qvel=velocity, ctrl=commands, qfrc_actuator=driven, qfrc_bias=biased
     )
+    moments.userdata = np.zeros((n, model.nuserdata))
+    joints = mjcf.base_joints(model)
+    for which, law in enumerate(physics.remembering):
+        moments.userdata[:, law.slot] = memories([physics], which, joints.index(law.at), motion, motion.time)[0]
     levels, pushed = np.tile(level, (n, 1)), np.zeros((n, model.nv))
     side_by_side = [replace(x, data=np.broadcast_to(x.data, (n, len(x.data)))) for x in physics.extras]
     replace(physics, extras=tuple(side_by_side)).act(moments, levels, pushed)

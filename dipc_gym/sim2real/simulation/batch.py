@@ -211,6 +211,7 @@ class _Runs:
             sims.qvel.reshape(*count, model.nv),
             sims.act.reshape(*count, model.na),
             [plastic[..., k : k + 2] for k in first],
+            [sims.userdata[:, law.slot].reshape(count) for law in self.physics.remembering],
         )
 
     def readings(self) -> Array:
@@ -236,7 +237,7 @@ class _Runs:
         sensed, commanded, applied = sims.bind("sensordata"), sims.bind("ctrl"), sims.bind("qfrc_applied")
         forces = np.zeros((sims.nsim, sims.model.nv))
         level = sims.expand("dof_frictionloss") if dry is None else dry.level
-        if physics.stage("friction"):
+        if physics.acts:
             sims.bind("qfrc_actuator"), sims.bind("qfrc_bias"), sims.bind("qacc")
         pressed = physics.pressed
         if dry is not None:

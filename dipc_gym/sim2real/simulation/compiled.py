@@ -158,7 +158,9 @@ class Compiled:
         """Where states (..., nx) hold what windows begin with."""
         nv, na = self.model.nv, self.model.na
         unbent = [states[..., state, None] for state, _ in self._yielding]
-        return Places(states[..., :nv], states[..., nv : 2 * nv], states[..., 2 * nv : 2 * nv + na], unbent)
+        first = 2 * nv + na + len(unbent)
+        remembered = [states[..., first + k] for k in range(len(self.variants[0].remembering))]
+        return Places(states[..., :nv], states[..., nv : 2 * nv], states[..., 2 * nv : 2 * nv + na], unbent, remembered)
 
     def begun(self, at: float, initial: Array) -> Array:
         """States (variants, windows, nx) that begin at positions and velocities of base joints (variants, n, 2 nb)."""

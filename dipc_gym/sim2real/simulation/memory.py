@@ -22,7 +22,7 @@ from dipc_gym.recording import Recording
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows
-from dipc_gym.sim2real.unseen.operators import play, swing
+from dipc_gym.sim2real.unseen.operators import play, recall, swing
 from dipc_gym.sim2real.unseen.parts import Load, along, loads, yielding
 
 Array = NDArray[np.float64]
@@ -82,6 +82,25 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
     return out
 
 
+def memories(variants: Sequence[Physics], which: int, joint: int, motion: Motion, time: Array) -> Array:
+    """What a law of `<custom>` remembers, at times within a recording.
+
+    Args:
+        variants: one model with different parameters.
+        which: of the laws that remember.
+        joint: that it acts on, among the base joints.
+        motion: of them.
+        time: s, (n,).
+
+    Returns:
+        (variants, n).
+    """
+    laws = [variant.remembering[which] for variant in variants]
+    numbers, each = np.unique([law.data for law in laws], axis=0, return_inverse=True)
+    along = recall(laws[0].effect, numbers, motion.time, motion.position[:, joint], motion.velocity[:, joint])
+    return np.stack([np.interp(time, motion.time, one) for one in along])[each]
+
+
 # ------------------------------------------------------------------------------------------- how windows begin
 
 
@@ -117,12 +136,14 @@ class Places:
         activation: of actuators, (variants, n, na); for a winding that heats, K above its surroundings.
         unbent: length at which each of the springs that yield is unbent, m or rad; (variants, n, k) with k times the
             same number.
+        remembered: what each law of `<custom>` remembers, (variants, n) each.
     """
 
     position: Array
     velocity: Array
     activation: Array
     unbent: Sequence[Array]
+    remembered: Sequence[Array]
 
     def put(self, joints: Joints, initial: Array) -> None:
         """Put base joints at positions and velocities (variants, n, 2 nb), and what hides where its leader is."""
@@ -178,6 +199,10 @@ def begin(
             apart, faster = swings(variants, load, base.index(leaders[name]), motion, time[mine])
             places.position[:, mine, load.at] += apart
             places.velocity[:, mine, load.at] += faster
+    for k, into in enumerate(places.remembered):
+        law = variants[0].remembering[k]
+        for mine, _, motion in _passes(windows, f"what {law.effect} of {law.at} remembers"):
+            into[:, mine] = memories(variants, k, base.index(law.at), motion, time[mine])
 
 
 def _passes(windows: Windows, what: str) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion]]:

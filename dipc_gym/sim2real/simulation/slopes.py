@@ -74,7 +74,7 @@ class Slopes:
 def begins_alike(physics: Physics) -> bool:
     """Whether simulations begin at the same states whatever the values: no winding heats, nothing remembers longer."""
     model = physics.model
-    return not (heating_motors(model) or yielding(model) or loads(model))
+    return not (heating_motors(model) or yielding(model) or loads(model) or physics.remembering)
 
 
 def maps_of(physics: Physics) -> Array:

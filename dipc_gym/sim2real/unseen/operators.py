@@ -1,4 +1,4 @@
-"""Two operators with memory: what an unseen part has come to, from how the joint moved that it hangs on."""
+"""Operators with memory: what an unseen part has come to, from how the joint moved that it hangs on."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+
+from dipc_gym.engine.remember import remembered
+from dipc_gym.physics import memory_of
 
 Array = NDArray[np.float64]
 
@@ -81,6 +84,34 @@ def swing(
     first, second = _one_pole(one, step, drive), _one_pole(other, step, drive)
     place, speed = ((first - second) / apart).real, ((one * first - other * second) / apart).real
     return np.stack([np.interp(time, even, place - carried[0]), np.interp(time, even, speed - carried[1])])
+
+
+def recall(effect: str, numbers: Array, time: Array, position: Array, velocity: Array) -> Array:
+    """What a law of `<custom>` remembers along a motion, for several sets of its numbers.
+
+    Args:
+        effect: id of its entry.
+        numbers: of the law, (variants, k).
+        time: s, increasing, (n,).
+        position: of its joint, m or rad, (n,).
+        velocity: m/s or rad/s, (n,).
+
+    Returns:
+        (variants, n); it begins at 0.
+
+    Raises:
+        KeyError: the effect remembers nothing.
+
+    Example:
+        >>> t = np.linspace(0.0, 1.0, 101)
+        >>> rested = recall("friction.resting", np.array([[1.0, 0.5, 0.1, 1e-3]]), t, 0 * t, 0 * t)
+        >>> round(float(rested[0, -1]), 6)
+        1.0
+    """
+    rate = memory_of(effect)
+    if rate is None:
+        raise KeyError(effect)
+    return remembered(rate, numbers, time, position, velocity)
 
 
 def _one_pole(pole: complex, step: float, drive: Array) -> NDArray[np.complex128]:

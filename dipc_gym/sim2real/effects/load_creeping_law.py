@@ -1,0 +1,142 @@
+"""A spring that creeps by a law of its own: hardly at a small stretch, faster the further it is stretched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.law import described
+from dipc_gym.sim2real.effects.load_creeping import TIMES
+from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.unseen.operators import recall
+
+Array = NDArray[np.float64]
+
+ENTRY = "load.creeping"  # of <custom>
+BENDS = (0.05, 0.15, 0.5, 1e3)  # stretches over which it bends, in ranges of the joint's motion; the last is straight
+FIRST, MOST = 4, 16  # stretches between the knots of the law
+FURTHEST = 0.995  # quantile of how far the spring is stretched, which the table goes up to
+LEAST = 1e-4  # of the fastest, by which it begins to give way faster from one knot to the next
+SHORTEST = 4e-3  # s, in which it may give way by as much as it is stretched
+
+
+class CreepingSpringOfAnyLaw(Effect):
+    """A spring that gives way at a speed that is any function of its stretch; Maxwell's element in proportion.
+
+    Rubber, belts and cables creep the faster the more they bear (Eyring 1936: by the hyperbolic sine of it). The law
+    can but give way, so it takes energy and never gives any.
+
+    Parameters say how much faster it gives way with each stretch of the table, which is never slower.
+
+    Args:
+        furthest: stretch that the table goes up to, m or rad; none in the catalogue.
+        begin: first guess of the stiffness, and of these speeds.
+    """
+
+    id = "load.creeping:law"
+    place = "joint"
+    law = "creeping spring"
+    free = True
+    needs_loader = True
+    finest = 1e-3
+    rivals = ("friction.hysteresis", "load.swinging", "residual.force")
+    contains = ("load.creeping",)
+
+    def __init__(self, furthest: float = 1.0, begin: Values | None = None) -> None:
+        self.furthest, self.begin = furthest, dict(begin or {})
+        count = max(len(self.begin) - 1, 0)
+        size = sum(value for name, value in self.begin.items() if name != "stiffness") or 1.0
+        fastest = furthest / SHORTEST
+        self.parameters = (
+            Parameter("stiffness", "N/m", 1e-9, log=True),
+            *(
+                Parameter(_faster(k), "m/s", 0.0, fastest, step=LAWS.step * size, sigma=LAWS.loose / LAWS.step)
+                for k in range(count)
+            ),
+        )
+
+    @property
+    def knots(self) -> Array:
+        """Stretches at which the law has its speeds, the first 0, (k + 1,)."""
+        return np.linspace(0.0, self.furthest, len(self.parameters))
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """A spring that creeps by a hyperbolic sine, whose pace and bend pull most like the unexplained force."""
+        span = float(np.ptp(evidence.position))
+        if not span > 0:
+            return []
+        knots = np.linspace(0.0, 1.0, MOST + 1)
+        speeds = np.array([np.sinh(knots / bent) * bent / time for bent in BENDS for time in TIMES])
+        tries = np.column_stack([np.ones(len(speeds)), np.full(len(speeds), span), span * speeds])
+        moved = evidence.time, evidence.position, evidence.velocity
+        parts = [recall(ENTRY, tries, *(of[part] for of in moved)) for part in evidence.runs]
+        stretched = np.concatenate(parts, axis=1)
+        plain = np.stack([np.ones_like(evidence.force), evidence.velocity, evidence.position], axis=1)
+        pull, left = _told(-stretched, plain, evidence.force)
+        if not np.any(pull > 0):
+            return []
+        best = int(np.argmin(np.where(pull > 0, left, np.inf)))
+        furthest = float(np.quantile(np.abs(stretched[best]), FURTHEST))
+        if not furthest > 0:
+            return []
+        begin = np.interp(np.linspace(0.0, furthest, FIRST + 1)[1:], span * knots, span * speeds[best])
+        return [self._shaped(furthest, float(pull[best]), begin)]
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Of a law that has its shape, what it begins with."""
+        return [self.begin] if self.begin else []
+
+    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
+        """A speed more in each stretch of the table."""
+        count = 2 * (len(self.parameters) - 1)
+        if count > MOST:
+            return []
+        knots = np.linspace(0.0, self.furthest, count + 1)[1:]
+        return [self._shaped(self.furthest, values["stiffness"], np.interp(knots, self.knots, self._speeds(values)))]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A table for the loader, which keeps the stretch in mind."""
+        document.remembering(ENTRY, at, [values["stiffness"], self.furthest, *self._speeds(values)])
+
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
+        """How fast it gives way, by stretch."""
+        slide = "rad" if unit["stiffness"].startswith("N m") else "m"
+        inputs = [{"name": "stretch", "unit": slide, "knots": self.knots.tolist()}]
+        return described("speed of creep", inputs, self._speeds(values).tolist(), f"{slide}/s", passive=True)
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        speeds, slide = self._speeds(values), "rad" if unit["stiffness"].startswith("N m") else "m"
+        half = len(speeds) // 2
+        return (
+            f"A spring of {values['stiffness']:.3g} {unit['stiffness']} at {at} creeps by a law of its own: stretched "
+            f"by {self.knots[half]:.3g} {slide} it gives way at {speeds[half]:.3g} {slide}/s, by {self.furthest:.3g} "
+            f"{slide} at {speeds[-1]:.3g}."
+        )
+
+    def _shaped(self, furthest: float, stiffness: float, speeds: Array) -> tuple[Effect, Values]:
+        faster = np.maximum(np.diff(speeds, prepend=0.0), LEAST * speeds.max())
+        begin = {"stiffness": stiffness, **{_faster(k): float(v) for k, v in enumerate(faster)}}
+        return type(self)(furthest, begin), begin
+
+    def _speeds(self, values: Values) -> Array:
+        return np.cumsum([0.0, *(values[p.name] for p in self.parameters[1:])])
+
+
+def _told(pulls: Array, beside: Array, force: Array) -> tuple[Array, Array]:
+    """Weight (k,) of each pull (k, n) in a force (n,), alone beside regressors (n, m), and what each leaves, (k,)."""
+    free, _ = np.linalg.qr(beside)
+    rest = force - free @ (free.T @ force)
+    own = pulls - (pulls @ free) @ free.T
+    size = np.maximum(np.sum(own**2, axis=1), 1e-300)
+    weight = own @ rest / size
+    return weight, np.sum(rest**2) - weight**2 * size
+
+
+def _faster(k: int) -> str:
+    return f"faster_{k + 1}"
