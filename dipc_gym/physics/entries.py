@@ -33,7 +33,7 @@ HEAD = 16  # numbers of an entry that say more than one level of a table
 _TABLES = frozenset({"motor.map", "sensor.map"})
 _EVEN = frozenset({"friction.position", "friction.time"})  # tables of equal distances between two ends
 _PLACED = (formulas.friction_along, formulas.friction_over_time, formulas.friction_wave, formulas.friction_rested)
-CREEPING, RESTING = "load.creeping", "friction.resting"
+CREEPING, RESTING, HYSTERESIS = "load.creeping", "friction.resting", "friction.hysteresis"
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
 
 _rules: dict[str, tuple[Stage, Rule]] = {
@@ -52,9 +52,14 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     "disturbance.pulse": ("force", formulas.pulse_force),
     CREEPING: ("force", formulas.creeping_force),
     RESTING: ("friction", formulas.friction_rested),
+    HYSTERESIS: ("force", formulas.hysteresis_force),
     RESIDUAL: ("force", formulas.force_of),
 }
-_memories: dict[str, Rule] = {CREEPING: formulas.creeping, RESTING: formulas.resting}
+_memories: dict[str, Rule] = {
+    CREEPING: formulas.creeping,
+    RESTING: formulas.resting,
+    HYSTERESIS: formulas.bending,
+}
 
 
 def register(effect: str, stage: Stage, rule: Rule, memory: Rule | None = None) -> None:
@@ -233,6 +238,9 @@ def usable(extra: Extra) -> bool:
         return _is_surface(extra)
     if extra.effect == CREEPING:  # one that pushes, or stretches of its own, would drive its joint for ever
         return len(numbers) >= FEWEST_EVEN and bool(np.all(numbers >= 0)) and bool(numbers[1] > CLOSEST)
+    if extra.effect == HYSTERESIS:  # a loop that is stiffer loading than unloading would give energy away
+        falls = len(numbers) >= FEWEST_EVEN and bool(np.all(np.diff(numbers[1:]) <= 0))
+        return falls and bool(numbers[0] > CLOSEST) and numbers[-1] == 0
     if extra.effect == RESTING:
         return len(numbers) == 4 and bool(np.all(numbers[2:] > CLOSEST))
     # At its own numbers as positions a wave of no length shows itself.

@@ -171,14 +171,33 @@ def creeping(data: Array, now: Moment) -> Array:
     return now.speed - np.where(now.memory < 0, -gives, gives)
 
 
+def hysteresis_force(data: Array, now: Moment) -> Array:
+    """Friction with memory, the force that it remembers; data: bound, then stiffnesses at equal forces.
+
+    The first is where all of the force goes along the motion, the last, which is 0, where all goes against it.
+    """
+    return -now.memory + 0.0 * data[..., 0]
+
+
+def bending(data: Array, now: Moment) -> Array:
+    """How fast friction with memory grows: with the way, by a stiffness that depends on it alone (Duhem's operator)."""
+    along = np.where(now.speed < 0, -now.memory, now.memory)
+    return now.speed * _tabulated(data[..., 1:], 0.5 * (along / data[..., 0] + 1.0))
+
+
 def friction_rested(data: Array, now: Moment) -> Array:
-    """Dry friction level + rise (1 - exp(-rested / time)); data: level, rise, time, and the way that wears it off."""
-    return np.maximum(data[..., 0] + data[..., 1] * (1.0 - np.exp(-now.memory / data[..., 2])), 0.0)
+    """Dry friction level + rise (1 - exp(-rested / time)) (1 - |v| / slow); data: level, rise, time, slow.
+
+    What rest adds is gone from the speed `slow` on, and forgotten within milliseconds of going on faster.
+    """
+    added = data[..., 1] * (1.0 - np.exp(-now.memory / data[..., 2]))
+    return np.maximum(data[..., 0] + added * np.maximum(1.0 - np.abs(now.speed) / data[..., 3], 0.0), 0.0)
 
 
 def resting(data: Array, now: Moment) -> Array:
-    """How fast the time at rest grows: as fast as time, less what motion wears off (Dieterich's law of ageing)."""
-    return 1.0 - now.memory * np.minimum(np.abs(now.speed) / data[..., 3], 1.0 / SOONEST)
+    """How fast the time at rest grows: as fast as time, and back to none where the joint moves."""
+    moves = np.minimum(np.maximum(np.abs(now.speed) / data[..., 3] - 1.0, 0.0), 1.0)
+    return 1.0 - moves * (1.0 + now.memory / SOONEST)
 
 
 def _surface(data: Array, rows: Array, columns: Array, x: Array, y: Array) -> Array:

@@ -68,6 +68,16 @@ def holding_new(parameters: Sequence[Parameter], new: NDArray[np.bool_]) -> tupl
     )
 
 
+def told_alone(pulls: Array, beside: Array, force: Array) -> tuple[Array, Array]:
+    """Weight (k,) of each pull (k, n) in a force (n,), alone beside regressors (n, m), and what each leaves, (k,)."""
+    free, _ = np.linalg.qr(beside)
+    rest = force - free @ (free.T @ force)
+    own = pulls - (pulls @ free) @ free.T
+    size = np.maximum(np.sum(own**2, axis=1), 1e-300)
+    weight = own @ rest / size
+    return weight, np.sum(rest**2) - weight**2 * size
+
+
 def first_levels(evidence: Evidence, more: Array) -> Array:
     """Levels of friction that a law begins with: those that are there, and what forces ask for beside them, (m,)."""
     level = 0.0 if evidence.level is None else evidence.level

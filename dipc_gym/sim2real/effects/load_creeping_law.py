@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import described
+from dipc_gym.sim2real.effects.law import described, told_alone
 from dipc_gym.sim2real.effects.load_creeping import TIMES
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.unseen.operators import recall
@@ -77,7 +77,7 @@ class CreepingSpringOfAnyLaw(Effect):
         parts = [recall(ENTRY, tries, *(of[part] for of in moved)) for part in evidence.runs]
         stretched = np.concatenate(parts, axis=1)
         plain = np.stack([np.ones_like(evidence.force), evidence.velocity, evidence.position], axis=1)
-        pull, left = _told(-stretched, plain, evidence.force)
+        pull, left = told_alone(-stretched, plain, evidence.force)
         if not np.any(pull > 0):
             return []
         best = int(np.argmin(np.where(pull > 0, left, np.inf)))
@@ -126,16 +126,6 @@ class CreepingSpringOfAnyLaw(Effect):
 
     def _speeds(self, values: Values) -> Array:
         return np.cumsum([0.0, *(values[p.name] for p in self.parameters[1:])])
-
-
-def _told(pulls: Array, beside: Array, force: Array) -> tuple[Array, Array]:
-    """Weight (k,) of each pull (k, n) in a force (n,), alone beside regressors (n, m), and what each leaves, (k,)."""
-    free, _ = np.linalg.qr(beside)
-    rest = force - free @ (free.T @ force)
-    own = pulls - (pulls @ free) @ free.T
-    size = np.maximum(np.sum(own**2, axis=1), 1e-300)
-    weight = own @ rest / size
-    return weight, np.sum(rest**2) - weight**2 * size
 
 
 def _faster(k: int) -> str:

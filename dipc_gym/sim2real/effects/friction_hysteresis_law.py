@@ -1,0 +1,127 @@
+"""Friction with memory whose loops have a shape of their own, by a stiffness that falls as the force builds up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.law import described, told_alone
+from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.unseen.operators import recall
+
+Array = NDArray[np.float64]
+
+ENTRY = "friction.hysteresis"  # of <custom>
+WIDTHS = np.geomspace(2e-3, 1.0, 20)  # over which the force builds up, in ranges of the joint's motion
+POWERS = (1.0, 2.0)  # with which the stiffness falls from where the motion turned round, at first
+FIRST, MOST = 8, 16  # stretches between the knots of the law
+LEAST = 1e-3  # of the largest stiffness, by which it falls at least from one knot to the next, at first
+
+
+class HysteresisOfAnyLaw(Effect):
+    """Friction whose force grows with the way, by a stiffness that is any falling function of that force.
+
+    Duhem's operator. Dahl's friction (1968) and that of Bouc and Wen (1976) are such, with formulas; Maxwell-slip
+    elements are not: their loops close, and these drift. A stiffness that falls makes every loop take energy.
+
+    Parameters say by how much the stiffness falls in each stretch of the table, from all of the force along the motion
+    to all of it against it, where none is left.
+
+    Args:
+        begin: first guess of the bound, and of these falls.
+    """
+
+    id = "friction.hysteresis:law"
+    place = "joint"
+    law = "hysteresis"
+    free = True
+    needs_loader = True
+    rivals = ("friction.stribeck", "friction.coulomb", "load.position:law", "load.swinging")
+    contains = ("friction.hysteresis",)
+
+    def __init__(self, begin: Values | None = None) -> None:
+        self.begin = dict(begin or {})
+        falls = [value for name, value in self.begin.items() if name != "bound"]
+        step, sigma = LAWS.step * (sum(falls) or 1.0), LAWS.loose / LAWS.step
+        self.parameters = (
+            Parameter("bound", "N", 1e-9, log=True),
+            *(Parameter(_fall(k), "N/m", 0.0, step=step, sigma=sigma) for k in range(len(falls))),
+        )
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """The law of Bouc and Wen, with the width and the power that give most of the unexplained force."""
+        span = float(np.ptp(evidence.position))
+        if not span > 0:
+            return []
+        along = np.linspace(-1.0, 1.0, FIRST + 1)
+        shapes = [1.0 - np.maximum(along, 0.0) ** power for power in POWERS]
+        tries = np.array([[1.0, *(shape / (width * span))] for shape in shapes for width in WIDTHS])
+        moved = evidence.time, evidence.position, evidence.velocity
+        parts = [recall(ENTRY, tries, *(of[part] for of in moved)) for part in evidence.runs]
+        plain = np.stack([np.ones_like(evidence.force), evidence.velocity, evidence.direction], axis=1)
+        bound, left = told_alone(-np.concatenate(parts, axis=1), plain, evidence.force)
+        if not np.any(bound > 0):
+            return []
+        best = int(np.argmin(np.where(bound > 0, left, np.inf)))
+        return [self._shaped(float(bound[best]), bound[best] * tries[best, 1:])]
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Of a law that has its shape, what it begins with."""
+        return [self.begin] if self.begin else []
+
+    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
+        """A knot more in each stretch of the table."""
+        old = self._stiffness(values)
+        count = 2 * (len(old) - 1)
+        if count > MOST:
+            return []
+        knots = np.linspace(0.0, 1.0, count + 1)
+        return [self._shaped(values["bound"], np.interp(knots, knots[::2], old))]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A table for the loader, which keeps the force in mind."""
+        document.remembering(ENTRY, at, [values["bound"], *self._stiffness(values)])
+
+    def curve(self, values: Values) -> tuple[Array, Array]:
+        """The way from rest, and the force that has built up there."""
+        bound, stiffness = values["bound"], self._stiffness(values)
+        force = np.linspace(0.0, 0.99, 33) * bound
+        soft = np.interp(force, np.linspace(-bound, bound, len(stiffness)), stiffness)
+        compliance = 1.0 / np.maximum(soft, 1e-3 * stiffness.max())
+        way = np.append(0.0, np.cumsum(np.diff(force) * 0.5 * (compliance[1:] + compliance[:-1])))
+        return way, force
+
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
+        """The curve along which the force builds up from rest."""
+        way, force = self.curve(values)
+        slide = "rad" if unit["bound"].startswith("N m") else "m"
+        inputs = [{"name": "distance from rest", "unit": slide, "knots": way.tolist()}]
+        return described("friction with memory", inputs, force.tolist(), unit["bound"], passive=True)
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        way, force = self.curve(values)
+        half = float(np.interp(values["bound"] / 2, force, way))
+        slide = "rad" if unit["bound"].startswith("N m") else "m"
+        return (
+            f"Friction with memory (Duhem) at {at}: up to {values['bound']:.3g} {unit['bound']} that builds up from "
+            f"where the motion turned round, from rest half of it within {half:.3g} {slide}."
+        )
+
+    def _shaped(self, bound: float, stiffness: Array) -> tuple[Effect, Values]:
+        falls = np.maximum(-np.diff(stiffness), LEAST * stiffness.max())
+        begin = {"bound": bound, **{_fall(k): float(fall) for k, fall in enumerate(falls)}}
+        return type(self)(begin), begin
+
+    def _stiffness(self, values: Values) -> Array:
+        falls = np.array([values[p.name] for p in self.parameters[1:]])
+        return np.append(np.cumsum(falls[::-1])[::-1], 0.0)
+
+
+def _fall(k: int) -> str:
+    return f"fall_{k + 1}"
