@@ -319,7 +319,7 @@ def test_every_effect_shows_at_its_largest_and_keeps_the_balance_of_units(name):
 def test_catalogue_covers_every_id():
     ids = {e.name for make in rigs.RIGS.values() for e in catalogue.effects(make(np.random.default_rng(0)))}
     families = {
-        "friction": "coulomb stribeck viscous asymmetric position load",
+        "friction": "coulomb stribeck viscous asymmetric position load resting",
         "drag": "quadratic",
         "load": "constant tilt spring position swinging creeping",
         "inertia": "mass",

@@ -284,6 +284,7 @@ def _motor(rig: Rig) -> list[Effect]:
             fixed=((index("slosh_mass"), 0.15 * own), (index("m0"), -0.15 * own)),
         ),
         creeping(rig),
+        resting(rig),
     ]
     return found
 
@@ -306,23 +307,31 @@ def warming(rig: Rig) -> Effect:
     return Effect("friction.time", rig.joints[0], (grows, takes, level), kind=kind, alike=("friction.time",))
 
 
+def resting(rig: Rig, *more: Parameter, kind: str = "") -> Effect:
+    """Dry friction that grows with the time at rest, at the driven joint."""
+    force, (n, _) = rig.force[0], _units(rig, 0)
+    rise = Parameter("rise", n, index("dwell"), 0.1 * force, 0.5 * force)
+    takes = Parameter("time", "s", index("dwell_time"), 0.03, 0.4)
+    level = Parameter("level", n, index("coulomb", 0), 0.05 * force, 0.25 * force)
+    name, part = "friction.resting", ("friction.coulomb", "friction.stribeck")
+    alike = (name,) if more else ()
+    return Effect(name, rig.joints[0], (rise, takes, level, *more), includes=part, kind=kind, alike=alike)
+
+
 def unknowns(rig: Rig) -> list[Effect]:
     """Physics that is in no catalogue, at the driven joint."""
     at = rig.joints[0]
-    force, (n, _) = rig.force[0], _units(rig, 0)
-    level = Parameter("level", n, index("coulomb", 0), 0.05 * force, 0.25 * force)
-    part = ("friction.coulomb",)
+    force, speed, (n, m) = rig.force[0], rig.speed[0], _units(rig, 0)
     found = [
         Effect(
             "unknown",
             at,
             (
-                Parameter("dwell", n, index("dwell"), 0.1 * force, 0.5 * force),
-                Parameter("dwell_time", "s", index("dwell_time"), 0.03, 0.4),
-                level,
+                Parameter("thin", f"{n} s/{m}", index("thin"), 0.2 * force / speed, 1.5 * force / speed),
+                Parameter("thin_time", "s", index("thin_time"), 0.1, 2.0),
+                Parameter("thin_shear", f"{m}/s", index("thin_shear"), 0.1 * speed, 0.6 * speed),
             ),
-            includes=(*part, "friction.stribeck"),
-            kind="breakaway force that grows with the time at rest",
+            kind="drag that thins with motion",
         ),
         Effect(
             "unknown",

@@ -10,13 +10,15 @@ GLOBAL = (
     "cog_size", "cog_wave", "cog_phase",
     "heat_coefficient", "heat_resistance", "heat_time", "delay",
     "rotor", "gap", "stiffness", "shaft_damping",  # transmission
-    "drift", "drift_time", "dwell", "dwell_time",  # in no catalogue
+    "drift", "drift_time",
+    "dwell", "dwell_time", "dwell_power",  # friction that grows at rest, of its own shape if of a power
     "slosh_mass", "slosh_rate", "slosh_damping", "slosh_length",  # a load that swings, like a pendulum if of a length
     "creep_stiffness", "creep_time", "creep_width",  # a spring that gives way, the sooner the farther if of a width
     "leak", "encoder_size", "encoder_wave", "encoder_phase",
     "law", "bump1", "centre1", "width1", "bump2", "centre2", "width2", "bump3", "centre3", "width3",  # of any shape
     "fall", "fall_speed", "fall_power", "rise", "rise_speed", "rise_power",
     "hysteresis", "hysteresis_width", "hysteresis_power",
+    "thin", "thin_time", "thin_shear",  # drag that thins with motion; in no catalogue
 )  # fmt: skip
 
 JOINT = (

@@ -118,6 +118,7 @@ RIVALS: dict[str, tuple[str, ...]] = {
     "friction.asymmetric": ("friction.coulomb", "load.constant"),
     "friction.position": ("friction.coulomb",),
     "friction.load": ("friction.coulomb",),
+    "friction.resting": ("friction.coulomb", "friction.stribeck"),
     "load.constant": ("load.tilt", "sensor.bias"),
     "load.tilt": ("load.constant", "sensor.bias"),
     "load.spring": ("load.position", "motor.cogging"),

@@ -23,11 +23,11 @@ from dipc_gym.trials.entries import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_J
     KT, KE, RESISTANCE, INDUCTANCE, DEAD, VLIMIT, FLIMIT, COG_SIZE, COG_WAVE, COG_PHASE,
     HEAT_COEFFICIENT, HEAT_RESISTANCE, HEAT_TIME, DELAY,
     ROTOR, GAP, STIFFNESS, SHAFT_DAMPING,
-    DRIFT, DRIFT_TIME, DWELL, DWELL_TIME, SLOSH_MASS, SLOSH_RATE, SLOSH_DAMPING, SLOSH_LENGTH,
+    DRIFT, DRIFT_TIME, DWELL, DWELL_TIME, DWELL_POWER, SLOSH_MASS, SLOSH_RATE, SLOSH_DAMPING, SLOSH_LENGTH,
     CREEP_STIFFNESS, CREEP_TIME, CREEP_WIDTH, LEAK, ENCODER_SIZE, ENCODER_WAVE, ENCODER_PHASE,
     LAW, BUMP1, CENTRE1, WIDTH1, BUMP2, CENTRE2, WIDTH2, BUMP3, CENTRE3, WIDTH3,
     FALL, FALL_SPEED, FALL_POWER, RISE, RISE_SPEED, RISE_POWER,
-    HYSTERESIS, HYSTERESIS_WIDTH, HYSTERESIS_POWER,
+    HYSTERESIS, HYSTERESIS_WIDTH, HYSTERESIS_POWER, THIN, THIN_TIME, THIN_SHEAR,
 ) = range(len(GLOBAL))  # fmt: skip
 (
     DAMPING, QUADRATIC, COULOMB, ASYMMETRY, EXCESS, STRIBECK_SPEED, BRISTLE, BRISTLE_DAMPING,
@@ -36,9 +36,21 @@ from dipc_gym.trials.entries import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_J
     BIAS, GAIN, LAG, FILTER,
 ) = range(len(JOINT))  # fmt: skip
 # The state: joint positions, joint velocities, rotor angle and speed, current, bristle, winding heat,
-# sloshing mass and its speed, creeping spring, hysteresis.
-V, ROTOR_Q, ROTOR_V, CURRENT, BRISTLE_Z, HEAT, SLOSH_Q, SLOSH_V, CREEP, BENT = 3, 6, 7, 8, 9, 10, 11, 12, 13, 14
-STATE_SIZE = 15  # numbers of a state
+# sloshing mass and its speed, creeping spring, hysteresis, how fast it moved of late.
+V, ROTOR_Q, ROTOR_V, CURRENT, BRISTLE_Z, HEAT, SLOSH_Q, SLOSH_V, CREEP, BENT, SHEARED = (
+    3,
+    6,
+    7,
+    8,
+    9,
+    10,
+    11,
+    12,
+    13,
+    14,
+    15,
+)
+STATE_SIZE = 16  # numbers of a state
 # What a law of any shape is: of the driven joint, but for the last, which acts on the first pole.
 (
     NO_LAW, LEVEL_OF_PLACE, LEVEL_OF_SPEED, FORCE_OF_PLACE, AMPLIFIER, DRAG_OF_PLACE, GAIN_OF_PLACE, PULL_OF_CART,
@@ -198,6 +210,9 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
         share = s[BENT] / p[HYSTERESIS_WIDTH]
         out[BENT] = s[V] - (0.5 * abs(s[V]) * share + 0.5 * s[V] * abs(share)) * abs(share) ** (p[HYSTERESIS_POWER] - 1)
         rhs[0] -= p[HYSTERESIS] * share
+    if p[THIN] > 0.0:
+        out[SHEARED] = (abs(s[V]) - s[SHEARED]) / p[THIN_TIME]
+        rhs[0] -= p[THIN] * np.exp(-s[SHEARED] / p[THIN_SHEAR]) * s[V]
     if p[LAW] == FORCE_OF_PLACE:
         rhs[0] += _bumps(p, s[0])
     elif p[LAW] == DRAG_OF_PLACE:
@@ -301,7 +316,10 @@ def _break_away(time, s, u, p, n, mode, rested, k1, hold, mass, rhs):  # type: i
                 direction = -1 if hold[j] > 0.0 else 1
                 limit = _level(p, j, s[j], 0.0, direction, time, drive)
                 if j == 0 and p[DWELL] > 0.0:
-                    limit += p[DWELL] * (1.0 - np.exp(-rested[0] / p[DWELL_TIME]))
+                    aged = rested[0] / p[DWELL_TIME]
+                    if p[DWELL_POWER] > 0.0:
+                        aged = aged ** p[DWELL_POWER]
+                    limit += p[DWELL] * (1.0 - np.exp(-aged))
                 if abs(hold[j]) - limit > excess:
                     worst, excess, towards = j, abs(hold[j]) - limit, direction
         if worst < 0:

@@ -16,13 +16,13 @@ from dipc_gym.trials.hidden import RIVALS, SETS, Effect, Hidden, draw
 from dipc_gym.trials.prediction import ONES, WINDOW, Recording, Windows, fit, predict, record, rms, standard_parameters
 from dipc_gym.trials.rigs import SAMPLE_TIME, SAMPLES, Array, Rig, excitation
 
-LEVELS = ("friction.coulomb", "friction.stribeck", "friction.asymmetric", "friction.position")
+LEVELS = ("friction.coulomb", "friction.stribeck", "friction.asymmetric", "friction.position", "friction.resting")
 USUAL = ("friction.coulomb", "drag.quadratic", "load.constant")
 """What is hidden beside a law; viscous friction is a parameter that models have already."""
 WITHIN = (
     ("friction.speed", ("friction.coulomb", "drag.quadratic")),
     ("friction", ("friction.coulomb",)),
-    ("breakaway", ("friction.coulomb",)),
+    ("dry friction", ("friction.coulomb",)),
     ("hysteresis", ("friction.coulomb",)),
     ("drag", ("drag.quadratic",)),
     ("load", ("load.constant",)),

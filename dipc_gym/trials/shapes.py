@@ -8,7 +8,7 @@ on straight springs, its creeping springs creep in proportion: none of these can
 from __future__ import annotations
 
 from dipc_gym.trials import integrator
-from dipc_gym.trials.catalogue import creeping, unknowns, warming
+from dipc_gym.trials.catalogue import creeping, resting, unknowns, warming
 from dipc_gym.trials.entries import index
 from dipc_gym.trials.hidden import Effect, Parameter
 from dipc_gym.trials.rigs import Rig
@@ -94,6 +94,11 @@ def named(rig: Rig) -> list[Effect]:
             kind="spring that creeps the faster the more it is bent",
         ),
         warming(rig),
+        resting(
+            rig,
+            Parameter("dwell_power", "", index("dwell_power"), 0.35, 0.8),
+            kind="dry friction that grows at rest, fast at first and for long",
+        ),
         _law(
             "sensor.map",
             at,
@@ -131,7 +136,7 @@ def nameless(rig: Rig) -> list[Effect]:
     ]
     if rig.name == "motor_axis":  # goes round and round
         found = []
-    found += [other for other in unknowns(rig) if other.kind.startswith("breakaway")]
+    found += [other for other in unknowns(rig) if other.kind.startswith("drag")]
     if rig.count > 1:
         pull = rig.force[1]
         found.append(
