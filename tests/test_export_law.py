@@ -23,9 +23,11 @@ from dipc_gym.physics import formulas
 from dipc_gym.sim2real import result
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
+from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
+from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
@@ -49,8 +51,10 @@ def surface() -> UnknownForce:
 FOUND = {
     "friction.position@cart": FrictionOfPosition([-0.2, -0.05, 0.0, 0.3], [2.0, 1.5, 6.0, 2.5]),
     "friction.hysteresis@cart": Hysteresis([0.001, 0.004], [2.0, 1.0]),
+    "friction.hysteresis@pole1": HysteresisOfAnyLaw({"bound": 2.0, "fall_1": 1e2, "fall_2": 4e2}),
     "friction.speed@cart": FrictionOfSpeed([0.0, 0.02, 0.4], [3.0, 2.0, 2.6]),
     "friction.time@cart": FrictionOfTime([0.0, 8.0, 40.0], [4.5, 2.5, 2.0]),
+    "load.creeping@cart": CreepingSpringOfAnyLaw(0.05, {"stiffness": 40.0, "faster_1": 0.02, "faster_2": 0.08}),
     "load.position@cart": ForceOfPosition([-0.2, 0.2], [1.0, -1.0]),
     "motor.map@motor": CommandMap([-10.0, 0.0, 10.0], [-7.0, 0.5, 9.0]),
     "sensor.map@cart": ScaleMap([-0.2, 0.0, 0.1, 0.3], [-0.21, 0.02, 0.1, 0.26]),

@@ -206,7 +206,7 @@ def _call(
         table[at] = array.ctypes.data
     function = _function(program.tree, bool(tangents))
     count = rows.shape[0] * rows.shape[1]
-    workers = min(threads or os.cpu_count() or 1, max(1, count // 4))
+    workers = min(cores(threads), max(1, count // 4))
     # Rows differ in what they cost; small shares even that out.
     borders = np.linspace(0, count, (4 * workers if workers > 1 else 1) + 1).astype(int)
     shares = list(zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True))
@@ -214,6 +214,16 @@ def _call(
     list(each(lambda share: function(table, *share), shares))
     if jobs.limits and left.any():
         raise Uncovered("a joint that meets its limit")
+
+
+def cores(threads: int) -> int:
+    """How many cores what was given `threads`, 0 for all, may use: of all those that this process may.
+
+    Example:
+        >>> cores(3)
+        3
+    """
+    return threads or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 
 @functools.lru_cache(maxsize=4)

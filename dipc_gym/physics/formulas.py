@@ -172,11 +172,11 @@ def creeping(data: Array, now: Moment) -> Array:
 
 
 def hysteresis_force(data: Array, now: Moment) -> Array:
-    """Friction with memory, the force that it remembers; data: bound, then stiffnesses at equal forces.
+    """Friction with memory, the force that it remembers within a bound; data: bound, then stiffnesses at equal forces.
 
     The first is where all of the force goes along the motion, the last, which is 0, where all goes against it.
     """
-    return -now.memory + 0.0 * data[..., 0]
+    return -np.minimum(np.maximum(now.memory, -data[..., 0]), data[..., 0])
 
 
 def bending(data: Array, now: Moment) -> Array:

@@ -19,7 +19,7 @@ from dipc_gym.engine.ensemble import WIDTH, require
 from dipc_gym.engine.layout import JOINTS, Head
 from dipc_gym.engine.motion import FOLLOWED
 from dipc_gym.engine.program import Program
-from dipc_gym.engine.run import pool
+from dipc_gym.engine.run import cores, pool
 from dipc_gym.plant import Plant
 from dipc_gym.rigs.batch import free_at_rest
 from dipc_gym.rigs.code import CHUNK, At, Flag, Kept, Own, Places, Run, Term, write
@@ -51,7 +51,7 @@ class CompiledRigs:
         self._past, self._command, self._cart = places.past, places.command, places.speeds[0]
         self._text = write(self._program.tree, tuple(self._program.codes.tolist()), places)
         groups = -(-n // WIDTH)
-        self._threads = min(threads or os.cpu_count() or 1, -(-groups // CHUNK))
+        self._threads = min(cores(threads), -(-groups // CHUNK))
         try:
             check(self._program, parameters, rig.physics, self._rates)
         except Uncovered as reason:

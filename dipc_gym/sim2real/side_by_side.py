@@ -21,6 +21,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from dipc_gym.engine import run
 from dipc_gym.safety.interrupts import held_back
 
 T = TypeVar("T")
@@ -34,15 +35,8 @@ _one_of_many = False  # in a fork: its siblings have the other cores
 
 
 def cores(threads: int) -> int:
-    """How many cores a computation that was given `threads`, 0 for all, may use in this process.
-
-    Example:
-        >>> cores(3)
-        3
-    """
-    if _one_of_many:
-        return 1
-    return threads or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    """How many tasks may run side by side: as many as there are cores, and one within one of many."""
+    return 1 if _one_of_many else run.cores(threads)
 
 
 @contextmanager

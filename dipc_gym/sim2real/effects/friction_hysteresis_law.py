@@ -33,7 +33,7 @@ class HysteresisOfAnyLaw(Effect):
     to all of it against it, where none is left.
 
     Args:
-        begin: first guess of the bound, and of these falls.
+        first: guess of the bound, and of these falls.
     """
 
     id = "friction.hysteresis:law"
@@ -44,9 +44,9 @@ class HysteresisOfAnyLaw(Effect):
     rivals = ("friction.stribeck", "friction.coulomb", "load.position:law", "load.swinging")
     contains = ("friction.hysteresis",)
 
-    def __init__(self, begin: Values | None = None) -> None:
-        self.begin = dict(begin or {})
-        falls = [value for name, value in self.begin.items() if name != "bound"]
+    def __init__(self, first: Values | None = None) -> None:
+        self.first = dict(first or {})
+        falls = [value for name, value in self.first.items() if name != "bound"]
         step, sigma = LAWS.step * (sum(falls) or 1.0), LAWS.loose / LAWS.step
         self.parameters = (
             Parameter("bound", "N", 1e-9, log=True),
@@ -72,7 +72,7 @@ class HysteresisOfAnyLaw(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, what it begins with."""
-        return [self.begin] if self.begin else []
+        return [self.first] if self.first else []
 
     def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
         """A knot more in each stretch of the table."""

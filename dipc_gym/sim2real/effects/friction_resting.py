@@ -12,10 +12,12 @@ from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, 
 
 Array = NDArray[np.float64]
 
-TIMES = np.geomspace(0.01, 3.0, 24)  # s, tried against how rests ended
+TRIED = np.geomspace(0.01, 3.0, 24)  # s, tried against how rests ended
+TIMES, RISES = (0.05, 0.2, 0.8), (0.5, 1.5)  # s and levels, simulated as well
 STILL = 0.02  # of the usual speed, below which a joint seems to rest
 LAST = 4  # samples before and after the end of a rest, among which what broke it is found: forces are known smoothed
 LEAST = 0.1  # of the level in motion, by which it grows at first
+SHORTEST = 0.02  # s, that a rest lasts: a joint that turns round is as slow for a moment
 FEWEST = 3  # rests that tell anything
 SLOW = 1e-3  # of the usual speed, up to which a joint rests: less than encoders tell from rest
 
@@ -44,19 +46,22 @@ class Resting(Effect):
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The level from the force that opposes motion; how that grows, from how long rests were and what ended them.
 
-        Forces are known smoothed, so that what ended a rest was larger: the rise that they tell, and twice as much.
+        Forces are known smoothed, so that what ended a rest was larger: the rise that they tell, and twice as much; and
+        others, for when a joint breaks away shows in a simulation and hardly in a force.
         """
         level, slow = evidence.dry_level, SLOW * evidence.speed_scale
         rested, broke = _rests(evidence)
         if len(rested) < FEWEST:
             return []
         more, found = broke - level, list[tuple[float, float, float]]()
-        for time in TIMES:
+        for time in TRIED:
             grown = 1.0 - np.exp(-rested / time)
             rise = max(float(grown @ more / (grown @ grown)), LEAST * level)
             found.append((float(np.sum((more - rise * grown) ** 2)), float(time), rise))
         _, time, rise = min(found)
-        return [{"level": level, "rise": times * rise, "time": time, "slow": slow} for times in (1.0, 2.0)]
+        likely = [(time, rise), (time, 2.0 * rise)]
+        others = [(time, share * level) for time in TIMES for share in RISES]
+        return [{"level": level, "rise": rise, "time": time, "slow": slow} for time, rise in likely + others]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The law for the loader, which keeps the time at rest in mind; the level in motion for stock MuJoCo."""
@@ -81,7 +86,7 @@ def _rests(evidence: Evidence) -> tuple[Array, Array]:
         turns = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0))
         time, force = evidence.time[run], np.abs(evidence.force[run])
         for first, end in turns.reshape(-1, 2):
-            if end < len(run):
+            if end < len(run) and time[end] - time[first] > SHORTEST:
                 around = force[max(first, end - LAST) : end + LAST]
                 found.append((time[end] - time[first], float(around.max())))
     return np.array([one for one, _ in found]), np.array([one for _, one in found])

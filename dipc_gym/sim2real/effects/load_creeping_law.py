@@ -35,7 +35,7 @@ class CreepingSpringOfAnyLaw(Effect):
 
     Args:
         furthest: stretch that the table goes up to, m or rad; none in the catalogue.
-        begin: first guess of the stiffness, and of these speeds.
+        first: guess of the stiffness, and of these speeds.
     """
 
     id = "load.creeping:law"
@@ -47,10 +47,10 @@ class CreepingSpringOfAnyLaw(Effect):
     rivals = ("friction.hysteresis", "load.swinging", "residual.force")
     contains = ("load.creeping",)
 
-    def __init__(self, furthest: float = 1.0, begin: Values | None = None) -> None:
-        self.furthest, self.begin = furthest, dict(begin or {})
-        count = max(len(self.begin) - 1, 0)
-        size = sum(value for name, value in self.begin.items() if name != "stiffness") or 1.0
+    def __init__(self, furthest: float = 1.0, first: Values | None = None) -> None:
+        self.furthest, self.first = furthest, dict(first or {})
+        count = max(len(self.first) - 1, 0)
+        size = sum(value for name, value in self.first.items() if name != "stiffness") or 1.0
         fastest = furthest / SHORTEST
         self.parameters = (
             Parameter("stiffness", "N/m", 1e-9, log=True),
@@ -89,7 +89,7 @@ class CreepingSpringOfAnyLaw(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, what it begins with."""
-        return [self.begin] if self.begin else []
+        return [self.first] if self.first else []
 
     def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
         """A speed more in each stretch of the table."""

@@ -252,8 +252,10 @@ def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[
         return None
     keys = {f"{term.key}.{p.name}" for p in term.effect.parameters if not p.fixed}
     own = [i for i, slot in enumerate(final.structure.slots) if slot.key in keys]
-    shape = np.shape(law["table"]["levels"])
-    if len(own) == math.prod(shape) and np.isfinite(wide[own]).all():
+    levels = np.array(law["table"]["levels"])
+    shape, values = levels.shape, [final.structure.slots[i].value(final.z[i]) for i in own]
+    parameters = len(own) == levels.size and np.allclose(values, levels.ravel())
+    if parameters and np.isfinite(wide[own]).all():
         ends = [[final.structure.slots[i].value(final.z[i] + sign * wide[i]) for i in own] for sign in (-1, 1)]
         for name, end in zip(("low", "high"), np.sort(ends, axis=0), strict=True):
             law["table"][name] = np.reshape(end, shape).tolist()
