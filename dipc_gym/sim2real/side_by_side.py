@@ -11,7 +11,6 @@ from __future__ import annotations
 import ctypes
 import io
 import multiprocessing
-import os
 import pickle
 import signal
 import sys
