@@ -34,6 +34,7 @@ from dipc_gym.sim2real.effects.sensor_map import ScaleMap
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct
+from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 
 GCC = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -59,6 +60,7 @@ FOUND = {
     "motor.map@motor": CommandMap([-10.0, 0.0, 10.0], [-7.0, 0.5, 9.0]),
     "sensor.map@cart": ScaleMap([-0.2, 0.0, 0.1, 0.3], [-0.21, 0.02, 0.1, 0.26]),
     "unknown@cart": surface(),
+    "unknown@pole2": UnknownRecent([0.0, 0.4], [-1.0, -0.2], ("velocity pole2",) * 2, 3.0, 3.0, ("rad/s",) * 2, 0.5),
     "unknown@pole1": UnknownProduct(
         [-0.2, 0.0, 0.3], [1.0, -0.5, 0.2], ("position cart", "command motor"), 24.0, 3.0, ("m", "")
     ),

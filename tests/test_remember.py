@@ -24,6 +24,7 @@ from dipc_gym.physics import entries
 from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
+from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
@@ -178,6 +179,28 @@ def test_a_diagnosis_finds_it_and_the_file_holds_it(effect: str, tmp_path: Path)
     (extra,) = physics.load(found.improved).remembering
     assert extra.effect == effect
     assert found.to_dict()["needs_dipc_gym"]
+
+
+@pytest.mark.parametrize("name", ["velocity cart", "command motor"])
+def test_what_has_no_name_may_depend_on_what_was_of_late(name: str) -> None:
+    """A mean of the size of a velocity or a command, which fades: a step of it is reached by an exponential."""
+    law = UnknownRecent([0.0, 0.2, 0.6], [-1.0, -2.0, -4.0], (name, name), 1.0, 2.0, ("m/s", "m/s"), 0.5)
+    document = Document(mjcf.from_text(CART))
+    law.edit(document, "cart", law.guess)
+    rig = physics.load(document.text())
+    what, numbers = program.read([rig])
+    assert check(what, numbers[0], rig)
+    time = np.linspace(0.0, 2.0, 1001)
+    zero = 0 * time
+    (mean,) = recall(physics.RECENT, np.array([[0.5]]), time, zero, zero, zero - 3.0)
+    np.testing.assert_allclose(mean, 3.0 * (1 - np.exp(-time / 0.5)), atol=1e-6)
+
+
+def test_a_force_of_what_was_of_late_names_one_input() -> None:
+    table = "0.5 2 2 2 0 1 -1 1 1 -1 2 -2"
+    entry = f'<custom><numeric name="dipc_gym:residual.recent:cart" data="{table}"/></custom><size nuserdata="1"/>'
+    with pytest.raises(mjcf.MjcfError, match="out of range"):
+        physics.load(CART.replace("</mujoco>", f"{entry}</mujoco>"))
 
 
 def test_what_is_remembered_goes_along_with_the_state() -> None:

@@ -25,7 +25,9 @@ Array = NDArray[np.float64]
 FINEST = SOONEST / 4  # s: Runge-Kutta follows what fades in SOONEST closely, and up to ten times faster safely
 
 
-def remembered(rate: Says, numbers: Array, time: Array, position: Array, velocity: Array) -> Array:
+def remembered(
+    rate: Says, numbers: Array, time: Array, position: Array, velocity: Array, follows: Array | None = None
+) -> Array:
     """What a law remembers at each sample of a motion; it begins at 0.
 
     Args:
@@ -34,6 +36,7 @@ def remembered(rate: Says, numbers: Array, time: Array, position: Array, velocit
         time: s, increasing, (n,).
         position: of its joint, m or rad, (n,).
         velocity: m/s or rad/s, (n,).
+        follows: what else it depends on, (n,).
 
     Returns:
         (variants, n).
@@ -47,7 +50,8 @@ def remembered(rate: Says, numbers: Array, time: Array, position: Array, velocit
         1.0
     """
     out = np.zeros((len(numbers), len(time)))
-    arrays = [np.ascontiguousarray(one, dtype=float) for one in (numbers, time, position, velocity)]
+    given = (numbers, time, position, velocity, np.zeros(len(time)) if follows is None else follows)
+    arrays = [np.ascontiguousarray(one, dtype=float) for one in given]
     _function(rate)(*(one.ctypes.data for one in (*arrays, out)), *numbers.shape, len(time))
     return out
 
@@ -55,20 +59,20 @@ def remembered(rate: Says, numbers: Array, time: Array, position: Array, velocit
 @functools.lru_cache(maxsize=64)
 def _function(rate: Says) -> Any:
     module = ir.Module("remember")
-    code = Code(module, "remember", [POINTER] * 5 + [INT] * 3)
-    numbers, time, position, velocity, out = (code.numbers(one) for one in code.function.args[:5])
-    variants, count, n = code.function.args[5:]
+    code = Code(module, "remember", [POINTER] * 6 + [INT] * 3)
+    numbers, *moving, out = (code.numbers(one) for one in code.function.args[:6])
+    variants, count, n = code.function.args[6:]
     with code.count(variants) as variant:
         table = Table(code, numbers.since(code.product(variant, count)), count)
         into = out.since(code.product(variant, n))
         into[0] = 0.0
         with code.count(n, 1) as k:
             before = code.sum(k, -1)
-            track = [(one[before], one[k]) for one in (time, position, velocity)]
+            track = [(one[before], one[k]) for one in moving]
             into[k] = _followed(code, rate, table, track, into[before])
     code.finish()
     library = machine.load([str(module)], ["remember"])
-    kind: Any = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5, *[ctypes.c_int64] * 3)
+    kind: Any = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, *[ctypes.c_int64] * 3)
     function = kind(library.addresses["remember"])
     function.library = library
     return function
@@ -86,11 +90,11 @@ def _followed(code: Code, rate: Says, table: Table, track: list[tuple[Value, Val
         before[0], total[0], slope[0] = state[0], 0.0, 0.0
         for ahead, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
             along = share[0] + ahead * part
-            time, position, speed = (one + along * (other - one) for one, other in track)
+            time, position, speed, follows = (one + along * (other - one) for one, other in track)
             zero: Any = code.value(0.0)
             now: Any = Moment
             memory = before[0] + ahead * part * span * slope[0]
-            moment = now(time=time, position=position, drive=zero, weight=zero, value=zero, speed=speed, memory=memory)
+            moment = now(*(time, position, zero, zero, zero), speed=speed, inputs=(follows, zero), memory=memory)
             slope[0] = rate(table, moment)
             total[0] = total[0] + weight * slope[0]
         state[0] = before[0] + part * span * total[0] / 6.0

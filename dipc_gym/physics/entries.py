@@ -35,6 +35,7 @@ _EVEN = frozenset({"friction.position", "friction.time"})  # tables of equal dis
 _PLACED = (formulas.friction_along, formulas.friction_over_time, formulas.friction_wave, formulas.friction_rested)
 CREEPING, RESTING, HYSTERESIS = "load.creeping", "friction.resting", "friction.hysteresis"
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
+RECENT = "residual.recent"  # the same of what went before
 
 _rules: dict[str, tuple[Stage, Rule]] = {
     "motor.deadzone": ("command", formulas.deadzone),
@@ -54,11 +55,13 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     RESTING: ("friction", formulas.friction_rested),
     HYSTERESIS: ("force", formulas.hysteresis_force),
     RESIDUAL: ("force", formulas.force_of),
+    RECENT: ("force", formulas.force_of_recent),
 }
 _memories: dict[str, Rule] = {
     CREEPING: formulas.creeping,
     RESTING: formulas.resting,
     HYSTERESIS: formulas.bending,
+    RECENT: formulas.recent,
 }
 
 
@@ -235,7 +238,9 @@ def usable(extra: Extra) -> bool:
     if extra.effect in _EVEN:
         return len(numbers) >= FEWEST_EVEN and _increase(numbers[:2])
     if extra.effect == RESIDUAL:
-        return _is_surface(extra)
+        return _is_surface(numbers, len(extra.inputs))
+    if extra.effect == RECENT:  # its table has two inputs: what it remembers of the one that is named, and that one
+        return bool(numbers[0] >= formulas.SOONEST) and len(extra.inputs) == 1 and _is_surface(numbers[1:], 2)
     if extra.effect == CREEPING:  # one that pushes, or stretches of its own, would drive its joint for ever
         return len(numbers) >= FEWEST_EVEN and bool(np.all(numbers >= 0)) and bool(numbers[1] > CLOSEST)
     if extra.effect == HYSTERESIS:  # a loop that is stiffer loading than unloading would give energy away
@@ -260,12 +265,12 @@ def _alike(extra: Extra, x: Array) -> Array:
     return np.stack([everywhere(now), everywhere.grows(now)]) if extra.remembers else everywhere(now)
 
 
-def _is_surface(extra: Extra) -> bool:
-    """Whether the numbers of a residual law are those of one, and what it depends on is said."""
-    head, remainder = extra.data[:3], extra.data[3:]
-    if len(head) < 3 or not 1 <= len(extra.inputs) <= 2 or head[0] <= 0:
+def _is_surface(numbers: Array, inputs: int) -> bool:
+    """Whether numbers are those of a residual law, and what it depends on is said."""
+    head, remainder = numbers[:3], numbers[3:]
+    if len(head) < 3 or not 1 <= inputs <= 2 or head[0] <= 0:
         return False
-    if not (np.all(head[1:] == np.round(head[1:])) and head[1] >= 2 and len(extra.inputs) <= head[2] <= MOST_LEVELS):
+    if not (np.all(head[1:] == np.round(head[1:])) and head[1] >= 2 and inputs <= head[2] <= MOST_LEVELS):
         return False
     m, n = int(head[1]), int(head[2])
     sorted_ = _increase(remainder[:m]) and _increase(remainder[m : m + n])
@@ -274,7 +279,7 @@ def _is_surface(extra: Extra) -> bool:
 
 def _inputs(model: mujoco.MjModel, effect: str, at: str) -> tuple[tuple[str, int], ...]:
     """What a law depends on beyond its place, as `<text>` of `<custom>` names it."""
-    if effect != RESIDUAL:
+    if effect not in (RESIDUAL, RECENT):
         return ()
     texts = mjcf.texts(model)
     joints = {model.joint(j).name: j for j in range(model.njnt)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -198,6 +198,16 @@ def resting(data: Array, now: Moment) -> Array:
     """How fast the time at rest grows: as fast as time, and back to none where the joint moves."""
     moves = np.minimum(np.maximum(np.abs(now.speed) / data[..., 3] - 1.0, 0.0), 1.0)
     return 1.0 - moves * (1.0 + now.memory / SOONEST)
+
+
+def force_of_recent(data: Array, now: Moment) -> Array:
+    """A force over how large one input was of late, and over it itself; data: time constant, then as `force_of`."""
+    return force_of(data[..., 1:], replace(now, inputs=(now.memory, now.inputs[0])))
+
+
+def recent(data: Array, now: Moment) -> Array:
+    """How fast that follows the size of the input: a mean over the past, which fades with the time constant."""
+    return (np.abs(now.inputs[0]) - now.memory) / data[..., 0]
 
 
 def _surface(data: Array, rows: Array, columns: Array, x: Array, y: Array) -> Array:

@@ -67,7 +67,7 @@ class UnknownProduct(Law):
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """The products that take most of the unexplained force, of blocks of time that did not fit them."""
         tried = []
-        for carrier in _carriers(evidence):
+        for carrier in carriers(evidence):
             for position in (name for name in evidence.inputs if name.startswith("position ")):
                 found = self._grown(evidence, position, carrier)
                 if found is not None:
@@ -77,7 +77,20 @@ class UnknownProduct(Law):
 
     def _grown(self, evidence: Evidence, position: str, carrier: str) -> tuple[float, UnknownProduct] | None:
         """What a product leaves of the force, and the product; None where one of its inputs never changes."""
-        x, y = evidence.inputs[position], evidence.inputs[carrier]
+        found = self._over(evidence, evidence.inputs[position], carrier)
+        if found is None:
+            return None
+        left, most, knots, values = found
+        units = (unit_of(evidence.model, position), unit_of(evidence.model, carrier))
+        speed, names = driven_up_to(evidence), (position, carrier)
+        return left, UnknownProduct(knots.tolist(), values.tolist(), names, most, speed, units)
+
+    def _over(self, evidence: Evidence, x: Array, carrier: str) -> tuple[float, float, Array, Array] | None:
+        """A product with a factor of x (n,): what it leaves of the force, the most of the carrier, knots and values.
+
+        None where one of both never changes.
+        """
+        y = evidence.inputs[carrier]
         most = BEYOND * float(np.abs(y).max())
         if not (most > 0 and np.ptp(x) > 0):
             return None
@@ -92,10 +105,7 @@ class UnknownProduct(Law):
         for fitted, told in ((late, ~late), (~late, late)):
             weights = np.linalg.lstsq(columns[fitted], evidence.force[fitted], rcond=None)[0]
             left += float(np.sum((evidence.force[told] - columns[told] @ weights) ** 2))
-        units = (unit_of(evidence.model, position), unit_of(evidence.model, carrier))
-        speed, names = driven_up_to(evidence), (position, carrier)
-        shaped = UnknownProduct(knots.tolist(), values.tolist(), names, most, speed, units)
-        return left, shaped
+        return left, most, knots, values
 
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         shaped = UnknownProduct(knots.tolist(), values.tolist(), self.names, self.most, self.speed, self.units)
@@ -136,8 +146,8 @@ class UnknownProduct(Law):
         )
 
 
-def _carriers(evidence: Evidence) -> list[str]:
-    """The joint's own velocity, and commands to its own motors."""
+def carriers(evidence: Evidence) -> list[str]:
+    """What a product may be in proportion to: the joint's own velocity, and commands to its own motors."""
     found = [f"velocity {evidence.at}"]
     for name in evidence.inputs:
         kind, _, of = name.partition(" ")

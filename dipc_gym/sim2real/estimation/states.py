@@ -266,9 +266,9 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
         time=motion.time, qpos=position, qvel=velocity, ctrl=commands, qfrc_actuator=driven, qfrc_bias=biased
     )
     moments.userdata = np.zeros((n, model.nuserdata))
-    joints = mjcf.base_joints(model)
     for which, law in enumerate(physics.remembering):
-        moments.userdata[:, law.slot] = memories([physics], which, joints.index(law.at), motion, motion.time)[0]
+        kept = memories([physics], which, mjcf.base_joints(model), recording, motion, motion.time)
+        moments.userdata[:, law.slot] = kept[0]
     levels, pushed = np.tile(level, (n, 1)), np.zeros((n, model.nv))
     side_by_side = [replace(x, data=np.broadcast_to(x.data, (n, len(x.data)))) for x in physics.extras]
     replace(physics, extras=tuple(side_by_side)).act(moments, levels, pushed)

@@ -72,5 +72,5 @@ def least(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
 def _from_nothing(term: Term, hold: float) -> Term:
     """A law that is nothing, and held there with this standard deviation, in sizes of the law that it was."""
     law = copy.copy(term.effect)
-    law.parameters = tuple(replace(p, sigma=hold / LAWS.step) for p in law.parameters)
-    return Term(law, term.at, dict.fromkeys(term.guess, 0.0))
+    law.parameters = tuple(replace(p, sigma=hold / LAWS.step) if p.name in law.linear else p for p in law.parameters)
+    return Term(law, term.at, {name: 0.0 if name in law.linear else value for name, value in term.guess.items()})

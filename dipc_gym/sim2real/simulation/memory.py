@@ -82,22 +82,35 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
     return out
 
 
-def memories(variants: Sequence[Physics], which: int, joint: int, motion: Motion, time: Array) -> Array:
+def memories(
+    variants: Sequence[Physics], which: int, base: Sequence[str], recording: Recording, motion: Motion, time: Array
+) -> Array:
     """What a law of `<custom>` remembers, at times within a recording.
 
     Args:
         variants: one model with different parameters.
         which: of the laws that remember.
-        joint: that it acts on, among the base joints.
-        motion: of them.
+        base: names of the base joints; it acts on one of them.
+        recording: its commands may be followed.
+        motion: of the base joints.
         time: s, (n,).
 
     Returns:
         (variants, n).
     """
     laws = [variant.remembering[which] for variant in variants]
+    joint, follows = base.index(laws[0].at), None
+    for kind, k in laws[0].inputs:
+        if kind == "command":
+            held = np.searchsorted(recording.time, motion.time + 1e-9, side="right") - 1
+            follows = variants[0].command(recording.commands)[np.maximum(held, 0), k]
+        else:
+            model = variants[0].model
+            at = [model.joint(name).dofadr[0] if kind == "velocity" else model.joint(name).qposadr[0] for name in base]
+            follows = (motion.velocity if kind == "velocity" else motion.position)[:, at.index(k)]
     numbers, each = np.unique([law.data for law in laws], axis=0, return_inverse=True)
-    along = recall(laws[0].effect, numbers, motion.time, motion.position[:, joint], motion.velocity[:, joint])
+    moved = motion.time, motion.position[:, joint], motion.velocity[:, joint]
+    along = recall(laws[0].effect, numbers, *moved, follows)
     return np.stack([np.interp(time, motion.time, one) for one in along])[each]
 
 
@@ -201,8 +214,8 @@ def begin(
             places.velocity[:, mine, load.at] += faster
     for k, into in enumerate(places.remembered):
         law = variants[0].remembering[k]
-        for mine, _, motion in _passes(windows, f"what {law.effect} of {law.at} remembers"):
-            into[:, mine] = memories(variants, k, base.index(law.at), motion, time[mine])
+        for mine, recording, motion in _passes(windows, f"what {law.effect} of {law.at} remembers"):
+            into[:, mine] = memories(variants, k, base, recording, motion, time[mine])
 
 
 def _passes(windows: Windows, what: str) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion]]:

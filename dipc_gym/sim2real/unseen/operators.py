@@ -86,7 +86,9 @@ def swing(
     return np.stack([np.interp(time, even, place - carried[0]), np.interp(time, even, speed - carried[1])])
 
 
-def recall(effect: str, numbers: Array, time: Array, position: Array, velocity: Array) -> Array:
+def recall(
+    effect: str, numbers: Array, time: Array, position: Array, velocity: Array, follows: Array | None = None
+) -> Array:
     """What a law of `<custom>` remembers along a motion, for several sets of its numbers.
 
     Args:
@@ -95,6 +97,7 @@ def recall(effect: str, numbers: Array, time: Array, position: Array, velocity: 
         time: s, increasing, (n,).
         position: of its joint, m or rad, (n,).
         velocity: m/s or rad/s, (n,).
+        follows: what else it depends on, (n,).
 
     Returns:
         (variants, n); it begins at 0.
@@ -111,7 +114,7 @@ def recall(effect: str, numbers: Array, time: Array, position: Array, velocity: 
     rate = memory_of(effect)
     if rate is None:
         raise KeyError(effect)
-    return remembered(rate, numbers, time, position, velocity)
+    return remembered(rate, numbers, time, position, velocity, follows)
 
 
 def _one_pole(pole: complex, step: float, drive: Array) -> NDArray[np.complex128]:

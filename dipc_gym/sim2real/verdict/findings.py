@@ -268,7 +268,8 @@ def _formula(search: Searched, final: Fit, term: Term) -> Formula | None:
     if not isinstance(effect, Law) or isinstance(effect, Hysteresis):
         return None
     slots, problem = final.structure.slots, search.partition.problem
-    own = [i for i, slot in enumerate(slots) if slot.key.startswith(f"{term.key}.")]
+    values_of = {f"{term.key}.{p.name}" for p in effect.parameters[: len(effect.knots)]}
+    own = [i for i, slot in enumerate(slots) if slot.key in values_of]
     weight = weights(final.mse)
     curvature = final.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, final.quadratics.A), weight)
     scale = np.array([slots[i].scale for i in own])

@@ -1,0 +1,134 @@
+"""What has no name and goes in proportion to a motion or a command, by a factor of how large that was of late."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.physics import RECENT, RESIDUAL
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.law import Array, described, holding_new
+from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.unknown_force import driven_up_to, in_words, unit_of
+from dipc_gym.sim2real.effects.unknown_product import UnknownProduct, carriers
+from dipc_gym.sim2real.unseen.operators import recall
+
+TIMES = np.geomspace(0.05, 10.0, 8)  # s, tried by regression
+
+
+class UnknownRecent(UnknownProduct):
+    """A force in proportion to a velocity or a command, by a factor that is any function of how large that was of late.
+
+    Grease that thins while it is sheared, a supply that sags under what it gave, a drive that tires. What it remembers
+    is a mean over the past that fades with a time constant. It is asked for last and is no name, as `unknown_force` is.
+
+    Args:
+        knots: of the mean over the past.
+        values: of the force there, where what it is in proportion to is as large as `most`.
+        inputs: name of the input, for both.
+        most: of that, in its unit.
+        speed: of the joint, up to which it drives.
+        units: of both.
+        time: s, first guess of the time constant.
+    """
+
+    id = f"{RESIDUAL}:recent"
+
+    def __init__(
+        self,
+        knots: Sequence[float] = (),
+        values: Sequence[float] = (),
+        inputs: tuple[str, str] = ("", ""),
+        most: float = 1.0,
+        speed: float = 1.0,
+        units: tuple[str, str] = ("", ""),
+        time: float = 1.0,
+    ) -> None:
+        super().__init__(knots, values, inputs, most, speed, units)
+        self.time = time
+        if self.knots:
+            pace = Parameter("time_constant", "s", 5e-3, 60.0, log=True, sigma=LAWS.loose / LAWS.step)
+            self.parameters = (*self.parameters, pace)
+
+    def inputs(self, at: str) -> tuple[str, ...]:
+        """What it is in proportion to; of the past of that no window tells."""
+        return self.names[:1]
+
+    def along(self, at: str) -> str:
+        """Nothing that a window tells of."""
+        return ""
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """The input and the time constant that take most of the unexplained force, of blocks that did not fit them."""
+        tried = []
+        for carrier in carriers(evidence):
+            for time, past in zip(TIMES, _recent(evidence, carrier), strict=True):
+                found = self._over(evidence, past, carrier)
+                if found is not None:
+                    left, most, knots, values = found
+                    unit = unit_of(evidence.model, carrier)
+                    shape = (knots.tolist(), values.tolist(), (carrier, carrier), most, driven_up_to(evidence))
+                    tried.append((left, UnknownRecent(*shape, (unit, unit), float(time))))
+        best = min(tried, key=lambda one: one[0], default=None)
+        return [] if best is None else [(best[1], best[1].guess)]
+
+    @property
+    def guess(self) -> dict[str, float]:
+        """First values and time constant, by name."""
+        return {p.name: v for p, v in zip(self.parameters, (*self.first, self.time), strict=True)}
+
+    def values(self, values: Values) -> list[float]:
+        """The values of the table, in the order of its knots."""
+        return [values[p.name] for p in self.parameters[: len(self.knots)]]
+
+    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
+        """A knot more in each stretch, there where the law was."""
+        self.time = values["time_constant"]
+        return super().finer(values, None if told is None else told[: len(self.knots)])
+
+    def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
+        shape = (knots.tolist(), values.tolist(), self.names, self.most, self.speed, self.units, self.time)
+        shaped = UnknownRecent(*shape)
+        shaped.parameters = (*holding_new(shaped.parameters[:-1], new), shaped.parameters[-1])
+        return shaped, shaped.guess
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A table for the loader, which keeps the mean over the past in mind; stock MuJoCo leaves it out."""
+        across, levels = self._surface(values)
+        numbers = [self.speed, len(self.knots), len(across), *self.knots, *across, *levels.ravel().tolist()]
+        document.remembering(RECENT, at, [values["time_constant"], *numbers])
+        document.depends(RECENT, at, self.names[:1])
+
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
+        """A table of the mean over the past, and of what it is in proportion to."""
+        across, levels = self._surface(values)
+        name = self.names[0]
+        inputs = [
+            {"name": f"recent {name}", "unit": self.units[0], "knots": list(self.knots)},
+            {"name": name, "unit": self.units[1], "knots": across},
+        ]
+        per = unit[self.parameters[0].name]
+        passive = name.startswith("velocity") and bool(np.all(levels[:, 1] <= 0))
+        return described(self.kind, inputs, levels.tolist(), per, passive=passive, driven_up_to=self.speed)
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        factors = np.array(self.values(values)) / self.most
+        per, what = f"{unit[self.parameters[0].name]} per {self.units[1] or 'unit'}", in_words(self.names[0])
+        return (
+            f"Something acts at {at} that no effect in the catalogue accounts for; modelled as a force in proportion "
+            f"to {what}, by {factors.min():.3g} to {factors.max():.3g} {per}, that depends on how large that was in "
+            f"the last {values['time_constant']:.2g} s."
+        )
+
+
+def _recent(evidence: Evidence, carrier: str) -> Array:
+    """How large an input was of late, with each time constant, (k, n)."""
+    x, tries = evidence.inputs[carrier], TIMES[:, None]
+    moved = evidence.time, evidence.position, evidence.velocity
+    parts = [recall(RECENT, tries, *(of[part] for of in moved), x[part]) for part in evidence.runs]
+    return np.concatenate(parts, axis=1)
