@@ -23,12 +23,15 @@ from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.base import Evidence, Parameter
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
+from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.law import Law
+from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct
+from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 from dipc_gym.sim2real.effects.waves import waves
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit, fit
@@ -167,7 +170,10 @@ def neutral(effect: Effect) -> Mapping[str, float]:
     """Parameters with which an effect does nothing."""
     if isinstance(effect, CommandMap | ScaleMap):
         return dict(zip((p.name for p in effect.parameters), effect.knots, strict=True))
-    return {p.name: 0.0 for p in effect.parameters} if effect.free else NEUTRAL[effect.id]
+    # A stiffness, a bound or a time constant is never none; what goes by ratios of it is next to nothing.
+    return (
+        {p.name: max(p.low, 1e-9) if p.log else 0.0 for p in effect.parameters} if effect.free else NEUTRAL[effect.id]
+    )
 
 
 def added(rig: str, effect: Effect, at: str, values: Mapping[str, float]) -> Structure:
@@ -534,6 +540,12 @@ def test_hostile_names_survive_every_effect(name: str) -> None:
             effect = UnknownForce(Surface(of, (knots, knots), np.array([[1.0, 2.0], [3.0, 4.0]])))
         if isinstance(known, UnknownProduct):
             effect = UnknownProduct([0.0, 0.1], [1.0, 2.0], (f"position {name}", f"command {name}"))
+        if isinstance(known, UnknownRecent):
+            effect = UnknownRecent([0.0, 0.1], [1.0, 2.0], (f"velocity {name}",) * 2)
+        if isinstance(known, CreepingSpringOfAnyLaw):
+            effect = CreepingSpringOfAnyLaw(0.1, {"stiffness": 1.0, "faster_1": 0.1, "faster_2": 0.2})
+        if isinstance(known, HysteresisOfAnyLaw):
+            effect = HysteresisOfAnyLaw({"bound": 1.0, "fall_1": 0.1, "fall_2": 0.2})
         values = {p.name: max(p.low, 0.01) if p.name != "first" else -1.0 for p in effect.parameters}
         structure = base.with_term(Term(effect, at, values))
         written = structure.write(structure.first).text()

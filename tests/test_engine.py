@@ -532,4 +532,4 @@ def test_a_law_that_is_more_than_arithmetic_is_left_to_mujoco(monkeypatch: pytes
         program.read([loaded(CART.replace("</mujoco>", entry.format("friction.mine")))])
     _, parameters = program.read([loaded(CART.replace("</mujoco>", entry.format("friction.load")))])
     assert parameters[0][-3:].tolist() == [1, 2, 3]
-    assert "friction.mine" not in [name for name, _, _ in program.rules()]
+    assert "friction.mine" not in [rule.effect for rule in program.rules()]

@@ -22,6 +22,7 @@ from dipc_gym.export.law import Input, Law, LawError
 from dipc_gym.physics import formulas
 from dipc_gym.sim2real import result
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects import law as shapes
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
@@ -89,14 +90,7 @@ def diagnosis(folder: Path, *keys: str) -> Path:
     missing = []
     for key in keys:
         effect = FOUND[key]
-        values = {
-            p.name: value
-            for p, value in zip(
-                effect.parameters,
-                effect.first if isinstance(effect.first, tuple) else effect.first.values(),
-                strict=True,
-            )
-        }
+        values = effect.guess if isinstance(effect, shapes.Law) else effect.first
         law = effect.law_of(values, {p.name: "V" if "motor" in key else "N" for p in effect.parameters})
         name, _, at = key.partition("@")
         missing.append({"effect": name, "at": at, "law": law})

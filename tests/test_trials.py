@@ -419,14 +419,13 @@ def test_a_force_along_the_way_may_repeat_as_often_as_cogging_does(tmp_path):
     assert answer["equivalents"]["motor.cogging@motor"] == [{"effect": "load.position", "at": plan.rig}]
 
 
-def test_an_unknown_may_show_nothing_but_the_known_that_it_includes(tmp_path):
+def test_an_effect_may_show_nothing_but_the_plainer_one_that_it_includes(tmp_path):
     """Friction that grows while a joint rests is plain friction on a rig that balances and never rests."""
-    plan = next(p for p in generate.plans(41) if p.kind == "unknown" and p.rig == "upright")
+    plan = secret.Plan(1, "single", "upright", "friction.resting", False)
     (tmp_path / "sealed").mkdir()
     generate.make_trial(tmp_path, plan, 41)
     answer = answer_of(tmp_path, plan)
-    assert "at rest" in answer["missing"][0]["kind"]
-    assert {"effect": "friction.coulomb", "at": "cart"} in answer["equivalents"]["unknown@cart"]
+    assert {"effect": "friction.coulomb", "at": "cart"} in answer["equivalents"]["friction.resting@cart"]
 
 
 def test_a_trial_is_the_same_every_time(made, tmp_path):

@@ -49,8 +49,12 @@ class HysteresisOfAnyLaw(Effect):
         falls = [value for name, value in self.first.items() if name != "bound"]
         step, sigma = LAWS.step * (sum(falls) or 1.0), LAWS.loose / LAWS.step
         self.parameters = (
-            Parameter("bound", "N", 1e-9, log=True),
-            *(Parameter(_fall(k), "N/m", 0.0, step=step, sigma=sigma) for k in range(len(falls))),
+            ()
+            if not self.first
+            else (
+                Parameter("bound", "N", 1e-9, log=True),
+                *(Parameter(_fall(k), "N/m", 0.0, step=step, sigma=sigma) for k in range(len(falls))),
+            )
         )
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:

@@ -53,11 +53,15 @@ class CreepingSpringOfAnyLaw(Effect):
         size = sum(value for name, value in self.first.items() if name != "stiffness") or 1.0
         fastest = furthest / SHORTEST
         self.parameters = (
-            Parameter("stiffness", "N/m", 1e-9, log=True),
-            *(
-                Parameter(_faster(k), "m/s", 0.0, fastest, step=LAWS.step * size, sigma=LAWS.loose / LAWS.step)
-                for k in range(count)
-            ),
+            ()
+            if not self.first
+            else (
+                Parameter("stiffness", "N/m", 1e-9, log=True),
+                *(
+                    Parameter(_faster(k), "m/s", 0.0, fastest, step=LAWS.step * size, sigma=LAWS.loose / LAWS.step)
+                    for k in range(count)
+                ),
+            )
         )
 
     @property
@@ -71,7 +75,7 @@ class CreepingSpringOfAnyLaw(Effect):
         if not span > 0:
             return []
         knots = np.linspace(0.0, 1.0, MOST + 1)
-        speeds = np.array([np.sinh(knots / bent) * bent / time for bent in BENDS for time in TIMES])
+        speeds = np.array([np.sinh(knots / bent) * bent / time for bent in BENDS for time in TIMES[::2]])
         tries = np.column_stack([np.ones(len(speeds)), np.full(len(speeds), span), span * speeds])
         moved = evidence.time, evidence.position, evidence.velocity
         parts = [recall(ENTRY, tries, *(of[part] for of in moved)) for part in evidence.runs]

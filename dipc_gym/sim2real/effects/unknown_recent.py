@@ -63,18 +63,25 @@ class UnknownRecent(UnknownProduct):
         return ""
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
-        """The input and the time constant that take most of the unexplained force, of blocks that did not fit them."""
+        """The input and the time constant that take most of the unexplained force, by a parabola of the recent size."""
         tried = []
         for carrier in carriers(evidence):
+            y = evidence.inputs[carrier]
             for time, past in zip(TIMES, _recent(evidence, carrier), strict=True):
-                found = self._over(evidence, past, carrier)
-                if found is not None:
-                    left, most, knots, values = found
-                    unit = unit_of(evidence.model, carrier)
-                    shape = (knots.tolist(), values.tolist(), (carrier, carrier), most, driven_up_to(evidence))
-                    tried.append((left, UnknownRecent(*shape, (unit, unit), float(time))))
-        best = min(tried, key=lambda one: one[0], default=None)
-        return [] if best is None else [(best[1], best[1].guess)]
+                columns = np.column_stack([past * y, past**2 * y, y, evidence.velocity, evidence.direction])
+                free, _ = np.linalg.qr(np.column_stack([columns, np.ones_like(y)]))
+                tried.append((float(np.sum((free.T @ evidence.force) ** 2)), float(time), carrier, past))
+        if not tried:
+            return []
+        _, time, carrier, past = max(tried, key=lambda one: one[0])
+        found = self._over(evidence, past, carrier)
+        if found is None:
+            return []
+        _, most, knots, values = found
+        unit, speed = unit_of(evidence.model, carrier), driven_up_to(evidence)
+        names, units = (carrier, carrier), (unit, unit)
+        shaped = UnknownRecent(knots.tolist(), values.tolist(), names, most, speed, units, time)
+        return [(shaped, shaped.guess)]
 
     @property
     def guess(self) -> dict[str, float]:
