@@ -74,7 +74,7 @@ def register(effect: str, stage: Stage, rule: Rule, memory: Rule | None = None) 
         rule: `rule(data, moment)`; for `command` and `sensor` the new value, for `friction` the level of dry friction,
             for `force` the force to add.
         memory: of a force or a level of friction that depends on what went before: rate, per second, of the number that
-            `moment.memory` has, by the joint's position and speed and that number; it begins at 0.
+            the moment has as `memory`, by the joint's position and speed and that number; it begins at 0.
 
     Raises:
         ValueError: the id is taken, or neither a force nor friction is to remember.

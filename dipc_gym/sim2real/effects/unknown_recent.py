@@ -137,5 +137,5 @@ def _recent(evidence: Evidence, carrier: str) -> Array:
     """How large an input was of late, with each time constant, (k, n)."""
     x, tries = evidence.inputs[carrier], TIMES[:, None]
     moved = evidence.time, evidence.position, evidence.velocity
-    parts = [recall(RECENT, tries, *(of[part] for of in moved), x[part]) for part in evidence.runs]
+    parts = [recall(RECENT, tries, *(of[part] for of in moved), follows=x[part]) for part in evidence.runs]
     return np.concatenate(parts, axis=1)
