@@ -136,6 +136,8 @@ class UnknownRecent(UnknownProduct):
 def _recent(evidence: Evidence, carrier: str) -> Array:
     """How large an input was of late, with each time constant, (k, n)."""
     x, tries = evidence.inputs[carrier], TIMES[:, None]
-    moved = evidence.time, evidence.position, evidence.velocity
-    parts = [recall(RECENT, tries, *(of[part] for of in moved), follows=x[part]) for part in evidence.runs]
+    parts = [
+        recall(RECENT, tries, evidence.time[run], evidence.position[run], evidence.velocity[run], x[run])
+        for run in evidence.runs
+    ]
     return np.concatenate(parts, axis=1)
