@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from sim2real_rigs import CART, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics, recording
-from dipc_gym.engine import program
+from dipc_gym.engine import Uncovered, program
 from dipc_gym.engine.check import check
 from dipc_gym.engine.run import Commands, Jobs
 from dipc_gym.engine.run import run as engine_run
@@ -195,6 +195,40 @@ def test_what_has_no_name_may_depend_on_what_was_of_late(name: str) -> None:
     zero = 0 * time
     (mean,) = recall(physics.RECENT, np.array([[0.5]]), time, zero, zero, zero - 3.0)
     np.testing.assert_allclose(mean, 3.0 * (1 - np.exp(-time / 0.5)), atol=1e-6)
+
+
+def test_a_memory_of_somebodys_own_may_do_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that becomes no machine code is stepped; MuJoCo then simulates the model."""
+    monkeypatch.setattr(entries, "_rules", dict(entries._rules))
+    monkeypatch.setattr(entries, "_memories", dict(entries._memories))
+    physics.register(
+        "load.mine",
+        "force",
+        lambda data, now: -data[..., 0] * now.memory,
+        memory=lambda data, now: np.interp(now.speed, [-9, 9], [-9, 9]) - now.memory / data[..., 1],
+    )
+    physics.register("load.same", "force", lambda data, now: -data[..., 0] * now.memory, memory=own_creep)
+    time, position, velocity = waving(5)
+    mine, same = (recall(f"load.{one}", np.array([[9.0, 0.2]]), time, position, velocity) for one in ("mine", "same"))
+    np.testing.assert_allclose(mine, same, atol=1e-4 * np.abs(same).max())
+    rig = with_entry("load.mine", (9.0, 0.2))
+    with pytest.raises(Uncovered, match=r"load\.mine"):
+        program.read([rig])
+    ready = prepared(rig_text(rig), [record(rig, sweep(4.0), 1.0, noise=(1e-5,))])
+    assert fit(ready.problem, ready.structure, most=0).error < 5
+
+
+def own_creep(data: np.ndarray, now: physics.Moment) -> np.ndarray:
+    """Maxwell's element, in arithmetic."""
+    return now.speed - now.memory / data[..., 1]
+
+
+def rig_text(rig: physics.Physics) -> str:
+    """The cart with the entry of a rig."""
+    (extra,) = rig.extras
+    document = Document(mjcf.from_text(CART))
+    document.remembering(extra.effect, extra.at, extra.data.tolist())
+    return document.text()
 
 
 def test_a_force_of_what_was_of_late_names_one_input() -> None:

@@ -353,8 +353,17 @@ LAWS = {
         '<numeric name="dipc_gym:disturbance.periodic:cart" data="2 1.3 0.4"/>'
         '<numeric name="dipc_gym:disturbance.pulse:pole2" data="0.02 0.1 0.2"/>'
     ),
+    "forces of what went before": (
+        '<numeric name="dipc_gym:load.creeping:cart" data="80 0.05 0 0.02 0.1"/>'
+        '<numeric name="dipc_gym:friction.hysteresis:cart" data="2 900 800 300 0"/>'
+        '</custom><size nuserdata="2"/><custom>'
+    ),
 }
 ROUGH = {
+    "friction that grows at rest": (
+        "<keyframe>",
+        '<numeric name="dipc_gym:friction.resting:cart" data="2 3 0.1 1e-3"/></custom><size nuserdata="1"/><custom>',
+    ),
     "frictionloss": ('name="cart" type="slide"', 'name="cart" type="slide" frictionloss="3" solreffriction="0.002 1"'),
     "friction along the way": ("<keyframe>", '<numeric name="dipc_gym:friction.position:cart" data="-0.4 0.4 2 5 1"/>'),
     "friction under load": ("<keyframe>", '<numeric name="dipc_gym:friction.load:cart" data="2 0.1 0.05"/>'),

@@ -15,7 +15,7 @@ from llvmlite import ir
 
 from dipc_gym.engine.code import Code, Numbers, integer
 from dipc_gym.engine.layout import JOINTS, Element, Feature, Force, Head, Joint, Kind, Law, Spring
-from dipc_gym.engine.values import INT, POINTER, Value, exp, maximum, minimum, sin, where
+from dipc_gym.engine.values import INT, POINTER, REAL, Value, exp, maximum, minimum, sin, where
 from dipc_gym.physics import Moment
 
 Says = Callable[[Any, Moment], Any]
@@ -254,6 +254,8 @@ class Table:
     def at(self, share: Value) -> Value:
         """The table at a share of its length, straight lines between; beyond its ends it goes on as it ends."""
         code = self.code
+        if code.width:
+            return self._at_lanes(share)
         last = code.at.sitofp(code.sum(self.count, -1), share.primal.type)
         along = share * Value(code, last)
         inside = minimum(maximum(along, 0.0), Value(code, last))
@@ -263,6 +265,18 @@ class Table:
         share = inside - Value(code, code.at.sitofp(below, along.primal.type))
         one, other = self.numbers[below], self.numbers[code.sum(below, 1)]
         return one + share * (other - one)
+
+    def _at_lanes(self, share: Value) -> Value:
+        """The same where each lane may lie between other knots: every stretch adds as much of its rise as is passed."""
+        code = self.code
+        last, total, passed = code.sum(self.count, -1), code.scratch(1), code.scratch(1)
+        along = share * Value(code, code.splat(code.at.sitofp(last, REAL)))
+        total[0], passed[0] = self.numbers[0], 0.0
+        with code.count(self.count, 1) as k:
+            part = minimum(maximum(along - passed[0], 0.0), 1.0)
+            total[0] = total[0] + part * (self.numbers[k] - self.numbers[code.sum(k, -1)])
+            passed[0] = passed[0] + 1.0
+        return total[0]
 
     def across(self, rows: Value, columns: Value, x: Value, y: Value) -> Value:
         """A table with rows of columns, straight lines between: its knots along both, then its levels."""

@@ -113,7 +113,8 @@ class MujocoRigs:
         if self._exact:
             self._observed[:, rows] = states.T
         self._friction[rows] = 0.0
-        if not self._free_at_rest or states[:, 3:].any():
+        # What laws remember goes on with the acceleration of the moment, which must not be that of another episode.
+        if not self._free_at_rest or states[:, 3:].any() or self.rig.physics.remembering:
             self.sims.forward(rows)
             self._friction[rows] = self._read_friction()[rows]
         return self._friction[rows]

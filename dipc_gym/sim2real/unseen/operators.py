@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from dipc_gym.engine.forces import written
 from dipc_gym.engine.remember import remembered
-from dipc_gym.physics import memory_of
+from dipc_gym.physics import Moment, Rule, memory_of
 
 Array = NDArray[np.float64]
 
@@ -114,7 +116,22 @@ def recall(
     rate = memory_of(effect)
     if rate is None:
         raise KeyError(effect)
-    return remembered(rate, numbers, time, position, velocity, follows)
+    if written(rate):
+        return remembered(rate, numbers, time, position, velocity, follows)
+    return _stepped(
+        rate, numbers, time, (time, position, velocity, np.zeros(len(time)) if follows is None else follows)
+    )
+
+
+def _stepped(rate: Rule, numbers: Array, time: Array, track: tuple[Array, ...]) -> Array:
+    """The same for a rate that is more than arithmetic, by the midpoint rule from sample to sample."""
+    out, zero = np.zeros((len(numbers), len(time))), np.zeros(len(numbers))
+    for k, step in enumerate(np.diff(time)):
+        middle = [0.5 * (one[k] + one[k + 1]) + zero for one in track]
+        now = Moment(middle[0], middle[1], zero, zero, zero, middle[2], (middle[3], zero), out[:, k])
+        half = out[:, k] + 0.5 * step * rate(numbers, now)
+        out[:, k + 1] = out[:, k] + step * rate(numbers, replace(now, memory=half))
+    return out
 
 
 def _one_pole(pole: complex, step: float, drive: Array) -> NDArray[np.complex128]:
