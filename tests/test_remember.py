@@ -17,6 +17,7 @@ from sim2real_rigs import CART, RK4, prepared, record, sweep
 from dipc_gym import mjcf, physics, recording
 from dipc_gym.engine import Uncovered, program
 from dipc_gym.engine.check import check
+from dipc_gym.engine.remember import recall
 from dipc_gym.engine.run import Commands, Jobs
 from dipc_gym.engine.run import run as engine_run
 from dipc_gym.mjcf.edit import Document
@@ -28,7 +29,6 @@ from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.unseen.operators import recall
 from dipc_gym.trials import generate
 from dipc_gym.trials.secret import Plan
 
@@ -40,13 +40,17 @@ ENTRIES = {"load.creeping": CREEPS, "friction.hysteresis": BENDS, "friction.rest
 
 
 def with_entry(effect: str, numbers: tuple[float, ...] | None = None, text: str = CART) -> physics.Physics:
+    return physics.load(text_with(effect, numbers, text))
+
+
+def text_with(effect: str, numbers: tuple[float, ...] | None = None, text: str = CART) -> str:
     document = Document(mjcf.from_text(text))
     if numbers is None:
         one = term(effect)
         one.effect.edit(document, "cart", one.guess)
     else:
         document.remembering(effect, "cart", numbers)
-    return physics.load(document.text())
+    return document.text()
 
 
 def term(effect: str) -> Term:
@@ -214,21 +218,13 @@ def test_a_memory_of_somebodys_own_may_do_anything(monkeypatch: pytest.MonkeyPat
     rig = with_entry("load.mine", (9.0, 0.2))
     with pytest.raises(Uncovered, match=r"load\.mine"):
         program.read([rig])
-    ready = prepared(rig_text(rig), [record(rig, sweep(4.0), 1.0, noise=(1e-5,))])
+    ready = prepared(text_with("load.mine", (9.0, 0.2)), [record(rig, sweep(4.0), 1.0, noise=(1e-5,))])
     assert fit(ready.problem, ready.structure, most=0).error < 5
 
 
 def own_creep(data: np.ndarray, now: physics.Moment) -> np.ndarray:
     """Maxwell's element, in arithmetic."""
     return now.speed - now.memory / data[..., 1]
-
-
-def rig_text(rig: physics.Physics) -> str:
-    """The cart with the entry of a rig."""
-    (extra,) = rig.extras
-    document = Document(mjcf.from_text(CART))
-    document.remembering(extra.effect, extra.at, extra.data.tolist())
-    return document.text()
 
 
 def test_a_force_of_what_was_of_late_names_one_input() -> None:

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from llvmlite import ir
 
 from dipc_gym.engine.code import Code, Numbers
-from dipc_gym.engine.forces import written
 from dipc_gym.engine.kernel import write_primal, write_solver
+from dipc_gym.engine.laws import written
 from dipc_gym.engine.layout import JOINTS, STATES, Head, Joint, Law
 from dipc_gym.engine.motion import FOLLOWED, write_rates
 from dipc_gym.engine.program import Array, Program, Uncovered, rules

@@ -12,7 +12,7 @@ from llvmlite import ir
 
 from dipc_gym.engine.code import Code, integer
 from dipc_gym.engine.events import Events
-from dipc_gym.engine.forces import Rule
+from dipc_gym.engine.laws import Rule
 from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Head
 from dipc_gym.engine.motion import ARGUMENTS, write_rates
 from dipc_gym.engine.readings import Readings

@@ -12,7 +12,8 @@ from typing import Any
 from llvmlite import ir
 
 from dipc_gym.engine.code import Code, Index, Numbers, integer
-from dipc_gym.engine.forces import Attached, Rule, depth_of, laws
+from dipc_gym.engine.forces import Attached, depth_of
+from dipc_gym.engine.laws import Rule, laws
 from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Element, Head, Joint, Kind, Spring
 from dipc_gym.engine.values import BIT, INT, LANES, POINTER, VECTOR, Number, Value, maximum, where
 from dipc_gym.physics import Moment

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import layout, rigid
-from dipc_gym.engine.forces import Rule, written
+from dipc_gym.engine.laws import Rule, written
 from dipc_gym.engine.layout import STATES, Element, Feature, Force, Head, Kind, Law, Sensor
 from dipc_gym.physics import Physics
 
@@ -107,7 +107,6 @@ class _Writer:
         self.ints += [number for element in elements for number in element]
         self.ints[Head.JOINTS] = model.nv
         self.ints[Head.CONTROLS] = self.controls
-        self.hidden = model.na + self.yielding + self.remembering
         self.ints[Head.STATES] = 2 * model.nv + self.hidden + lags
         self.ints[Head.PARAMETERS] = len(self.numbers)
         for what, most, count in (
@@ -119,6 +118,11 @@ class _Writer:
         ):
             if count > most:
                 raise Uncovered(f"{count} {what}, more than {most}")
+
+    @property
+    def hidden(self) -> int:
+        """Hidden states: MuJoCo's activations, rests of springs that yield, and what laws remember."""
+        return int(self.model.na) + self.yielding + self.remembering
 
     def _joints(self) -> None:
         model = self.model
@@ -342,7 +346,7 @@ class _Writer:
             numbers[Sensor.AHEAD] = len(self.numbers) + 1
             tau = lags.get(int(model.sensor_adr[sensor]))
             if tau is not None:
-                numbers[Sensor.LAG] = 2 * model.nv + model.na + self.yielding + self.remembering + late
+                numbers[Sensor.LAG] = 2 * model.nv + self.hidden + late
                 late += 1
             self.numbers += [tau or 0.0, latest - float(model.sensor_delay[sensor])]
             found.append(numbers)
@@ -369,7 +373,7 @@ class _Writer:
 
     def _laws(self) -> None:
         known, laws = [one.effect for one in rules()], []
-        first = 2 * self.model.nv + self.model.na + self.yielding
+        first = 2 * self.model.nv + self.hidden - self.remembering
         memories = {id(extra): first + k for k, extra in enumerate(self.physics.remembering)}
         for extra in self.physics.extras:
             if extra.stage not in ("friction", "force"):

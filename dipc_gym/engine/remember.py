@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 
 from dipc_gym.engine import machine
 from dipc_gym.engine.code import Code
-from dipc_gym.engine.forces import Says, Table
+from dipc_gym.engine.laws import Says, Table, written
 from dipc_gym.engine.values import INT, POINTER, Value
-from dipc_gym.physics import Moment
+from dipc_gym.physics import Moment, memory_of
 from dipc_gym.physics.formulas import SOONEST
 
 Array = NDArray[np.float64]
@@ -25,13 +26,13 @@ Array = NDArray[np.float64]
 FINEST = SOONEST / 4  # s: Runge-Kutta follows what fades in SOONEST closely, and up to ten times faster safely
 
 
-def remembered(
-    rate: Says, numbers: Array, time: Array, position: Array, velocity: Array, follows: Array | None = None
+def recall(
+    effect: str, numbers: Array, time: Array, position: Array, velocity: Array, follows: Array | None = None
 ) -> Array:
-    """What a law remembers at each sample of a motion; it begins at 0.
+    """What a law of `<custom>` remembers at each sample of a motion, for several sets of its numbers; it begins at 0.
 
     Args:
-        rate: of it, by position, speed, time and itself.
+        effect: id of its entry.
         numbers: of the law, (variants, k).
         time: s, increasing, (n,).
         position: of its joint, m or rad, (n,).
@@ -41,18 +42,35 @@ def remembered(
     Returns:
         (variants, n).
 
+    Raises:
+        KeyError: the effect remembers nothing.
+
     Example:
-        >>> from dipc_gym.physics import memory_of
         >>> t = np.linspace(0.0, 1.0, 101)
-        >>> rate = memory_of("friction.resting")
-        >>> rested = remembered(rate, np.array([[1.0, 0.5, 0.1, 1e-3]]), t, 0 * t, 0 * t)
+        >>> rested = recall("friction.resting", np.array([[1.0, 0.5, 0.1, 1e-3]]), t, 0 * t, 0 * t)
         >>> round(float(rested[0, -1]), 6)
         1.0
     """
+    rate = memory_of(effect)
+    if rate is None:
+        raise KeyError(effect)
+    track = (time, position, velocity, np.zeros(len(time)) if follows is None else follows)
+    if not written(rate):
+        return _stepped(rate, numbers, track)
     out = np.zeros((len(numbers), len(time)))
-    given = (numbers, time, position, velocity, np.zeros(len(time)) if follows is None else follows)
-    arrays = [np.ascontiguousarray(one, dtype=float) for one in given]
+    arrays = [np.ascontiguousarray(one, dtype=float) for one in (numbers, *track)]
     _function(rate)(*(one.ctypes.data for one in (*arrays, out)), *numbers.shape, len(time))
+    return out
+
+
+def _stepped(rate: Says, numbers: Array, track: tuple[Array, ...]) -> Array:
+    """The same for a rate that is more than arithmetic, by the midpoint rule from sample to sample."""
+    out, zero = np.zeros((len(numbers), len(track[0]))), np.zeros(len(numbers))
+    for k, step in enumerate(np.diff(track[0])):
+        middle = [0.5 * (one[k] + one[k + 1]) + zero for one in track]
+        now = Moment(middle[0], middle[1], zero, zero, zero, middle[2], (middle[3], zero), out[:, k])
+        half = out[:, k] + 0.5 * step * rate(numbers, now)
+        out[:, k + 1] = out[:, k] + step * rate(numbers, replace(now, memory=half))
     return out
 
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import described, told_alone
+from dipc_gym.sim2real.effects.law import at_joint, described, pulls_most, recalled
 from dipc_gym.sim2real.effects.settings import LAWS
-from dipc_gym.sim2real.unseen.operators import recall
 
 Array = NDArray[np.float64]
 
@@ -65,14 +64,12 @@ class HysteresisOfAnyLaw(Effect):
         along = np.linspace(-1.0, 1.0, FIRST + 1)
         shapes = [1.0 - np.maximum(along, 0.0) ** power for power in POWERS]
         tries = np.array([[1.0, *(shape / (width * span))] for shape in shapes for width in WIDTHS])
-        moved = evidence.time, evidence.position, evidence.velocity
-        parts = [recall(ENTRY, tries, *(of[part] for of in moved)) for part in evidence.runs]
         plain = np.stack([np.ones_like(evidence.force), evidence.velocity, evidence.direction], axis=1)
-        bound, left = told_alone(-np.concatenate(parts, axis=1), plain, evidence.force)
-        if not np.any(bound > 0):
+        found = pulls_most(-recalled(evidence, ENTRY, tries), plain, evidence.force)
+        if found is None:
             return []
-        best = int(np.argmin(np.where(bound > 0, left, np.inf)))
-        return [self._shaped(float(bound[best]), bound[best] * tries[best, 1:])]
+        best, bound = found
+        return [self._shaped(bound, bound * tries[best, 1:])]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, what it begins with."""
@@ -103,7 +100,7 @@ class HysteresisOfAnyLaw(Effect):
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """The curve along which the force builds up from rest."""
         way, force = self.curve(values)
-        slide = "rad" if unit["bound"].startswith("N m") else "m"
+        slide = at_joint("m", unit["bound"])
         inputs = [{"name": "distance from rest", "unit": slide, "knots": way.tolist()}]
         return described("friction with memory", inputs, force.tolist(), unit["bound"], passive=True)
 
@@ -111,7 +108,7 @@ class HysteresisOfAnyLaw(Effect):
         """In words."""
         way, force = self.curve(values)
         half = float(np.interp(values["bound"] / 2, force, way))
-        slide = "rad" if unit["bound"].startswith("N m") else "m"
+        slide = at_joint("m", unit["bound"])
         return (
             f"Friction with memory (Duhem) at {at}: up to {values['bound']:.3g} {unit['bound']} that builds up from "
             f"where the motion turned round, from rest half of it within {half:.3g} {slide}."

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.engine.remember import recall
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 from dipc_gym.sim2real.effects.settings import LAWS
@@ -68,14 +69,41 @@ def holding_new(parameters: Sequence[Parameter], new: NDArray[np.bool_]) -> tupl
     )
 
 
-def told_alone(pulls: Array, beside: Array, force: Array) -> tuple[Array, Array]:
-    """Weight (k,) of each pull (k, n) in a force (n,), alone beside regressors (n, m), and what each leaves, (k,)."""
+def recalled(evidence: Evidence, effect: str, tries: Array, follows: Array | None = None) -> Array:
+    """What a law of `<custom>` would remember with each of several sets of numbers (k, m), at all samples, (k, n)."""
+    parts = [
+        recall(
+            effect,
+            tries,
+            evidence.time[run],
+            evidence.position[run],
+            evidence.velocity[run],
+            None if follows is None else follows[run],
+        )
+        for run in evidence.runs
+    ]
+    return np.concatenate(parts, axis=1)
+
+
+def pulls_most(pulls: Array, beside: Array, force: Array) -> tuple[int, float] | None:
+    """Which pull (k, n), alone beside regressors (n, m), leaves least of a force (n,), and its weight.
+
+    None where no pull goes along with the force.
+    """
     free, _ = np.linalg.qr(beside)
     rest = force - free @ (free.T @ force)
     own = pulls - (pulls @ free) @ free.T
     size = np.maximum(np.sum(own**2, axis=1), 1e-300)
     weight = own @ rest / size
-    return weight, np.sum(rest**2) - weight**2 * size
+    if not np.any(weight > 0):
+        return None
+    best = int(np.argmax(np.where(weight > 0, weight**2 * size, -np.inf)))
+    return best, float(weight[best])
+
+
+def at_joint(slide: str, force: str) -> str:
+    """The unit of a length as it is at a joint, by that of a force there: about an axis m is rad."""
+    return slide.replace("m", "rad") if force.startswith("N m") else slide
 
 
 def first_levels(evidence: Evidence, more: Array) -> Array:
@@ -193,7 +221,7 @@ class Law(Effect):
 
     def per(self, unit: Mapping[str, str]) -> str:
         """Unit of the input, from that of the values: what slides along an axis turns in radians about one."""
-        return self.slide.replace("m", "rad") if unit[self.parameters[0].name].startswith("N m") else self.slide
+        return at_joint(self.slide, unit[self.parameters[0].name])
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """Knots and values."""

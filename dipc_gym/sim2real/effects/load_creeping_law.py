@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import described, told_alone
+from dipc_gym.sim2real.effects.law import at_joint, described, pulls_most, recalled
 from dipc_gym.sim2real.effects.load_creeping import TIMES
 from dipc_gym.sim2real.effects.settings import LAWS
-from dipc_gym.sim2real.unseen.operators import recall
 
 Array = NDArray[np.float64]
 
@@ -77,19 +76,17 @@ class CreepingSpringOfAnyLaw(Effect):
         knots = np.linspace(0.0, 1.0, MOST + 1)
         speeds = np.array([np.sinh(knots / bent) * bent / time for bent in BENDS for time in TIMES[::2]])
         tries = np.column_stack([np.ones(len(speeds)), np.full(len(speeds), span), span * speeds])
-        moved = evidence.time, evidence.position, evidence.velocity
-        parts = [recall(ENTRY, tries, *(of[part] for of in moved)) for part in evidence.runs]
-        stretched = np.concatenate(parts, axis=1)
+        stretched = recalled(evidence, ENTRY, tries)
         plain = np.stack([np.ones_like(evidence.force), evidence.velocity, evidence.position], axis=1)
-        pull, left = told_alone(-stretched, plain, evidence.force)
-        if not np.any(pull > 0):
+        found = pulls_most(-stretched, plain, evidence.force)
+        if found is None:
             return []
-        best = int(np.argmin(np.where(pull > 0, left, np.inf)))
+        best, pull = found
         furthest = float(np.quantile(np.abs(stretched[best]), FURTHEST))
         if not furthest > 0:
             return []
         begin = np.interp(np.linspace(0.0, furthest, FIRST + 1)[1:], span * knots, span * speeds[best])
-        return [self._shaped(furthest, float(pull[best]), begin)]
+        return [self._shaped(furthest, pull, begin)]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, what it begins with."""
@@ -109,13 +106,13 @@ class CreepingSpringOfAnyLaw(Effect):
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """How fast it gives way, by stretch."""
-        slide = "rad" if unit["stiffness"].startswith("N m") else "m"
+        slide = at_joint("m", unit["stiffness"])
         inputs = [{"name": "stretch", "unit": slide, "knots": self.knots.tolist()}]
         return described("speed of creep", inputs, self._speeds(values).tolist(), f"{slide}/s", passive=True)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        speeds, slide = self._speeds(values), "rad" if unit["stiffness"].startswith("N m") else "m"
+        speeds, slide = self._speeds(values), at_joint("m", unit["stiffness"])
         half = len(speeds) // 2
         return (
             f"A spring of {values['stiffness']:.3g} {unit['stiffness']} at {at} creeps by a law of its own: stretched "

@@ -53,6 +53,11 @@ class UnknownProduct(Law):
         super().__init__(knots, values)
         self.names, self.most, self.speed, self.units = inputs, most, speed, units
 
+    @property
+    def labels(self) -> tuple[str, str]:
+        """What a table of it calls its inputs."""
+        return self.names
+
     def inputs(self, at: str) -> tuple[str, ...]:
         """Both."""
         return self.names
@@ -117,11 +122,14 @@ class UnknownProduct(Law):
         levels = np.array(self.values(values))
         return [-self.most, self.most], np.stack([-levels, levels], axis=1)
 
-    def edit(self, document: Document, at: str, values: Values) -> None:
-        """A table for the loader, with two knots along what it is in proportion to; stock MuJoCo leaves it out."""
+    def _numbers(self, values: Values) -> list[float]:
+        """The same as the loader reads it, with two knots along what it is in proportion to."""
         across, levels = self._surface(values)
-        numbers = [self.speed, len(self.knots), len(across), *self.knots, *across, *levels.ravel().tolist()]
-        document.custom(RESIDUAL, at, numbers)
+        return [self.speed, len(self.knots), len(across), *self.knots, *across, *levels.ravel().tolist()]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A table for the loader; stock MuJoCo leaves it out."""
+        document.custom(RESIDUAL, at, self._numbers(values))
         document.depends(RESIDUAL, at, self.names)
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
@@ -129,7 +137,7 @@ class UnknownProduct(Law):
         across, levels = self._surface(values)
         inputs = [
             {"name": name, "unit": of, "knots": list(knots)}
-            for name, of, knots in zip(self.names, self.units, (self.knots, across), strict=True)
+            for name, of, knots in zip(self.labels, self.units, (self.knots, across), strict=True)
         ]
         per = unit[self.parameters[0].name]
         passive = self.names[1].startswith("velocity") and bool(np.all(levels[:, 1] <= 0))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +10,10 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RECENT, RESIDUAL
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import Array, described, holding_new
+from dipc_gym.sim2real.effects.law import Array, holding_new, recalled
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.unknown_force import driven_up_to, in_words, unit_of
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct, carriers
-from dipc_gym.sim2real.unseen.operators import recall
 
 TIMES = np.geomspace(0.05, 10.0, 8)  # s, tried by regression
 
@@ -54,6 +52,11 @@ class UnknownRecent(UnknownProduct):
             pace = Parameter("time_constant", "s", 5e-3, 60.0, log=True, sigma=LAWS.loose / LAWS.step)
             self.parameters = (*self.parameters, pace)
 
+    @property
+    def labels(self) -> tuple[str, str]:
+        """The mean over the past, and what it is in proportion to."""
+        return f"recent {self.names[0]}", self.names[1]
+
     def inputs(self, at: str) -> tuple[str, ...]:
         """What it is in proportion to; of the past of that no window tells."""
         return self.names[:1]
@@ -67,7 +70,7 @@ class UnknownRecent(UnknownProduct):
         tried = []
         for carrier in carriers(evidence):
             y = evidence.inputs[carrier]
-            for time, past in zip(TIMES, _recent(evidence, carrier), strict=True):
+            for time, past in zip(TIMES, recalled(evidence, RECENT, TIMES[:, None], y), strict=True):
                 columns = np.column_stack([past * y, past**2 * y, y, evidence.velocity, evidence.direction])
                 free, _ = np.linalg.qr(np.column_stack([columns, np.ones_like(y)]))
                 tried.append((float(np.sum((free.T @ evidence.force) ** 2)), float(time), carrier, past))
@@ -94,8 +97,8 @@ class UnknownRecent(UnknownProduct):
 
     def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
         """A knot more in each stretch, there where the law was."""
-        self.time = values["time_constant"]
-        return super().finer(values, None if told is None else told[: len(self.knots)])
+        found = super().finer(values, None if told is None else told[: len(self.knots)])
+        return [(shaped, {**begin, "time_constant": values["time_constant"]}) for shaped, begin in found]
 
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         shape = (knots.tolist(), values.tolist(), self.names, self.most, self.speed, self.units, self.time)
@@ -105,22 +108,8 @@ class UnknownRecent(UnknownProduct):
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader, which keeps the mean over the past in mind; stock MuJoCo leaves it out."""
-        across, levels = self._surface(values)
-        numbers = [self.speed, len(self.knots), len(across), *self.knots, *across, *levels.ravel().tolist()]
-        document.remembering(RECENT, at, [values["time_constant"], *numbers])
+        document.remembering(RECENT, at, [values["time_constant"], *self._numbers(values)])
         document.depends(RECENT, at, self.names[:1])
-
-    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
-        """A table of the mean over the past, and of what it is in proportion to."""
-        across, levels = self._surface(values)
-        name = self.names[0]
-        inputs = [
-            {"name": f"recent {name}", "unit": self.units[0], "knots": list(self.knots)},
-            {"name": name, "unit": self.units[1], "knots": across},
-        ]
-        per = unit[self.parameters[0].name]
-        passive = name.startswith("velocity") and bool(np.all(levels[:, 1] <= 0))
-        return described(self.kind, inputs, levels.tolist(), per, passive=passive, driven_up_to=self.speed)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
@@ -131,13 +120,3 @@ class UnknownRecent(UnknownProduct):
             f"to {what}, by {factors.min():.3g} to {factors.max():.3g} {per}, that depends on how large that was in "
             f"the last {values['time_constant']:.2g} s."
         )
-
-
-def _recent(evidence: Evidence, carrier: str) -> Array:
-    """How large an input was of late, with each time constant, (k, n)."""
-    x, tries = evidence.inputs[carrier], TIMES[:, None]
-    parts = [
-        recall(RECENT, tries, evidence.time[run], evidence.position[run], evidence.velocity[run], x[run])
-        for run in evidence.runs
-    ]
-    return np.concatenate(parts, axis=1)

@@ -237,8 +237,10 @@ class _Runs:
         sensed, commanded, applied = sims.bind("sensordata"), sims.bind("ctrl"), sims.bind("qfrc_applied")
         forces = np.zeros((sims.nsim, sims.model.nv))
         level = sims.expand("dof_frictionloss") if dry is None else dry.level
-        if physics.acts:
+        if physics.stage("friction"):
             sims.bind("qfrc_actuator"), sims.bind("qfrc_bias"), sims.bind("qacc")
+        if physics.remembering:
+            sims.bind("qacc")
         pressed = physics.pressed
         if dry is not None:
             dry.begin()

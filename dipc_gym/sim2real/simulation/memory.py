@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.engine.remember import recall
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows
-from dipc_gym.sim2real.unseen.operators import play, recall, swing
+from dipc_gym.sim2real.unseen.operators import play, swing
 from dipc_gym.sim2real.unseen.parts import Load, along, loads, yielding
 
 Array = NDArray[np.float64]

@@ -1,17 +1,12 @@
-"""Operators with memory: what an unseen part has come to, from how the joint moved that it hangs on."""
+"""Two operators with memory: what an unseen part has come to, from how the joint moved that it hangs on."""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-
-from dipc_gym.engine.forces import written
-from dipc_gym.engine.remember import remembered
-from dipc_gym.physics import Moment, Rule, memory_of
 
 Array = NDArray[np.float64]
 
@@ -86,52 +81,6 @@ def swing(
     first, second = _one_pole(one, step, drive), _one_pole(other, step, drive)
     place, speed = ((first - second) / apart).real, ((one * first - other * second) / apart).real
     return np.stack([np.interp(time, even, place - carried[0]), np.interp(time, even, speed - carried[1])])
-
-
-def recall(
-    effect: str, numbers: Array, time: Array, position: Array, velocity: Array, follows: Array | None = None
-) -> Array:
-    """What a law of `<custom>` remembers along a motion, for several sets of its numbers.
-
-    Args:
-        effect: id of its entry.
-        numbers: of the law, (variants, k).
-        time: s, increasing, (n,).
-        position: of its joint, m or rad, (n,).
-        velocity: m/s or rad/s, (n,).
-        follows: what else it depends on, (n,).
-
-    Returns:
-        (variants, n); it begins at 0.
-
-    Raises:
-        KeyError: the effect remembers nothing.
-
-    Example:
-        >>> t = np.linspace(0.0, 1.0, 101)
-        >>> rested = recall("friction.resting", np.array([[1.0, 0.5, 0.1, 1e-3]]), t, 0 * t, 0 * t)
-        >>> round(float(rested[0, -1]), 6)
-        1.0
-    """
-    rate = memory_of(effect)
-    if rate is None:
-        raise KeyError(effect)
-    if written(rate):
-        return remembered(rate, numbers, time, position, velocity, follows)
-    return _stepped(
-        rate, numbers, time, (time, position, velocity, np.zeros(len(time)) if follows is None else follows)
-    )
-
-
-def _stepped(rate: Rule, numbers: Array, time: Array, track: tuple[Array, ...]) -> Array:
-    """The same for a rate that is more than arithmetic, by the midpoint rule from sample to sample."""
-    out, zero = np.zeros((len(numbers), len(time))), np.zeros(len(numbers))
-    for k, step in enumerate(np.diff(time)):
-        middle = [0.5 * (one[k] + one[k + 1]) + zero for one in track]
-        now = Moment(middle[0], middle[1], zero, zero, zero, middle[2], (middle[3], zero), out[:, k])
-        half = out[:, k] + 0.5 * step * rate(numbers, now)
-        out[:, k + 1] = out[:, k] + step * rate(numbers, replace(now, memory=half))
-    return out
 
 
 def _one_pole(pole: complex, step: float, drive: Array) -> NDArray[np.complex128]:
