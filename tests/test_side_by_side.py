@@ -89,17 +89,36 @@ def test_what_nobody_asked_for_is_given_up() -> None:
 
 
 @forked
+def test_a_fork_may_be_given_up_in_the_midst_of_its_result() -> None:
+    def large() -> np.ndarray:  # takes several writes
+        return np.zeros(300_000)
+
+    for _ in range(20):
+        with side_by_side([large] * 6, 2) as result:
+            assert result(0).size == 300_000
+    assert not multiprocessing.active_children()
+
+
+@forked
+def test_more_tasks_than_a_pipe_holds_numbers_of() -> None:
+    with side_by_side([lambda: HERE] * 20_000, 2) as result:
+        assert [result(k) for k in (0, 19_999, 16_384)] == [HERE] * 3
+
+
+@forked
 def test_forks_end_with_a_parent_that_is_killed() -> None:
     code = (
         "import os, time\n"
         "from dipc_gym.sim2real.side_by_side import side_by_side\n"
-        "def lasts(): print(os.getpid(), flush=True); time.sleep(3600)\n"
+        "def lasts(): os.write(1, b'%d\\n' % os.getpid()); time.sleep(3600)\n"  # in one write, whatever Python buffers
         "with side_by_side([lasts, lasts], 2) as result: result(0)\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
-        forks = [int(parent.stdout.readline()) for _ in range(2)]
-        parent.kill()
+        try:
+            forks = [int(parent.stdout.readline()) for _ in range(2)]
+        finally:
+            parent.kill()
     for _ in range(200):
         if not any(Path(f"/proc/{fork}").exists() for fork in forks):
             return

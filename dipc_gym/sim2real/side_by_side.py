@@ -4,6 +4,10 @@ A fit is a hundred short calls of the engine with Python between them; threads w
 hundredths of a second, copies no data, and is told nothing: it has the tasks. What a task found comes back pickled, and
 what both processes know already as its place in memory. Where systems cannot fork (Windows), or their libraries must
 not be used after it (macOS), tasks run one after another, with the same results.
+
+Forks share no lock. Each writes its results into a pipe of its own, which ends when the fork does, and they take the
+numbers of their tasks from one pipe that was filled before the first of them began. So a fork may be ended at any
+moment, in the midst of a result too: `concurrent.futures` waits for the rest of such a result for ever.
 """
 
 from __future__ import annotations
@@ -11,13 +15,16 @@ from __future__ import annotations
 import ctypes
 import io
 import multiprocessing
+import os
 import pickle
 import signal
+import struct
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 from dipc_gym.engine import run
@@ -27,9 +34,9 @@ T = TypeVar("T")
 
 FORKS = sys.platform == "linux"
 _ENDS_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
+_NUMBER = struct.Struct("=I")  # of a task; a pipe holds 16,384 of them at least
+_MOST = 16_384
 
-_tasks: Sequence[Callable[[], Any]] = ()  # of the present call; forks find them here
-_known: dict[int, Any] = {}  # objects that both sides have, by their place in memory
 _one_of_many = False  # in a fork: its siblings have the other cores
 
 
@@ -57,60 +64,92 @@ def side_by_side(
         ...     result(0)
         42
     """
-    global _tasks, _known
     count = min(cores(threads), len(tasks))
     if count < 2 or not FORKS:
         yield lambda k: tasks[k]()
         return
     known = {id(one): one for one in shared}
-    others = set(multiprocessing.active_children())
-    with ProcessPoolExecutor(count, multiprocessing.get_context("fork"), _begin) as pool:
-        _tasks, _known = tasks, known
+    forks = _forked(tasks, known, count)
+    packed: dict[int, bytes] = {}
+
+    def result(k: int) -> T:
+        while k not in packed and forks:
+            _received(forks, packed)
+        if not packed.get(k):
+            return tasks[k]()
+        found: T = _Unpickler(io.BytesIO(packed[k]), known).load()
+        return found
+
+    try:
+        yield result
+    finally:
+        for pipe, fork in forks.items():
+            fork.kill()
+            fork.join()
+            pipe.close()
+
+
+def _forked(tasks: Sequence[Callable[[], Any]], known: dict[int, Any], count: int) -> dict[Connection, BaseProcess]:
+    """Forks at work, by the pipes that their results come from."""
+    context = multiprocessing.get_context("fork")
+    numbers, all_numbers = os.pipe()
+    for k in range(min(len(tasks), _MOST)):  # more would wait for a reader; they are done here
+        os.write(all_numbers, _NUMBER.pack(k))
+    os.close(all_numbers)
+    forks: dict[Connection, BaseProcess] = {}
+    # The engine's threads rest meanwhile, and NumPy's are made for this.
+    with held_back(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        for _ in range(count):
+            results, out = context.Pipe(duplex=False)
+            fork = context.Process(target=_work, args=(tasks, known, numbers, out), daemon=True)
+            fork.start()
+            out.close()  # the fork has the only other end: the pipe ends with it
+            forks[results] = fork
+    os.close(numbers)
+    return forks
+
+
+def _received(forks: dict[Connection, BaseProcess], packed: dict[int, bytes]) -> None:
+    """Wait for results, and take note of forks that have ended."""
+    for pipe in wait(list(forks)):
+        assert isinstance(pipe, Connection)
         try:
-            # The engine's threads rest meanwhile, and NumPy's are made for this.
-            with held_back(), warnings.catch_warnings():
-                warnings.simplefilter("ignore", DeprecationWarning)
-                futures = [pool.submit(_done, k) for k in range(len(tasks))]
-        finally:
-            _tasks, _known = (), {}
-
-        def result(k: int) -> T:
-            try:
-                packed = futures[k].result()
-            except Exception:
-                return tasks[k]()
-            found: T = _Unpickler(io.BytesIO(packed), known).load()
-            return found
-
-        try:
-            yield result
-        finally:
-            for fork in set(multiprocessing.active_children()) - others:
-                fork.terminate()
+            (k,) = _NUMBER.unpack(pipe.recv_bytes())
+            packed[k] = pipe.recv_bytes()
+        except (EOFError, OSError):
+            forks.pop(pipe).join()
+            pipe.close()
 
 
-def _begin() -> None:
-    """What a fork does first: it takes one core, leaves Ctrl-C to its parent, and ends with it, however that ends."""
+def _work(tasks: Sequence[Callable[[], Any]], known: dict[int, Any], numbers: int, out: Connection) -> None:
+    """What a fork does: it takes one core, leaves Ctrl-C to its parent, ends with it, however that ends, and works."""
     global _one_of_many
     _one_of_many = True
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # not what its parent would do then
     ctypes.CDLL(None).prctl(_ENDS_WITH_PARENT, signal.SIGKILL)
-
-
-def _done(k: int) -> bytes:
-    """The result of a task, pickled."""
-    out = io.BytesIO()
-    _Pickler(out).dump(_tasks[k]())
-    return out.getvalue()
+    while number := os.read(numbers, _NUMBER.size):
+        try:
+            done = io.BytesIO()
+            _Pickler(done, known).dump(tasks[_NUMBER.unpack(number)[0]]())
+            found = done.getvalue()
+        except Exception:
+            found = b""  # its parent does it again and sees why
+        out.send_bytes(number)
+        out.send_bytes(found)
 
 
 class _Pickler(pickle.Pickler):
     """Writes what both sides know as its place in memory, which forking does not change."""
 
+    def __init__(self, out: io.BytesIO, known: dict[int, Any]) -> None:
+        super().__init__(out)
+        self._known = known
+
     def persistent_id(self, thing: object) -> int | None:
         """The place of a thing that was there before the fork."""
-        return id(thing) if id(thing) in _known else None
+        return id(thing) if id(thing) in self._known else None
 
 
 class _Unpickler(pickle.Unpickler):
