@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from dipc_gym.compensators.base import GARBAGE, HUGE, Array, Compensator, RigConstants, Samples, Signal, numbers
+from dipc_gym.plant import RANGES
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,9 @@ class Remembering(Compensator):
     period: float = numbers(positive=True)
 
     def __post_init__(self) -> None:
+        least, most, unit = RANGES["control_period"]  # friction is stepped through it, which must come to an end
+        if not least <= self.period <= most:
+            raise ValueError(f"period is {self.period:g}; it must be from {least:g} to {most:g} {unit}")
         object.__setattr__(self, "supply", self.supply_voltage)
         super().__post_init__()
 

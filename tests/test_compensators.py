@@ -4,6 +4,7 @@ import copy
 import json
 import math
 import pickle
+import re
 import subprocess
 import sys
 import warnings
@@ -682,6 +683,15 @@ def usable_or_refused(source):
     extra = {"friction": 0.0} if compensator.needs_friction else {}
     low = [limits.low for limits in compensator.ranges[:2]] or [1.0, 1.0]
     assert math.isfinite(compensator.voltage(*low, **extra))
+
+
+@pytest.mark.parametrize("period", [1e300, 3.6e3, 1e-5])
+@pytest.mark.parametrize("name", REMEMBERING)
+def test_a_period_that_no_controller_has_is_refused(fitted, name, period):
+    data = fitted[name].to_dict()
+    data["parameters"]["period"] = period  # the bristle would be stepped through it, a millisecond at a time
+    with pytest.raises(CompensatorError, match=f"parameters: period is {re.escape(f'{period:g}')}; .* 0.0001 to 1 s"):
+        load(data)
 
 
 @settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
