@@ -7,7 +7,7 @@ not be used after it (macOS), tasks run one after another, with the same results
 
 Forks share no lock. Each writes its results into a pipe of its own, which ends when the fork does, and they take the
 numbers of their tasks from one pipe that was filled before the first of them began. So a fork may be ended at any
-moment, in the midst of a result too: `concurrent.futures` waits for the rest of such a result for ever.
+moment, in the midst of a result too; a pool of the standard library then waits for the rest of it for ever.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ T = TypeVar("T")
 
 FORKS = sys.platform == "linux"
 _ENDS_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
-_NUMBER = struct.Struct("=I")  # of a task; a pipe holds 16,384 of them at least
-_MOST = 16_384
+_NUMBER = struct.Struct("=I")  # of a task
+_MOST = 16_384  # numbers that a pipe holds; Linux gives it 64 KiB
 
 _one_of_many = False  # in a fork: its siblings have the other cores
 
