@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from dipc_gym import mjcf
 from dipc_gym.provenance import made_with
 from dipc_gym.recording import Recording
+from dipc_gym.sim2real.allocation import give_back_freed
 from dipc_gym.sim2real.design import propose
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.estimation import unexplained
@@ -83,6 +84,7 @@ def diagnose(
         tell(f"note: {note}")
     provenance = _provenance(given, withheld, seed)
     asked = list(effects if effects is not None else catalogue().values())
+    give_back_freed()
     # Thousands of small matrices: threads of BLAS would wait for each other, and for those that simulate.
     with threadpool_limits(1, "blas"):
         try:
