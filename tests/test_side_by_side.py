@@ -106,6 +106,25 @@ def test_more_tasks_than_a_pipe_holds_numbers_of() -> None:
 
 
 @forked
+@pytest.mark.parametrize("room", [0, 1])
+def test_without_room_for_forks_tasks_are_done_here(room: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    fork, begun = os.fork, list[int]()
+
+    def full() -> int:
+        if len(begun) == room:
+            raise BlockingIOError(11, "Resource temporarily unavailable")
+        begun.append(room)
+        return fork()
+
+    monkeypatch.setattr(os, "fork", full)
+    with side_by_side([numbered(k) for k in range(4)], 2) as result:
+        found = [result(k) for k in range(4)]
+    assert [k for k, _ in found] == [0, 1, 2, 3]
+    assert (HERE in {process for _, process in found}) == (room == 0)
+    assert not multiprocessing.active_children()
+
+
+@forked
 def test_forks_end_with_a_parent_that_is_killed() -> None:
     code = (
         "import os, time\n"

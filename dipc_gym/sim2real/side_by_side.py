@@ -22,7 +22,7 @@ import struct
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
@@ -35,7 +35,6 @@ T = TypeVar("T")
 FORKS = sys.platform == "linux"
 _ENDS_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 _NUMBER = struct.Struct("=I")  # of a task
-_MOST = 16_384  # numbers that a pipe holds; Linux gives it 64 KiB
 
 _one_of_many = False  # in a fork: its siblings have the other cores
 
@@ -69,7 +68,7 @@ def side_by_side(
         yield lambda k: tasks[k]()
         return
     known = {id(one): one for one in shared}
-    forks = _forked(tasks, known, count)
+    forks: dict[Connection, BaseProcess] = {}  # at work, by the pipes that their results come from
     packed: dict[int, bytes] = {}
 
     def result(k: int) -> T:
@@ -81,6 +80,7 @@ def side_by_side(
         return found
 
     try:
+        _fork(tasks, known, count, forks)
         yield result
     finally:
         for pipe, fork in forks.items():
@@ -89,25 +89,27 @@ def side_by_side(
             pipe.close()
 
 
-def _forked(tasks: Sequence[Callable[[], Any]], known: dict[int, Any], count: int) -> dict[Connection, BaseProcess]:
-    """Forks at work, by the pipes that their results come from."""
+def _fork(
+    tasks: Sequence[Callable[[], Any]], known: dict[int, Any], count: int, forks: dict[Connection, BaseProcess]
+) -> None:
+    """Set forks to work, or as many as there is room for; without one, tasks are done here."""
     context = multiprocessing.get_context("fork")
     numbers, all_numbers = os.pipe()
-    for k in range(min(len(tasks), _MOST)):  # more would wait for a reader; they are done here
-        os.write(all_numbers, _NUMBER.pack(k))
+    os.set_blocking(all_numbers, False)
+    with suppress(BlockingIOError):  # a pipe holds some thousands; tasks beyond are done here
+        for k in range(len(tasks)):
+            os.write(all_numbers, _NUMBER.pack(k))
     os.close(all_numbers)
-    forks: dict[Connection, BaseProcess] = {}
     # The engine's threads rest meanwhile, and NumPy's are made for this.
-    with held_back(), warnings.catch_warnings():
+    with held_back(), warnings.catch_warnings(), suppress(OSError):
         warnings.simplefilter("ignore", DeprecationWarning)
         for _ in range(count):
             results, out = context.Pipe(duplex=False)
-            fork = context.Process(target=_work, args=(tasks, known, numbers, out), daemon=True)
-            fork.start()
-            out.close()  # the fork has the only other end: the pipe ends with it
+            with out:  # the fork has the only other end: the pipe ends with it
+                fork = context.Process(target=_work, args=(tasks, known, numbers, out), daemon=True)
+                fork.start()
             forks[results] = fork
     os.close(numbers)
-    return forks
 
 
 def _received(forks: dict[Connection, BaseProcess], packed: dict[int, bytes]) -> None:
