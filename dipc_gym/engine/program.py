@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -18,6 +19,7 @@ from dipc_gym.physics import Physics
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
+_KEPT = 64  # models that were read lately: as many as stay compiled in a fit
 _LIMITLESS = 1e30  # stands for no limit: no state comes near it
 
 
@@ -56,7 +58,7 @@ def read(variants: Sequence[Physics]) -> tuple[Program, Array]:
     Raises:
         Uncovered: the engine does not simulate something in it, or the variants have different structures.
     """
-    written = [_Writer(variant) for variant in variants]
+    written = [_written(variant) for variant in variants]
     first = written[0]
     for one in written[1:]:
         if one.tree != first.tree or one.ints != first.ints:
@@ -70,12 +72,18 @@ def read(variants: Sequence[Physics]) -> tuple[Program, Array]:
 
 def parameters_of(program: Program, variant: Physics) -> Array | None:
     """Parameters (k,) of another variant of a program's structure; None where it has another one."""
-    one = _Writer(variant)
+    one = _written(variant)
     numbers, fixed = np.array(one.numbers), program.tree.fixed
     same = (one.tree.parents, one.tree.slides) == (program.tree.parents, program.tree.slides)
     if not same or one.ints != program.codes.tolist() or any(numbers[k] != value for k, value in fixed):
         return None
     return numbers
+
+
+@functools.lru_cache(maxsize=_KEPT)
+def _written(variant: Physics) -> _Writer:
+    """What a model has; a fit asks for the same ones again, and nobody changes one that was read."""
+    return _Writer(variant)
 
 
 class _Writer:

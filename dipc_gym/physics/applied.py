@@ -19,7 +19,7 @@ from dipc_gym.physics.formulas import Moment, moment
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # two are the same where they are one: arrays and models have no equality to go by
 class Physics:
     """A compiled model with what MJCF cannot say.
 

@@ -15,6 +15,8 @@ from dipc_gym.recording.settings import CHECKS, DEGREES, NOISE
 from dipc_gym.recording.tables import RecordingError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from dipc_gym.recording.record import Recording
@@ -44,26 +46,32 @@ def noise(recording: Recording) -> NDArray[np.float64]:
     """
     if len(recording) < NOISE.fewest:
         raise RecordingError(f"{recording.name}: {len(recording)} samples are too few to tell noise from motion")
-    return np.array([_noise(recording.time, values) for values in recording.sensors.T])
+    weights = [_differences(recording.time, order) for order in NOISE.orders]
+    return np.array([_noise(weights, values) for values in recording.sensors.T])
 
 
-def _noise(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:
+def _noise(weights: Sequence[NDArray[np.float64]], values: NDArray[np.float64]) -> float:
     if np.ptp(values) == 0:
         return math.inf
-    left = [_white(time, values, order) for order in NOISE.orders]
+    left = [_white(each, values) for each in weights]
     # Not the least itself, which chance makes too small, but the first that is as good.
     white = next(estimate for estimate in left if estimate <= NOISE.as_good * min(left))
     return max(white, quantum(values) / math.sqrt(12))
 
 
-def _white(time: NDArray[np.float64], values: NDArray[np.float64], order: int) -> float:
-    """Standard deviation of white noise in a signal that is otherwise a polynomial of lower order nearly everywhere."""
+def _differences(time: NDArray[np.float64], order: int) -> NDArray[np.float64]:
+    """Weights of divided differences at these stamps (n,), that leave white noise its size, (n - order, order + 1)."""
     stamps = np.lib.stride_tricks.sliding_window_view(time, order + 1)
     gaps = stamps[:, :, None] - stamps[:, None, :]
     gaps /= (stamps[:, -1] - stamps[:, 0])[:, None, None]
     gaps[:, range(order + 1), range(order + 1)] = 1.0
     weights = 1.0 / gaps.prod(axis=2)
-    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    return np.asarray(weights / np.linalg.norm(weights, axis=1, keepdims=True))
+
+
+def _white(weights: NDArray[np.float64], values: NDArray[np.float64]) -> float:
+    """Standard deviation of white noise in a signal that is otherwise a polynomial of lower order nearly everywhere."""
+    order = weights.shape[1] - 1
     differences = np.einsum("ij,ij->i", weights, np.lib.stride_tricks.sliding_window_view(values, order + 1))
     parts = np.array_split(differences, max(1, len(differences) // NOISE.block))
     typical = float(np.median([np.mean(part**2) for part in parts]))

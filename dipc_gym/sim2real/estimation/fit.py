@@ -196,10 +196,11 @@ def fit(
             # No parameter may do more than double, or change by a factor of e.
             reach = ESTIMATION.reach * structure.sizes(z)
             trial = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, reach)
-            foretold = now - penalised(quadratics.after(trial - z) / problem.counts, trial, scale)
+            told = np.maximum(quadratics.after(trial - z), 0.0) / problem.counts
+            foretold = now - penalised(told, trial, scale)
             ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
-            tries = np.stack([s + ahead, s + ahead / ESTIMATION.shorter, s, problem.initial])
-            moved, after = shooting.best_initial(tries, shooting.residuals([trial] * len(tries), tries))
+            tries = s + ahead, s + ahead / ESTIMATION.shorter, s, problem.initial
+            moved, after = shooting.best_initial(trial, told, tries)
             # What the initial states can still explain does not speak against parameters: behind a gap, or where a
             # joint sticks, a straight line does not foretell the initial state that a window needs.
             lagged = shooting.lags(moved, after, S)
@@ -279,7 +280,7 @@ def _corrected(shooting: Shooting, z: Array, s: Array, residual: Array, S: Array
     for k in range(rounds):
         if k:
             _, _, S = shooting.derivatives(z, s, residual, parameters=False)
-        s, residual = shooting.corrected(z, s, residual, S, [problem.initial])
+        s, residual = shooting.corrected(z, s, residual, S)
     return s, predict(problem, shooting.structure, [z], s[None])[0]
 
 
@@ -325,8 +326,8 @@ def simulated(
     shooting, (s, S) = Shooting(problem, structure), begin
     residual = shooting.residuals([z], s[None])[0]
     mse = np.sum(residual**2, axis=(1, 2)) / problem.counts
-    for _ in range(rounds):
-        s, residual = shooting.corrected(z, s, residual, S, [problem.initial])
+    for k in range(rounds):
+        s, residual = shooting.corrected(z, s, residual, S, () if k else [problem.initial])
         before, mse = mse, np.sum(residual**2, axis=(1, 2)) / problem.counts
         if np.mean(before) < (1 + ESTIMATION.lag) * np.mean(mse):
             break

@@ -51,9 +51,39 @@ class Shooting:
         """Mean square of each window's rows, (n,)."""
         return np.einsum("nm,nm->n", rows, rows) / self.problem.counts
 
-    def best_initial(self, tries: Array, residuals: Array) -> tuple[Array, Array]:
-        """For each window the initial state of several (tries, n, 2 nb) that leaves least, and its residual (n, m,
-        ns).
+    def best_initial(
+        self, z: Array, foretold: Array, tries: Sequence[Array], known: tuple[Array, Array] | None = None
+    ) -> tuple[Array, Array]:
+        """For each window the initial state of several that leaves least, and its residual (n, m, ns).
+
+        The first is the one that derivatives ask for; the others are simulated only in windows where it leaves more
+        than they foretold.
+
+        Args:
+            z: mapped parameters, (p,).
+            foretold: mean square that the first will leave of each window, (n,).
+            tries: initial states, (n, 2 nb) each.
+            known: initial states whose residual is known.
+        """
+        begin = tries[0]
+        residual = self.residuals([z], begin[None])[0]
+        mse = self.mse(self.rows(begin, residual))
+        behind = np.flatnonzero(np.log1p(mse) - np.log1p(foretold) > ESTIMATION.lag)
+        if len(behind) and len(tries) > 1:
+            some = Shooting(self.problem.pick(behind), self.structure)
+            others = np.stack([each[behind] for each in tries[1:]])
+            begin, residual = begin.copy(), residual.copy()
+            begin[behind], residual[behind] = some.least(
+                np.append(begin[None, behind], others, axis=0),
+                np.append(residual[None, behind], some.residuals([z] * len(others), others), axis=0),
+            )
+        if known is None:
+            return begin, residual
+        return self.least(np.stack([begin, known[0]]), np.stack([residual, known[1]]))
+
+    def least(self, tries: Array, residuals: Array) -> tuple[Array, Array]:
+        """For each window the one of several initial states (tries, n, 2 nb) that leaves least, and its residual (n,
+        m, ns).
         """
         mse = [self.mse(self.rows(start, residual)) for start, residual in zip(tries, residuals, strict=True)]
         best, each = np.argmin(mse, axis=0), np.arange(tries.shape[1])
@@ -71,7 +101,8 @@ class Shooting:
             S: sensitivity to the initial states.
             others: initial states to try beside.
         """
-        ahead = self.nudge * project(S, self.rows(initial, residual)[..., None])[1][..., 0]
+        left, moves = project(S, self.rows(initial, residual)[..., None])
+        ahead = self.nudge * moves[..., 0]
         # A rig at rest needs no other initial state than the one it has.
         new = [
             one
@@ -80,11 +111,7 @@ class Shooting:
         ]
         if not new:
             return initial, residual
-        tries = np.stack(new)
-        return self.best_initial(
-            np.append(tries, initial[None], axis=0),
-            np.append(self.residuals([z] * len(new), tries), residual[None], axis=0),
-        )
+        return self.best_initial(z, self.mse(left[..., 0]), new, known=(initial, residual))
 
     def settled(self, z: Array, initial: Array, *, parameters: bool) -> tuple[Array, Array, Array, Array]:
         """Corrected initial states, their residual, and `derivatives` there.

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -24,6 +25,7 @@ from dipc_gym.sim2real.estimation.segments import Prepared, prepare
 from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.selection import data
 from dipc_gym.sim2real.selection.settings import WINDOWS
+from dipc_gym.sim2real.side_by_side import side_by_side
 from dipc_gym.sim2real.verdict.settings import CONVENTIONS
 
 Array = NDArray[np.float64]
@@ -126,14 +128,17 @@ def differing(
 
     as_counted = counted(None).problem
     without = min(common_error(evaluate(as_counted, one.structure, one.z)[0]) for one in fits)
-    tried: list[tuple[float, Convention]] = []
-    for convention in possible(physics, first.actuator_names, first.sensor_names):
+
+    def error(convention: Convention) -> float:
         again = counted(convention)
-        error = common_error(fit(again.problem, again.structure).mse)
-        if error < CONVENTIONS.decides * without:
-            tried.append((error, convention))
-    least = min((error for error, _ in tried), default=math.inf)
-    return [convention for error, convention in tried if error < CONVENTIONS.alike * least], least
+        return common_error(fit(again.problem, again.structure).mse)
+
+    all_of = list(possible(physics, first.actuator_names, first.sensor_names))
+    with side_by_side([partial(error, convention) for convention in all_of], prepared.problem.threads) as result:
+        tried = [(result(k), convention) for k, convention in enumerate(all_of)]
+    tried = [(off, convention) for off, convention in tried if off < CONVENTIONS.decides * without]
+    least = min((off for off, _ in tried), default=math.inf)
+    return [convention for off, convention in tried if off < CONVENTIONS.alike * least], least
 
 
 def _begin(recording: Recording, seconds: float) -> Recording:

@@ -129,7 +129,7 @@ def written(
         fewer = _with_one_less(final, partition.problem.pick(some), some, validation)
         to_refit = replace(partition.problem.pick(some), stepping=Stepping(timestep), halved=None)
         best = min(physical, key=lambda option: option.error)
-        for option in [as_found] if best is as_found else [best, as_found]:
+        for option in [as_found] if as_found.error <= VERDICT.worse * best.error else [best, as_found]:
             refitted += _made_up(option, to_refit, validation)
     taken = choose(physical, refitted, [*plainer, *fewer], enough)
     errors = [held_out.error(one.structure, one.z) for one in (nominal, recalibrated, taken)]
