@@ -46,7 +46,7 @@ def noise(recording: Recording) -> NDArray[np.float64]:
     """
     if len(recording) < NOISE.fewest:
         raise RecordingError(f"{recording.name}: {len(recording)} samples are too few to tell noise from motion")
-    weights = [_differences(recording.time, order) for order in NOISE.orders]
+    weights = _differences(recording.time)
     return np.array([_noise(weights, values) for values in recording.sensors.T])
 
 
@@ -59,8 +59,12 @@ def _noise(weights: Sequence[NDArray[np.float64]], values: NDArray[np.float64]) 
     return max(white, quantum(values) / math.sqrt(12))
 
 
-def _differences(time: NDArray[np.float64], order: int) -> NDArray[np.float64]:
-    """Weights of divided differences at these stamps (n,), that leave white noise its size, (n - order, order + 1)."""
+def _differences(time: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Weights of divided differences of each order that leave white noise its size, (n - order, order + 1)."""
+    return [_difference(time, order) for order in NOISE.orders]
+
+
+def _difference(time: NDArray[np.float64], order: int) -> NDArray[np.float64]:
     stamps = np.lib.stride_tricks.sliding_window_view(time, order + 1)
     gaps = stamps[:, :, None] - stamps[:, None, :]
     gaps /= (stamps[:, -1] - stamps[:, 0])[:, None, None]
@@ -224,7 +228,7 @@ def _odd_rates(recording: Recording, model: mujoco.MjModel) -> list[str]:
         if kinds[p] != (RATES.get(mujoco.mjtSensor(kind)), of):
             continue
         place, rate = recording.sensors[:, p], recording.sensors[:, r]
-        if np.ptp(rate) == 0 or np.std(place) < CHECKS.moves * _noise(recording.time, place):
+        if np.ptp(rate) == 0 or np.std(place) < CHECKS.moves * _noise(_differences(recording.time), place):
             continue
         found += _odd_rate(recording.time, (recording.sensor_names[p], place), (recording.sensor_names[r], rate))
     return found

@@ -57,7 +57,7 @@ class Shooting:
         """For each window the initial state of several that leaves least, and its residual (n, m, ns).
 
         The first is the one that derivatives ask for; the others are simulated only in windows where it leaves more
-        than they foretold.
+        than they foretold, or more than noise: where a joint sticks, derivatives do not see what another start brings.
 
         Args:
             z: mapped parameters, (p,).
@@ -68,7 +68,7 @@ class Shooting:
         begin = tries[0]
         residual = self.residuals([z], begin[None])[0]
         mse = self.mse(self.rows(begin, residual))
-        behind = np.flatnonzero(np.log1p(mse) - np.log1p(foretold) > ESTIMATION.lag)
+        behind = np.flatnonzero((mse > ESTIMATION.near) | (np.log1p(mse) - np.log1p(foretold) > ESTIMATION.lag))
         if len(behind) and len(tries) > 1:
             some = Shooting(self.problem.pick(behind), self.structure)
             others = np.stack([each[behind] for each in tries[1:]])
