@@ -65,6 +65,16 @@ class Shooting:
             tries: initial states, (n, 2 nb) each.
             known: initial states whose residual is known.
         """
+        if np.median(foretold) > ESTIMATION.near:  # most windows ask for all of them, and one batch costs less than two
+            begin, residual = self.least(np.stack(tries), self.residuals([z] * len(tries), np.stack(tries)))
+        else:
+            begin, residual = self._first_that_does(z, foretold, tries)
+        if known is None:
+            return begin, residual
+        return self.least(np.stack([begin, known[0]]), np.stack([residual, known[1]]))
+
+    def _first_that_does(self, z: Array, foretold: Array, tries: Sequence[Array]) -> tuple[Array, Array]:
+        """`best_initial` where the first will do for most windows."""
         begin = tries[0]
         residual = self.residuals([z], begin[None])[0]
         mse = self.mse(self.rows(begin, residual))
@@ -77,9 +87,7 @@ class Shooting:
                 np.append(begin[None, behind], others, axis=0),
                 np.append(residual[None, behind], some.residuals([z] * len(others), others), axis=0),
             )
-        if known is None:
-            return begin, residual
-        return self.least(np.stack([begin, known[0]]), np.stack([residual, known[1]]))
+        return begin, residual
 
     def least(self, tries: Array, residuals: Array) -> tuple[Array, Array]:
         """For each window the one of several initial states (tries, n, 2 nb) that leaves least, and its residual (n,
