@@ -30,6 +30,8 @@ LINK = 27  # and the position that counts as not moved, mass, first (3) and seco
 GRAVITY = 3  # numbers before those of the links
 
 _EXACT = 1e-13  # what is nearer to 0, 1 or -1 than this, in units of its kind, is that
+_UPRIGHT = np.eye(3)  # the axes of the ground
+_UPPER = np.triu_indices(3)  # where a symmetric matrix says all that it says
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ def tree_of(model: mujoco.MjModel) -> tuple[Tree, Array]:
         first = int(model.body_jntadr[body])
         for joint in range(first, first + int(model.body_jntnum[body])):
             parent = int(last[body])
-            carried = turns[parent] if parent >= 0 else np.eye(3)
+            carried = turns[parent] if parent >= 0 else _UPRIGHT
             turns.append(carried @ _turn_to(carried.T @ (turned[body] @ model.jnt_axis[joint])))
             origins.append(place[body] + turned[body] @ model.jnt_pos[joint])
             parents.append(parent)
@@ -78,7 +80,7 @@ def tree_of(model: mujoco.MjModel) -> tuple[Tree, Array]:
     numbers[:GRAVITY] = model.opt.gravity * (not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     links = numbers[GRAVITY:].reshape(-1, LINK)
     for i, parent in enumerate(parents):
-        carried, beside = (turns[parent], origins[parent]) if parent >= 0 else (np.eye(3), np.zeros(3))
+        carried, beside = (turns[parent], origins[parent]) if parent >= 0 else (_UPRIGHT, np.zeros(3))
         links[i, :9] = _rounded(carried.T @ turns[i]).ravel()
         offset = carried.T @ (origins[i] - beside)
         links[i, 9:12] = np.where(np.abs(offset) < _EXACT * max(1e-6, np.abs(offset).max()), 0.0, offset)
@@ -90,11 +92,11 @@ def tree_of(model: mujoco.MjModel) -> tuple[Tree, Array]:
         mass, centre = float(model.body_mass[body]), place[body] + turned[body] @ model.body_ipos[body]
         arm = turns[i].T @ (centre - origins[i])
         axes = turns[i].T @ turned[body] @ own[body]
-        inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
-        inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        inertia = (axes * model.body_inertia[body]) @ axes.T
+        inertia += mass * (arm @ arm * _UPRIGHT - arm[:, None] * arm)
         links[i, 13] += mass
         links[i, 14:17] += mass * arm
-        links[i, 17:23] += inertia[np.triu_indices(3)]
+        links[i, 17:23] += inertia[_UPPER]
         links[i, 23] += float(model.body_gravcomp[body]) * mass
         links[i, 24:27] += float(model.body_gravcomp[body]) * mass * arm
     for link in links:
@@ -135,16 +137,11 @@ def _turn_to(axis: Array) -> Array:
 
 def fix(tree: Tree, numbers: Array) -> Tree:
     """The tree with numbers (variants, count) fixed that are 0 in all variants, or 1 or -1 in a rotation."""
-    fixed = []
-    for k in range(GRAVITY, tree.count):
-        part = (k - GRAVITY) % LINK
-        column = numbers[:, k]
-        if part < 9:
-            settled = column[0] in (0.0, 1.0, -1.0) and bool((column == column[0]).all())
-        else:
-            settled = part != 13 and not column.any()
-        if settled:
-            fixed.append((k, float(column[0]) + 0.0))
+    columns = numbers[:, GRAVITY : tree.count]
+    first, part = columns[0], np.arange(columns.shape[1]) % LINK
+    of_rotation = (columns == first).all(axis=0) & np.isin(first, (0.0, 1.0, -1.0))
+    settled = np.where(part < 9, of_rotation, (part != 13) & ~columns.any(axis=0))
+    fixed = [(GRAVITY + int(k), float(first[k]) + 0.0) for k in np.flatnonzero(settled)]
     return Tree(tree.parents, tree.slides, tuple(fixed))
 
 

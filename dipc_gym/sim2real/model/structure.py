@@ -217,7 +217,10 @@ class Structure:
 
     def term_values(self, z: Array, term: Term) -> dict[str, float]:
         """Parameters of one effect."""
-        values = self.values(z)
+        return self._values_of(term, self.values(z))
+
+    @staticmethod
+    def _values_of(term: Term, values: Mapping[str, float]) -> dict[str, float]:
         return {
             p.name: term.guess[p.name] if p.fixed else values[f"{term.key}.{p.name}"] for p in term.effect.parameters
         }
@@ -228,7 +231,7 @@ class Structure:
         for parameter in self.model_parameters:
             parameter.write(document, values[parameter.key])
         for term in self.terms:
-            term.effect.edit(document, term.at, self.term_values(z, term))
+            term.effect.edit(document, term.at, self._values_of(term, values))
         return document
 
     def physics(self, z: Array) -> physics.Physics:
