@@ -18,9 +18,11 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.estimation import shooting as shooting_module
 from dipc_gym.sim2real.estimation.fit import Fit, _stepped, correct_initial, evaluate, fit, holding, weights
-from dipc_gym.sim2real.estimation.problem import normalised_residual, predict
+from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
 from dipc_gym.sim2real.estimation.segments import Prepared
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import Shooting, typical
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
@@ -549,6 +551,47 @@ def test_a_model_that_is_to_be_simulated_as_it_is_keeps_its_step() -> None:
 def shot() -> Shooting:
     S = ready(run())
     return Shooting(S.problem, S.structure)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), friction=st.sampled_from([0.0, 3.0]), far=st.sampled_from([0.1, 3.0, 100.0]))
+def test_the_best_of_several_starts_is_the_one_that_leaves_least(seed: int, friction: float, far: float) -> None:
+    """Unless the first does as foretold and leaves noise, in a problem where most windows are at the noise."""
+    S, rng = ready(run(friction=friction)), np.random.default_rng(seed)
+    shooting, z = Shooting(S.problem, S.structure), S.structure.first
+    begin, (n, two) = S.problem.initial, S.problem.initial.shape
+    tries = [begin + far * shooting.nudge * rng.normal(size=(n, two)) * (rng.random((n, 1)) < 0.5) for _ in range(4)]
+    foretold = rng.choice([0.5, 1.0, 4.0]) * np.ones(n)
+    residuals = shooting.residuals([z] * 4, np.stack(tries))
+    least, _ = shooting.least(np.stack(tries), residuals)
+    best, residual = shooting.best_initial(z, foretold, tries)
+    np.testing.assert_allclose(residual, shooting.residuals([z], best[None])[0], rtol=1e-9, atol=1e-9)
+    first = shooting.mse(shooting.rows(tries[0], residuals[0]))
+    does = (first <= ESTIMATION.near) & (np.log1p(first) - np.log1p(foretold) <= ESTIMATION.lag)
+    does &= foretold[0] <= ESTIMATION.near
+    np.testing.assert_array_equal(best, np.where(does[:, None], tries[0], least))
+    # And what is known without a simulation is taken where it is better.
+    known, _ = shooting.best_initial(z, foretold, tries, known=(least, np.min(residuals, axis=0) * 0.0))
+    np.testing.assert_array_equal(known, least)
+
+
+def test_other_starts_are_simulated_only_where_the_first_will_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    S = ready(run())
+    shooting, z = Shooting(S.problem, S.structure), S.structure.first
+    begin, _, _, _ = shooting.settled(z, S.problem.initial, parameters=False)
+    asked: list[int] = []
+
+    def counted(problem: Problem, structure: Structure, Z: list[np.ndarray], initial: np.ndarray) -> np.ndarray:
+        asked.append(len(Z) * len(problem.windows))
+        return predict(problem, structure, Z, initial)
+
+    monkeypatch.setattr(shooting_module, "predict", counted)
+    n = len(begin)
+    wrong = begin.copy()
+    wrong[3, 1] += 1.0  # m/s
+    shooting.best_initial(z, np.ones(n), [wrong, begin, S.problem.initial])
+    assert asked[0] == n
+    assert 2 <= sum(asked[1:]) < n
 
 
 @settings(deadline=None)

@@ -129,6 +129,7 @@ def written(
         fewer = _with_one_less(final, partition.problem.pick(some), some, validation)
         to_refit = replace(partition.problem.pick(some), stepping=Stepping(timestep), halved=None)
         best = min(physical, key=lambda option: option.error)
+        # A form that predicts hardly better is no reason to refit it as well.
         for option in [as_found] if as_found.error <= VERDICT.worse * best.error else [best, as_found]:
             refitted += _made_up(option, to_refit, validation)
     taken = choose(physical, refitted, [*plainer, *fewer], enough)
