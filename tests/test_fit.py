@@ -571,7 +571,7 @@ def test_the_best_of_several_starts_is_the_one_that_leaves_least(seed: int, fric
     does &= foretold[0] <= ESTIMATION.near
     np.testing.assert_array_equal(best, np.where(does[:, None], tries[0], least))
     # And what is known without a simulation is taken where it is better.
-    known, _ = shooting.best_initial(z, foretold, tries, known=(least, np.min(residuals, axis=0) * 0.0))
+    known, _ = shooting.best_initial(z, foretold, tries, known=(least, np.zeros_like(residuals[0])))
     np.testing.assert_array_equal(known, least)
 
 

@@ -82,7 +82,7 @@ def parameters_of(program: Program, variant: Physics) -> Array | None:
 
 @functools.lru_cache(maxsize=_KEPT)
 def _written(variant: Physics) -> _Writer:
-    """What a model has; a fit asks for the same ones again, and nobody changes one that was read."""
+    """What a model has; a fit asks for the same ones again, and who changes one for a moment puts it back."""
     return _Writer(variant)
 
 

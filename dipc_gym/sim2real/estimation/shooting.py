@@ -66,7 +66,8 @@ class Shooting:
             known: initial states whose residual is known.
         """
         if np.median(foretold) > ESTIMATION.near:  # most windows ask for all of them, and one batch costs less than two
-            begin, residual = self.least(np.stack(tries), self.residuals([z] * len(tries), np.stack(tries)))
+            all_of = np.stack(tries)
+            begin, residual = self.least(all_of, self.residuals([z] * len(all_of), all_of))
         else:
             begin, residual = self._first_that_does(z, foretold, tries)
         if known is None:
