@@ -26,6 +26,7 @@ from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
+from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
 from dipc_gym.sim2real.effects.surfaces import Surface
@@ -118,6 +119,7 @@ NEUTRAL: dict[str, Mapping[str, float]] = {
 # Time constants cannot be zero: the shortest one still delays by this much, s.
 SHORTEST = {"motor.inductance": 2.1e-4, "timing.sensor_lag": 1.1e-4}
 ROTORS = {"transmission.backlash", "transmission.compliance"}
+LOADS = {"load.swinging", "load.swinging:law"}  # likewise
 
 
 @functools.cache
@@ -247,7 +249,7 @@ def test_guesses_are_within_bounds(rig: str, effect: str, at: str) -> None:
             assert guess[p.name] > 0 or not p.log
 
 
-@pytest.mark.parametrize(("rig", "effect", "at"), [case for case in CASES if case[1] not in {*ROTORS, "load.swinging"}])
+@pytest.mark.parametrize(("rig", "effect", "at"), [case for case in CASES if case[1] not in ROTORS | LOADS])
 def test_the_neutral_value_changes_nothing(rig: str, effect: str, at: str) -> None:
     known, found = shaped(effect, rig, at)
     structure = added(rig, known, at, found[0])
@@ -544,6 +546,9 @@ def test_hostile_names_survive_every_effect(name: str) -> None:
             effect = UnknownRecent([0.0, 0.1], [1.0, 2.0], (f"velocity {name}",) * 2)
         if isinstance(known, CreepingSpringOfAnyLaw):
             effect = CreepingSpringOfAnyLaw(0.1, {"stiffness": 1.0, "faster_1": 0.1, "faster_2": 0.2})
+        if isinstance(known, SwingingLoadOfAnyLaw):
+            first = {"mass": 0.01, "small_swing_frequency": 2.0, "damping_ratio": 0.1, "slope_2": 0.5}
+            effect = SwingingLoadOfAnyLaw((0.0, 0.01, 0.03), first)
         if isinstance(known, HysteresisOfAnyLaw):
             effect = HysteresisOfAnyLaw({"bound": 1.0, "fall_1": 0.1, "fall_2": 0.2})
         values = {p.name: max(p.low, 0.01) if p.name != "first" else -1.0 for p in effect.parameters}

@@ -30,6 +30,7 @@ from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
+from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
 from dipc_gym.sim2real.effects.surfaces import Surface
@@ -57,6 +58,9 @@ FOUND = {
     "friction.speed@cart": FrictionOfSpeed([0.0, 0.02, 0.4], [3.0, 2.0, 2.6]),
     "friction.time@cart": FrictionOfTime([0.0, 8.0, 40.0], [4.5, 2.5, 2.0]),
     "load.creeping@cart": CreepingSpringOfAnyLaw(0.05, {"stiffness": 40.0, "faster_1": 0.02, "faster_2": 0.08}),
+    "load.swinging@cart": SwingingLoadOfAnyLaw(
+        (0.0, 0.02, 0.05), {"mass": 0.1, "small_swing_frequency": 2.0, "damping_ratio": 0.1, "slope_2": 0.4}
+    ),
     "load.position@cart": ForceOfPosition([-0.2, 0.2], [1.0, -1.0]),
     "motor.map@motor": CommandMap([-10.0, 0.0, 10.0], [-7.0, 0.5, 9.0]),
     "sensor.map@cart": ScaleMap([-0.2, 0.0, 0.1, 0.3], [-0.21, 0.02, 0.1, 0.26]),

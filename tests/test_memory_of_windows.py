@@ -7,18 +7,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from sim2real_rigs import CART, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
+from dipc_gym.engine.swing import swing
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real import catalogue, diagnose
+from dipc_gym.sim2real.effects.base import Effect
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
+from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
 from dipc_gym.sim2real.simulation.windows import cut
-from dipc_gym.sim2real.unseen.operators import play, swing
+from dipc_gym.sim2real.unseen.play import play
 
 ELEMENTS = ((0.004, 0.02), (1.5, 2.5))  # m and N
 HIDDEN = {
@@ -27,18 +31,23 @@ HIDDEN = {
 }
 
 
-def slips() -> tuple[Hysteresis, dict[str, float]]:
-    law = Hysteresis(*ELEMENTS)
-    return law, law.guess
+SOFTENS = (0.0, 0.01, 0.03, 0.08)  # m
+SOFTENED = {"mass": 0.3, "small_swing_frequency": 2.2, "damping_ratio": 0.04, "slope_2": 0.6, "slope_3": 0.3}
+EFFECTS = ["friction.hysteresis", *HIDDEN, "load.swinging:law"]
+
+
+def hidden(effect: str) -> tuple[Effect, dict[str, float]]:
+    if effect == "friction.hysteresis":
+        law = Hysteresis(*ELEMENTS)
+        return law, law.guess
+    if effect == "load.swinging:law":
+        return SwingingLoadOfAnyLaw(SOFTENS, SOFTENED), SOFTENED
+    return catalogue()[effect], HIDDEN[effect]
 
 
 def written(effect: str) -> physics.Physics:
-    document = Document(mjcf.from_text(CART))
-    if effect == "friction.hysteresis":
-        law, values = slips()
-        law.edit(document, "cart", values)
-    else:
-        catalogue()[effect].edit(document, "cart", HIDDEN[effect])
+    document, (law, values) = Document(mjcf.from_text(CART)), hidden(effect)
+    law.edit(document, "cart", values)
     return physics.from_model(mjcf.compile(document.text()))
 
 
@@ -65,7 +74,7 @@ def test_a_load_swings_as_its_equation_says(ratio: float) -> None:
     rate, forced = 2 * np.pi * 1.7, 9.0
     t = np.linspace(0, 2, 2001)
     q, v = np.sin(forced * t), forced * np.cos(forced * t)
-    apart, faster = swing(rate**2, 2 * ratio * rate, q, v, t, t)
+    apart, faster = swing([(0.0, rate**2)], 2 * ratio * rate, q, v, t)
     x, dx = 0.0, 0.0  # midpoint rule at a tenth of the step, an integrator of its own
     found = []
     for k in range(20001):
@@ -79,7 +88,59 @@ def test_a_load_swings_as_its_equation_says(ratio: float) -> None:
     np.testing.assert_allclose(faster, np.array(found)[:, 1], atol=2e-3 * np.abs(faster).max())
 
 
-@pytest.mark.parametrize("effect", ["friction.hysteresis", *HIDDEN])
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(0.0, 0.3), st.floats(0.0, 400.0)), min_size=1, max_size=6),
+    st.floats(0.0, 5.0),
+    st.sampled_from([0.0, 20.0]),
+    st.integers(0, 10_000),
+)
+def test_a_load_on_springs_with_slack_swings_as_its_equation_says(
+    springs: list[tuple[float, float]], drag: float, ground: float, seed: int
+) -> None:
+    """Against an integrator of its own, over any motion that is straight between samples."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 1.0, 0.01)
+    v = rng.normal(size=len(t))
+    q = np.cumsum(v) * 0.01 + 3.0
+    found = swing(springs, drag, q, v, t, ground=ground)
+
+    def rate(now: float, state: np.ndarray) -> list[float]:
+        away, speed = state[0] - np.interp(now, t, q), state[1] - np.interp(now, t, v)
+        pull = sum(k * np.sign(away) * max(abs(away) - slack, 0.0) for slack, k in springs)
+        return [state[1], -pull - drag * speed - ground * state[1]]
+
+    begin = [q[0], 0.0 if ground else v[0]]
+    by_hand = solve_ivp(rate, (0.0, t[-1]), begin, t_eval=t, rtol=1e-8, atol=1e-10, max_step=2e-3).y
+    away, faster = by_hand - (q, v)
+    np.testing.assert_allclose(found[0], away, atol=3e-4 * np.abs(away).max())
+    np.testing.assert_allclose(found[1], faster, atol=3e-3 * np.abs(faster).max())
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.005, 0.1), st.floats(0.01, 30.0)), min_size=1, max_size=8), st.floats(-0.5, 0.5))
+def test_the_springs_of_a_law_pull_in_plain_mujoco_as_it_says(
+    stretches: list[tuple[float, float]], away: float
+) -> None:
+    """Between its knots and beyond the last of them, where it pulls as it does there; it never falls with stretch."""
+    widths, slopes = zip(*stretches, strict=True)
+    knots = np.append(0.0, np.cumsum(widths))
+    values = {"mass": 0.2, "small_swing_frequency": 1.5, "damping_ratio": 0.1}
+    values |= {f"slope_{k + 1}": slope for k, slope in enumerate(slopes) if k}
+    law, document = SwingingLoadOfAnyLaw(knots.tolist(), values), Document(mjcf.from_text(CART))
+    law.edit(document, "cart", values)
+    model = mjcf.compile(document.text())
+    data = mujoco.MjData(model)
+    data.qpos[model.joint("cart_load").qposadr[0]] = away
+    mujoco.mj_forward(model, data)
+    table = law.law_of(values, {"mass": "kg"})["table"]
+    assert np.all(np.diff(table["levels"]) > 0)
+    pull = np.interp(abs(away), table["inputs"][0]["knots"], table["levels"])
+    passive = data.qfrc_passive[model.joint("cart_load").dofadr[0]]
+    assert passive == pytest.approx(-np.sign(away) * pull, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
 def test_windows_begin_with_what_the_motion_before_left(effect: str) -> None:
     """With the right parameters nearly nothing is left, in late windows as in early ones.
 
@@ -88,7 +149,7 @@ def test_windows_begin_with_what_the_motion_before_left(effect: str) -> None:
     rig = written(effect)
     run = record(rig, sweep(4.0), noise=(1e-5,))
     ready = prepared(CART, [run], stepping=Stepping(0.001, RK4))
-    law, values = slips() if effect == "friction.hysteresis" else (catalogue()[effect], HIDDEN[effect])
+    law, values = hidden(effect)
     structure = ready.structure.with_term(Term(law, "cart", values))
     right = fit(ready.problem, structure, most=0)
     without = fit(ready.problem, ready.structure, most=0)
@@ -98,7 +159,7 @@ def test_windows_begin_with_what_the_motion_before_left(effect: str) -> None:
 
 
 @pytest.mark.parametrize("stepping", [Stepping(0.001, RK4), Stepping(0.001)], ids=["engine", "mujoco"])
-@pytest.mark.parametrize("effect", ["friction.hysteresis", "load.swinging"])
+@pytest.mark.parametrize("effect", ["friction.hysteresis", "load.swinging", "load.swinging:law"])
 def test_windows_without_their_motions_are_refused(effect: str, stepping: Stepping) -> None:
     """Neither simulator begins with springs unbent and loads at rest where nobody knows."""
     rig = written(effect)
@@ -114,7 +175,7 @@ def test_a_creeping_spring_is_maxwells_element() -> None:
     stamps = np.arange(0.0, 2.0, step)
     held = np.minimum(stamps / 0.01, 1.0) * 0.02
     ground = float(model.dof_damping[1] / model.dof_armature[1])
-    behind, _ = swing(ground / time, 0.0, held, np.gradient(held, step), stamps, stamps, ground=ground)
+    behind, _ = swing([(0.0, ground / time)], 0.0, held, np.gradient(held, step), stamps, ground=ground)
     later = np.searchsorted(stamps, [0.1, 0.5, 0.9])
     np.testing.assert_allclose(np.diff(np.log(-behind[later])), -0.4 / time, rtol=0.02)
     assert model.body_mass[-1] < 1e-8
@@ -154,7 +215,7 @@ def test_it_is_found_and_written_back_as_plain_mjcf(effect: str) -> None:
 def test_sensitivities_go_through_yielding() -> None:
     """Exact derivatives by the elements' forces, and by initial states, are limits of differences."""
     ready = prepared(CART, [record(written("friction.hysteresis"), sweep(4.0), 2.0, noise=(1e-5,))])
-    law, values = slips()
+    law, values = hidden("friction.hysteresis")
     problem, structure = ready.problem, ready.structure.with_term(Term(law, "cart", values))
     z, initial = structure.first, problem.initial
     found = sensitivities(problem, structure, z, [z + 1e-7 * unit for unit in np.eye(len(z))], initial)
@@ -169,3 +230,24 @@ def test_sensitivities_go_through_yielding() -> None:
         off = np.abs(exact - difference).max(axis=(1, 2)) / np.abs(difference).max()
         # An element that yields within a step has no event of its own, and its rest jumps as the motion before turns.
         assert np.median(off) < 0.01
+
+
+def test_a_load_that_swings_wide_is_found_with_the_law_of_its_spring() -> None:
+    """Its spring hardens by MuJoCo's own polynomial, which no law of the tool's is."""
+    document = Document(mjcf.from_text(CART))
+    catalogue()["load.swinging"].edit(document, "cart", {"mass": 0.25, "frequency": 1.6, "damping_ratio": 0.06})
+    (spring,) = document.root.iter("fixed")
+    document.set(spring, stiffness=(float(spring.get("stiffness", "")), 0.0, 1e3))
+    rig = physics.from_model(mjcf.compile(document.text()))
+    runs = [record(rig, sweep(volts), 8.0, noise=(1e-4,)) for volts in (6.0, 4.0)]
+    found = diagnose(mjcf.from_text(CART), runs)
+    (load,) = found.missing
+    assert load.effect == "load.swinging"
+    assert load.law is not None
+    assert load.parameters["mass"]["value"] == pytest.approx(0.25, rel=0.05)
+    assert load.parameters["small_swing_frequency"]["value"] == pytest.approx(1.6, rel=0.1)
+    (along,), levels = load.law["table"]["inputs"], np.array(load.law["table"]["levels"])
+    slopes = np.diff(levels) / np.diff(along["knots"])
+    assert slopes[-1] > 1.5 * slopes[0]
+    assert found.held_out.improved < 1.5
+    assert not mjcf.compile(found.improved).nuserdata  # stock MuJoCo keeps nothing in mind for it

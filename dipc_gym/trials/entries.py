@@ -12,7 +12,7 @@ GLOBAL = (
     "rotor", "gap", "stiffness", "shaft_damping",  # transmission
     "drift", "drift_time",
     "dwell", "dwell_time", "dwell_power",  # friction that grows at rest, of its own shape if of a power
-    "slosh_mass", "slosh_rate", "slosh_damping", "slosh_length",  # a load that swings, like a pendulum if of a length
+    "slosh_mass", "slosh_rate", "slosh_damping", "slosh_bend", "slosh_power",  # a load that swings, bent if of a power
     "creep_stiffness", "creep_time", "creep_width",  # a spring that gives way, the sooner the farther if of a width
     "leak", "encoder_size", "encoder_wave", "encoder_phase",
     "law", "bump1", "centre1", "width1", "bump2", "centre2", "width2", "bump3", "centre3", "width3",  # of any shape

@@ -23,7 +23,8 @@ from dipc_gym.trials.entries import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_J
     KT, KE, RESISTANCE, INDUCTANCE, DEAD, VLIMIT, FLIMIT, COG_SIZE, COG_WAVE, COG_PHASE,
     HEAT_COEFFICIENT, HEAT_RESISTANCE, HEAT_TIME, DELAY,
     ROTOR, GAP, STIFFNESS, SHAFT_DAMPING,
-    DRIFT, DRIFT_TIME, DWELL, DWELL_TIME, DWELL_POWER, SLOSH_MASS, SLOSH_RATE, SLOSH_DAMPING, SLOSH_LENGTH,
+    DRIFT, DRIFT_TIME, DWELL, DWELL_TIME, DWELL_POWER, SLOSH_MASS, SLOSH_RATE, SLOSH_DAMPING, SLOSH_BEND,
+    SLOSH_POWER,
     CREEP_STIFFNESS, CREEP_TIME, CREEP_WIDTH, LEAK, ENCODER_SIZE, ENCODER_WAVE, ENCODER_PHASE,
     LAW, BUMP1, CENTRE1, WIDTH1, BUMP2, CENTRE2, WIDTH2, BUMP3, CENTRE3, WIDTH3,
     FALL, FALL_SPEED, FALL_POWER, RISE, RISE_SPEED, RISE_POWER,
@@ -198,10 +199,10 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
         out[BRISTLE_Z] = rate
         rhs[0] -= p[b + BRISTLE] * s[BRISTLE_Z] + p[b + BRISTLE_DAMPING] * rate
     if p[SLOSH_MASS] > 0.0:
-        away = s[SLOSH_Q] - s[0]
-        if p[SLOSH_LENGTH] > 0.0:
-            away = p[SLOSH_LENGTH] * np.sin(away / p[SLOSH_LENGTH])
-        pull = p[SLOSH_RATE] * (p[SLOSH_RATE] * away + 2.0 * p[SLOSH_DAMPING] * (s[SLOSH_V] - s[V]))
+        held = p[SLOSH_RATE] ** 2 * (s[SLOSH_Q] - s[0])
+        if p[SLOSH_BEND] > 0.0:
+            held *= (1.0 + (held / p[SLOSH_BEND]) ** 2) ** p[SLOSH_POWER]
+        pull = held + 2.0 * p[SLOSH_DAMPING] * p[SLOSH_RATE] * (s[SLOSH_V] - s[V])
         out[SLOSH_Q] = s[SLOSH_V]
         out[SLOSH_V] = -pull
         rhs[0] += p[SLOSH_MASS] * pull

@@ -2,7 +2,7 @@
 
 Shapes are sums of bell curves, powers and exponentials, with numbers at random. The tool writes laws as straight lines
 between knots, its formulas are sines, constants and squares, its friction with memory springs that slip, its loads hang
-on straight springs, its creeping springs creep in proportion: none of these can be one of them but by approximation.
+on springs of straight pieces, its creeping springs creep by such: none of these is one of them but by approximation.
 """
 
 from __future__ import annotations
@@ -81,11 +81,12 @@ def named(rig: Rig) -> list[Effect]:
             at,
             (
                 Parameter("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),
-                Parameter("slosh_length", m, index("slosh_length"), 0.1 * span, span),
                 Parameter("slosh_damping", "", index("slosh_damping"), 0.02, 0.2),
+                Parameter("slosh_bend", f"{m}/s^2", index("slosh_bend"), 0.3 * force / own, 3.0 * force / own),
+                Parameter("slosh_power", "", index("slosh_power"), 0.15, 0.45, "signed"),
             ),
             fixed=((index("slosh_mass"), 0.15 * own), (index("m0"), -0.15 * own)),
-            kind="load that swings like a pendulum",
+            kind="load that swings wide by a law of its own",
             alike=("load.swinging",),
         ),
         creeping(

@@ -136,6 +136,23 @@ def couple(document: Document, name: str, rotor: str, load: str, stiffness: floa
     _between(document, tendon, rotor, load)
 
 
+def bend(document: Document, name: str, rotor: str, load: str, slack: float, stiffness: float) -> None:
+    """A spring between rotor and load that pulls from some stretch on, either way, as a fixed tendon.
+
+    Args:
+        document: to edit.
+        name: of the tendon.
+        rotor: joint.
+        load: joint.
+        slack: stretch up to which it does not pull, m or rad.
+        stiffness: beyond, N/m or N m/rad; below zero it softens another spring there.
+    """
+    ends = (-slack, slack)
+    tendon = document.add("tendon", "fixed", name=document.fresh(name), stiffness=stiffness, springlength=ends)
+    document.plain(tendon, limited="auto", range="0 0", frictionloss="0", armature="0", damping="0")
+    _between(document, tendon, rotor, load)
+
+
 def limit(document: Document, name: str, rotor: str, load: str, gap: float, rate: float, damping: float) -> None:
     """A contact at each end of a gap between rotor and load, as the limits of a fixed tendon.
 

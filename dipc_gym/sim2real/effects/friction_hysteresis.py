@@ -13,7 +13,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Values
 from dipc_gym.sim2real.effects.law import Array, Law, described
 from dipc_gym.sim2real.effects.tables import odd_blocks, spared
-from dipc_gym.sim2real.unseen.operators import play
+from dipc_gym.sim2real.unseen.play import play
 
 WIDTHS = np.geomspace(2e-3, 1.0, 28)  # over which an element is bent, in ranges of the joint's motion
 MOST, MOST_ELEMENTS = 6, 12  # elements that forces tell of, and that simulation may

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from dipc_gym.engine.swing import swing
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.coupling import couple, node
-from dipc_gym.sim2real.unseen.operators import swing
 
 TIMES = np.geomspace(0.03, 5.0, 24)  # s, tried by regression
 APART = 0.5  # of the logarithms of two first guesses
@@ -72,4 +72,4 @@ def _behind(time: float, evidence: Evidence, part: np.ndarray) -> np.ndarray:
     if len(part) < 3:
         return np.zeros(len(part))
     q, v, t = evidence.position[part], evidence.velocity[part], evidence.time[part]
-    return np.asarray(swing(1 / (time * SHARPEST), 0.0, q, v, t, t, ground=1 / SHARPEST)[0])
+    return np.asarray(swing([(0.0, 1 / (time * SHARPEST))], 0.0, q, v, t, ground=1 / SHARPEST)[0])

@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import beside, couple, free_inertia
-from dipc_gym.sim2real.unseen.operators import swing
+from dipc_gym.sim2real.effects.coupling import beside, couple
+from dipc_gym.sim2real.effects.loads import RATES, Load, Sought
 
-Array = NDArray[np.float64]
-
-RATES = 2 * np.pi * np.geomspace(0.4, 20.0, 40)  # rad/s, tried by regression
-DAMPED = 0.05  # damping ratio to begin with
-LIGHTEST, HEAVIEST = 0.01, 0.7  # of a first guess, as a share of what the joint moves
+PEAKS, APART = 2, 1.35  # first guesses, and how far apart their rates are: what is nearer falls into the same valley
 
 
 class SwingingLoad(Effect):
@@ -37,30 +32,14 @@ class SwingingLoad(Effect):
     rivals = ("transmission.compliance", "transmission.backlash", "load.spring", "friction.hysteresis")
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """The two rates at which a load would pull most like the unexplained force."""
-        begins = np.flatnonzero(np.diff(evidence.time, prepend=np.inf) <= 0)
-        parts = np.split(np.arange(len(evidence.time)), begins[begins > 0])
-        plain = np.stack([np.ones_like(evidence.force), evidence.velocity, evidence.position], axis=1)
-        found = []
-        for rate in RATES:
-            pull = np.concatenate([_pull(rate, evidence, part) for part in parts])
-            columns = np.column_stack([pull, plain])
-            weights, *_ = np.linalg.lstsq(columns, evidence.force, rcond=None)
-            left = float(np.sum((evidence.force - columns @ weights) ** 2))
-            if weights[0] > 0:
-                found.append((left, rate, float(weights[0])))
-        peaks: list[tuple[float, float, float]] = []
-        for one in sorted(found):
-            if len(peaks) < 2 and all(abs(np.log(one[1] / other[1])) > 0.3 for other in peaks):
-                peaks.append(one)
-        inertia = free_inertia(evidence.model, evidence.at)
+        """The loads at two rates that pull most like the unexplained force."""
         return [
             {
-                "mass": float(np.clip(mass, LIGHTEST * inertia, HEAVIEST * inertia)),
-                "frequency": rate / (2 * np.pi),
-                "damping_ratio": DAMPED,
+                "mass": one.weighing(evidence),
+                "frequency": one.load.rate / (2 * np.pi),
+                "damping_ratio": one.load.ratio,
             }
-            for _, rate, mass in peaks
+            for one in Sought(evidence).best(map(Load, RATES.tolist()), PEAKS, APART)
         ]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
@@ -75,12 +54,3 @@ class SwingingLoad(Effect):
             f"A part of what {at} moves, {values['mass']:.3g} {unit['mass']}, swings on its own: at "
             f"{values['frequency']:.3g} Hz, with a damping ratio of {values['damping_ratio']:.2g}."
         )
-
-
-def _pull(rate: float, evidence: Evidence, part: NDArray[np.intp]) -> Array:
-    """Force of a load of 1 kg against one that is carried along, at its rate."""
-    if len(part) < 3:
-        return np.zeros(len(part))
-    q, v, t = evidence.position[part], evidence.velocity[part], evidence.time[part]
-    apart, faster = swing(rate**2, 2 * DAMPED * rate, q, v, t, t)
-    return np.asarray(np.gradient(v, t) + rate**2 * apart + 2 * DAMPED * rate * faster)

@@ -12,10 +12,12 @@ from dipc_gym.physics import RECENT, RESIDUAL
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.law import Array, holding_new, recalled
 from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.tables import hats
 from dipc_gym.sim2real.effects.unknown_force import driven_up_to, in_words, unit_of
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct, carriers
 
 TIMES = np.geomspace(0.05, 10.0, 8)  # s, tried by regression
+ROUGH = 8  # stretches of the table by which they are
 
 
 class UnknownRecent(UnknownProduct):
@@ -66,25 +68,34 @@ class UnknownRecent(UnknownProduct):
         return ""
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
-        """The input and the time constant that take most of the unexplained force, by a parabola of the recent size."""
-        tried = []
-        for carrier in carriers(evidence):
-            y = evidence.inputs[carrier]
-            for time, past in zip(TIMES, recalled(evidence, RECENT, TIMES[:, None], y), strict=True):
-                columns = np.column_stack([past * y, past**2 * y, y, evidence.velocity, evidence.direction])
-                free, _ = np.linalg.qr(np.column_stack([columns, np.ones_like(y)]))
-                tried.append((float(np.sum((free.T @ evidence.force) ** 2)), float(time), carrier, past))
-        if not tried:
-            return []
-        _, time, carrier, past = max(tried, key=lambda one: one[0])
-        found = self._over(evidence, past, carrier)
+        """For each thing it may be in proportion to, the time constant at which it takes most of the unexplained force.
+
+        Which of them it is, simulation tells: forces that are estimated go with the command as well, since that is what
+        moves the joint.
+        """
+        return [found for carrier in carriers(evidence) for found in self._paced(evidence, carrier)]
+
+    def _paced(self, evidence: Evidence, carrier: str) -> Sequence[tuple[Effect, Values]]:
+        """The law in proportion to one thing; none where that never changes."""
+        pasts = recalled(evidence, RECENT, TIMES[:, None], evidence.inputs[carrier])
+        best = int(np.argmin([self._left(evidence, past, evidence.inputs[carrier]) for past in pasts]))
+        found = self._over(evidence, pasts[best], carrier)
         if found is None:
             return []
         _, most, knots, values = found
-        unit, speed = unit_of(evidence.model, carrier), driven_up_to(evidence)
+        unit, speed, time = unit_of(evidence.model, carrier), driven_up_to(evidence), float(TIMES[best])
         names, units = (carrier, carrier), (unit, unit)
         shaped = UnknownRecent(knots.tolist(), values.tolist(), names, most, speed, units, time)
         return [(shaped, shaped.guess)]
+
+    @staticmethod
+    def _left(evidence: Evidence, past: Array, y: Array) -> float:
+        """Sum of squares that a rough table of the recent size leaves of the force."""
+        edges = np.linspace(0.0, max(float(past.max()), 1e-300), ROUGH + 1)
+        columns = [hats(edges, past) * y[:, None], evidence.velocity, evidence.direction, np.ones_like(y), y]
+        free, size, _ = np.linalg.svd(np.column_stack(columns), full_matrices=False)
+        told = free[:, size > 1e-9 * size[0]].T @ evidence.force
+        return float(evidence.force @ evidence.force - told @ told)
 
     @property
     def guess(self) -> dict[str, float]:

@@ -97,6 +97,8 @@ class Structure:
         base: names of its joints.
         model_parameters: those of its own that are free.
         terms: effects added, in the order in which they are written.
+        longest: step in which it is simulated at most, s, whatever its effects bear.
+        warmed: how long it is simulated before a window at least, s, whatever its effects need.
     """
 
     document: Document
@@ -104,6 +106,8 @@ class Structure:
     base: tuple[str, ...]
     model_parameters: tuple[ModelParameter, ...] = ()
     terms: tuple[Term, ...] = ()
+    longest: float = math.inf
+    warmed: float = 0.0
     slots: tuple[Slot, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -263,7 +267,7 @@ class Structure:
     @property
     def warm(self) -> float:
         """How long to simulate before a window, s."""
-        return max([self._own_warm, *(term.effect.warm for term in self.terms)])
+        return max([self._own_warm, self.warmed, *(term.effect.warm for term in self.terms)])
 
     @functools.cached_property
     def _own_warm(self) -> float:
@@ -291,7 +295,11 @@ class Structure:
     @property
     def finest(self) -> float:
         """Longest step at which every effect can be simulated, s."""
-        return min((term.effect.finest for term in self.terms), default=math.inf)
+        return min([self.longest, *(term.effect.finest for term in self.terms)])
+
+    def simulated_as(self, other: Structure) -> Structure:
+        """The same in steps as fine as another one's, and simulated as long before a window."""
+        return replace(self, longest=min(self.longest, other.finest), warmed=max(self.warmed, other.warm))
 
     @functools.cached_property
     def own_finest(self) -> float:

@@ -56,7 +56,13 @@ def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> It
     """Fits without an effect, or with a plainer one in its place, that do not miss it."""
     remaining = current.structure.without(term.key)
     less = fitter.near(current, remaining) if remaining.terms else None
-    if less is not None and not _missed(fitter.scorer, term, current, less):
+    missed = less is None or _missed(fitter.scorer, term, current, less)
+    alike = remaining.simulated_as(current.structure)
+    if missed and less is not None and (alike.finest, alike.warm) != (remaining.finest, remaining.warm):
+        # What it is missed for may be the finer steps, or the time before a window, that it was simulated with.
+        less = fitter.near(current, alike)
+        missed = less is None or _missed(fitter.scorer, term, current, less)
+    if less is not None and not missed:
         yield less
     for inner in term.effect.contains:
         plainer = _swap(question, fitter, current, term, inner)

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.engine.remember import recall
+from dipc_gym.engine.swing import Springs, swing
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows
-from dipc_gym.sim2real.unseen.operators import play, swing
 from dipc_gym.sim2real.unseen.parts import Load, along, loads, yielding
+from dipc_gym.sim2real.unseen.play import play
 
 Array = NDArray[np.float64]
 
@@ -72,14 +73,15 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
         m or rad, then m/s or rad/s, (2, variants, n).
     """
     out = np.empty((2, len(variants), len(time)))
-    known: dict[tuple[float, float, float], Array] = {}
+    known: dict[tuple[Springs, float, float], Array] = {}
     for v, variant in enumerate(variants):
-        rates = load.rates(variant.model)
-        if rates not in known:
+        held = load.held(variant.model)
+        if held not in known:
             moved = motion.position[:, joint], motion.velocity[:, joint], motion.time
-            pull, drag, ground = rates
-            known[rates] = swing(pull, drag, *moved, time, ground=ground)
-        out[:, v] = known[rates]
+            springs, drag, ground = held
+            along = swing(springs, drag, *moved, ground=ground)
+            known[held] = np.stack([np.interp(time, motion.time, one) for one in along])
+        out[:, v] = known[held]
     return out
 
 
@@ -123,7 +125,7 @@ class Joints(NamedTuple):
 
     Attributes:
         base: joints that initial states describe.
-        hidden: behind a gap or a spring.
+        hidden: behind a gap or a spring; no loads, which are where the motion before has brought them.
         leaders: the base joint that each of these follows.
     """
 
@@ -135,7 +137,7 @@ class Joints(NamedTuple):
     def of(cls, model: mujoco.MjModel, base: Sequence[str]) -> Joints:
         """Those of a model, by the names of its base joints."""
         followed = mjcf.followers(model)
-        hidden = sorted(followed)
+        hidden = sorted(followed.keys() - loads(model).keys())
         each = (base, hidden, [followed[name] for name in hidden])
         return cls(*([int(model.joint(name).dofadr[0]) for name in names] for names in each))
 
@@ -210,9 +212,12 @@ def begin(
     leaders = mjcf.followers(model)
     for name, load in loads(model).items():
         for mine, _, motion in _passes(windows, f"how {name} swings"):
-            apart, faster = swings(variants, load, base.index(leaders[name]), motion, time[mine])
-            places.position[:, mine, load.at] += apart
-            places.velocity[:, mine, load.at] += faster
+            # Against the motion that has carried it: how far an initial state is off, moves the joint and not the load.
+            lead = base.index(leaders[name])
+            apart, faster = swings(variants, load, lead, motion, time[mine])
+            carried = motion.at(time[mine])
+            places.position[:, mine, load.at] = carried[:, lead] + apart
+            places.velocity[:, mine, load.at] = carried[:, len(base) + lead] + faster
     for k, into in enumerate(places.remembered):
         law = variants[0].remembering[k]
         for mine, recording, motion in _passes(windows, f"what {law.effect} of {law.at} remembers"):

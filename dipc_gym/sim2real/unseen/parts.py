@@ -24,24 +24,31 @@ def along(model: mujoco.MjModel, tendon: int) -> list[tuple[int, float]]:
 
 @dataclass(frozen=True)
 class Load:
-    """A joint that swings on a spring against another one, or creeps after it, driven by nothing else.
+    """A joint that swings on springs against another one, or creeps after it, driven by nothing else.
 
     Attributes:
         at: its degree of freedom.
-        tendon: the spring between them.
+        tendons: the springs between them; one pulls at once, others where it is stretched by more than their slack.
     """
 
     at: int
-    tendon: int
+    tendons: tuple[int, ...]
 
-    def rates(self, model: mujoco.MjModel) -> tuple[float, float, float]:
-        """Stiffness, damping against the other joint, and damping of its own, per inertia: 1/s^2, 1/s and 1/s."""
+    def held(self, model: mujoco.MjModel) -> tuple[tuple[tuple[float, float], ...], float, float]:
+        """What holds it, per inertia: slack and stiffness of springs, damping against the other joint, and of its own.
+
+        In m or rad and 1/s^2, 1/s and 1/s.
+        """
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fullM(model, data, full)
         inertia = max(float(full[self.at, self.at]), 1e-300)
-        stiffness, damping = float(model.tendon_stiffness[self.tendon]), float(model.tendon_damping[self.tendon])
-        return stiffness / inertia, damping / inertia, float(model.dof_damping[self.at]) / inertia
+        springs = tuple(
+            (float(np.ptp(model.tendon_lengthspring[t])) / 2, float(model.tendon_stiffness[t]) / inertia)
+            for t in self.tendons
+        )
+        damping = float(sum(model.tendon_damping[t] for t in self.tendons))
+        return springs, damping / inertia, float(model.dof_damping[self.at]) / inertia
 
 
 def loads(model: mujoco.MjModel) -> dict[str, Load]:
@@ -51,7 +58,9 @@ def loads(model: mujoco.MjModel) -> dict[str, Load]:
     for name, leader in mjcf.followers(model).items():
         at, lead = (int(model.joint(one).dofadr[0]) for one in (name, leader))
         between = [t for t in range(model.ntendon) if {joint for joint, _ in along(model, t)} == {at, lead}]
-        springs = [t for t in between if model.tendon_stiffness[t] > 0 and not np.ptp(model.tendon_lengthspring[t])]
-        if int(model.joint(name).id) not in driven and len(between) == len(springs) == 1:
-            found[name] = Load(at, springs[0])
+        # Springs that pull either way alike; one that pulls at all without slack, and others that may do nothing.
+        alike = all(not np.sum(model.tendon_lengthspring[t]) for t in between)
+        taut = [t for t in between if model.tendon_stiffness[t] > 0 and not np.any(model.tendon_lengthspring[t])]
+        if int(model.joint(name).id) not in driven and alike and len(taut) == 1:
+            found[name] = Load(at, tuple(between))
     return found

@@ -1,0 +1,140 @@
+"""A part of what a joint moves swings on its own, by a law: wide swings are slower than small ones, or faster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.coupling import bend, beside, couple
+from dipc_gym.sim2real.effects.law import at_joint, described
+from dipc_gym.sim2real.effects.loads import DAMPED, FLATTEST, RATES, STEEPEST, Load, Sought
+from dipc_gym.sim2real.effects.settings import LAWS
+
+Array = NDArray[np.float64]
+
+SHARES = (0.35, 0.65, 0.85, 0.97)  # of all samples the load is nearer than a knot: most of them near the middle
+FINEST = 20  # stretches between knots: as many springs are followed in each simulation
+BENDS: tuple[Callable[[Array], Array], ...] = (np.tanh, np.sinh)  # a rope or a fluid softens, a link or rubber hardens
+WIDE = (1.0, 2.5)  # swings, in what they bend by
+FURTHER = 1.2  # times the widest swing, which the table goes up to: a fit may swing it a little wider
+
+
+class SwingingLoadOfAnyLaw(Effect):
+    """One hidden mode whose spring is any rising function of its stretch: a load on a rope, a sloshing fluid, rubber.
+
+    As plain MJCF: `load.swinging`, and beside its spring others that pull or soften from some stretch on, either way.
+    Beyond the last knot it pulls as it does there.
+
+    Args:
+        knots: stretches at which the slope of the spring changes, the first 0, m or rad; none in the catalogue.
+        first: guess of the parameters of `load.swinging`, and of slopes.
+    """
+
+    id = "load.swinging:law"
+    place = "joint"
+    law = "swinging load"
+    free = True
+    rivals = ("transmission.compliance", "transmission.backlash", "friction.hysteresis", "residual.force")
+    contains = ("load.swinging",)
+
+    def __init__(self, knots: Sequence[float] = (), first: Values | None = None) -> None:
+        self.knots, self.first = tuple(map(float, knots)), dict(first or {})
+        sigma = LAWS.loose / LAWS.step
+        slopes = (Parameter(_slope(k), "", FLATTEST, STEEPEST, log=True, sigma=sigma) for k in range(1, len(knots) - 1))
+        self.parameters = (
+            ()
+            if not self.knots
+            else (
+                Parameter("mass", "kg", 1e-9, log=True),
+                Parameter("small_swing_frequency", "Hz", 0.05, 60.0, log=True, fine=0.1),
+                Parameter("damping_ratio", "", 1e-3, 3.0, log=True),
+                *slopes,
+            )
+        )
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """Of springs that soften and of those that harden, the load that pulls most like the unexplained force."""
+        sought, found = Sought(evidence), []
+        for best in (one for bent in BENDS for one in sought.best(_tries(bent, evidence))):
+            begin = {
+                "mass": best.weighing(evidence),
+                "small_swing_frequency": best.load.rate / (2 * np.pi),
+                "damping_ratio": best.load.ratio,
+            }
+            found.append(self._shaped(best.load.knots, begin, best.load.slopes[1:]))
+        return found
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Of a law that has its shape, what it begins with."""
+        return [self.first] if self.first else []
+
+    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
+        """A slope more in each stretch of the table."""
+        slopes, knots = self._slopes(values), np.array(self.knots)
+        if 2 * len(slopes) > FINEST:
+            return []
+        finer = np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
+        return [self._shaped(finer.tolist(), values, np.repeat(slopes, 2)[1:].tolist())]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A body beside the one that the joint moves, and springs between them."""
+        mass, rate = values["mass"], 2 * np.pi * values["small_swing_frequency"]
+        name = beside(document, f"{at}_load", at, mass)
+        couple(document, name, name, at, mass * rate**2, 2 * values["damping_ratio"] * rate * mass)
+        for slack, bent in zip(self.knots[1:], np.diff(self._slopes(values), append=0.0).tolist(), strict=True):
+            bend(document, name, name, at, slack, mass * rate**2 * bent)
+
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
+        """What the spring pulls with, by its stretch."""
+        force = _force(unit)
+        inputs = [{"name": "stretch", "unit": at_joint("m", force), "knots": list(self.knots)}]
+        return described("force", inputs, self._pulls(values).tolist(), force, passive=True)
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        slide, last = at_joint("m", _force(unit)), self._slopes(values)[-1]
+        how = "harder" if last > 1 else "softer"
+        return (
+            f"A part of what {at} moves, {values['mass']:.3g} {unit['mass']}, swings on its own by a law of its own: "
+            f"at {values['small_swing_frequency']:.3g} Hz where it swings little, with a damping ratio of "
+            f"{values['damping_ratio']:.2g}, and {how} where it swings wide (at {self.knots[-1]:.3g} {slide} its "
+            f"spring is {last:.2g} times as stiff)."
+        )
+
+    def _shaped(self, knots: Sequence[float], values: Values, slopes: Sequence[float]) -> tuple[Effect, Values]:
+        plain = {name: values[name] for name in ("mass", "small_swing_frequency", "damping_ratio")}
+        begin = plain | {_slope(k + 1): float(np.clip(v, FLATTEST, STEEPEST)) for k, v in enumerate(slopes)}
+        return type(self)(knots, begin), begin
+
+    def _slopes(self, values: Values) -> Array:
+        return np.array([1.0, *(values[p.name] for p in self.parameters[3:])])
+
+    def _pulls(self, values: Values) -> Array:
+        stiffness = values["mass"] * (2 * np.pi * values["small_swing_frequency"]) ** 2
+        return np.concatenate([[0.0], stiffness * np.cumsum(self._slopes(values) * np.diff(self.knots))])
+
+
+def _slope(k: int) -> str:
+    return f"slope_{k + 1}"
+
+
+def _force(unit: Mapping[str, str]) -> str:
+    return "N m" if unit["mass"].endswith("m^2") else "N"
+
+
+def _tries(bent: Callable[[Array], Array], evidence: Evidence) -> Sequence[Load]:
+    """Loads whose spring bends that way."""
+    found = []
+    for rate in RATES.tolist():
+        away = np.abs(Load(rate).swung(evidence)[0])
+        knots = np.array([0.0, *np.quantile(away, SHARES), FURTHER * away.max()])
+        if np.all(np.diff(knots) > 0):
+            for wide in WIDE:
+                slopes = np.diff(bent(wide * knots / knots[-1])) / np.diff(knots)
+                found.append(Load(rate, DAMPED, tuple(knots.tolist()), tuple((slopes / slopes[0]).tolist())))
+    return found
