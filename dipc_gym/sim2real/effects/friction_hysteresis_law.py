@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import at_joint, described, pulls_most, recalled
+from dipc_gym.sim2real.effects.law import at_joint, described, recalled
 from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.sought import Sought
 
 Array = NDArray[np.float64]
 
@@ -19,6 +20,7 @@ ENTRY = "friction.hysteresis"  # of <custom>
 WIDTHS = np.geomspace(2e-3, 1.0, 20)  # over which the force builds up, in ranges of the joint's motion
 POWERS = (1.0, 2.0)  # with which the stiffness falls from where the motion turned round, at first
 FIRST, MOST = 8, 16  # stretches between the knots of the law
+SOFTEST = 1e-6  # of the steepest that is tried, by which a first guess falls: next to nothing
 LEAST = 1e-3  # of the largest stiffness, by which it falls at least from one knot to the next, at first
 
 
@@ -64,12 +66,20 @@ class HysteresisOfAnyLaw(Effect):
         along = np.linspace(-1.0, 1.0, FIRST + 1)
         shapes = [1.0 - np.maximum(along, 0.0) ** power for power in POWERS]
         tries = np.array([[1.0, *(shape / (width * span))] for shape in shapes for width in WIDTHS])
-        plain = np.stack([np.ones_like(evidence.force), evidence.velocity, evidence.direction], axis=1)
-        found = pulls_most(-recalled(evidence, ENTRY, tries), plain, evidence.force)
-        if found is None:
+        sought = Sought(evidence, (evidence.velocity, evidence.direction))
+        found = [sought.explained(-built) for built in recalled(evidence, ENTRY, tries)]
+        best = int(np.argmin([one.left for one in found]))
+        if not found[best].weight > 0:
             return []
-        best, bound = found
-        return [self._shaped(bound, bound * tries[best, 1:])]
+
+        def pull(falls: Array) -> Array:
+            return np.asarray(-recalled(evidence, ENTRY, np.array([[1.0, *_stiffness(falls)]]))[0])
+
+        steepest = 1.0 / (WIDTHS[0] * span)
+        begin, bounds = -np.diff(tries[best, 1:]), ([SOFTEST * steepest] * FIRST, [2 * steepest] * FIRST)
+        falls = sought.nearest(pull, begin.tolist(), *bounds)
+        bound = sought.explained(pull(falls)).weight
+        return [self._shaped(bound, bound * _stiffness(falls))]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, what it begins with."""
@@ -120,8 +130,12 @@ class HysteresisOfAnyLaw(Effect):
         return type(self)(begin), begin
 
     def _stiffness(self, values: Values) -> Array:
-        falls = np.array([values[p.name] for p in self.parameters[1:]])
-        return np.append(np.cumsum(falls[::-1])[::-1], 0.0)
+        return _stiffness(np.array([values[p.name] for p in self.parameters[1:]]))
+
+
+def _stiffness(falls: Array) -> Array:
+    """At the knots, from all of the force along the motion to all of it against it, where none is left."""
+    return np.append(np.cumsum(falls[::-1])[::-1], 0.0)
 
 
 def _fall(k: int) -> str:

@@ -85,22 +85,6 @@ def recalled(evidence: Evidence, effect: str, tries: Array, follows: Array | Non
     return np.concatenate(parts, axis=1)
 
 
-def pulls_most(pulls: Array, beside: Array, force: Array) -> tuple[int, float] | None:
-    """Which pull (k, n), alone beside regressors (n, m), leaves least of a force (n,), and its weight.
-
-    None where no pull goes along with the force.
-    """
-    free, _ = np.linalg.qr(beside)
-    rest = force - free @ (free.T @ force)
-    own = pulls - (pulls @ free) @ free.T
-    size = np.maximum(np.sum(own**2, axis=1), 1e-300)
-    weight = own @ rest / size
-    if not np.any(weight > 0):
-        return None
-    best = int(np.argmax(np.where(weight > 0, weight**2 * size, -np.inf)))
-    return best, float(weight[best])
-
-
 def at_joint(slide: str, force: str) -> str:
     """The unit of a length as it is at a joint, by that of a force there: about an axis m is rad."""
     return slide.replace("m", "rad") if force.startswith("N m") else slide

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym.engine.swing import swing
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.coupling import couple, node
+from dipc_gym.sim2real.effects.sought import Sought
+
+Array = NDArray[np.float64]
 
 TIMES = np.geomspace(0.03, 5.0, 24)  # s, tried by regression
 APART = 0.5  # of the logarithms of two first guesses
@@ -36,17 +40,11 @@ class CreepingSpring(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The two relaxation times at which a spring would pull most like the unexplained force."""
-        begins = np.flatnonzero(np.diff(evidence.time, prepend=np.inf) <= 0)
-        parts = np.split(np.arange(len(evidence.time)), begins[begins > 0])
-        plain = np.stack([np.ones_like(evidence.force), evidence.velocity, evidence.position], axis=1)
-        found = []
-        for time in TIMES:
-            stretch = np.concatenate([_behind(float(time), evidence, part) for part in parts])
-            columns = np.column_stack([stretch, plain])
-            weights, *_ = np.linalg.lstsq(columns, evidence.force, rcond=None)
-            left = float(np.sum((evidence.force - columns @ weights) ** 2))
-            if weights[0] > 0:
-                found.append((left, float(time), float(weights[0])))
+        sought, found = Sought(evidence), []
+        for time in TIMES.tolist():
+            one = sought.explained(_stretch(time, evidence))
+            if one.weight > 0:
+                found.append((one.left, time, one.weight))
         best: list[tuple[float, float, float]] = []
         for one in sorted(found):
             if len(best) < 2 and all(abs(np.log(one[1] / other[1])) > APART for other in best):
@@ -67,9 +65,11 @@ class CreepingSpring(Effect):
         )
 
 
-def _behind(time: float, evidence: Evidence, part: np.ndarray) -> np.ndarray:
+def _stretch(time: float, evidence: Evidence) -> Array:
     """How far the node is behind the joint, (n,): what a spring of 1 N/m pulls with."""
-    if len(part) < 3:
-        return np.zeros(len(part))
-    q, v, t = evidence.position[part], evidence.velocity[part], evidence.time[part]
-    return np.asarray(swing([(0.0, 1 / (time * SHARPEST))], 0.0, q, v, t, ground=1 / SHARPEST)[0])
+    out = np.zeros(len(evidence.time))
+    for run in evidence.runs:
+        if len(run) >= 3:
+            q, v, t = evidence.position[run], evidence.velocity[run], evidence.time[run]
+            out[run], _ = swing([(0.0, 1 / (time * SHARPEST))], 0.0, q, v, t, ground=1 / SHARPEST)
+    return out

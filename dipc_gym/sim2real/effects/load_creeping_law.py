@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import at_joint, described, pulls_most, recalled
+from dipc_gym.sim2real.effects.law import at_joint, described, recalled
 from dipc_gym.sim2real.effects.load_creeping import TIMES
 from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.sought import Sought
 
 Array = NDArray[np.float64]
 
@@ -21,6 +22,7 @@ BENDS = (0.05, 0.15, 0.5, 1e3)  # stretches over which it bends, in ranges of th
 FIRST, MOST = 4, 16  # stretches between the knots of the law
 FURTHEST = 0.995  # quantile of how far the spring is stretched, which the table goes up to
 LEAST = 1e-4  # of the fastest, by which it begins to give way faster from one knot to the next
+SLOWEST = 1e-6  # of the speed in the next line, which a first guess gives way by: next to nothing
 SHORTEST = 4e-3  # s, in which it may give way by as much as it is stretched
 
 
@@ -77,16 +79,22 @@ class CreepingSpringOfAnyLaw(Effect):
         speeds = np.array([np.sinh(knots / bent) * bent / time for bent in BENDS for time in TIMES[::2]])
         tries = np.column_stack([np.ones(len(speeds)), np.full(len(speeds), span), span * speeds])
         stretched = recalled(evidence, ENTRY, tries)
-        plain = np.stack([np.ones_like(evidence.force), evidence.velocity, evidence.position], axis=1)
-        found = pulls_most(-stretched, plain, evidence.force)
-        if found is None:
-            return []
-        best, pull = found
+        sought = Sought(evidence)
+        found = [sought.explained(-one) for one in stretched]
+        best = int(np.argmin([one.left for one in found]))
         furthest = float(np.quantile(np.abs(stretched[best]), FURTHEST))
-        if not furthest > 0:
+        if not (furthest > 0 and found[best].weight > 0):
             return []
+
+        def pull(faster: Array) -> Array:
+            entry = np.concatenate([[1.0, furthest, 0.0], np.cumsum(faster)])
+            return np.asarray(-recalled(evidence, ENTRY, entry[None])[0])
+
         begin = np.interp(np.linspace(0.0, furthest, FIRST + 1)[1:], span * knots, span * speeds[best])
-        return [self._shaped(furthest, pull, begin)]
+        fastest = furthest / SHORTEST
+        bounds = [SLOWEST * fastest] * FIRST, [fastest] * FIRST
+        faster = sought.nearest(pull, np.diff(begin, prepend=0.0).tolist(), *bounds)
+        return [self._shaped(furthest, sought.explained(pull(faster)).weight, np.cumsum(faster))]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, what it begins with."""

@@ -9,7 +9,7 @@ import numpy as np
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.coupling import beside, couple
-from dipc_gym.sim2real.effects.loads import RATES, Load, Sought
+from dipc_gym.sim2real.effects.loads import RATES, Load, most_alike
 
 PEAKS, APART = 2, 1.35  # first guesses, and how far apart their rates are: what is nearer falls into the same valley
 
@@ -33,13 +33,9 @@ class SwingingLoad(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The loads at two rates that pull most like the unexplained force."""
+        found = most_alike(evidence, map(Load, RATES.tolist()), count=PEAKS, ratio=APART)
         return [
-            {
-                "mass": one.weighing(evidence),
-                "frequency": one.load.rate / (2 * np.pi),
-                "damping_ratio": one.load.ratio,
-            }
-            for one in Sought(evidence).best(map(Load, RATES.tolist()), PEAKS, APART)
+            {"mass": mass, "frequency": load.rate / (2 * np.pi), "damping_ratio": load.ratio} for load, mass in found
         ]
 
     def edit(self, document: Document, at: str, values: Values) -> None:

@@ -12,7 +12,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.coupling import bend, beside, couple
 from dipc_gym.sim2real.effects.law import at_joint, described
-from dipc_gym.sim2real.effects.loads import DAMPED, FLATTEST, RATES, STEEPEST, Load, Sought
+from dipc_gym.sim2real.effects.loads import DAMPED, FLATTEST, RATES, STEEPEST, Load, most_alike
 from dipc_gym.sim2real.effects.settings import LAWS
 
 Array = NDArray[np.float64]
@@ -59,14 +59,14 @@ class SwingingLoadOfAnyLaw(Effect):
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """Of springs that soften and of those that harden, the load that pulls most like the unexplained force."""
-        sought, found = Sought(evidence), []
-        for best in (one for bent in BENDS for one in sought.best(_tries(bent, evidence))):
+        found = []
+        for load, mass in (one for bent in BENDS for one in most_alike(evidence, _tries(bent, evidence))):
             begin = {
-                "mass": best.weighing(evidence),
-                "small_swing_frequency": best.load.rate / (2 * np.pi),
-                "damping_ratio": best.load.ratio,
+                "mass": mass,
+                "small_swing_frequency": load.rate / (2 * np.pi),
+                "damping_ratio": load.ratio,
             }
-            found.append(self._shaped(best.load.knots, begin, best.load.slopes[1:]))
+            found.append(self._shaped(load.knots, begin, load.slopes[1:]))
         return found
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:

@@ -1,22 +1,17 @@
-"""Loads that may swing at a joint, and how much of the unexplained force each would pull with: first guesses.
-
-A load is followed along the motion that was recorded, which costs a thousandth of a fit in simulation. So its rate, its
-damping and its spring are fitted to the unexplained force before they are to motion.
-"""
+"""Loads that may swing at a joint, and which of them pull most like the force that nothing explains: first guesses."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import least_squares
 
 from dipc_gym.engine.swing import swing
 from dipc_gym.sim2real.effects.base import Evidence
 from dipc_gym.sim2real.effects.coupling import free_inertia
+from dipc_gym.sim2real.effects.sought import Sought
 
 Array = NDArray[np.float64]
 
@@ -25,10 +20,7 @@ DAMPED = 0.05  # damping ratio that is tried
 LIGHTEST, HEAVIEST = 0.01, 0.7  # of a first guess, as a share of what the joint moves
 FLATTEST, STEEPEST = 0.01, 30.0  # stretch of a spring, against the first: nearly none, and a stop
 LEAST, MOST = (0.5 * RATES[0], 1e-3), (2 * RATES[-1], 3.0)  # rad/s of small swings, and damping ratio
-ROUNDS = 12  # of Gauss and Newton to the unexplained force, which is too rough for more
 SAME = 0.01  # of a rate, within which two loads are one
-SMOOTH = 0.02  # s: the noise of encoders grows with the square of frequency in a force, above what a load swings with
-BLOCK = 0.01  # s, averaged first: half of that needs no more samples
 
 
 @dataclass(frozen=True)
@@ -50,11 +42,9 @@ class Load:
     @property
     def springs(self) -> list[tuple[float, float]]:
         """Slack, m or rad, and stiffness, 1/s^2, of springs that make up its own."""
-        bends = np.diff(self.slopes, append=0.0) if self.slopes else ()
-        return [
-            (0.0, self.rate**2),
-            *((d, self.rate**2 * float(b)) for d, b in zip(self.knots[1:], bends, strict=True)),
-        ]
+        bends = np.diff(self.slopes, append=0.0).tolist() if self.slopes else []
+        others = zip(self.knots[1:], bends, strict=True)
+        return [(0.0, self.rate**2), *((slack, self.rate**2 * bend) for slack, bend in others)]
 
     def swung(self, evidence: Evidence) -> tuple[Array, Array]:
         """Where it is against what carries it, m or rad, and its pull against one that is carried along, N, (n,)."""
@@ -70,96 +60,37 @@ class Load:
             pull += stiffness * np.sign(away) * np.maximum(np.abs(away) - slack, 0.0)
         return away, pull
 
-
-@dataclass(frozen=True)
-class Pulled:
-    """What a load explains of the unexplained force.
-
-    Attributes:
-        load: the load.
-        mass: with which it explains most, kg or kg m^2; below zero where it pulls the other way.
-        rest: of the force, smoothed, (m,).
-    """
-
-    load: Load
-    mass: float
-    rest: Array
-
-    @property
-    def left(self) -> float:
-        """Sum of squares of what it leaves; infinite where it pulls the other way."""
-        return float(self.rest @ self.rest) if self.mass > 0 else np.inf
-
-    def weighing(self, evidence: Evidence) -> float:
-        """Its mass, or what is nearest to that of what the joint moves."""
-        inertia = free_inertia(evidence.model, evidence.at)
-        return float(np.clip(self.mass, LIGHTEST * inertia, HEAVIEST * inertia))
+    def like(self, numbers: Array) -> Load:
+        """The same with another rate, damping ratio and slopes but the first, (2 + k - 1,)."""
+        rate, ratio, *slopes = numbers.tolist()
+        return Load(rate, ratio, self.knots, (*self.slopes[:1], *slopes))
 
 
-class Sought:
-    """The unexplained force at a joint, smoothed, less what goes with position and velocity; and loads that explain it.
+def most_alike(
+    evidence: Evidence, loads: Iterable[Load], *, count: int = 1, ratio: float = 1.0
+) -> list[tuple[Load, float]]:
+    """Loads that pull most like the unexplained force, and their masses, kg or kg m^2.
 
     Args:
         evidence: of the joint.
+        loads: that are tried; what comes of the best is fitted.
+        count: most that are fitted.
+        ratio: of their rates, by which they differ at least. What two of them come to may be the same, and counts once.
     """
-
-    def __init__(self, evidence: Evidence) -> None:
-        self.evidence = evidence
-        beside = [np.ones(len(evidence.time)), evidence.velocity, evidence.position]
-        self._beside, _ = np.linalg.qr(np.stack([self._smooth(one) for one in beside], axis=1))
-        self.force = self._apart(evidence.force)
-
-    def pulled(self, load: Load) -> Pulled:
-        """What a load explains."""
-        pull = self._apart(load.swung(self.evidence)[1])
-        mass = float(pull @ self.force / max(float(pull @ pull), 1e-300))
-        return Pulled(load, mass, self.force - mass * pull)
-
-    def nearest(self, load: Load) -> Pulled:
-        """Of loads like this one, that which pulls most like the force."""
-
-        def of(x: Array) -> Load:
-            rate, ratio, *slopes = np.exp(x).tolist()
-            return replace(load, rate=rate, ratio=ratio, slopes=(*load.slopes[:1], *slopes))
-
-        def rest(x: Array) -> Array:
-            return self.pulled(of(x)).rest
-
+    sought, found = Sought(evidence), list[tuple[Load, float]]()
+    tried = [(load, sought.explained(load.swung(evidence)[1])) for load in loads]
+    best: list[Load] = []
+    for load, one in sorted(tried, key=lambda each: each[1].left):
+        far = all(abs(np.log(load.rate / other.rate)) > np.log(ratio) for other in best)
+        if one.weight > 0 and far and len(best) < count:
+            best.append(load)
+    inertia = free_inertia(evidence.model, evidence.at)
+    for load in best:
         bent = load.slopes[1:]
-        low, high = ([*LEAST, *[FLATTEST] * len(bent)], [*MOST, *[STEEPEST] * len(bent)])
-        begin = np.clip([load.rate, load.ratio, *bent], np.multiply(low, 1.001), np.multiply(high, 0.999))
-        steps = np.full(len(begin), 1e-3)  # enough to show above what is rounded off
-        bounds = (np.log(low), np.log(high))
-        found = least_squares(rest, np.log(begin), bounds=bounds, diff_step=steps, max_nfev=ROUNDS)
-        return self.pulled(of(found.x))
-
-    def best(self, loads: Iterable[Load], count: int = 1, ratio: float = 1.0) -> list[Pulled]:
-        """Those that explain most and pull the right way, their rates apart by a factor; each the nearest like it.
-
-        What two of them come to may be the same, and counts once.
-        """
-        best: list[Pulled] = []
-        for one in sorted(map(self.pulled, loads), key=lambda one: one.left):
-            far = all(abs(np.log(one.load.rate / other.load.rate)) > np.log(ratio) for other in best)
-            if one.mass > 0 and far and len(best) < count:
-                best.append(one)
-        found: list[Pulled] = []
-        for one in (self.nearest(one.load) for one in best):
-            if not any(np.isclose(one.load.rate, other.load.rate, rtol=SAME) for other in found):
-                found.append(one)
-        return found
-
-    def _apart(self, force: Array) -> Array:
-        """A force (n,), smoothed, less what goes with position and velocity, (m,)."""
-        smooth = self._smooth(force)
-        return np.asarray(smooth - self._beside @ (self._beside.T @ smooth))
-
-    def _smooth(self, column: Array) -> Array:
-        """Means of blocks of samples, smoothed, run by run, (m,)."""
-        found = []
-        for run in self.evidence.runs:
-            step = float(np.median(np.diff(self.evidence.time[run]))) if len(run) > 1 else np.inf
-            block = max(round(BLOCK / step), 1)
-            means = column[run[: len(run) // block * block]].reshape(-1, block).mean(axis=1)
-            found.append(gaussian_filter1d(means, SMOOTH / (block * step)) if len(means) else means)
-        return np.concatenate(found)
+        low, high = [*LEAST, *[FLATTEST] * len(bent)], [*MOST, *[STEEPEST] * len(bent)]
+        begin = [load.rate, load.ratio, *bent]
+        near = load.like(sought.nearest(lambda x, load=load: load.like(x).swung(evidence)[1], begin, low, high))
+        mass = sought.explained(near.swung(evidence)[1]).weight
+        if not any(np.isclose(near.rate, other.rate, rtol=SAME) for other, _ in found):
+            found.append((near, float(np.clip(mass, LIGHTEST * inertia, HEAVIEST * inertia))))
+    return found

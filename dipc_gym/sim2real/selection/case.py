@@ -95,11 +95,27 @@ def part(given: Given, *, threads: int) -> Case:
 
 
 def _borders(given: Given, prepared: Prepared) -> Array:
-    """Times from which windows validate; see `Case`."""
+    """Times from which windows validate; see `Case`.
+
+    A recording that rests for a part is divided by its motion: windows that stand still are predicted by any model, and
+    an end at rest would validate whatever was fitted.
+    """
     borders = np.array([r.time[0] + WINDOWS.fit * r.duration for r in given.recordings])
     windows = prepared.problem.windows
+    moves = _moves(prepared)
+    for i in np.unique(windows.source[~moves]):
+        moving = np.sort(windows.start[moves & (windows.source == i)])
+        if len(moving):
+            borders[i] = moving[int(WINDOWS.fit * len(moving))]
     scarce = np.sum(windows.start < borders[windows.source]) < WINDOWS.plenty
     return np.full(len(borders), np.inf) if scarce else borders
+
+
+def _moves(prepared: Prepared) -> NDArray[np.bool_]:
+    """Whether any sensor changes in a window by clearly more than its noise, (n,)."""
+    w = prepared.problem.windows
+    moved = np.where(w.valid[..., None], (w.observed - w.observed[:, :1]) / w.noise, 0.0)
+    return np.asarray(np.sqrt(np.max(np.mean(moved**2, axis=1), axis=1)) > WINDOWS.still)
 
 
 def _standstill(prepared: Prepared) -> str:

@@ -1,0 +1,99 @@
+"""What explains the unexplained force at a joint: first guesses of physics that remembers, before any simulation.
+
+What has a memory is followed along the recorded motion, which costs a thousandth of a fit in simulation. So its
+parameters are fitted to the unexplained force before they are to motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import least_squares
+
+from dipc_gym.sim2real.effects.base import Evidence
+
+Array = NDArray[np.float64]
+
+SMOOTH = 0.02  # s: the noise of encoders grows with the square of frequency in a force; what remembers is slower
+BLOCK = 0.01  # s, averaged first: half of that needs no more samples
+ROUNDS = 12  # of Gauss and Newton: the force is too rough for more
+WITHIN = 1e-3  # of a bound, where a fit may begin
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What a pull explains of the force.
+
+    Attributes:
+        weight: with which it explains most; zero where it would have to pull the other way.
+        rest: of the force, smoothed, (m,).
+    """
+
+    weight: float
+    rest: Array
+
+    @property
+    def left(self) -> float:
+        """Sum of squares of what it leaves."""
+        return float(self.rest @ self.rest)
+
+
+class Sought:
+    """The unexplained force at a joint, smoothed, less what goes with its position and velocity.
+
+    Args:
+        evidence: of the joint.
+        beside: what explains a part of it as well, in the place of these, (n,) each.
+    """
+
+    def __init__(self, evidence: Evidence, beside: Sequence[Array] = ()) -> None:
+        self._evidence = evidence
+        plain = [np.ones(len(evidence.time)), *(beside or (evidence.velocity, evidence.position))]
+        self._beside, _ = np.linalg.qr(np.stack([self._smooth(one) for one in plain], axis=1))
+        self.force = self._apart(evidence.force)
+
+    def explained(self, pull: Array) -> Explained:
+        """What a pull (n,) explains."""
+        own = self._apart(pull)
+        weight = max(float(own @ self.force), 0.0) / max(float(own @ own), 1e-300)
+        return Explained(weight, self.force - weight * own)
+
+    def nearest(
+        self, pull: Callable[[Array], Array], begin: Sequence[float], low: Sequence[float], high: Sequence[float]
+    ) -> Array:
+        """Parameters, all of them positive, with which a pull explains most, near those that it begins with, (p,).
+
+        Args:
+            pull: of parameters, (n,).
+            begin: parameters.
+            low: smallest.
+            high: largest.
+        """
+        inside = np.clip(begin, np.multiply(low, 1 + WITHIN), np.multiply(high, 1 - WITHIN))
+        found = least_squares(
+            lambda x: self.explained(pull(np.exp(x))).rest,
+            np.log(inside),
+            bounds=(np.log(low), np.log(high)),
+            diff_step=np.full(len(inside), 1e-3),  # enough to show above what is rounded off
+            max_nfev=ROUNDS,
+        )
+        return np.asarray(np.exp(found.x))
+
+    def _apart(self, force: Array) -> Array:
+        """A force (n,), smoothed, less what explains a part of it as well, (m,)."""
+        smooth = self._smooth(force)
+        return np.asarray(smooth - self._beside @ (self._beside.T @ smooth))
+
+    def _smooth(self, column: Array) -> Array:
+        """Means of blocks of samples, smoothed, run by run, (m,)."""
+        found = []
+        for run in self._evidence.runs:
+            step = float(np.median(np.diff(self._evidence.time[run]))) if len(run) > 1 else np.inf
+            block = max(round(BLOCK / step), 1)
+            means = column[run[: len(run) // block * block]].reshape(-1, block).mean(axis=1)
+            found.append(gaussian_filter1d(means, SMOOTH / (block * step)) if len(means) else means)
+        return np.concatenate(found)
