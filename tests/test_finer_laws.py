@@ -7,7 +7,7 @@ import pytest
 import sim2real_rigs
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sim2real_rigs import CART, record, sweep
+from sim2real_rigs import CART, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
@@ -21,6 +21,9 @@ from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.surfaces import Surface, surfaces
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
+from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.selection.resolution import within_data
 
 ALONG = {
     FrictionOfPosition: (-0.3, 0.2),
@@ -255,3 +258,36 @@ def test_friction_that_warms_up_is_named_with_its_formula() -> None:
     assert found.held_out is not None
     assert found.held_out.improved < 1.2 < 0.05 * found.held_out.recalibrated
     assert found.to_dict()["needs_dipc_gym"]
+
+
+@given(
+    told=st.lists(st.booleans(), min_size=6, max_size=6),
+    kind=st.sampled_from(sorted(ALONG, key=lambda one: one.__name__)),
+)
+def test_a_law_without_ends_that_no_data_tell_is_the_same_between_them(told: list[bool], kind: type) -> None:
+    law = kind(np.linspace(*ALONG[kind], 6).tolist(), [1.0, 3.0, 2.0, 5.0, 4.0, 9.0])
+    found = law.shortened(law.guess, np.array(told))
+    known = [k for k in range(6) if told[k] or (k == 0 and kind is FrictionOfSpeed)]  # friction begins at rest
+    if len(known) < 2 or known[-1] - known[0] == 5:
+        assert found is None
+        return
+    shorter, begin = found
+    assert shorter.knots == law.knots[known[0] : known[-1] + 1]
+    assert shorter.values(begin) == list(law.first[known[0] : known[-1] + 1])
+
+
+def test_a_table_ends_where_data_do() -> None:
+    """Whatever it was guessed to say beyond: there it stays as it is where data end."""
+    document = Document(mjcf.from_text(CART))
+    catalogue()["friction.coulomb"].edit(document, "cart", {"level": 3.0})
+    run = record(physics.from_model(mjcf.compile(document.text())), sweep(6.0), noise=(1e-5,))
+    ready = prepared(CART, [run])
+    low, high = np.quantile(ready.motions[0].position[:, 0], [0.2, 0.8])
+    knots = [low - 9.0, low, 0.5 * (low + high), high, high + 9.0, high + 18.0]
+    law = FrictionOfPosition(knots, [3.0, 3.0, 3.0, 3.0, 3.0, 99.0])
+    fitted = fit(ready.problem, ready.structure.with_term(Term(law, "cart", law.guess)), most=0)
+    structure, z = within_data(fitted)
+    (term,) = structure.terms
+    assert term.effect.knots == pytest.approx(knots[:-1])
+    assert fit(ready.problem, structure, z, most=0).error == pytest.approx(fitted.error, rel=1e-6)
+    assert within_data(fit(ready.problem, structure, z, most=0)) is None

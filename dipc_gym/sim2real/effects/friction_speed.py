@@ -52,6 +52,10 @@ class FrictionOfSpeed(Law):
         knots = np.array(self.knots)
         return np.minimum(super().narrowest, np.maximum(0.5 * knots[1:], knots[-1] * AT_REST))
 
+    def shortened(self, values: Values, told: NDArray[np.bool_]) -> tuple[Effect, Values] | None:
+        """The same law without speeds that no data tell; it begins at rest, whether they do or not."""
+        return super().shortened(values, np.append(True, told[1:]))
+
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         """The same law with these knots, of which some are new."""
         return super()._begun(knots, values + BENT * float(np.max(np.abs(values))) * new, new)

@@ -183,6 +183,22 @@ class Law(Effect):
         longer = np.interp(inside, old, levels) + (knots - inside if self.outside == "parallel" else 0.0)
         return self._begun(knots, longer, ~np.isin(knots, old))
 
+    def shortened(self, values: Values, told: NDArray[np.bool_]) -> tuple[Effect, Values] | None:
+        """The same law without values at its ends that no data tell, so that it goes on from the last that they do.
+
+        None where all are told, or too few.
+
+        Args:
+            values: of the parameters.
+            told: which of them data tell, (p,).
+        """
+        known = np.flatnonzero(told[: len(self.knots)])
+        if len(known) < 2 or known[-1] - known[0] + 1 == len(self.knots):
+            return None
+        kept = slice(int(known[0]), int(known[-1]) + 1)
+        knots, levels = np.array(self.knots)[kept], np.array(self.values(values))[kept]
+        return self._begun(knots, levels, np.zeros(len(knots), dtype=bool))
+
     @property
     def narrowest(self) -> Array:
         """To what the stretches may be bisected, one less than there are knots."""

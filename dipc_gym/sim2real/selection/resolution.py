@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect, Values
 from dipc_gym.sim2real.effects.law import Law
+from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
@@ -54,6 +55,23 @@ def reaching(fitted: Fit, windows: Windows) -> tuple[Structure, Array]:
         if longer is not None:
             structure, z = _instead(structure, z, term, *longer)
     return structure, z
+
+
+def within_data(fitted: Fit) -> tuple[Structure, Array] | None:
+    """A fit's structure with laws that end where data do, and parameters to begin at; None where all of them do.
+
+    A value at the end of a table that hardly any reading depends on stays at its first guess, which may be anything.
+    """
+    structure, z = fitted.structure, fitted.z
+    known = np.einsum("nii->i", fitted.quadratics.A) > LAWS.told
+    for term in fitted.structure.terms:
+        if not isinstance(term.effect, Law) or not term.effect.along(term.at):
+            continue
+        own = [i for i, slot in enumerate(fitted.structure.slots) if slot.key.startswith(f"{term.key}.")]
+        shorter = term.effect.shortened(fitted.structure.term_values(fitted.z, term), known[own])
+        if shorter is not None:
+            structure, z = _instead(structure, z, term, *shorter)
+    return None if structure is fitted.structure else (structure, z)
 
 
 def _finer(fitter: Fitter, current: Fit, key: str) -> Fit | None:

@@ -25,7 +25,7 @@ from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
 from dipc_gym.sim2real.selection.progress import Journal, Partition, Progress
 from dipc_gym.sim2real.selection.prune import prune
-from dipc_gym.sim2real.selection.resolution import reaching, refined
+from dipc_gym.sim2real.selection.resolution import reaching, refined, within_data
 from dipc_gym.sim2real.selection.scorer import Scorer, enough, near
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.selection.stop import Stop
@@ -80,9 +80,18 @@ class Searched:
         return self._fitted_over(partition, (fitted.structure, fitted.z), fitted.initial)
 
     def whole(self, fitted: Fit) -> tuple[Searched, Fit]:
-        """With all windows to fit, and a structure fitted to them: a table of dozens of values lacks none of them."""
+        """With all windows to fit, and a structure fitted to them: a table of dozens of values lacks none of them.
+
+        Tables go as far as these windows do, and no further than they tell.
+        """
         partition = self.partition.whole()
-        return self._fitted_over(partition, reaching(fitted, partition.problem.windows), partition.problem.initial)
+        over, whole = self._fitted_over(
+            partition, reaching(fitted, partition.problem.windows), partition.problem.initial
+        )
+        shorter = within_data(whole)
+        if shorter is not None:
+            whole = fit(partition.problem, *shorter, whole.initial, most=ESTIMATION.from_afar)
+        return over, whole
 
     def _fitted_over(
         self, partition: Partition, begin: tuple[Structure, Array], initial: Array
