@@ -62,6 +62,9 @@ class Hysteresis(Law):
             return None
         return widths[kept][strong], forces[strong]
 
+    def shortened(self, values: Values, told: NDArray[np.bool_]) -> None:
+        """None: springs that slip are no table, and each of them acts at any distance."""
+
     def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
         """Elements between those that are there, and on either side of them, that bear nothing yet."""
         old = np.array(self.knots)

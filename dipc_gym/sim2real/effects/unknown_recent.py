@@ -83,6 +83,7 @@ class UnknownRecent(UnknownProduct):
         if found is None:
             return []
         _, most, knots, values = found
+        knots[0] = 0.0  # nothing moved of late when a rig is switched on, and after every rest
         unit, speed, time = unit_of(evidence.model, carrier), driven_up_to(evidence), float(TIMES[best])
         names, units = (carrier, carrier), (unit, unit)
         shaped = UnknownRecent(knots.tolist(), values.tolist(), names, most, speed, units, time)

@@ -65,7 +65,7 @@ def within_data(fitted: Fit) -> tuple[Structure, Array] | None:
     structure, z = fitted.structure, fitted.z
     known = np.einsum("nii->i", fitted.quadratics.A) > LAWS.told
     for term in fitted.structure.terms:
-        if not isinstance(term.effect, Law) or not term.effect.along(term.at):
+        if not isinstance(term.effect, Law):
             continue
         own = [i for i, slot in enumerate(fitted.structure.slots) if slot.key.startswith(f"{term.key}.")]
         shorter = term.effect.shortened(fitted.structure.term_values(fitted.z, term), known[own])
