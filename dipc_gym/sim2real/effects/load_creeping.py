@@ -40,16 +40,14 @@ class CreepingSpring(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The two relaxation times at which a spring would pull most like the unexplained force."""
-        sought, found = Sought(evidence), []
-        for time in TIMES.tolist():
-            one = sought.explained(_stretch(time, evidence))
-            if one.weight > 0:
-                found.append((one.left, time, one.weight))
-        best: list[tuple[float, float, float]] = []
-        for one in sorted(found):
-            if len(best) < 2 and all(abs(np.log(one[1] / other[1])) > APART for other in best):
-                best.append(one)
-        return [{"stiffness": stiffness, "relaxation_time": time} for _, time, stiffness in best]
+        sought = Sought(evidence)
+        tried = [(sought.explained(_stretch(time, evidence)), time) for time in TIMES.tolist()]
+        best: list[tuple[float, float]] = []
+        for one, time in sorted(tried, key=lambda each: each[0].left):
+            far = all(abs(np.log(time / other)) > APART for _, other in best)
+            if one.weight > 0 and far and len(best) < 2:
+                best.append((one.weight, time))
+        return [{"stiffness": stiffness, "relaxation_time": time} for stiffness, time in best]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A node beside the joint, a spring between the two, and a damper under the node."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,9 +89,13 @@ def most_alike(
     for load in best:
         bent = load.slopes[1:]
         low, high = [*LEAST, *[FLATTEST] * len(bent)], [*MOST, *[STEEPEST] * len(bent)]
-        begin = [load.rate, load.ratio, *bent]
-        near = load.like(sought.nearest(lambda x, load=load: load.like(x).swung(evidence)[1], begin, low, high))
+        near = load.like(sought.nearest(partial(_pull, load, evidence), [load.rate, load.ratio, *bent], low, high))
         mass = sought.explained(near.swung(evidence)[1]).weight
         if not any(np.isclose(near.rate, other.rate, rtol=SAME) for other, _ in found):
             found.append((near, float(np.clip(mass, LIGHTEST * inertia, HEAVIEST * inertia))))
     return found
+
+
+def _pull(load: Load, evidence: Evidence, numbers: Array) -> Array:
+    """Pull of a load like this one, see `Load.like`, (n,)."""
+    return load.like(numbers).swung(evidence)[1]

@@ -73,9 +73,13 @@ class Sought:
             low: smallest.
             high: largest.
         """
+
+        def rest(x: Array) -> Array:
+            return self.explained(pull(np.exp(x))).rest
+
         inside = np.clip(begin, np.multiply(low, 1 + WITHIN), np.multiply(high, 1 - WITHIN))
         found = least_squares(
-            lambda x: self.explained(pull(np.exp(x))).rest,
+            rest,
             np.log(inside),
             bounds=(np.log(low), np.log(high)),
             diff_step=np.full(len(inside), 1e-3),  # enough to show above what is rounded off
