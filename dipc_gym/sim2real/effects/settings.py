@@ -62,8 +62,8 @@ class LawSettings:
         most_levels: of a table of two inputs that fits make finer: each costs a simulation for its derivatives
         beyond: share of a table's length that its input has to go beyond an end of it for the table to be made longer
         most_beyond: stretches by which it is made longer at an end: what goes far is told by few data
-        told: what a value has to change in all readings, as a sum of squares in units of noise, for data to tell it: a
-            sizeable change of one that does not is less than one reading's noise
+        untold: sizeable changes, from which a value's standard error says that no data tell it: it may then be that of
+            any law
         driest: share of the dry friction that forces tell, below which no first level lies: what does nothing has no
             slope to begin with
     """
@@ -76,7 +76,7 @@ class LawSettings:
     most_levels: int = 144
     beyond: float = 0.02
     most_beyond: int = 8
-    told: float = 1.0
+    untold: float = 1.0
     driest: float = 0.05
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -63,12 +63,11 @@ def within_data(fitted: Fit) -> tuple[Structure, Array] | None:
     A value at the end of a table that hardly any reading depends on stays at its first guess, which may be anything.
     """
     structure, z = fitted.structure, fitted.z
-    known = np.einsum("nii->i", fitted.quadratics.A) > LAWS.told
     for term in fitted.structure.terms:
         if not isinstance(term.effect, Law):
             continue
-        own = [i for i, slot in enumerate(fitted.structure.slots) if slot.key.startswith(f"{term.key}.")]
-        shorter = term.effect.shortened(fitted.structure.term_values(fitted.z, term), known[own])
+        known = np.sqrt(np.diag(_covariance(fitted, _own(fitted, term.key)))) < LAWS.untold
+        shorter = term.effect.shortened(fitted.structure.term_values(fitted.z, term), known)
         if shorter is not None:
             structure, z = _instead(structure, z, term, *shorter)
     return None if structure is fitted.structure else (structure, z)
@@ -124,11 +123,9 @@ def _instead(structure: Structure, z: Array, term: Term, effect: Effect, guess: 
 def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
     """Which knots of a law data moved off the line between their neighbours, by twice the standard error of that, (p,).
 
-    Only those can be that were put there last; None where none was, and of a law of two inputs. The error is that
-    beside all other parameters as they are: where masses and gears scale with a law, the size of a bend is known as
-    badly as they are, but not that there is one.
+    Only those can be that were put there last; None where none was, and of a law of two inputs.
     """
-    own = [i for i, slot in enumerate(fitted.structure.slots) if slot.key.startswith(f"{key}.")]
+    own = _own(fitted, key)
     sigma = np.array([fitted.structure.slots[i].sigma for i in own])
     new = np.flatnonzero(sigma[1:-1] < sigma.max()) + 1  # elements of hysteresis are added on either side as well
     effect = next(term.effect for term in fitted.structure.terms if term.key == key)
@@ -137,13 +134,25 @@ def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
     off = np.zeros((len(new), len(own)))
     for row, k in enumerate(new):
         off[row, k - 1 : k + 2] = -0.5, 1.0, -0.5
-    weight = weights(fitted.mse)
-    curvature = fitted.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, fitted.quadratics.A), weight)
-    covariance = np.linalg.pinv(curvature[np.ix_(own, own)], hermitian=True)
-    error = np.sqrt(np.einsum("ki,ij,kj->k", off, covariance, off))
+    error = np.sqrt(np.einsum("ki,ij,kj->k", off, _covariance(fitted, own), off))
     told = np.zeros(len(own), dtype=bool)
     told[new] = np.abs(off @ fitted.z[own]) > SCORE.alike * error
     return told
+
+
+def _own(fitted: Fit, key: str) -> list[int]:
+    """Which parameters are those of one effect."""
+    return [i for i, slot in enumerate(fitted.structure.slots) if slot.key.startswith(f"{key}.")]
+
+
+def _covariance(fitted: Fit, own: Sequence[int]) -> Array:
+    """Of some mapped parameters beside all others as they are, (k, k).
+
+    Where masses and gears scale with a law, its size is known as badly as they are, but not where it bends.
+    """
+    weight = weights(fitted.mse)
+    curvature = fitted.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, fitted.quadratics.A), weight)
+    return np.asarray(np.linalg.pinv(curvature[np.ix_(own, own)], hermitian=True))
 
 
 def _better(fitter: Fitter, finer: Fit, current: Fit) -> bool:

@@ -90,7 +90,7 @@ class Searched:
         )
         shorter = within_data(whole)
         if shorter is not None:
-            whole = fit(partition.problem, *shorter, whole.initial, most=ESTIMATION.from_afar)
+            whole = fit(partition.problem, *shorter, whole.initial, most=0)
         return over, whole
 
     def _fitted_over(
