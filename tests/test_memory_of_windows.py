@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -251,3 +253,20 @@ def test_a_load_that_swings_wide_is_found_with_the_law_of_its_spring() -> None:
     assert slopes[-1] > 1.5 * slopes[0]
     assert found.held_out.improved < 1.5
     assert not mjcf.compile(found.improved).nuserdata  # stock MuJoCo keeps nothing in mind for it
+
+
+def test_a_load_begins_where_the_motion_brought_it_whatever_its_joint_is_corrected_to() -> None:
+    """A centimetre aside of where the joint was: a load that hardly pulls stays where it is."""
+    run = record(physics.load(CART), sweep(4.0), 1.5)
+    windows = prepared(CART, [run]).problem.windows.pick(np.array([2]))
+    document = Document(mjcf.from_text(CART))
+    catalogue()["load.swinging"].edit(document, "cart", {"mass": 0.3, "frequency": 0.5, "damping_ratio": 0.01})
+    sensors = document.add("sensor", "jointpos", name="load", joint="cart_load")
+    assert sensors is not None
+    rig = physics.from_model(mjcf.compile(document.text()))
+    initial = np.array([[[0.0, 0.0]], [[0.01, 0.0]]])
+    wide = replace(windows, observed=np.zeros((1, windows.times.shape[1], 2)), noise=np.ones(2))
+    for stepping in (Stepping(0.001, RK4), Stepping(0.001)):
+        at_first = simulate([rig, rig], wide, initial, stepping, base=["cart"])[:, 0, 0]
+        assert at_first[1, 0] - at_first[0, 0] == pytest.approx(0.01, abs=1e-4)
+        assert at_first[1, 1] == pytest.approx(at_first[0, 1], abs=1e-4)

@@ -36,6 +36,7 @@ from dipc_gym.sim2real.verdict.withheld import gather
 PLAIN = ("friction.coulomb", "load.constant", "drag.quadratic", "motor.deadzone")
 MANY = (*PLAIN, "friction.stribeck", "transmission.compliance", "disturbance.pulse")
 KNOCK = 7.3  # s
+PRESLIDING = {"level": 2.0, "static": 3.0, "velocity": 0.05, "stiffness": 3e4, "damping": 60.0}
 
 
 def begun(runs: list[Recording], effects: tuple[str, ...]) -> Search:
@@ -343,3 +344,31 @@ def test_two_shapes_of_one_law_are_two_sketches(dry: Search) -> None:
     assert against is not None
     assert against.structure.terms[-1].effect is laws[1]
     assert against.error < along.error  # friction goes with velocity
+
+
+def test_a_recording_that_comes_to_rest_is_divided_by_its_motion() -> None:
+    """A third of it stands still: windows to fit and to validate by share what moves as in one that never rests."""
+    moving = run(1, 24, 3.0)
+    still = moving.time > moving.time[0] + 16.0
+    commands, sensors = moving.commands.copy(), moving.sensors.copy()
+    commands[still] = 0.0
+    noise = np.random.default_rng(0).normal(0, 1e-5, (int(still.sum()), sensors.shape[1]))
+    sensors[still] = sensors[~still][-1] + noise
+    shares = []
+    for recording in (moving, replace(moving, commands=commands, sensors=sensors)):
+        case = part(gather(mjcf.from_text(NOMINAL), [recording, run(2, 12, 3.0)], (), Wishes())[0], threads=1)
+        w = case.prepared.problem.windows
+        moves = np.ptp(w.observed, axis=1).max(axis=1) > 1e-3
+        first = w.source == 0
+        shares.append(np.mean(w.start[first & moves] < case.borders[0]))
+    assert shares[1] == pytest.approx(shares[0], abs=0.05)
+
+
+def test_what_is_compared_may_be_simulated_as_the_other_is(dry: Search) -> None:
+    """In its steps, and as long before each window: what finer steps and a run-up bring is no gain of an effect."""
+    plain = dry.progress.path[0].structure
+    rich = plain.with_term(Term(catalogue()["friction.stribeck:presliding"], "cart", PRESLIDING))
+    alike = plain.simulated_as(rich)
+    assert (alike.finest, alike.warm) == (rich.finest, rich.warm) != (plain.finest, plain.warm)
+    assert alike.terms == plain.terms
+    assert rich.simulated_as(plain) == rich
