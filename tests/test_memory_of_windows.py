@@ -114,9 +114,13 @@ def test_a_load_on_springs_with_slack_swings_as_its_equation_says(
 
     begin = [q[0], 0.0 if ground else v[0]]
     by_hand = solve_ivp(rate, (0.0, t[-1]), begin, t_eval=t, rtol=1e-8, atol=1e-10, max_step=2e-3).y
-    away, faster = by_hand - (q, v)
-    np.testing.assert_allclose(found[0], away, atol=3e-4 * np.abs(away).max())
-    np.testing.assert_allclose(found[1], faster, atol=3e-3 * np.abs(faster).max())
+    expected = by_hand - (q, v)
+    largest = np.abs(expected).max(axis=1, keepdims=True)
+    finer = np.linspace(0.0, t[-1], 100 * (len(t) - 1) + 1)
+    fine = swing(springs, drag, np.interp(finer, t, q), np.interp(finer, t, v), finer, ground=ground)[:, ::100]
+    assert np.all(np.abs(fine - expected) <= 1e-4 * largest)
+    # In its own steps a slack that ends within one costs more: its spring is taken for taut or slack all along.
+    assert np.all(np.abs(found - expected) <= 5e-3 * largest)
 
 
 @settings(max_examples=50, deadline=None)
