@@ -8,6 +8,7 @@ writable by others, not writable by us) costs a compilation and nothing else.
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import hashlib
 import os
@@ -53,6 +54,16 @@ class Library:
 
     addresses: dict[str, int]
     keeps: Any
+
+    def function(self, name: str, *, pointers: int, counts: int = 0, numbers: int = 0) -> Any:
+        """A function of pointers, then whole numbers, then real ones, that returns nothing.
+
+        It keeps this library alive, and calls of it let other threads run.
+        """
+        kinds = [ctypes.c_void_p] * pointers + [ctypes.c_int64] * counts + [ctypes.c_double] * numbers
+        made: Any = ctypes.CFUNCTYPE(None, *kinds)(self.addresses[name])
+        made.library = self
+        return made
 
 
 def load(texts: Sequence[str], functions: Sequence[str]) -> Library:

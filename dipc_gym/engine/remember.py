@@ -5,7 +5,6 @@ Windows of a recording begin in its midst, with what the motion before has left:
 
 from __future__ import annotations
 
-import ctypes
 import functools
 from dataclasses import replace
 from typing import Any
@@ -89,11 +88,7 @@ def _function(rate: Says) -> Any:
             track = [(one[before], one[k]) for one in moving]
             into[k] = _followed(code, rate, table, track, into[before])
     code.finish()
-    library = machine.load([str(module)], ["remember"])
-    kind: Any = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, *[ctypes.c_int64] * 3)
-    function = kind(library.addresses["remember"])
-    function.library = library
-    return function
+    return machine.load([str(module)], ["remember"]).function("remember", pointers=6, counts=3)
 
 
 def _followed(code: Code, rate: Says, table: Table, track: list[tuple[Value, Value]], begin: Value) -> Value:

@@ -235,11 +235,7 @@ def pool(workers: int, process: int) -> ThreadPoolExecutor:
 @functools.lru_cache(maxsize=256)
 def _function(tree: Tree, tangents: bool) -> Any:
     """The compiled function; calls of it let other threads run."""
-    library = machine.load([_loop(tangents), write_kernel(tree)], ["run", "probe"])
-    kind: Any = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
-    function = kind(library.addresses["run"])
-    function.library = library
-    return function
+    return machine.load([_loop(tangents), write_kernel(tree)], ["run", "probe"]).function("run", pointers=1, counts=2)
 
 
 def rates(

@@ -97,8 +97,4 @@ def _function() -> Any:
             share[0] = share[0] + part
         out[k], out[code.sum(n, k)] = load[0] - track[0][1], load[1] - track[1][1]
     code.finish()
-    library = machine.load([str(module)], ["swing"])
-    kind: Any = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5, *[ctypes.c_int64] * 2, *[ctypes.c_double] * 3)
-    function = kind(library.addresses["swing"])
-    function.library = library
-    return function
+    return machine.load([str(module)], ["swing"]).function("swing", pointers=5, counts=2, numbers=3)

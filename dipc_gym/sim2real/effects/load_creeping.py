@@ -11,12 +11,12 @@ from dipc_gym.engine.swing import swing
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.coupling import couple, node
-from dipc_gym.sim2real.effects.sought import Sought
+from dipc_gym.sim2real.effects.sought import Sought, apart
 
 Array = NDArray[np.float64]
 
 TIMES = np.geomspace(0.03, 5.0, 24)  # s, tried by regression
-APART = 0.5  # of the logarithms of two first guesses
+APART = np.exp(0.5)  # ratio of the relaxation times of two first guesses, at least
 SHARPEST = 4e-3  # s: what the node between spring and damper settles in, for it needs some inertia
 
 
@@ -41,13 +41,10 @@ class CreepingSpring(Effect):
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The two relaxation times at which a spring would pull most like the unexplained force."""
         sought = Sought(evidence)
-        tried = [(sought.explained(_stretch(time, evidence)), time) for time in TIMES.tolist()]
-        best: list[tuple[float, float]] = []
-        for one, time in sorted(tried, key=lambda each: each[0].left):
-            far = all(abs(np.log(time / other)) > APART for _, other in best)
-            if one.weight > 0 and far and len(best) < 2:
-                best.append((one.weight, time))
-        return [{"stiffness": stiffness, "relaxation_time": time} for stiffness, time in best]
+        times = TIMES.tolist()
+        pulls = [sought.explained(_stretch(time, evidence)) for time in times]
+        best = apart(pulls, times, count=2, ratio=APART)
+        return [{"stiffness": pulls[k].weight, "relaxation_time": times[k]} for k in best]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A node beside the joint, a spring between the two, and a damper under the node."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -60,7 +60,8 @@ class SwingingLoadOfAnyLaw(Effect):
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """Of springs that soften and of those that harden, the load that pulls most like the unexplained force."""
         found = []
-        for load, mass in (one for bent in BENDS for one in most_alike(evidence, _tries(bent, evidence))):
+        swings = _swings(evidence)
+        for load, mass in (one for bent in BENDS for one in most_alike(evidence, _tries(bent, swings))):
             begin = {
                 "mass": mass,
                 "small_swing_frequency": load.rate / (2 * np.pi),
@@ -127,14 +128,20 @@ def _force(unit: Mapping[str, str]) -> str:
     return "N m" if unit["mass"].endswith("m^2") else "N"
 
 
-def _tries(bent: Callable[[Array], Array], evidence: Evidence) -> Sequence[Load]:
-    """Loads whose spring bends that way."""
+def _swings(evidence: Evidence) -> list[tuple[float, Array]]:
+    """Rates, rad/s, and knots (k + 1,) where a spring would have them, by how wide a load on a straight one swings."""
     found = []
     for rate in RATES.tolist():
         away = np.abs(Load(rate).swung(evidence)[0])
         knots = np.array([0.0, *np.quantile(away, SHARES), FURTHER * away.max()])
         if np.all(np.diff(knots) > 0):
-            for wide in WIDE:
-                slopes = np.diff(bent(wide * knots / knots[-1])) / np.diff(knots)
-                found.append(Load(rate, DAMPED, tuple(knots.tolist()), tuple((slopes / slopes[0]).tolist())))
+            found.append((rate, knots))
     return found
+
+
+def _tries(bent: Callable[[Array], Array], swings: Sequence[tuple[float, Array]]) -> Iterator[Load]:
+    """Loads whose spring bends that way."""
+    for rate, knots in swings:
+        for wide in WIDE:
+            slopes = np.diff(bent(wide * knots / knots[-1])) / np.diff(knots)
+            yield Load(rate, DAMPED, tuple(knots.tolist()), tuple((slopes / slopes[0]).tolist()))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dipc_gym.engine.swing import swing
 from dipc_gym.sim2real.effects.base import Evidence
 from dipc_gym.sim2real.effects.coupling import free_inertia
-from dipc_gym.sim2real.effects.sought import Sought
+from dipc_gym.sim2real.effects.sought import Sought, apart
 
 Array = NDArray[np.float64]
 
@@ -78,15 +78,11 @@ def most_alike(
         count: most that are fitted.
         ratio: of their rates, by which they differ at least. What two of them come to may be the same, and counts once.
     """
-    sought, found = Sought(evidence), list[tuple[Load, float]]()
-    tried = [(load, sought.explained(load.swung(evidence)[1])) for load in loads]
-    best: list[Load] = []
-    for load, one in sorted(tried, key=lambda each: each[1].left):
-        far = all(abs(np.log(load.rate / other.rate)) > np.log(ratio) for other in best)
-        if one.weight > 0 and far and len(best) < count:
-            best.append(load)
+    sought, found, tried = Sought(evidence), list[tuple[Load, float]](), list(loads)
+    pulls = [sought.explained(load.swung(evidence)[1]) for load in tried]
     inertia = free_inertia(evidence.model, evidence.at)
-    for load in best:
+    for k in apart(pulls, [load.rate for load in tried], count=count, ratio=ratio):
+        load = tried[k]
         bent = load.slopes[1:]
         low, high = [*LEAST, *[FLATTEST] * len(bent)], [*MOST, *[STEEPEST] * len(bent)]
         near = load.like(sought.nearest(partial(_pull, load, evidence), [load.rate, load.ratio, *bent], low, high))

@@ -101,3 +101,20 @@ class Sought:
             means = column[run[: len(run) // block * block]].reshape(-1, block).mean(axis=1)
             found.append(gaussian_filter1d(means, SMOOTH / (block * step)) if len(means) else means)
         return np.concatenate(found)
+
+
+def apart(found: Sequence[Explained], paces: Sequence[float], *, count: int, ratio: float = 1.0) -> list[int]:
+    """Which pulls explain most, the best first, where their paces differ by a factor: their places in the sequence.
+
+    Args:
+        found: what each explains; one that would have to pull the other way is passed over.
+        paces: a rate or a time of each.
+        count: most of them.
+        ratio: of any two paces, at least.
+    """
+    best: list[int] = []
+    for k in sorted(range(len(found)), key=lambda k: found[k].left):
+        far = all(abs(np.log(paces[k] / paces[other])) > np.log(ratio) for other in best)
+        if found[k].weight > 0 and far and len(best) < count:
+            best.append(k)
+    return best

@@ -84,12 +84,16 @@ class Problem:
         """Readings in each window, (n,); sensors that never change say nothing and do not count."""
         return self.windows.valid.sum(axis=1) * float(np.isfinite(self.windows.noise).sum())
 
+    @property
+    def moved(self) -> Array:
+        """How far readings moved since the window began, in units of noise, 0 where nothing was read, (n, m, ns)."""
+        w = self.windows
+        return np.where(w.valid[..., None], (w.observed - w.observed[:, :1]) / w.noise, 0.0)
+
     @functools.cached_property
     def motion(self) -> float:
         """Root mean square of how far readings move within a window, in units of noise."""
-        w = self.windows
-        moved = (w.observed - w.observed[:, :1]) / w.noise
-        return float(np.sqrt(np.sum(np.where(w.valid[..., None], moved, 0.0) ** 2) / self.counts.sum()))
+        return float(np.sqrt(np.sum(self.moved**2) / self.counts.sum()))
 
     @property
     def blocks(self) -> NDArray[np.intp]:

@@ -113,9 +113,8 @@ def _borders(given: Given, prepared: Prepared) -> Array:
 
 def _moves(prepared: Prepared) -> NDArray[np.bool_]:
     """Whether any sensor changes in a window by clearly more than its noise, (n,)."""
-    w = prepared.problem.windows
-    moved = np.where(w.valid[..., None], (w.observed - w.observed[:, :1]) / w.noise, 0.0)
-    return np.asarray(np.sqrt(np.max(np.mean(moved**2, axis=1), axis=1)) > WINDOWS.still)
+    size = np.sqrt(np.max(np.mean(prepared.problem.moved**2, axis=1), axis=1))
+    return np.asarray(size > WINDOWS.still)
 
 
 def _standstill(prepared: Prepared) -> str:

@@ -90,6 +90,7 @@ def _guessed(question: Question, current: Fit, scene: Scene, effect: Effect, at:
     friction = {joint: float(scene.model.dof_frictionloss[dof(scene.model, joint)]) for joint in question.joints}
     levels = {joint: level for joint, level in friction.items() if level > 0}
     seen = _without_plainer(question, current, effect, at, scene) if effect.free else scene
+    # A law has its guesses from forces without the plainer one, whose numbers may be those of another valley.
     plain = {} if effect.free else _plain(current, effect, at)
     proposals = effect.proposals(seen.at(effect.place, at, levels))
     return [Term(shaped, at, {**guess, **plain}) for shaped, guess in proposals]

@@ -55,15 +55,16 @@ def _idle(question: Question, fitter: Fitter, current: Fit, term: Term) -> Fit |
 def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> Iterator[Fit]:
     """Fits without an effect, or with a plainer one in its place, that do not miss it."""
     remaining = current.structure.without(term.key)
-    less = fitter.near(current, remaining) if remaining.terms else None
-    missed = less is None or _missed(fitter.scorer, term, current, less)
     alike = remaining.simulated_as(current.structure)
-    if missed and less is not None and (alike.finest, alike.warm) != (remaining.finest, remaining.warm):
-        # What it is missed for may be the finer steps, or the time before a window, that it was simulated with.
-        less = fitter.near(current, alike)
-        missed = less is None or _missed(fitter.scorer, term, current, less)
-    if less is not None and not missed:
-        yield less
+    # What it is missed for may be the finer steps, or the time before a window, that it was simulated with.
+    same = (alike.finest, alike.warm) == (remaining.finest, remaining.warm)
+    for structure in [remaining] if same else [remaining, alike]:
+        less = fitter.near(current, structure) if structure.terms else None
+        if less is None:
+            break
+        if not _missed(fitter.scorer, term, current, less):
+            yield less
+            break
     for inner in term.effect.contains:
         plainer = _swap(question, fitter, current, term, inner)
         if plainer is not None and fitter.scorer.compare(current, plainer).alike:
