@@ -19,6 +19,7 @@ from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import Uncovered, check, machine, program
+from dipc_gym.engine import run as engine_run
 from dipc_gym.engine.layout import CONTROLS, Head
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.mjcf.edit import Document
@@ -286,6 +287,27 @@ def test_passive_elements_are_no_commands(hanging: object) -> None:
     assert here.model.nu > CONTROLS
     assert what.codes[Head.CONTROLS] == 1
     assert check.check(what, parameters[0], here)
+
+
+def test_windows_feel_few_values_of_a_table(hanging: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values that a window does not meet are left out there, and nothing changes by it."""
+    structure, problem, found = hanging.structure.with_term(ramps(60)), hanging.problem, []
+    z = structure.first
+    probes, whole = list(z + 1e-6 * np.eye(len(z))), engine_run._felt
+
+    def told() -> tuple[Array, Array, Array]:
+        made = sensitivities(problem, structure, z, probes, problem.initial)
+        assert made is not None
+        return made
+
+    monkeypatch.setattr(engine_run, "_felt", lambda *given: found.append(whole(*given)) or found[-1])
+    few = told()
+    monkeypatch.setattr(engine_run, "PAYS", len(z))
+    for some, every in zip(few, told(), strict=True):
+        np.testing.assert_allclose(some, every, rtol=0, atol=1e-9 * np.abs(every).max())
+    (felt,) = found
+    assert felt[:-1].mean() < 0.75
+    assert felt[-1].all()  # initial states
 
 
 @given(st.lists(st.floats(0.2, 5.0), min_size=5, max_size=5))

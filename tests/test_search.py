@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.selection import choice, kinds
+from dipc_gym.sim2real.selection import choice, kinds, sketches
 from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.fitter import Fitter
@@ -29,6 +30,7 @@ from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.scorer import earned, settled
 from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.settings import SEARCH
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.simulation.windows import Windows
 from dipc_gym.sim2real.verdict.withheld import gather
@@ -199,6 +201,41 @@ def test_what_a_law_depends_on_may_be_its_kind(
 def test_what_a_name_may_leave_to_go_before_a_law_without_one(before: float, left: float, most: float) -> None:
     """Errors in units of noise."""
     assert choice.before_unnamed(before, np.full(20, left**2)) == pytest.approx(most)
+
+
+@pytest.mark.parametrize(
+    ("named", "modelled", "end"),
+    [
+        ([150.0] * 33, [100.0] * 33, "named"),  # a name goes before a law without one
+        ([800.0] * 20 + [20.0] * 13, [160.0] * 33, "modelled"),  # unless it leads astray where windows are not its own
+        ([1.2] * 33, [1.0] * 33, "named"),
+        ([2.5] * 33, [0.9] * 33, "named"),
+        ([3.5] * 33, [0.9] * 33, "modelled"),
+    ],
+)
+def test_which_of_two_ends_a_search_comes_to(named: list[float], modelled: list[float], end: str) -> None:
+    """From the error that each leaves of windows that it was not fitted to, in units of noise."""
+    left = {"begin": [22600.0] * 33, "named": named, "modelled": modelled}
+    fits = {name: SimpleNamespace(name=name, structure=SimpleNamespace(unnamed=name == "modelled")) for name in left}
+    scorer = SimpleNamespace(unfitted_mse=lambda fitted: np.square(left[fitted.name]))
+    paths = [(fits["begin"], fits[name]) for name in ("named", "modelled")]
+    assert choice.of_ends(scorer, paths)[-1].name == end  # type: ignore[arg-type]
+
+
+def test_laws_of_no_kind_keep_none_of_a_kind_from_being_asked(monkeypatch: pytest.MonkeyPatch, dry: Search) -> None:
+    """They take some of anything, so that screening foretells more of them than of the drive's curve, which it is."""
+    base = dry.progress.path[0]
+    laws = [effect for effect in catalogue().values() if effect.free]
+    laws.sort(key=lambda effect: not effect.of_no_kind)
+    ranked = [(Tried(Term(effect, "cart", {}), predicted_gain=1.0 / (1 + k)), base) for k, effect in enumerate(laws)]
+    asked: list[str] = []
+    monkeypatch.setattr(
+        sketches, "_sketches", lambda fitter, first, *rest: asked.extend(one.key for one, _ in first) or []
+    )
+    sketches.in_turn(dry.fitter, ranked, {}, base)
+    of_a_kind = [tried.key for tried, _ in ranked if not tried.term.effect.of_no_kind]
+    assert set(of_a_kind[: SEARCH.shapes]) <= set(asked)
+    assert len(laws) - len(of_a_kind) > SEARCH.shapeless
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,9 @@ from dipc_gym.engine.values import LANES
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
+PAYS = 4  # packs of directions from which it pays to ask first which of them windows feel
+NOTHING = 1e-10  # share of what a pack changes where it changes most: a window with less than this does not feel it
+
 
 @dataclass(frozen=True)
 class Commands:
@@ -99,9 +102,10 @@ def run(program: Program, jobs: Jobs, step: float, *, threads: int = 0) -> tuple
         Uncovered: a joint left its range, and it matters what its limit does.
     """
     variants, windows, nx = jobs.initial.shape
-    rows = np.zeros((variants, windows, int(Row.SIZE)), dtype=np.int64)
-    rows[..., Row.PARAMETERS] = np.arange(variants)[:, None]
-    rows[..., Row.COMMANDS] = jobs.which[:, None] * len(jobs.commands.stamps) + jobs.first
+    variant, window = (each.ravel() for each in np.indices((variants, windows)))
+    rows = _rows(jobs, window)
+    rows[:, Row.PARAMETERS] = variant
+    rows[:, Row.COMMANDS] += jobs.which[variant] * len(jobs.commands.stamps)
     out = np.empty((variants, windows, *jobs.times.shape[1:]))
     ends = np.empty((variants, windows, nx))
     _call(program, jobs, rows, jobs.initial, step, threads, out, ends, {})
@@ -127,32 +131,75 @@ def differentiate(
     Raises:
         Uncovered: a joint left its range, and it matters what its limit does.
     """
-    (_, windows, nx), count = jobs.initial.shape, len(directions.parameters)
-    packs = max(1, -(-count // LANES))
-    rows = np.zeros((packs, windows, int(Row.SIZE)), dtype=np.int64)
-    rows[..., Row.DIRECTIONS] = np.arange(packs)[:, None]
-    pack = np.arange(packs)[:, None] if directions.commands is not None else 0
-    rows[..., Row.COMMANDS] = pack * len(jobs.commands.stamps) + jobs.first
-    initial = np.repeat(jobs.initial, packs, axis=0)
-    values = jobs.commands.values[jobs.which[0]]
-    commands = np.repeat(values[None], packs if directions.commands is not None else 1, axis=0)
-    moved = _still(commands.shape) if directions.commands is None else _packed(directions.commands, packs)
-    out = np.empty((packs, windows, *jobs.times.shape[1:]))
-    ends = np.empty((packs, windows, nx))
+    felt = np.ones((max(1, -(-len(directions.parameters) // LANES)), jobs.initial.shape[1]), dtype=bool)
+    if len(felt) >= PAYS:
+        felt = _felt(program, jobs, directions, step, threads)
+    return _along(program, jobs, directions, felt, step, threads)
+
+
+def _felt(program: Program, jobs: Jobs, directions: Directions, step: float, threads: int) -> NDArray[np.bool_]:
+    """Which packs of directions change anything in each window, (packs, windows).
+
+    A window meets a few values of a table and none of the others; a sum of the directions of each pack, with factors at
+    random so that none makes up for another, tells which.
+    """
+    count = len(directions.parameters)
+    packs, k = -(-count // LANES), np.arange(count)
+    factors = np.zeros((packs, count))
+    factors[k // LANES, k] = np.random.default_rng(0).uniform(1.0, 2.0, count) * (1 - 2 * (k % 2))
+    moved = None if directions.commands is None else np.tensordot(factors, directions.commands, 1)
+    sums = Directions(factors @ directions.parameters, np.tensordot(factors, directions.initial, 1), moved)
+    all_of = np.ones((-(-packs // LANES), jobs.initial.shape[1]), dtype=bool)
+    _, readings, _, ends = _along(program, jobs, sums, all_of, step, threads)
+    each = np.concatenate([np.abs(part).reshape(*part.shape[:2], -1) for part in (readings, ends)], axis=2)
+    size = each.max(axis=2)
+    felt = ~(size <= NOTHING * np.nanmax(size, axis=1, keepdims=True, initial=0.0))  # what diverged is felt
+    felt[0] |= ~felt.any(axis=0)  # readings are asked for all the same
+    return np.asarray(felt)
+
+
+def _along(
+    program: Program, jobs: Jobs, directions: Directions, felt: NDArray[np.bool_], step: float, threads: int
+) -> tuple[Array, Array, Array, Array]:
+    """`differentiate`, with each pack of directions in the windows that feel it, (packs, windows); at least one in
+    each.
+    """
+    (packs, windows), count, nx = felt.shape, len(directions.parameters), jobs.initial.shape[2]
+    pack, window = np.nonzero(felt)
+    rows = _rows(jobs, window)
+    rows[:, Row.DIRECTIONS] = pack
+    commands, moved = jobs.commands.values[jobs.which[0]][None], None
+    if directions.commands is not None:
+        rows[:, Row.COMMANDS] += pack * len(jobs.commands.stamps)
+        commands, moved = np.repeat(commands, packs, axis=0), _packed(directions.commands, packs)
+    out = np.empty((len(rows), *jobs.times.shape[1:]))
+    ends = np.empty((len(rows), nx))
     tangents = {
         At.PARAMETER_TANGENTS: _packed(directions.parameters, packs),
-        At.INITIAL_TANGENTS: _packed(directions.initial, packs),
-        At.COMMAND_TANGENTS: moved,
+        At.INITIAL_TANGENTS: _packed(directions.initial, packs)[pack, window],
+        At.COMMAND_TANGENTS: _still(commands.shape) if moved is None else moved,
         At.READING_TANGENTS: np.zeros((*out.shape, LANES)),
         At.END_TANGENTS: np.zeros((*ends.shape, LANES)),
     }
     packed = replace(jobs, commands=Commands(jobs.commands.stamps, commands))
-    _call(program, packed, rows, initial, step, threads, out, ends, tangents)
-    readings, states = (
-        np.moveaxis(tangents[at], -1, 1).reshape(packs * LANES, *shape)[:count]
-        for at, shape in ((At.READING_TANGENTS, out.shape[1:]), (At.END_TANGENTS, ends.shape[1:]))
-    )
-    return out[0], readings, ends[0], states
+    _call(program, packed, rows, jobs.initial[0, window], step, threads, out, ends, tangents)
+    found = list[Array]()
+    for values, at in ((out, At.READING_TANGENTS), (ends, At.END_TANGENTS)):
+        whole, changes = np.empty((windows, *values.shape[1:])), np.zeros((packs, LANES, windows, *values.shape[1:]))
+        whole[window] = values
+        changes[pack, :, window] = np.moveaxis(tangents[at], -1, 1)
+        found += [whole, changes.reshape(packs * LANES, *whole.shape)[:count]]
+    readings, by_readings, states, by_states = found
+    return readings, by_readings, states, by_states
+
+
+def _rows(jobs: Jobs, window: Whole) -> Whole:
+    """Simulations of these windows with the first variant, (rows, Row.SIZE)."""
+    rows = np.zeros((len(window), int(Row.SIZE)), dtype=np.int64)
+    rows[:, Row.WINDOW] = window
+    rows[:, Row.COMMANDS] = rows[:, Row.STAMPS] = jobs.first[window]
+    rows[:, Row.COUNT] = jobs.count[window]
+    return rows
 
 
 @functools.lru_cache(maxsize=1)
@@ -179,11 +226,10 @@ def _call(
     ends: Array,
     tangents: dict[At, Array],
 ) -> None:
-    rows[..., Row.WINDOW] = np.arange(rows.shape[1])
-    rows[..., Row.STAMPS], rows[..., Row.COUNT] = jobs.first, jobs.count
     codes = program.codes.copy()
     codes[Head.SAMPLES] = jobs.times.shape[2]
-    left = np.zeros(rows.shape[0] * rows.shape[1], dtype=np.int64)
+    count = len(rows)
+    left = np.zeros(count, dtype=np.int64)
     arrays: dict[At, NDArray[np.generic]] = {
         At.PROGRAM: codes,
         At.PARAMETERS: jobs.parameters,
@@ -205,7 +251,6 @@ def _call(
     for at, array in kept.items():
         table[at] = array.ctypes.data
     function = _function(program.tree, bool(tangents))
-    count = rows.shape[0] * rows.shape[1]
     workers = min(cores(threads), max(1, count // 4))
     # Rows differ in what they cost; small shares even that out.
     borders = np.linspace(0, count, (4 * workers if workers > 1 else 1) + 1).astype(int)

@@ -90,7 +90,8 @@ def before_unnamed(before: float, mse: NDArray[np.float64]) -> float:
 
 
 def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]:
-    """Of several paths the one whose end predicts windows best that it was not fitted to.
+    """Of several paths the one whose end predicts windows best that it was not fitted to, those that validate among
+    them: a law may go astray where no other window is, and what leaves far more than another is out.
 
     One with names alone goes before one with laws of no kind, see `before_unnamed`.
 
@@ -98,15 +99,19 @@ def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]
         scorer: compares fits.
         paths: the fits of each, the first without effects.
     """
-    compared = [scorer.comparison_mse(path[-1]) for path in paths]
-    losses = ranking.losses(compared)
-    best, begin = int(np.argmin(losses)), scorer.comparison_error(paths[0][0])
-    named = [
-        k
-        for k, path in enumerate(paths)
-        if not path[-1].structure.unnamed and scorer.comparison_error(path[-1]) < before_unnamed(begin, compared[best])
-    ]
+    compared = [scorer.unfitted_mse(path[-1]) for path in paths]
+    losses, left = ranking.losses(compared), _errors(compared)
+    close = [k for k, error in enumerate(left) if error <= min(left) / SEARCH.far_better]
+    best = min(close, key=lambda k: losses[k])
+    (begin,) = _errors([scorer.unfitted_mse(paths[0][0])])
+    most = before_unnamed(begin, compared[best])
+    named = [k for k in close if not paths[k][-1].structure.unnamed and left[k] < most]
     return paths[min(named, key=lambda k: losses[k], default=best)]
+
+
+def _errors(mse: Sequence[NDArray[np.float64]]) -> list[float]:
+    """Root mean square errors of several fits, from those of each window, (n,)."""
+    return [float(np.sqrt(np.mean(each))) for each in mse]
 
 
 def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:

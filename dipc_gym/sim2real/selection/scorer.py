@@ -57,6 +57,13 @@ class Scorer:
         """Note the mean square errors of the comparison windows that were worked out elsewhere, (n,)."""
         self._known[id(fitted)] = (weakref.ref(fitted), mse)
 
+    def unfitted_mse(self, fitted: Fit) -> Array:
+        """The same of these and of the windows that validate."""
+        compared, validation = self.comparison_mse(fitted), self.partition.validation
+        if validation is self.partition.comparison:
+            return compared
+        return np.append(compared, evaluate(validation, fitted.structure, fitted.z)[0])
+
     def comparison_error(self, fitted: Fit) -> float:
         """Root mean square error on the comparison windows, in units of noise."""
         return float(np.sqrt(np.mean(self.comparison_mse(fitted))))

@@ -125,8 +125,9 @@ class SearchSettings:
             it costs several times as much
         names: effects with a name that are tried in the place of a law of no kind: what screening promises with the
             rest in place is nearly what comes
-        shapes: laws of any shape that are sketched in a round whatever their predicted gain: that is told from a force
-            known roughly
+        shapes: laws of a kind but of any shape that are sketched in a round whatever their predicted gain: that is told
+            from a force known roughly
+        shapeless: laws of no kind that are sketched beside these
         once: improvement of the log square errors, summed over windows, by which an event that happened once stands
             out: it has no other blocks that could confirm it
         most: share of the improvement that a plain effect must bring to go before one that elaborates it: else it is
@@ -175,6 +176,7 @@ class SearchSettings:
     in_turn: float = 0.25
     names: int = 3
     shapes: int = 6
+    shapeless: int = 2
     once: float = 1.5
     most: float = 0.5
     far_better: float = 0.3

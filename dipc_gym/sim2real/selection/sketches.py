@@ -43,8 +43,10 @@ def in_turn(
     # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already, such
     # a guess gains nothing as it stands. Only its fit tells.
     laws = [start for start in ranked if start[0].term.effect.free and start not in first]
-    of_no_kind = [start for start in laws[SEARCH.shapes :] if start[0].term.effect.of_no_kind]
-    sketched = _sketches(fitter, [*first, *laws[: SEARCH.shapes], *of_no_kind[:1]], starts, current)
+    # What has no kind takes some of anything, and must not keep a law of a kind from being asked.
+    of_a_kind = [start for start in laws if not start[0].term.effect.of_no_kind][: SEARCH.shapes]
+    of_no_kind = [start for start in laws if start[0].term.effect.of_no_kind][: SEARCH.shapeless]
+    sketched = _sketches(fitter, [*first, *of_a_kind, *of_no_kind], starts, current)
     if at_noise(sketched):
         return sketched
     slow = [start for start, share in worth if fitter.slow(start[0].term) and SEARCH.in_turn < share <= SEARCH.keeps_up]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from dipc_gym.engine.layout import Head, Sensor
 from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.physics import Moment, Physics
+from dipc_gym.recording import Recording
 from dipc_gym.sim2real.simulation.memory import Joints, Places, begin
 from dipc_gym.sim2real.unseen.parts import yielding
 
@@ -79,8 +81,7 @@ class Compiled:
         """Recorded commands as the model sees them, where windows and `warm` seconds before them ask for them; one set
         if no variant changes them.
         """
-        recordings = self.windows.recordings
-        whole, time = (np.concatenate([getattr(r, what) for r in recordings]) for what in ("commands", "time"))
+        time, whole = _end_to_end(self.windows.recordings)
         if not self.variants[0].stage("command"):
             return Commands(time, whole[None])
         first, count = self._samples(-warm, warm + self.sampled()[1])
@@ -206,6 +207,12 @@ class Compiled:
             k, zero = address.index(extra.index), np.zeros(())
             out[..., k, :] = extra(Moment(zero, zero, zero, zero, out[..., k, :]))
         return out
+
+
+@functools.lru_cache(maxsize=4)  # those of a diagnosis, and of what it holds out
+def _end_to_end(recordings: tuple[Recording, ...]) -> tuple[Array, Array]:
+    """Stamps (n,) and commands (n, nu) of all recordings; every simulation asks for them."""
+    return np.concatenate([r.time for r in recordings]), np.concatenate([r.commands for r in recordings])
 
 
 def _of_commands(variant: Physics) -> bytes:
