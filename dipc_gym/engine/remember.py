@@ -6,7 +6,9 @@ Windows of a recording begin in its midst, with what the motion before has left:
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,8 @@ from llvmlite import ir
 from numpy.typing import NDArray
 
 from dipc_gym.engine import machine
-from dipc_gym.engine.code import Code
+from dipc_gym.engine.code import Code, Numbers
+from dipc_gym.engine.follow import write_following
 from dipc_gym.engine.laws import Says, Table, written
 from dipc_gym.engine.values import INT, POINTER, Value
 from dipc_gym.physics import Moment, memory_of
@@ -81,35 +84,22 @@ def _function(rate: Says) -> Any:
     variants, count, n = code.function.args[6:]
     with code.count(variants) as variant:
         table = Table(code, numbers.since(code.product(variant, count)), count)
-        into = out.since(code.product(variant, n))
-        into[0] = 0.0
+        into, memory = out.since(code.product(variant, n)), code.scratch(1)
+        into[0] = memory[0] = 0.0
         with code.count(n, 1) as k:
             before = code.sum(k, -1)
             track = [(one[before], one[k]) for one in moving]
-            into[k] = _followed(code, rate, table, track, into[before])
+            steps = ((track[0][1] - track[0][0]) / FINEST).ceil()
+            write_following(code, memory, 1, track, steps, partial(_rates, code, rate, table))
+            into[k] = memory[0]
     code.finish()
     return machine.load([str(module)], ["remember"]).function("remember", pointers=6, counts=3)
 
 
-def _followed(code: Code, rate: Says, table: Table, track: list[tuple[Value, Value]], begin: Value) -> Value:
-    """What is remembered after a sample, by Runge-Kutta's steps on straight lines between it and the one before."""
-    state, total, share, slope = (code.scratch(1) for _ in range(4))
-    state[0], share[0] = begin, 0.0
-    span = track[0][1] - track[0][0]
-    steps = (span / FINEST).ceil()
-    part = 1.0 / Value(code, code.at.sitofp(steps, span.primal.type))
-    with code.count(steps):
-        before = code.scratch(1)
-        before[0], total[0], slope[0] = state[0], 0.0, 0.0
-        for ahead, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
-            along = share[0] + ahead * part
-            time, position, speed, follows = (one + along * (other - one) for one, other in track)
-            zero: Any = code.value(0.0)
-            now: Any = Moment
-            memory = before[0] + ahead * part * span * slope[0]
-            moment = now(*(time, position, zero, zero, zero), speed=speed, inputs=(follows, zero), memory=memory)
-            slope[0] = rate(table, moment)
-            total[0] = total[0] + weight * slope[0]
-        state[0] = before[0] + part * span * total[0] / 6.0
-        share[0] = share[0] + part
-    return state[0]
+def _rates(code: Code, rate: Says, table: Table, now: Sequence[Value], memory: Numbers) -> tuple[Value]:
+    """The rate of what is remembered, at one moment of the motion."""
+    time, position, speed, follows = now
+    zero: Any = code.value(0.0)
+    moment: Any = Moment
+    values = moment(time, position, zero, zero, zero, speed=speed, inputs=(follows, zero), memory=memory[0])
+    return (rate(table, values),)

@@ -13,7 +13,8 @@ from llvmlite import ir
 from numpy.typing import NDArray
 
 from dipc_gym.engine import machine
-from dipc_gym.engine.code import Code
+from dipc_gym.engine.code import Code, Numbers
+from dipc_gym.engine.follow import write_following
 from dipc_gym.engine.values import INT, POINTER, REAL, Value, maximum, sign
 
 Array = NDArray[np.float64]
@@ -65,36 +66,24 @@ def _function() -> Any:
     springs, position, velocity, stamps, out = (code.numbers(one) for one in code.function.args[:5])
     count, n = code.function.args[5:7]
     drag, ground, longest = (Value(code, one) for one in code.function.args[7:])
-    # Where the load is and how fast; the same at a stage of a step; their rates there, and sums of these.
-    load, stage, rate, total = (code.scratch(2) for _ in range(4))
-    pull, share = code.scratch(1), code.scratch(1)
+    load, pull = code.scratch(2), code.scratch(1)  # where the load is and how fast
+
+    def rates(now: Sequence[Value], load: Numbers) -> tuple[Value, Value]:
+        _, place, speed = now
+        apart, pull[0] = load[0] - place, 0.0
+        with code.count(count) as spring:
+            at = springs.since(code.product(spring, 2))
+            beyond = maximum(abs(apart) - at[0], 0.0)
+            pull[0] = pull[0] + at[1] * sign(apart) * beyond
+        return load[1], -(pull[0] + drag * (load[1] - speed) + ground * load[1])
+
     load[0], load[1] = 0.0, 0.0
     out[0], out[n] = 0.0 - position[0], 0.0 - velocity[0]
     with code.count(n, 1) as k:
         before = code.sum(k, -1)
-        track = [(one[before], one[k]) for one in (position, velocity)]
-        span = stamps[k] - stamps[before]
-        steps = maximum(span / longest, 1.0).ceil()
-        part = 1.0 / Value(code, code.at.sitofp(steps, span.primal.type))
-        length, share[0] = part * span, 0.0
-        with code.count(steps):
-            for i in range(2):
-                total[i], rate[i] = 0.0, 0.0
-            for ahead, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
-                for i in range(2):
-                    stage[i] = load[i] + ahead * length * rate[i]
-                place, speed = (one + (share[0] + ahead * part) * (other - one) for one, other in track)
-                apart, pull[0] = stage[0] - place, 0.0
-                with code.count(count) as spring:
-                    at = springs.since(code.product(spring, 2))
-                    beyond = maximum(abs(apart) - at[0], 0.0)
-                    pull[0] = pull[0] + at[1] * sign(apart) * beyond
-                rate[0], rate[1] = stage[1], -(pull[0] + drag * (stage[1] - speed) + ground * stage[1])
-                for i in range(2):
-                    total[i] = total[i] + weight * rate[i]
-            for i in range(2):
-                load[i] = load[i] + length * total[i] / 6.0
-            share[0] = share[0] + part
-        out[k], out[code.sum(n, k)] = load[0] - track[0][1], load[1] - track[1][1]
+        track = [(one[before], one[k]) for one in (stamps, position, velocity)]
+        steps = maximum((track[0][1] - track[0][0]) / longest, 1.0).ceil()
+        write_following(code, load, 2, track, steps, rates)
+        out[k], out[code.sum(n, k)] = load[0] - track[1][1], load[1] - track[2][1]
     code.finish()
     return machine.load([str(module)], ["swing"]).function("swing", pointers=5, counts=2, numbers=3)
