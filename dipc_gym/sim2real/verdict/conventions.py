@@ -20,7 +20,7 @@ from dipc_gym import mjcf
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.estimation import states
-from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
 from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.selection import data
@@ -131,7 +131,12 @@ def differing(
 
     def error(convention: Convention) -> float:
         again = counted(convention)
-        return common_error(fit(again.problem, again.structure).mse)
+        few = again.problem.pick(np.arange(0, len(again.problem.windows), CONVENTIONS.every))
+        for problem, most in ((few, CONVENTIONS.hopeless * CONVENTIONS.decides * without), (again.problem, math.inf)):
+            off = common_error(evaluate(problem, again.structure, again.structure.first)[0])
+            if off > most:
+                break
+        return off
 
     all_of = list(possible(physics, first.actuator_names, first.sensor_names))
     with side_by_side([partial(error, convention) for convention in all_of], prepared.problem.threads) as result:

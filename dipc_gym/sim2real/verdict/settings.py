@@ -15,6 +15,8 @@ class ConventionSettings:
             it below the former.
         seconds: of recordings that conventions are tried on: there are dozens, and a wrong sign shows in the first
             swing
+        every: which of their windows are tried first
+        hopeless: times the error that decides, above which these are enough to see that a convention does not
         gross: share of the motion: a smaller mismatch is none of conventions, for a wrong sign or axis is off by as
             much as moves
         parallel: cosine between two axes, from which readings about one could be of the other
@@ -24,6 +26,8 @@ class ConventionSettings:
 
     decides: float = 0.5
     seconds: float = 12.0
+    every: int = 4
+    hopeless: float = 2.0
     gross: float = 0.005
     parallel: float = 0.99
     alike: float = 1.1
