@@ -176,7 +176,7 @@ class SearchSettings:
     in_turn: float = 0.25
     names: int = 3
     shapes: int = 6
-    shapeless: int = 2
+    shapeless: int = 3
     once: float = 1.5
     most: float = 0.5
     far_better: float = 0.3
