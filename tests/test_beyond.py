@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_diagnose import run
+from test_diagnose import NOMINAL, run
 from test_search import begun
 
+from dipc_gym import mjcf
+from dipc_gym.sim2real import diagnose
+from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import Problem
@@ -67,6 +70,32 @@ def test_where_nothing_goes_beyond_or_nothing_stays_within_all_windows_judge(spr
     assert beyond((bare, bare, fitted), problem.pick(few[:2]), problem.pick(few[-12:])) is None
 
 
+def test_laws_that_are_written_go_as_far_as_all_that_was_recorded() -> None:
+    """The last quarter, where the cart goes furthest, judges a law that ends before; then it is fitted there too."""
+    given = run(3, 20, 0.0, spring=SPRING, backwards=True)
+    found = diagnose(mjcf.from_text(NOMINAL), [given], effects=[catalogue()["load.position:law"]], threads=1)
+    assert found.held_out is not None
+    assert found.beyond is not None
+    assert found.held_out.improved > 3.0  # as it was predicted
+    assert any(note.endswith("were fitted to all of the recordings after that.") for note in found.notes)
+    assert "That was before its parameters were fitted once more" in found.improved
+    table = found.missing[0].law["table"]
+    (knots,) = (np.array(one["knots"]) for one in table["inputs"])
+    start = given.time[0] + 0.75 * given.duration
+    assert knots.max() - knots.min() > 0.95 * np.ptp(given.sensors[given.time > start])
+    middle = np.abs(knots) < 0.8 * np.abs(knots).max()
+    np.testing.assert_allclose(
+        np.array(table["levels"])[middle], -SPRING * knots[middle], atol=0.05 * SPRING * knots.max()
+    )
+
+
+def test_recordings_of_their_own_judge_and_are_not_fitted() -> None:
+    given, kept = run(3, 14, 0.0, spring=SPRING), run(5, 14, 0.0, spring=SPRING, backwards=True)
+    found = diagnose(mjcf.from_text(NOMINAL), [given], [kept], effects=[catalogue()["load.position:law"]], threads=1)
+    assert "fitted once more" not in found.improved
+    assert not any("after that" in note for note in found.notes)
+
+
 @pytest.mark.parametrize("count", [1, 6])
 def test_what_is_said_of_them(count: int) -> None:
     ranges = {"name": "position cart", "fitted": [-0.146, 0.209], "asked": [-0.355, 0.0713]}
@@ -74,7 +103,7 @@ def test_what_is_said_of_them(count: int) -> None:
     said = sentences.in_one_sentence("explained", [], [], Errors(129.0, 130.0, 12.6), beyond=found)
     assert f"to 12.6 times the noise; in the {40 - count} of 40 windows that stay where its laws have data" in said
     assert said.endswith("from 140 to 1 times; what is left there is as small as noise.")
-    note = sentences.goes_beyond(found)
+    note = sentences.goes_beyond(found, fitted=False)
     assert note.startswith(f"{count} of 40 held-out windows {'goes' if count == 1 else 'go'} beyond")
     assert "position of cart from -0.355 to 0.0713, fitted from -0.146 to 0.209" in note
     assert "position of cart from -0.355" in sentences.next_experiment("explained", [], beyond=found)

@@ -62,20 +62,22 @@ def run(
     bristles: tuple[float, float, float, float] | None = None,
     most: float = math.inf,
     late: int = 0,
+    backwards: bool = False,
 ) -> Recording:
     """A cart under a swept voltage; Coulomb friction by exact reversals at 50 microseconds; an encoder with noise.
 
     A steady force, drag in forward motion alone, a spring, and a knock (a force, when it begins, for how long) come on
     top; friction that is uneven (share of the level, wavelength), or LuGre's (static level, Stribeck velocity, the
     bristles' stiffness and damping); a drive that gives no more than `most`; an encoder that is late, in steps of 50
-    microseconds.
+    microseconds; or a sweep that slows down, so that the cart goes further and further.
     """
     rng = np.random.default_rng(seed)
     h, hold = 5e-5, 40
     n = round(seconds / (h * hold))
     t = np.arange(n) * h * hold
     phase = rng.uniform(0, 6)
-    volts = 7 * np.sin(2 * np.pi * (0.4 + 0.15 * t) * t + phase) + 3 * np.sin(2 * np.pi * 0.7 * t)
+    swept = seconds - t if backwards else t
+    volts = 7 * np.sin(2 * np.pi * (0.4 + 0.15 * swept) * swept + phase) + 3 * np.sin(2 * np.pi * 0.7 * t)
     x = v = z = 0.0
     out, trail = np.empty(n), [0.0] * (late + 1)
     for k in range(n):

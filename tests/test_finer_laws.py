@@ -7,6 +7,7 @@ import pytest
 import sim2real_rigs
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import RegularGridInterpolator
 from sim2real_rigs import CART, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
@@ -15,10 +16,12 @@ from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.effects.base import Effect, Evidence
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
-from dipc_gym.sim2real.effects.friction_speed import BENT, FrictionOfSpeed
+from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
+from dipc_gym.sim2real.effects.law import BENT
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
+from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.surfaces import Surface, surfaces
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import fit
@@ -65,7 +68,7 @@ def test_a_law_made_finer_is_the_same_law(data: st.DataObject, kind: type, times
 def test_a_law_that_goes_farther_begins_as_it_was(low: float, high: float, kind: str, size: float) -> None:
     """Constant from its ends on, or parallel to its input; a table that is long enough stays."""
     law = (FrictionOfPosition if kind == "friction" else CommandMap)([0.0, 0.1, 0.2], [size, 2 * size, 0.5 * size])
-    found = law.reaching(law.guess, low, high)
+    found = law.reaching(law.guess, [(low, high)])
     if found is None:
         assert low > -0.01
         assert high < 0.21
@@ -78,7 +81,39 @@ def test_a_law_that_goes_farther_begins_as_it_was(low: float, high: float, kind:
     values = np.array(longer.values(guess))
     outside = np.array(longer.knots) > 0.2
     goes_on = np.array(longer.knots)[outside] - 0.2 if kind == "map" else 0.0
-    np.testing.assert_allclose(values[outside], 0.5 * size + goes_on, rtol=1e-12)
+    np.testing.assert_allclose(values[outside], 0.5 * size + goes_on, rtol=1e-2)
+    assert np.all(
+        np.diff(values[outside], prepend=0.5 * size) - np.diff(goes_on * np.ones(outside.sum()), prepend=0.0) > 0
+    )
+
+
+@given(
+    ends=st.lists(st.floats(0.0, 3.0), min_size=4, max_size=4),
+    levels=st.lists(st.floats(-5.0, 5.0), min_size=6, max_size=6),
+)
+def test_a_law_of_no_kind_goes_farther_along_either_input(ends: list[float], levels: list[float]) -> None:
+    """It is what it was where it had data, and on as it ended there; it drives as fast as the joint was seen to go."""
+    knots = np.array([-0.5, 0.0, 0.5]), np.array([-1.0, 1.0])
+    inputs = ("position cart", "velocity cart")
+    law = UnknownForce(Surface(inputs, knots, np.reshape(levels, (3, 2))), 1.2, ("m", "m/s"), "cart")
+    spans = [(-ends[0], ends[1]), (-ends[2], ends[3])]
+    found = law.reaching(law.first, spans)
+    if found is None:
+        assert max(ends[:2]) <= 0.53
+        assert max(ends[2:]) <= 1.05
+        return
+    longer, guess = found
+    assert isinstance(longer, UnknownForce)
+    assert longer.shape is not None
+    table = np.reshape([guess[name] for name in longer.first], [len(axis) for axis in longer.shape.knots])
+    assert table.size <= LAWS.most_levels
+    at = np.random.default_rng(0).uniform(-3, 3, (200, 2))
+    was = RegularGridInterpolator(knots, np.reshape(levels, (3, 2)))(np.clip(at, [-0.5, -1.0], [0.5, 1.0]))
+    low, high = np.array([[axis[0], axis[-1]] for axis in longer.shape.knots]).T
+    np.testing.assert_allclose(
+        RegularGridInterpolator(longer.shape.knots, table)(np.clip(at, low, high)), was, atol=1e-9
+    )
+    assert longer.speed >= max(1.2, 1.2 * max(ends[2:]) - 1e-9)
 
 
 def test_friction_over_time_is_told_to_the_end_of_the_recordings() -> None:

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 Outside = Literal["constant", "parallel"]
 
+BENT = 1e-5  # of the law's size, by which values begin off a line: a ramp that is nothing has no slope to fit by
+
 
 def described(
     kind: str,
@@ -60,6 +62,21 @@ def bisected(knots: Array, narrowest: Array | float, told: NDArray[np.bool_] | N
     if told is not None:
         wide &= told[1:] | told[:-1]
     return np.sort(np.append(knots, (0.5 * (knots[1:] + knots[:-1]))[wide]))
+
+
+def extended(knots: Array, low: float, high: float) -> Array:
+    """Knots of a table that goes as far as its input does, from `low` to `high`.
+
+    The last knot is where data end: one beyond would be a value that no reading tells.
+    """
+    first, last = knots[[0, -1]]
+    stretch = max(float(np.median(np.diff(knots))), max(first - low, high - last) / LAWS.most_beyond)
+    more = [
+        np.linspace(end, far, int(np.ceil(abs(far - end) / stretch)) + 1)[1:]
+        for end, far in ((first, min(low, first)), (last, max(high, last)))
+        if abs(far - end) > LAWS.beyond * (last - first)
+    ]
+    return np.sort(np.concatenate([knots, *more]))
 
 
 def holding_new(parameters: Sequence[Parameter], new: NDArray[np.bool_]) -> tuple[Parameter, ...]:
@@ -133,9 +150,9 @@ class Law(Effect):
         """Its one input at this place."""
         return (f"{self.of} {at}",) if self.of in ("position", "speed", "command") else ()
 
-    def along(self, at: str) -> str:
-        """Name of the input that its knots lie along, or `time`; empty for one that no window tells of."""
-        return self.of if self.of == "time" else next(iter(self.inputs(at)), "")
+    def axes(self, at: str) -> tuple[str, ...]:
+        """Name of the input that its knots lie along, or `time`; none for one that no window tells of."""
+        return ("time",) if self.of == "time" else self.inputs(at)
 
     @abstractmethod
     def table(self, evidence: Evidence) -> tuple[Array, Array] | None:
@@ -161,27 +178,23 @@ class Law(Effect):
             return []
         return [self._begun(knots, np.interp(knots, old, self.values(values)), ~np.isin(knots, old))]
 
-    def reaching(self, values: Values, low: float, high: float) -> tuple[Effect, Values] | None:
+    def reaching(self, values: Values, spans: Sequence[tuple[float, float]]) -> tuple[Effect, Values] | None:
         """The same law with a table that goes as far as its input does; it begins as it was. None where it goes as far.
 
         Args:
             values: of the parameters.
-            low: smallest input.
-            high: largest.
+            spans: smallest and largest input.
         """
         old, levels = np.array(self.knots), np.array(self.values(values))
-        stretch = max(float(np.median(np.diff(old))), max(old[0] - low, high - old[-1]) / LAWS.most_beyond)
-        more = [
-            end + sign * stretch * np.arange(1, np.ceil(far / stretch) + 1)
-            for end, sign, far in ((old[0], -1, old[0] - low), (old[-1], 1, high - old[-1]))
-            if far > LAWS.beyond * (old[-1] - old[0])
-        ]
-        if not more:
+        knots = extended(old, *spans[0])
+        if len(knots) == len(old):
             return None
-        knots = np.sort(np.concatenate([old, *more]))
         inside = np.clip(knots, old[0], old[-1])
         longer = np.interp(inside, old, levels) + (knots - inside if self.outside == "parallel" else 0.0)
-        return self._begun(knots, longer, ~np.isin(knots, old))
+        before, after = knots < old[0], knots > old[-1]
+        beyond = np.cumsum(before[::-1])[::-1] * before + np.cumsum(after) * after
+        # It goes on flat, but for what gives each stretch a slope to fit by.
+        return self._begun(knots, longer + BENT * float(np.max(np.abs(levels))) * beyond**2, before | after)
 
     def shortened(self, values: Values, told: NDArray[np.bool_]) -> tuple[Effect, Values] | None:
         """The same law without values at its ends that no data tell, so that it goes on from the last that they do.

@@ -13,7 +13,7 @@ from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import bisected, described, holding_new
+from dipc_gym.sim2real.effects.law import bisected, described, extended, holding_new
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.surfaces import Surface, surfaces
 
@@ -97,6 +97,36 @@ class UnknownForce(Effect):
             shaped.parameters = holding_new(shaped.parameters, new.ravel())
             found.append((shaped, shaped.first))
         return found
+
+    def axes(self, at: str) -> tuple[str, ...]:
+        """Its inputs."""
+        return self.inputs(at)
+
+    def reaching(self, values: Values, spans: Sequence[tuple[float, float]]) -> tuple[Effect, Values] | None:
+        """The same law with a table that goes as far as its inputs do, on as it ends. None where it goes as far, or
+        would be too large.
+
+        Args:
+            values: of the parameters.
+            spans: smallest and largest of each input.
+        """
+        assert self.shape is not None
+        levels = np.reshape([values[name] for name in self.first], self.shape.levels.shape)
+        axes = tuple(extended(old, *ends) for old, ends in zip(self.shape.knots, spans, strict=True))
+        shape = [len(knots) for knots in axes]
+        if shape == list(levels.shape) or np.prod(shape) > LAWS.most_levels:
+            return None
+        new = np.zeros(shape, dtype=bool)
+        for axis, (knots, old) in enumerate(zip(axes, self.shape.knots, strict=True)):
+            hats = np.stack([np.interp(knots, old, unit) for unit in np.eye(len(old))], axis=1)
+            levels = np.moveaxis(np.tensordot(hats, levels, axes=(1, axis)), 0, axis)
+            new |= np.expand_dims(~np.isin(knots, old), tuple(k for k in range(len(shape)) if k != axis))
+        own = f"velocity {self.at}"
+        fastest = max(map(abs, spans[self.shape.inputs.index(own)])) if own in self.shape.inputs else 0.0
+        speed = max(self.speed, BEYOND * fastest)
+        shaped = UnknownForce(Surface(self.shape.inputs, axes, levels), speed, self.units, self.at)
+        shaped.parameters = holding_new(shaped.parameters, new.ravel())
+        return shaped, shaped.first
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader; stock MuJoCo leaves it out."""

@@ -62,9 +62,9 @@ class UnknownProduct(Law):
         """Both."""
         return self.names
 
-    def along(self, at: str) -> str:
+    def axes(self, at: str) -> tuple[str, ...]:
         """The position."""
-        return self.names[0]
+        return self.names[:1]
 
     def table(self, evidence: Evidence) -> None:
         """None: it has two inputs, which `proposals` chooses."""

@@ -63,9 +63,9 @@ class UnknownRecent(UnknownProduct):
         """What it is in proportion to; of the past of that no window tells."""
         return self.names[:1]
 
-    def along(self, at: str) -> str:
+    def axes(self, at: str) -> tuple[str, ...]:
         """Nothing that a window tells of."""
-        return ""
+        return ()
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """For each thing it may be in proportion to, the time constant at which it takes most of the unexplained force.

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.sim2real.effects.law import BENT
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.shooting import mean_loss
@@ -264,10 +265,12 @@ def _stuck(sketch: Fit, base: Fit, subset: NDArray[np.intp]) -> bool:
 
 
 def _from_nothing(structure: Structure, z: Array) -> Array:
-    """Mapped parameters with those of the last effect that it grows by at zero."""
+    """Mapped parameters with those of the last effect that it grows by at zero, but for what gives ramps a slope to fit
+    by.
+    """
     begin, term = z.copy(), structure.terms[-1]
     grown = {f"{term.key}.{name}" for name in term.effect.linear}
-    for i, slot in enumerate(structure.slots):
-        if slot.key in grown and slot.may_vanish:
-            begin[i] = slot.mapped(0.0)
+    zero = [i for i, slot in enumerate(structure.slots) if slot.key in grown and slot.may_vanish]
+    for count, i in enumerate(zero):
+        begin[i] = structure.slots[i].mapped(0.0) + BENT * (count % 2)
     return begin

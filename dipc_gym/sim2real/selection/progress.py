@@ -73,6 +73,12 @@ class Partition:
         """All windows fitted; those compared on, and those that validate, among them."""
         return replace(self, problem=self.problem.join(self.comparison).join(self.aside))
 
+    def to_the_end(self, end: Problem) -> Partition:
+        """The windows at the ends of recordings fitted as well; see `Searched.to_the_end`."""
+        problem, kept = self.problem, end.windows
+        windows = replace(problem.windows, recordings=kept.recordings, motions=kept.motions)
+        return replace(self, problem=replace(problem, windows=windows).join(end))
+
 
 @dataclass(frozen=True)
 class Progress:

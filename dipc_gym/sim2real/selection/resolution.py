@@ -12,6 +12,7 @@ from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect, Values
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
@@ -48,10 +49,10 @@ def reaching(fitted: Fit, windows: Windows) -> tuple[Structure, Array]:
     """
     structure, z = fitted.structure, fitted.z
     for term in fitted.structure.terms:
-        name = term.effect.along(term.at) if isinstance(term.effect, Law) else ""
-        if not isinstance(term.effect, Law) or not name:
+        if not isinstance(term.effect, Law | UnknownForce) or not (axes := term.effect.axes(term.at)):
             continue
-        longer = term.effect.reaching(structure.term_values(z, term), *span(name, fitted, windows))
+        spans = [span(name, fitted, windows) for name in axes]
+        longer = term.effect.reaching(structure.term_values(z, term), spans)
         if longer is not None:
             structure, z = _instead(structure, z, term, *longer)
     return structure, z

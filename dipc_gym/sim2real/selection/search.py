@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure, names
 from dipc_gym.sim2real.selection import beside, choice, kinds, rounds
@@ -84,7 +85,18 @@ class Searched:
 
         Tables go as far as these windows do, and no further than they tell.
         """
-        partition = self.partition.whole()
+        return self._as_far_as(self.partition.whole(), fitted)
+
+    def to_the_end(self, fitted: Fit, end: Problem) -> tuple[Searched, Fit]:
+        """The same with the windows at the ends of recordings, which nothing was fitted to before.
+
+        Args:
+            fitted: to all other windows.
+            end: these; their recordings are whole.
+        """
+        return self._as_far_as(self.partition.to_the_end(end), fitted)
+
+    def _as_far_as(self, partition: Partition, fitted: Fit) -> tuple[Searched, Fit]:
         over, whole = self._fitted_over(
             partition, reaching(fitted, partition.problem.windows), partition.problem.initial
         )

@@ -32,6 +32,7 @@ def improved_model(
     test: Problem,
     fits: tuple[Fit, Fit, Fit],
     errors: Errors,
+    last: Fit,
 ) -> tuple[str, AsWritten | None, str]:
     """Text of the improved model in the forms that predict best at its own step, what it comes to there, and a note.
 
@@ -42,13 +43,16 @@ def improved_model(
         test: windows to judge by.
         fits: the model as given, recalibrated, and what was found.
         errors: of these in fine steps, on the windows to judge by, in units of noise.
+        last: what was found, fitted to the windows to judge by as well; the same where it was not.
     """
     final = fits[-1]
     if not final.structure.model_parameters and not final.structure.terms:
         return source.text, None, ""
     integrator = Document(source).get_option("integrator")
-    option, said = written(given.model.opt.timestep, integrator, partition, test, fits)
+    option, said = written(given.model.opt.timestep, integrator, partition, test, fits, last)
     structure, z = option.structure, option.z
+    if option.to_the_end:
+        final = last
     document, forms = structure.write(z), dict(option.forms)
     lines = []
     # In other forms effects keep their order; fewer are in the forms that they were fitted in.
@@ -67,6 +71,8 @@ def improved_model(
         lines.append("Refitted: " + ", ".join(key if far else f"{key} (hardly)" for key, far in moved.items()) + ".")
     lines += _at_rest(Document(source), document)
     lines.append(sentences.as_written(said, errors))
+    if option.to_the_end:
+        lines.append("That was before its parameters were fitted once more, to all of the recordings.")
     if option.refitted:
         lines.append(
             f"Parameters are what this file's step of {1e3 * said.timestep:g} ms and its integrator need to predict "

@@ -16,6 +16,7 @@ from dipc_gym import mjcf
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.estimation.steps import controlled
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.result import Beyond, Details, Diagnosis, Errors, Located, Missing, SensorFit
@@ -23,6 +24,7 @@ from dipc_gym.sim2real.selection import beside
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.data import sampled_slowly
+from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
@@ -66,7 +68,7 @@ def judgement(
     improved, written, step_note = late(
         "What the improved model costs at its own step",
         lambda: improve.improved_model(
-            source, case.given.physics, last.search.partition, last.problem, last.three, measured.test
+            source, case.given.physics, last.seen, last.problem, last.three, measured.test, last.found.fitted
         ),
         lambda: (final.structure.write(final.z).text(), None, ""),
     )
@@ -125,8 +127,9 @@ class _Chosen:
 
     Attributes:
         search: that came to it, in the steps and over the windows that were fitted last.
-        found: what it came to.
-        three: the model as given, recalibrated, and improved.
+        found: what it came to, fitted to all of them.
+        three: the model as given, recalibrated, and improved, as they are judged.
+        seen: windows that these were fitted to and chosen by.
         validation: errors of the three on validation data; None where they could not be worked out.
         problem: windows to test with, in the same steps.
     """
@@ -134,8 +137,14 @@ class _Chosen:
     search: Searched
     found: Conclusion
     three: tuple[Fit, Fit, Fit]
+    seen: Partition
     validation: Errors | None
     problem: Problem
+
+    @property
+    def reaches_the_end(self) -> bool:
+        """Whether what is reported was fitted to the ends of recordings as well, after these had judged it."""
+        return self.found.fitted is not self.three[-1]
 
 
 def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, late: Guarded) -> _Chosen:
@@ -171,7 +180,28 @@ def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, lat
             "A fit to all windows", lambda: refined[0].whole(best.fitted), lambda: (refined[0], best.fitted)
         )
         found = replace(best, fitted=whole)
-    return _Chosen(search, found, (nominal, recalibrated, found.fitted), validation, problem)
+    judged, seen = found.fitted, search.partition
+    if test.ends and any(term.effect.free for term in judged.structure.terms):
+        before = search
+        search, last = late(
+            "A fit to the ends of the recordings",
+            lambda: _to_the_end(before, judged, problem),
+            lambda: (before, judged),
+        )
+        found = replace(found, fitted=last)
+    return _Chosen(search, found, (nominal, recalibrated, judged), seen, validation, problem)
+
+
+def _to_the_end(search: Searched, judged: Fit, end: Problem) -> tuple[Searched, Fit]:
+    """A fit to the ends of recordings too, which judge the fit before: tables go as far as all that was recorded.
+
+    The fit before where this one is no better there, or worse elsewhere.
+    """
+    after, last = search.to_the_end(judged, end)
+    count = len(judged.mse)
+    elsewhere = common_error(last.mse[:count]) <= VERDICT.worse * max(common_error(judged.mse), 1.0)
+    there = float(np.sqrt(np.mean(last.mse[count:]))) <= judge.error_on(end, judged)
+    return (after, last) if elsewhere and there else (search, judged)
 
 
 @dataclass(frozen=True)
@@ -231,11 +261,11 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
     )
     outside: Beyond | None = late(
         "What goes beyond the fitted data",
-        lambda: beyond(three, search.partition.problem, last.problem),
+        lambda: beyond(three, last.seen.problem, last.problem),
         lambda: None,
     )
     if outside is not None:
-        notes.append(sentences.goes_beyond(outside))
+        notes.append(sentences.goes_beyond(outside, fitted=last.reaches_the_end))
     force = late(
         "The error of forces", lambda: _force_errors(three, case.prepared.structure.base, test), dict[str, Errors]
     )

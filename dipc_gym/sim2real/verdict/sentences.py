@@ -130,13 +130,19 @@ def _shown(value: float, unit: str, *, bare: bool = False) -> str:
     return f"{number:.3g}" if bare else f"{number:.3g} {name}".strip()
 
 
-def goes_beyond(outside: Beyond) -> str:
-    """Note on held-out windows that go beyond what laws were fitted with."""
+def goes_beyond(outside: Beyond, *, fitted: bool) -> str:
+    """Note on held-out windows that go beyond what laws were fitted with.
+
+    Args:
+        outside: these windows.
+        fitted: whether laws were fitted to them once they had judged.
+    """
     one = outside.count == 1
     return (
         f"{outside.count} of {outside.of} held-out windows {'goes' if one else 'go'} beyond what laws were fitted with "
         f"({_ranges(outside)}). Laws stay there as they end, and the error is {outside.there:.3g} times the noise; "
         "such windows do not say what else is missing."
+        + (" The laws that are reported and written were fitted to all of the recordings after that." if fitted else "")
     )
 
 

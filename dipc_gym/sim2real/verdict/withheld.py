@@ -44,6 +44,11 @@ class Test:
     motions: tuple[Motion, ...]
     span: tuple[float, float]
 
+    @property
+    def ends(self) -> bool:
+        """Whether they are the ends of the recordings that are fitted, and none of their own."""
+        return self.span[0] > 0
+
 
 @dataclass(frozen=True)
 class Withheld:

@@ -38,12 +38,14 @@ class Option:
         error: on validation data at the file's own step, in units of noise.
         refitted: whether the parameters make up for the step.
         forms: elements in words, by key of each effect that is in another form than it was fitted in.
+        to_the_end: whether its laws were fitted to the ends of the recordings, after these had judged it.
     """
 
     structure: Structure
     z: Array
     error: float
     refitted: bool = False
+    to_the_end: bool = False
     forms: tuple[tuple[str, str], ...] = ()
 
 
@@ -103,7 +105,7 @@ def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequ
 
 
 def written(
-    timestep: float, integrator: str, partition: Partition, test: Problem, fits: tuple[Fit, Fit, Fit]
+    timestep: float, integrator: str, partition: Partition, test: Problem, fits: tuple[Fit, Fit, Fit], last: Fit
 ) -> tuple[Option, AsWritten]:
     """Choose what is written, and judge it on windows that nothing was chosen by.
 
@@ -113,6 +115,7 @@ def written(
         partition: windows to refit to, and to choose by.
         test: windows to judge by.
         fits: the model as given, recalibrated, and what was found.
+        last: what was found, fitted to the windows to judge by as well; the same where it was not.
     """
     chosen_by = partition.validation if len(partition.validation.windows) else partition.comparison
     finely = Predictor(chosen_by, chosen_by), Predictor(test, test)
@@ -146,7 +149,22 @@ def written(
         taken.refitted,
         None if finer is None else (finer, held_out.at(finer).error(taken.structure, taken.z)),
     )
+    further = None if last is final else _to_the_end(taken, last)
+    if further is not None and held_out.error(further.structure, further.z) <= VERDICT.worse * errors[-1]:
+        taken = further
     return taken, said
+
+
+def _to_the_end(option: Option, last: Fit) -> Option | None:
+    """An option with the parameters of a fit to more windows; None where it has other effects, or makes up for a
+    step.
+    """
+    own = {term.key: term for term in last.structure.terms}
+    if option.refitted or {term.key for term in option.structure.terms} != set(own):
+        return None
+    terms = tuple(own[term.key] if term.effect.free else term for term in option.structure.terms)
+    structure = replace(last.structure, terms=terms)
+    return replace(option, structure=structure, z=carry(last.structure, last.z, structure), to_the_end=True)
 
 
 def _with_one_less(found: Fit, problem: Problem, which: NDArray[np.intp], validation: Predictor) -> list[Option]:
