@@ -99,7 +99,7 @@ class UnknownProduct(Law):
         most = BEYOND * float(np.abs(y).max())
         if not (most > 0 and np.ptp(x) > 0):
             return None
-        others = [evidence.velocity, evidence.direction, np.ones_like(y), y]
+        others = beside_product(evidence)
         knots, values = grow(x, evidence.force, y / most, others, evidence.time)
         if len(knots) == 2 and np.ptp(values) == 0:
             return None
@@ -152,6 +152,12 @@ class UnknownProduct(Law):
             f"Something acts at {at} that no effect in the catalogue accounts for; modelled as a force in proportion "
             f"to {what}, by {factors.min():.3g} to {factors.max():.3g} {per}, that depends on {where}."
         )
+
+
+def beside_product(evidence: Evidence) -> list[Array]:
+    """What explains a part of the force as well, (n,) each: what a drag, friction, a load and another gear would do."""
+    commands = [evidence.inputs[name] for name in carriers(evidence) if name.startswith("command")]
+    return [evidence.velocity, evidence.direction, np.ones_like(evidence.velocity), *commands]
 
 
 def carriers(evidence: Evidence) -> list[str]:

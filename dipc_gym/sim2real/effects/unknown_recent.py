@@ -14,10 +14,12 @@ from dipc_gym.sim2real.effects.law import Array, holding_new, recalled
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.tables import hats
 from dipc_gym.sim2real.effects.unknown_force import driven_up_to, in_words, unit_of
-from dipc_gym.sim2real.effects.unknown_product import UnknownProduct, carriers
+from dipc_gym.sim2real.effects.unknown_product import UnknownProduct, beside_product, carriers
 
 TIMES = np.geomspace(0.05, 10.0, 8)  # s, tried by regression
 ROUGH = 8  # stretches of the table by which they are
+APART = 3.0  # times, by which two that are proposed differ at least
+MOST = 2  # that are proposed for each thing that it may be in proportion to: each costs a fit
 
 
 class UnknownRecent(UnknownProduct):
@@ -76,25 +78,36 @@ class UnknownRecent(UnknownProduct):
         return [found for carrier in carriers(evidence) for found in self._paced(evidence, carrier)]
 
     def _paced(self, evidence: Evidence, carrier: str) -> Sequence[tuple[Effect, Values]]:
-        """The law in proportion to one thing; none where that never changes."""
+        """The law in proportion to one thing, with the time constants that take most; none where that never changes."""
         pasts = recalled(evidence, RECENT, TIMES[:, None], evidence.inputs[carrier])
-        best = int(np.argmin([self._left(evidence, past, evidence.inputs[carrier]) for past in pasts]))
-        found = self._over(evidence, pasts[best], carrier)
+        left = [self._left(evidence, past, carrier) for past in pasts]
+        best: list[int] = []
+        for k in np.argsort(left).tolist():
+            if len(best) < MOST and all(abs(np.log(TIMES[k] / TIMES[one])) > np.log(APART) for one in best):
+                best.append(k)
+        return [found for k in best for found in self._shaped(evidence, carrier, pasts[k], float(TIMES[k]))]
+
+    def _shaped(self, evidence: Evidence, carrier: str, past: Array, time: float) -> Sequence[tuple[Effect, Values]]:
+        """The law with one time constant."""
+        found = self._over(evidence, np.sqrt(past), carrier)
         if found is None:
             return []
-        _, most, knots, values = found
-        knots[0] = 0.0  # nothing moved of late when a rig is switched on, and after every rest
-        unit, speed, time = unit_of(evidence.model, carrier), driven_up_to(evidence), float(TIMES[best])
+        _, most, roots, values = found
+        roots[0] = 0.0  # nothing moved of late when a rig is switched on, and after every rest
+        unit, speed = unit_of(evidence.model, carrier), driven_up_to(evidence)
         names, units = (carrier, carrier), (unit, unit)
-        shaped = UnknownRecent(knots.tolist(), values.tolist(), names, most, speed, units, time)
+        shaped = UnknownRecent((roots**2).tolist(), values.tolist(), names, most, speed, units, time)
         return [(shaped, shaped.guess)]
 
     @staticmethod
-    def _left(evidence: Evidence, past: Array, y: Array) -> float:
-        """Sum of squares that a rough table of the recent size leaves of the force."""
-        edges = np.linspace(0.0, max(float(past.max()), 1e-300), ROUGH + 1)
-        columns = [hats(edges, past) * y[:, None], evidence.velocity, evidence.direction, np.ones_like(y), y]
-        free, size, _ = np.linalg.svd(np.column_stack(columns), full_matrices=False)
+    def _left(evidence: Evidence, past: Array, carrier: str) -> float:
+        """Sum of squares that a rough table of the recent size leaves of the force.
+
+        It is finer near nothing, where what thins does so.
+        """
+        edges = np.linspace(0.0, max(float(np.sqrt(past.max())), 1e-300), ROUGH + 1)
+        law = hats(edges, np.sqrt(past)) * evidence.inputs[carrier][:, None]
+        free, size, _ = np.linalg.svd(np.column_stack([law, *beside_product(evidence)]), full_matrices=False)
         told = free[:, size > 1e-9 * size[0]].T @ evidence.force
         return float(evidence.force @ evidence.force - told @ told)
 
