@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import statistics
 import subprocess
 import sys
 
 import pytest
 
 CODE = """
-import resource
 import numpy as np
 from dipc_gym.sim2real.allocation import give_back_freed
 
 def held():
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+    # Counted page by page; statm adds up what each core noted, and may be behind by several arrays.
+    with open("/proc/self/smaps_rollup") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith("Rss:")) / 1e3
 
 if {asked}:
     give_back_freed()
@@ -30,9 +31,15 @@ print(held() - before)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only there something is to be done")
 def test_large_arrays_do_not_stay_in_the_heap() -> None:
+    # What imports leave free in the heap holds a few of the arrays, in one process more than in another.
     held = [
-        float(subprocess.run([sys.executable, "-c", CODE.format(asked=asked)], capture_output=True, check=True).stdout)
-        for asked in (True, False)
+        statistics.median(
+            float(
+                subprocess.run([sys.executable, "-c", CODE.format(asked=asked)], capture_output=True, check=True).stdout
+            )
+            for _ in range(count)
+        )
+        for asked, count in ((True, 7), (False, 1))
     ]
     assert held[0] < 30  # 20 x 0.4 MB last
     assert held[0] <= held[1] + 2
