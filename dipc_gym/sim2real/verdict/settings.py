@@ -91,6 +91,8 @@ class VerdictSettings:
         refuted: times the error on validation data without an effect, from which it is not named after all: those are
             few, and a little is chance
         worse: times the error of a plainer model, from which a model predicts worse; less is how a fit ended
+        coarse: the same at a step that costs more than what is missing does: on fast axes that of a plainer model is as
+            much chance as its own
         named: fall of the mean log square error by which an effect must improve predictions to be named: an error a
             twentieth smaller; what brings less may stand for much else
         refitted: share of what the model as given leaves beyond the noise, that refitted parameters must take for them
@@ -139,6 +141,7 @@ class VerdictSettings:
     pattern: float = 0.1
     refuted: float = 1.05
     worse: float = 1.005
+    coarse: float = 1.5
     named: float = 0.1
     refitted: float = 0.2
     modelled: float = 0.5

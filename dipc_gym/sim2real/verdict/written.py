@@ -21,7 +21,7 @@ from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.result import AsWritten, Errors
 from dipc_gym.sim2real.selection.data import evenly
 from dipc_gym.sim2real.selection.progress import Partition
-from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -84,7 +84,8 @@ def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequ
     """Which model is written.
 
     Parameters that make up for a step are wrong at any other: they are worth having only where they do make up for it,
-    or where every other file would predict worse than a plainer one does.
+    or for most of it where every other file would predict worse than a plainer one does. Where the step costs more than
+    what is missing does, which file predicts better at it is chance; the rig's own parameters are right at any other.
 
     Args:
         physical: with the rig's own parameters; the first in the forms that were fitted.
@@ -93,7 +94,8 @@ def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequ
         enough: error that fine steps allow.
 
     Returns:
-        One that predicts no worse than the plainer ones, or as well as noise allows.
+        One that predicts no worse than the plainer ones, or as well as noise allows; where the step costs most, one
+        that predicts hardly worse.
     """
     least = max(VERDICT.worse * min(option.error for option in plainer), SCORE.at_floor)
     for options in (physical[:1], physical, refitted):
@@ -101,7 +103,11 @@ def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequ
         if best is not None and best.error <= min(enough, least):
             return best
     best = min(physical, key=lambda option: option.error)
-    return best if best.error <= least else min([*physical, *refitted, *plainer], key=lambda option: option.error)
+    coarse = enough < SEARCH.most * best.error
+    if best.error <= (VERDICT.coarse if coarse else 1.0) * least:
+        return best
+    made_up = [option for option in refitted if option.error < SEARCH.most * least]
+    return min([*physical, *made_up, *plainer], key=lambda option: option.error)
 
 
 def written(
