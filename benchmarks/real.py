@@ -11,7 +11,7 @@ together, then those on the clock.
 """
 
 import argparse
-import resource
+import os
 import sys
 import time
 from pathlib import Path
@@ -30,14 +30,6 @@ RIGS = {
 }
 
 
-def spent():
-    """Seconds of the processor, of this process and of the forks that have ended."""
-    return sum(
-        used.ru_utime + used.ru_stime
-        for used in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    )
-
-
 def row(folder, fitted, held_out, threads):
     """A line of the table."""
     model = folder / "nominal.xml"
@@ -46,9 +38,9 @@ def row(folder, fitted, held_out, threads):
         [recording.read(path, compiled) for path in sorted(folder.glob(each))] if each else []
         for each in (fitted, held_out)
     )
-    cpu, clock = spent(), time.perf_counter()
+    cpu, clock = sum(os.times()[:4]), time.perf_counter()  # of forks that have ended as well
     found = diagnose(model, given, tests, threads=threads)
-    cpu, clock = spent() - cpu, time.perf_counter() - clock
+    cpu, clock = sum(os.times()[:4]) - cpu, time.perf_counter() - clock
     test, validation = found.held_out, found.validation
     errors = [
         f"{getattr(test, which):.4g} ({getattr(validation, which):.3g})"

@@ -151,8 +151,7 @@ def _felt(program: Program, jobs: Jobs, directions: Directions, step: float, thr
     sums = Directions(factors @ directions.parameters, np.tensordot(factors, directions.initial, 1), moved)
     all_of = np.ones((-(-packs // LANES), jobs.initial.shape[1]), dtype=bool)
     _, readings, _, ends = _along(program, jobs, sums, all_of, step, threads)
-    each = np.concatenate([np.abs(part).reshape(*part.shape[:2], -1) for part in (readings, ends)], axis=2)
-    size = each.max(axis=2)
+    size = np.maximum(np.abs(readings).max(axis=(2, 3), initial=0.0), np.abs(ends).max(axis=2, initial=0.0))
     felt = ~(size <= NOTHING * np.nanmax(size, axis=1, keepdims=True, initial=0.0))  # what diverged is felt
     felt[0] |= ~felt.any(axis=0)  # readings are asked for all the same
     return np.asarray(felt)

@@ -43,7 +43,7 @@ class CreepingSpring(Effect):
         sought = Sought(evidence)
         times = TIMES.tolist()
         pulls = [sought.explained(_stretch(time, evidence)) for time in times]
-        best = apart(pulls, times, count=2, ratio=APART)
+        best = apart([one.left_by_pulling for one in pulls], times, count=2, ratio=APART)
         return [{"stiffness": pulls[k].weight, "relaxation_time": times[k]} for k in best]
 
     def edit(self, document: Document, at: str, values: Values) -> None:

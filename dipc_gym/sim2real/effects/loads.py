@@ -81,7 +81,7 @@ def most_alike(
     sought, found, tried = Sought(evidence), list[tuple[Load, float]](), list(loads)
     pulls = [sought.explained(load.swung(evidence)[1]) for load in tried]
     inertia = free_inertia(evidence.model, evidence.at)
-    for k in apart(pulls, [load.rate for load in tried], count=count, ratio=ratio):
+    for k in apart([one.left_by_pulling for one in pulls], [load.rate for load in tried], count=count, ratio=ratio):
         load = tried[k]
         bent = load.slopes[1:]
         low, high = [*LEAST, *[FLATTEST] * len(bent)], [*MOST, *[STEEPEST] * len(bent)]

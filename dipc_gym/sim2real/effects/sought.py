@@ -41,6 +41,11 @@ class Explained:
         """Sum of squares of what it leaves."""
         return float(self.rest @ self.rest)
 
+    @property
+    def left_by_pulling(self) -> float:
+        """The same; infinite where it would have to pull the other way."""
+        return self.left if self.weight > 0 else np.inf
+
 
 class Sought:
     """The unexplained force at a joint, smoothed, less what goes with its position and velocity.
@@ -103,18 +108,19 @@ class Sought:
         return np.concatenate(found)
 
 
-def apart(found: Sequence[Explained], paces: Sequence[float], *, count: int, ratio: float = 1.0) -> list[int]:
-    """Which pulls explain most, the best first, where their paces differ by a factor: their places in the sequence.
+def apart(left: Sequence[float], paces: Sequence[float], *, count: int, ratio: float = 1.0) -> list[int]:
+    """Which first guesses leave least, the best first, where their paces differ by a factor: their places in the
+    sequence.
 
     Args:
-        found: what each explains; one that would have to pull the other way is passed over.
+        left: what each leaves; one that leaves infinitely much is passed over.
         paces: a rate or a time of each.
         count: most of them.
         ratio: of any two paces, at least.
     """
     best: list[int] = []
-    for k in sorted(range(len(found)), key=lambda k: found[k].left):
+    for k in sorted(range(len(left)), key=lambda k: left[k]):
         far = all(abs(np.log(paces[k] / paces[other])) > np.log(ratio) for other in best)
-        if found[k].weight > 0 and far and len(best) < count:
+        if np.isfinite(left[k]) and far and len(best) < count:
             best.append(k)
     return best

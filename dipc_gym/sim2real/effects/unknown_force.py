@@ -89,8 +89,7 @@ class UnknownForce(Effect):
             knots = bisected(old, (old[-1] - old[0]) / LAWS.narrowest, here)
             if len(knots) == len(old) or levels.size // len(old) * len(knots) > LAWS.most_levels:
                 continue
-            hats = np.stack([np.interp(knots, old, unit) for unit in np.eye(len(old))], axis=1)
-            more = np.moveaxis(np.tensordot(hats, levels, axes=(1, axis)), 0, axis)
+            more = _at_knots(levels, axis, old, knots)
             axes = (*self.shape.knots[:axis], knots, *self.shape.knots[axis + 1 :])
             shaped = UnknownForce(Surface(self.shape.inputs, axes, more), self.speed, self.units, self.at)
             new = np.broadcast_to(np.expand_dims(~np.isin(knots, old), tuple(range(1, levels.ndim - axis))), more.shape)
@@ -118,8 +117,7 @@ class UnknownForce(Effect):
             return None
         new = np.zeros(shape, dtype=bool)
         for axis, (knots, old) in enumerate(zip(axes, self.shape.knots, strict=True)):
-            hats = np.stack([np.interp(knots, old, unit) for unit in np.eye(len(old))], axis=1)
-            levels = np.moveaxis(np.tensordot(hats, levels, axes=(1, axis)), 0, axis)
+            levels = _at_knots(levels, axis, old, knots)
             new |= np.expand_dims(~np.isin(knots, old), tuple(k for k in range(len(shape)) if k != axis))
         own = f"velocity {self.at}"
         fastest = max(map(abs, spans[self.shape.inputs.index(own)])) if own in self.shape.inputs else 0.0
@@ -167,6 +165,12 @@ class UnknownForce(Effect):
             f"Something acts at {at} that no effect in the catalogue accounts for; modelled as a force of "
             f"{min(levels):.3g} to {max(levels):.3g} {force} that depends on {' and '.join(inputs)}."
         )
+
+
+def _at_knots(levels: Array, axis: int, old: Array, knots: Array) -> Array:
+    """A table's levels at other knots along one of its inputs; beyond its ends it goes on as it ends."""
+    hats = np.stack([np.interp(knots, old, unit) for unit in np.eye(len(old))], axis=1)
+    return np.asarray(np.moveaxis(np.tensordot(hats, levels, axes=(1, axis)), 0, axis))
 
 
 def driven_up_to(evidence: Evidence) -> float:

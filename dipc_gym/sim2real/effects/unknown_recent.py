@@ -12,6 +12,7 @@ from dipc_gym.physics import RECENT, RESIDUAL
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.law import Array, holding_new, recalled
 from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.sought import apart
 from dipc_gym.sim2real.effects.tables import hats
 from dipc_gym.sim2real.effects.unknown_force import driven_up_to, in_words, unit_of
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct, beside_product, carriers
@@ -81,10 +82,7 @@ class UnknownRecent(UnknownProduct):
         """The law in proportion to one thing, with the time constants that take most; none where that never changes."""
         pasts = recalled(evidence, RECENT, TIMES[:, None], evidence.inputs[carrier])
         left = [self._left(evidence, past, carrier) for past in pasts]
-        best: list[int] = []
-        for k in np.argsort(left).tolist():
-            if len(best) < MOST and all(abs(np.log(TIMES[k] / TIMES[one])) > np.log(APART) for one in best):
-                best.append(k)
+        best = apart(left, TIMES.tolist(), count=MOST, ratio=APART)
         return [found for k in best for found in self._shaped(evidence, carrier, pasts[k], float(TIMES[k]))]
 
     def _shaped(self, evidence: Evidence, carrier: str, past: Array, time: float) -> Sequence[tuple[Effect, Values]]:

@@ -85,7 +85,7 @@ def before_unnamed(before: float, mse: NDArray[np.float64]) -> float:
         before: error without either.
         mse: what the law of no kind leaves, mean square of each window, (n,).
     """
-    most = before - SEARCH.most * (before - float(np.sqrt(np.mean(mse))))
+    most = before - SEARCH.most * (before - _error(mse))
     return min(most, SEARCH.in_reach) if common_error(mse) < SCORE.at_floor else most
 
 
@@ -100,18 +100,17 @@ def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]
         paths: the fits of each, the first without effects.
     """
     compared = [scorer.unfitted_mse(path[-1]) for path in paths]
-    losses, left = ranking.losses(compared), _errors(compared)
+    losses, left = ranking.losses(compared), [_error(mse) for mse in compared]
     close = [k for k, error in enumerate(left) if error <= min(left) / SEARCH.far_better]
     best = min(close, key=lambda k: losses[k])
-    (begin,) = _errors([scorer.unfitted_mse(paths[0][0])])
-    most = before_unnamed(begin, compared[best])
+    most = before_unnamed(_error(scorer.unfitted_mse(paths[0][0])), compared[best])
     named = [k for k in close if not paths[k][-1].structure.unnamed and left[k] < most]
     return paths[min(named, key=lambda k: losses[k], default=best)]
 
 
-def _errors(mse: Sequence[NDArray[np.float64]]) -> list[float]:
-    """Root mean square errors of several fits, from those of each window, (n,)."""
-    return [float(np.sqrt(np.mean(each))) for each in mse]
+def _error(mse: NDArray[np.float64]) -> float:
+    """Root mean square error of windows, (n,)."""
+    return float(np.sqrt(np.mean(mse)))
 
 
 def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:
