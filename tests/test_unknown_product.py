@@ -6,11 +6,17 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from sim2real_rigs import CART, NOISE, RK4, record, sweep
 
 from dipc_gym import mjcf, physics
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import formulas
 from dipc_gym.sim2real import catalogue, fit_effect
+from dipc_gym.sim2real.effects.unknown_product import UnknownProduct
+from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
+from dipc_gym.sim2real.model.structure import Structure, Term
 
 PRODUCT = "residual.force:product"
 PLACES = np.linspace(-0.1, 0.5, 61)
@@ -44,6 +50,36 @@ def test_what_it_is_in_proportion_to_and_by_how_much_is_found(
     assert f"in proportion to {words}" in found.sentence
     low, high = (float(one) for one in re.search(r"by (\S+) to (\S+) N per", found.sentence).groups())
     assert high - low == pytest.approx(np.ptp(factor), rel=0.25)  # damping and gear take up what is everywhere alike
+
+
+def test_between_its_knots_a_factor_bends() -> None:
+    """Ten values hold an exponential to a few thousandths, where straight lines are off by ten times as much."""
+    roots = np.linspace(0.0, 8.0, 10)
+    law = UnknownRecent(roots.tolist(), (-np.exp(-(roots**2) / 7.8)).tolist(), ("velocity cart",) * 2, 1.0, 9.0)
+    document = Document(mjcf.from_text(CART))
+    law.edit(document, "cart", law.guess)
+    (extra,) = physics.load(document.text()).extras
+    sizes = np.linspace(0.0, 64.0, 501)
+    data, ones = np.broadcast_to(extra.data, (len(sizes), len(extra.data))), np.ones_like(sizes)
+    moment = physics.Moment(ones, ones, ones, ones, ones, ones, (ones,), sizes)
+    written = formulas.force_of_recent(data, moment)
+    np.testing.assert_allclose(written, -np.exp(-sizes / 7.8), atol=2e-3)
+    straight = np.interp(sizes, roots**2, law.first)
+    assert np.abs(straight + np.exp(-sizes / 7.8)).max() > 8 * np.abs(written + np.exp(-sizes / 7.8)).max()
+
+
+@given(st.integers(3, 9), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_a_value_that_no_motion_tells_goes_on_as_its_neighbours_do(count: int, begin: float, slope: float) -> None:
+    """All but the first are known and lie on a line: it is likeliest on that line, whatever it was guessed to be."""
+    knots = np.linspace(0.0, 1.0, count)
+    guess = [4.0, *(begin + slope * knots[1:])]
+    law = UnknownProduct(knots.tolist(), guess, ("position cart", "velocity cart"), 2.0, 1.0)
+    source = mjcf.from_text(CART)
+    structure = Structure(Document(source), mjcf.compile(source), ("cart",)).with_term(Term(law, "cart", law.guess))
+    prior, others = structure.prior, structure.first - structure.prior.centre
+    likeliest = prior.centre[0] - prior.precision[0, 1:] @ others[1:] / prior.precision[0, 0]
+    off = structure.slots[0].value(likeliest) - begin
+    assert abs(off) < 0.1 * (4.0 - begin)
 
 
 def test_a_drag_of_one_sign_is_passive_and_a_drive_is_not() -> None:

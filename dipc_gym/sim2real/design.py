@@ -332,7 +332,9 @@ def _worth(
         free = replace(structure, model_parameters=tuple(model_parameters(structure.document, structure.model)))
         structure, z = free, free.first
     A = fit(would, structure, z, most=0).quadratics.A.sum(axis=0)
-    known = replace(structure.prior, precision=np.maximum(structure.prior.precision, 1 / DESIGN.loosest**2))
+    precision = structure.prior.precision
+    at_least = np.diag(np.maximum(1 / DESIGN.loosest**2 - np.diag(precision), 0.0))
+    known = replace(structure.prior, precision=precision + at_least)
     return -float(np.sqrt(np.diag(np.linalg.inv(known.in_covariance(A, np.ones(1)))).max()))
 
 

@@ -249,6 +249,13 @@ class Effect(ABC):
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """First guesses, small enough that the response is nearly linear; each is tried."""
 
+    @property
+    def bends(self) -> Array:
+        """What a law is known to be before any data: sums of its first mapped parameters that are about zero where
+        these are counted from a law that is nothing, each over its standard deviation, (m, k).
+        """
+        return np.zeros((0, 0))
+
     def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
         """The same law with more parameters, which begins as this one with these values; each is tried.
 

@@ -133,6 +133,7 @@ class Law(Effect):
     passive: bool | None = True  # whether it can only take energy away; None where it exerts nothing
     outside: Outside = "constant"  # what it does where no data lie
     from_nothing = True  # whether the whole law at zero does nothing, and half of it half as much
+    most = 1.0  # of what its values are in proportion to, where they hold
 
     def __init__(self, knots: Sequence[float] = (), values: Sequence[float] = ()) -> None:
         self.knots, self.first = tuple(map(float, knots)), tuple(map(float, values))
@@ -176,7 +177,7 @@ class Law(Effect):
         knots = bisected(old, self.narrowest, told)
         if len(knots) == len(old):
             return []
-        return [self._begun(knots, np.interp(knots, old, self.values(values)), ~np.isin(knots, old))]
+        return [self._begun(knots, self._at(knots, values), ~np.isin(knots, old))]
 
     def reaching(self, values: Values, spans: Sequence[tuple[float, float]]) -> tuple[Effect, Values] | None:
         """The same law with a table that goes as far as its input does; it begins as it was. None where it goes as far.
@@ -217,6 +218,10 @@ class Law(Effect):
         """To what the stretches may be bisected, one less than there are knots."""
         return np.full(len(self.knots) - 1, (self.knots[-1] - self.knots[0]) / LAWS.narrowest)
 
+    def _at(self, knots: Array, values: Values) -> Array:
+        """The law at other knots within its own."""
+        return np.interp(knots, self.knots, self.values(values))
+
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         """The same law with these knots, of which some are new."""
         shaped = type(self)(knots.tolist(), values.tolist())
@@ -231,6 +236,15 @@ class Law(Effect):
     def values(self, values: Values) -> list[float]:
         """The values of the table, in the order of its knots."""
         return [values[p.name] for p in self.parameters]
+
+    @property
+    def places(self) -> Array:
+        """The input at its values, as a formula has it, (k,)."""
+        return np.array(self.knots)
+
+    def each(self, unit: str) -> str:
+        """Unit of its values for each unit of what they are in proportion to, as a formula has it."""
+        return unit
 
     def per(self, unit: Mapping[str, str]) -> str:
         """Unit of the input, from that of the values: what slides along an axis turns in radians about one."""

@@ -56,6 +56,8 @@ class LawSettings:
         loose: standard deviation of a value's prior, in sizes of the whole law: it holds a knot that no motion comes
             near, and hardly any other
         new: of a knot that is put between two others: where no data are, the law stays as it was
+        bends: standard deviation, in sizes of the whole law, by which a value of a smooth law lies off the line between
+            its neighbours: knots lie so close that it bends by less from one to the next
         narrowest: of a table's length: no stretch is bisected to less, for laws are written over as many even ones
         twice: times the narrowest stretch, from which one is bisected; two would leave out, by rounding, a stretch that
             is exactly twice as long
@@ -71,6 +73,7 @@ class LawSettings:
     step: float = 0.3
     loose: float = 5.0
     new: float = 0.3
+    bends: float = 0.5
     narrowest: int = 256
     twice: float = 1.9
     most_levels: int = 144
@@ -101,6 +104,7 @@ class TableSettings:
         covered: share of the samples beyond either end of a table: the few fastest and farthest would stretch it over
             where nearly none are
         ridge: weight of a value's size, in that of the samples: a trace of it gives bins without samples a value
+        stiff: weight of the bends of a smooth table, likewise: where nearly no samples are, it goes on as beside them
     """
 
     bins: int = 64
@@ -111,6 +115,7 @@ class TableSettings:
     near: float = 0.1
     covered: float = 0.005
     ridge: float = 1e-6
+    stiff: float = 1e-3
 
 
 TABLES = TableSettings()

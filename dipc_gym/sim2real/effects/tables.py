@@ -69,6 +69,37 @@ def grown(fitted: Nested, confirming: Nested, counts: NDArray[np.intp]) -> list[
     return next(knots for knots, after in zip(tables, left, strict=True) if after <= enough)
 
 
+def smooth(edges: Array, x: Array, force: Array, carrier: Array, beside: Sequence[Array]) -> Array:
+    """Values at even knots of the table that `grow` asks for, where it bends as little as the force lets it.
+
+    Args:
+        edges: knots, (k,).
+        x: see `grow`, as all that follows.
+        force: likewise.
+        carrier: likewise.
+        beside: likewise.
+    """
+    columns = np.column_stack([hats(edges, x) * carrier[:, None], *beside])
+    normal, count = columns.T @ columns, len(edges)
+    size = float(np.trace(normal[:count, :count])) / count
+    second = np.diff(np.eye(count, len(normal)), 2, axis=0)[:, : len(normal)]
+    stiff = TABLES.stiff * second.T @ second + TABLES.ridge * np.eye(len(normal))
+    return np.asarray(np.linalg.solve(normal + size * stiff, columns.T @ force)[:count])
+
+
+def bending(x: Array) -> Array:
+    """By how much each value of a table lies off the line between its neighbours, as weights of its values, (k - 2, k).
+
+    Args:
+        x: knots, (k,).
+    """
+    rows = np.zeros((len(x) - 2, len(x)))
+    for k in range(1, len(x) - 1):
+        share = (x[k] - x[k - 1]) / (x[k + 1] - x[k - 1])
+        rows[k - 1, k - 1 : k + 2] = share - 1.0, 1.0, -share
+    return rows
+
+
 def odd_blocks(time: Array) -> NDArray[np.bool_]:
     """Which samples lie in every second block of time, (n,): what one half of the blocks chose, the other confirms."""
     return np.asarray(np.floor(time / TABLES.block).astype(np.intp) % 2 == 1)

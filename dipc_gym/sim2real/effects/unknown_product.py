@@ -12,7 +12,8 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, joint_of
 from dipc_gym.sim2real.effects.law import Array, Law, described, holding_new
-from dipc_gym.sim2real.effects.tables import grow, odd_blocks
+from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.tables import bending, grow, odd_blocks
 from dipc_gym.sim2real.effects.unknown_force import BEYOND, driven_up_to, in_words, unit_of
 
 MOST = 2  # that are proposed: each costs a fit
@@ -57,6 +58,10 @@ class UnknownProduct(Law):
     def labels(self) -> tuple[str, str]:
         """What a table of it calls its inputs."""
         return self.names
+
+    def each(self, unit: str) -> str:
+        """Unit of the factor."""
+        return f"{unit} per {self.units[1] or 'unit'}"
 
     def inputs(self, at: str) -> tuple[str, ...]:
         """Both."""
@@ -112,20 +117,25 @@ class UnknownProduct(Law):
             left += float(np.sum((evidence.force[told] - columns[told] @ weights) ** 2))
         return left, most, knots, values
 
+    @property
+    def bends(self) -> Array:
+        """Knots that no motion comes near go on as their neighbours do."""
+        return bending(np.array(self.knots)) * LAWS.step / LAWS.bends if len(self.knots) > 2 else super().bends
+
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         shaped = UnknownProduct(knots.tolist(), values.tolist(), self.names, self.most, self.speed, self.units)
         shaped.parameters = holding_new(shaped.parameters, new)
         return shaped, shaped.guess
 
-    def _surface(self, values: Values) -> tuple[list[float], Array]:
-        """The same as a table of both: knots along the second, and levels."""
+    def _surface(self, values: Values) -> tuple[list[float], list[float], Array]:
+        """The same as a table of both: knots along the first and the second, and levels."""
         levels = np.array(self.values(values))
-        return [-self.most, self.most], np.stack([-levels, levels], axis=1)
+        return list(self.knots), [-self.most, self.most], np.stack([-levels, levels], axis=1)
 
     def _numbers(self, values: Values) -> list[float]:
         """The same as the loader reads it, with two knots along what it is in proportion to."""
-        across, levels = self._surface(values)
-        return [self.speed, len(self.knots), len(across), *self.knots, *across, *levels.ravel().tolist()]
+        along, across, levels = self._surface(values)
+        return [self.speed, len(along), len(across), *along, *across, *levels.ravel().tolist()]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader; stock MuJoCo leaves it out."""
@@ -134,10 +144,10 @@ class UnknownProduct(Law):
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """A table of both inputs."""
-        across, levels = self._surface(values)
+        along, across, levels = self._surface(values)
         inputs = [
-            {"name": name, "unit": of, "knots": list(knots)}
-            for name, of, knots in zip(self.labels, self.units, (self.knots, across), strict=True)
+            {"name": name, "unit": of, "knots": knots}
+            for name, of, knots in zip(self.labels, self.units, (along, across), strict=True)
         ]
         per = unit[self.parameters[0].name]
         passive = self.names[1].startswith("velocity") and bool(np.all(levels[:, 1] <= 0))
@@ -146,7 +156,7 @@ class UnknownProduct(Law):
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         factors = np.array(self.values(values)) / self.most
-        per = f"{unit[self.parameters[0].name]} per {self.units[1] or 'unit'}"
+        per = self.each(unit[self.parameters[0].name])
         where, what = map(in_words, self.names)
         return (
             f"Something acts at {at} that no effect in the catalogue accounts for; modelled as a force in proportion "

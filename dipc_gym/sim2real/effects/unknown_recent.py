@@ -6,19 +6,21 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RECENT, RESIDUAL
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.law import Array, holding_new, recalled
-from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.settings import LAWS, TABLES
 from dipc_gym.sim2real.effects.sought import apart
-from dipc_gym.sim2real.effects.tables import hats
-from dipc_gym.sim2real.effects.unknown_force import driven_up_to, in_words, unit_of
+from dipc_gym.sim2real.effects.tables import hats, smooth
+from dipc_gym.sim2real.effects.unknown_force import BEYOND, driven_up_to, in_words, unit_of
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct, beside_product, carriers
 
 TIMES = np.geomspace(0.05, 10.0, 8)  # s, tried by regression
-ROUGH = 8  # stretches of the table by which they are
+STRETCHES = 9  # of the table, and of that by which times are compared: drag that thins does so within a few of them
+ROWS = 64  # of the table that is written, at least: straight lines between its knots alone would leave out how it bends
 APART = 3.0  # times, by which two that are proposed differ at least
 MOST = 2  # that are proposed for each thing that it may be in proportion to: each costs a fit
 
@@ -30,7 +32,8 @@ class UnknownRecent(UnknownProduct):
     is a mean over the past that fades with a time constant. It is asked for last and is no name, as `unknown_force` is.
 
     Args:
-        knots: of the mean over the past.
+        knots: of the square root of the mean over the past: near nothing, where rigs are seldom, a law is finer.
+            Between them it is a cubic spline: it is large beside what else acts, so that chords would show.
         values: of the force there, where what it is in proportion to is as large as `most`.
         inputs: name of the input, for both.
         most: of that, in its unit.
@@ -62,6 +65,11 @@ class UnknownRecent(UnknownProduct):
         """The mean over the past, and what it is in proportion to."""
         return f"recent {self.names[0]}", self.names[1]
 
+    @property
+    def places(self) -> Array:
+        """The mean over the past."""
+        return np.array(self.knots) ** 2
+
     def inputs(self, at: str) -> tuple[str, ...]:
         """What it is in proportion to; of the past of that no window tells."""
         return self.names[:1]
@@ -87,14 +95,16 @@ class UnknownRecent(UnknownProduct):
 
     def _shaped(self, evidence: Evidence, carrier: str, past: Array, time: float) -> Sequence[tuple[Effect, Values]]:
         """The law with one time constant."""
-        found = self._over(evidence, np.sqrt(past), carrier)
-        if found is None:
+        moves, roots = evidence.inputs[carrier], np.sqrt(past)
+        most = BEYOND * float(np.abs(moves).max())
+        if not most > 0:
             return []
-        _, most, roots, values = found
-        roots[0] = 0.0  # nothing moved of late when a rig is switched on, and after every rest
+        # Nothing moved of late when a rig is switched on, and after every rest.
+        knots = np.linspace(0.0, float(np.quantile(roots, 1 - TABLES.covered)), STRETCHES + 1)
+        values = smooth(knots, roots, evidence.force, moves / most, beside_product(evidence))
         unit, speed = unit_of(evidence.model, carrier), driven_up_to(evidence)
         names, units = (carrier, carrier), (unit, unit)
-        shaped = UnknownRecent((roots**2).tolist(), values.tolist(), names, most, speed, units, time)
+        shaped = UnknownRecent(knots.tolist(), values.tolist(), names, most, speed, units, time)
         return [(shaped, shaped.guess)]
 
     @staticmethod
@@ -103,7 +113,7 @@ class UnknownRecent(UnknownProduct):
 
         It is finer near nothing, where what thins does so.
         """
-        edges = np.linspace(0.0, max(float(np.sqrt(past.max())), 1e-300), ROUGH + 1)
+        edges = np.linspace(0.0, max(float(np.sqrt(past.max())), 1e-300), STRETCHES + 1)
         law = hats(edges, np.sqrt(past)) * evidence.inputs[carrier][:, None]
         free, size, _ = np.linalg.svd(np.column_stack([law, *beside_product(evidence)]), full_matrices=False)
         told = free[:, size > 1e-9 * size[0]].T @ evidence.force
@@ -114,6 +124,18 @@ class UnknownRecent(UnknownProduct):
         """First values and time constant, by name."""
         return {p.name: v for p, v in zip(self.parameters, (*self.first, self.time), strict=True)}
 
+    def _at(self, knots: Array, values: Values) -> Array:
+        """The factor at other knots; those that it has lie evenly, so that a spline does not swing between them."""
+        return np.asarray(CubicSpline(self.knots, self.values(values))(knots))
+
+    def _surface(self, values: Values) -> tuple[list[float], list[float], Array]:
+        """Over the mean itself, in so many rows that it bends."""
+        last = len(self.knots) - 1
+        places = np.linspace(0, last, -(-ROWS // last) * last + 1)  # every knot is one of these
+        roots = np.interp(places, range(last + 1), self.knots)
+        levels = self._at(roots, values)
+        return (roots**2).tolist(), [-self.most, self.most], np.stack([-levels, levels], axis=1)
+
     def values(self, values: Values) -> list[float]:
         """The values of the table, in the order of its knots."""
         return [values[p.name] for p in self.parameters[: len(self.knots)]]
@@ -122,6 +144,10 @@ class UnknownRecent(UnknownProduct):
         """A knot more in each stretch, there where the law was."""
         found = super().finer(values, None if told is None else told[: len(self.knots)])
         return [(shaped, {**begin, "time_constant": values["time_constant"]}) for shaped, begin in found]
+
+    def shortened(self, values: Values, told: NDArray[np.bool_]) -> tuple[Effect, Values] | None:
+        """The same law without sizes that no data tell; it begins at rest, whether they do or not."""
+        return super().shortened(values, np.append(True, told[1:]))
 
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         shape = (knots.tolist(), values.tolist(), self.names, self.most, self.speed, self.units, self.time)
@@ -137,7 +163,7 @@ class UnknownRecent(UnknownProduct):
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         factors = np.array(self.values(values)) / self.most
-        per, what = f"{unit[self.parameters[0].name]} per {self.units[1] or 'unit'}", in_words(self.names[0])
+        per, what = self.each(unit[self.parameters[0].name]), in_words(self.names[0])
         return (
             f"Something acts at {at} that no effect in the catalogue accounts for; modelled as a force in proportion "
             f"to {what}, by {factors.min():.3g} to {factors.max():.3g} {per}, that depends on how large that was in "

@@ -12,10 +12,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prior:
-    """Normal distributions of mapped parameters, independent of each other.
+    """A normal distribution of mapped parameters.
 
     Attributes:
-        precision: one over the variance, (p,); 0 where nothing is known.
+        precision: inverse covariance, (p, p); 0 where nothing is known.
         centre: mean, (p,).
     """
 
@@ -24,7 +24,7 @@ class Prior:
 
     def after(self, count: int) -> Prior:
         """The same of parameters that come after so many of which nothing is known."""
-        return Prior(*(np.concatenate([np.zeros(count), each]) for each in (self.precision, self.centre)))
+        return Prior(np.pad(self.precision, (count, 0)), np.pad(self.centre, (count, 0)))
 
     def penalty(self, z: Array, counts: Array) -> float:
         """What a fit adds to the mean loss of windows: a prior weighs as much as one reading of each window.
@@ -33,7 +33,8 @@ class Prior:
             z: mapped parameters, (p,).
             counts: readings in each window, (n,).
         """
-        return float(self.precision @ (z - self.centre) ** 2 / counts.mean())
+        off = z - self.centre
+        return float(off @ self.precision @ off / counts.mean())
 
     def in_fit(self, A: Array, b: Array, z: Array, weight: Array, counts: Array) -> tuple[Array, Array]:
         """Curvature (p, p) and slope (p,) of what a fit lowers, losses and this penalty, summed over windows.
@@ -46,7 +47,7 @@ class Prior:
             counts: readings in each window, (n,).
         """
         own = len(weight) * self.precision / counts.mean()
-        return np.einsum("n,nij->ij", weight, A) + np.diag(own), weight @ b - own * (z - self.centre)
+        return np.einsum("n,nij->ij", weight, A) + own, weight @ b - own @ (z - self.centre)
 
     def in_covariance(self, curvature: Array, weight: Array) -> Array:
         """Inverse covariance of parameters, times the mean weight: what data and prior say together, (..., p, p).
@@ -58,4 +59,18 @@ class Prior:
             curvature: summed over windows of these weights, (..., p, p).
             weight: of each window, (n,).
         """
-        return np.asarray(curvature + weight.mean() * np.diag(self.precision))
+        return np.asarray(curvature + weight.mean() * self.precision)
+
+
+def product(one: Prior, rows: Array, values: Array) -> Prior:
+    """The product of a prior and of what else is known: that some sums of parameters are about these values.
+
+    Args:
+        one: prior.
+        rows: weights of the sums, each over its standard deviation, (m, p).
+        values: likewise, (m,).
+    """
+    precision = one.precision + rows.T @ rows
+    # Where nothing is known both sides are zero, and the centre is anything.
+    centre = np.linalg.pinv(precision, hermitian=True) @ (one.precision @ one.centre + rows.T @ values)
+    return Prior(precision, centre)

@@ -19,7 +19,7 @@ from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.base import Effect, Parameter
 from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.model.parameters import ModelParameter
-from dipc_gym.sim2real.model.prior import Prior
+from dipc_gym.sim2real.model.prior import Prior, product
 from dipc_gym.sim2real.model.settings import MODEL
 from dipc_gym.sim2real.unseen.parts import loads
 
@@ -144,9 +144,17 @@ class Structure:
     @functools.cached_property
     def prior(self) -> Prior:
         """What is known of the mapped parameters before any data."""
-        return Prior(
-            np.array([1 / slot.sigma**2 for slot in self.slots]), np.array([slot.centre for slot in self.slots])
-        )
+        precision = np.diag([1 / slot.sigma**2 for slot in self.slots])
+        prior = Prior(precision, np.array([slot.centre for slot in self.slots]))
+        for term in self.terms:
+            bends = term.effect.bends
+            if len(bends):
+                own = [i for i, slot in enumerate(self.slots) if slot.key.startswith(f"{term.key}.")]
+                own = own[: bends.shape[1]]
+                rows = np.zeros((len(bends), len(self.slots)))
+                rows[:, own] = bends
+                prior = product(prior, rows, bends @ [self.slots[i].mapped(0.0) for i in own])
+        return prior
 
     @functools.cached_property
     def tables(self) -> NDArray[np.intp]:

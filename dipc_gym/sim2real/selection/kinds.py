@@ -1,4 +1,4 @@
-"""The kind of a law that was modelled without one: what it depends on may tell."""
+"""The kind of a law that was modelled without one, or a plainer law of no kind: what it depends on may tell."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from dipc_gym.sim2real.effects.base import Effect, joint_at, joint_of
+from dipc_gym.sim2real.effects.unknown_product import UnknownProduct
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Structure, Term
+from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question, hypotheses
 from dipc_gym.sim2real.selection.resolution import refined
@@ -25,6 +27,8 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     command to its own motor alone is the curve of that drive. A search may come to the first by a law of no kind, since
     an effect that was asked for alone may end in a poor fit; with all the rest in place it does not. One that depends
     on two quantities may be a law of either, once an effect that was found later does the rest, or the sum of two laws.
+    Or it is a product, and something else: a table of both holds both, in as many values as it has cells, and knows
+    nothing of a cell in which no data were.
 
     Args:
         question: effects and places.
@@ -36,11 +40,12 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     for term in current.structure.unnamed:
         fewer = fitter.without(current, term.key)
         asked = [*_formulas(question, fitter, fewer, term), *_laws(question, fewer, term)]
+        asked += _products(question, fitter, fewer, term)
         structures = [functools.reduce(Structure.with_term, shapes, fewer.structure) for shapes in asked]
         with fitter.sketched([(current, structure) for structure in structures]) as sketch_of:
             for k, shapes in enumerate(asked):
                 sketch = sketch_of(k)
-                if sketch is None or fitter.behind(sketch, current):
+                if sketch is None or (fitter.behind(sketch, current) and not _may_be_finer(sketch)):
                     continue
                 fitted = fitter.full(current, sketch)
                 for shaped in shapes:
@@ -50,6 +55,11 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
                     tell(f"{term.key} is {said}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
                     return named(question, fitter, fitter.polish(fitted), begin, tell)
     return current
+
+
+def _may_be_finer(sketch: Fit) -> bool:
+    """Whether a sketch is so near the noise that its law may reach it with more knots."""
+    return sketch.structure.terms[0].effect.free and sketch.error < SEARCH.in_reach
 
 
 def _formulas(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> list[tuple[Term]]:
@@ -69,6 +79,26 @@ def _laws(question: Question, fewer: Fit, term: Term) -> Iterator[tuple[Term, ..
     """Laws of the kinds that a law of no kind may have by its inputs, one alone or two together."""
     for kinds in _kinds(question, fewer.structure, term):
         yield from itertools.product(*(_shapes(question, *kind, fewer) for kind in kinds))
+
+
+def _products(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
+    """Products of the two inputs of a table, alone and beside an effect with a name or a law of a kind."""
+    if isinstance(term.effect, UnknownProduct) or len(term.effect.inputs(term.at)) < 2:
+        return
+    for effect in question.effects:
+        if not isinstance(effect, UnknownProduct):
+            continue
+        for product in _shapes(question, effect, term.at, fewer):
+            if set(product.effect.inputs(term.at)) != set(term.effect.inputs(term.at)):
+                continue
+            yield (product,)
+            sketch = fitter.sketch(fewer, fewer.structure.with_term(product))
+            fitted = sketch and fitter.full(fewer, sketch)
+            if fitted is None:
+                continue
+            product = ranking.as_fitted(fitted)
+            beside = [*_formulas(question, fitter, fitted, term), *_laws(question, fitted, term)]
+            yield from ((product, *others) for others in beside if len(others) == 1)
 
 
 def _kinds(question: Question, structure: Structure, term: Term) -> Iterator[tuple[tuple[Effect, str], ...]]:

@@ -190,8 +190,9 @@ def missing_effects(
         units = improve.place_units(final.structure, term)
         sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
         law = _law(final, term, units, wide.of_laws)
-        if law is not None and (formula := _formula(search, final, term)) is not None:
-            unit, per = law["table"]["unit"], law["table"]["inputs"][0]["unit"]
+        effect = term.effect
+        if law is not None and isinstance(effect, Law) and (formula := _formula(search, final, effect, term.key)):
+            unit, per = effect.each(law["table"]["unit"]), law["table"]["inputs"][0]["unit"]
             law["formula"] = formula.to_dict(unit, per)
             sentence += f" Its shape is that of a formula: {formula.text(unit, per)}."
         # What happened once leaves no blocks to resample.
@@ -262,22 +263,21 @@ def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[
     return law
 
 
-def _formula(search: Searched, final: Fit, term: Term) -> Formula | None:
-    """The plainest formula that predicts all windows as well as the table of a law of one input does, if any."""
-    effect = term.effect
-    if not isinstance(effect, Law) or isinstance(effect, Hysteresis):
+def _formula(search: Searched, final: Fit, effect: Law, key: str) -> Formula | None:
+    """The plainest formula that predicts all windows as well as the values of a law do, if any."""
+    if isinstance(effect, Hysteresis):
         return None
     slots, problem = final.structure.slots, search.partition.problem
-    values_of = {f"{term.key}.{p.name}" for p in effect.parameters[: len(effect.knots)]}
+    values_of = {f"{key}.{p.name}" for p in effect.parameters[: len(effect.knots)]}
     own = [i for i, slot in enumerate(slots) if slot.key in values_of]
     weight = weights(final.mse)
     curvature = final.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, final.quadratics.A), weight)
-    scale = np.array([slots[i].scale for i in own])
+    scale = np.array([slots[i].scale for i in own]) / effect.most
     covariance = np.linalg.pinv(curvature, hermitian=True)[np.ix_(own, own)] * np.outer(scale, scale)
-    knots, values = np.array(effect.knots), np.array([slots[i].value(final.z[i]) for i in own])
-    for found in formulas(knots, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows)):
+    places, values = effect.places, np.array([slots[i].value(final.z[i]) for i in own]) / effect.most
+    for found in formulas(places, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows)):
         z = final.z.copy()
-        z[own] = [slots[i].mapped(value) for i, value in zip(own, found(knots), strict=True)]
+        z[own] = [slots[i].mapped(value) for i, value in zip(own, effect.most * found(places), strict=True)]
         z = final.structure.clip(z)
         with_formula, _ = evaluate(problem, final.structure, z, final.initial)
         if compare(final.mse, with_formula, problem.blocks).alike:

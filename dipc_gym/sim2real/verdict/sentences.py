@@ -92,6 +92,8 @@ def in_one_sentence(
     if verdict == "modelled":
         law = " ".join(m.sentence for m in missing) or "What the model lacks has no name, but a law that predicts it."
         return f"{law} {fall}.{left}"
+    if verdict == "partly explained" and telling.improved <= SCORE.at_floor:
+        return f"{known} {fall}; what is left is as small as noise. What has no name is modelled, not understood."
     if verdict == "partly explained":
         helps = "That helps where it was fitted" if worse else "That helps"
         return f"{known} {helps}, but structure is left that no known effect accounts for. {fall}."
