@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import sim2real_rigs
@@ -27,6 +29,7 @@ from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection.resolution import within_data
+from dipc_gym.sim2real.selection.scorer import Scorer
 
 ALONG = {
     FrictionOfPosition: (-0.3, 0.2),
@@ -326,3 +329,18 @@ def test_a_table_ends_where_data_do() -> None:
     assert term.effect.knots == pytest.approx(knots[:4])
     assert fit(ready.problem, structure, z, most=0).error == pytest.approx(fitted.error, rel=1e-6)
     assert within_data(fit(ready.problem, structure, z, most=0)) is None
+
+
+def test_few_windows_where_the_rig_seldom_was_make_a_law_finer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two of forty windows tell of a law that the others do not reach; what helps them at others' cost is no such."""
+    blocks = np.arange(40) // 2
+    monkeypatch.setattr(Scorer, "mse", lambda _, fitted: fitted.mse)
+    scorer = Scorer(SimpleNamespace(blocks=blocks))  # type: ignore[arg-type]
+    before = SimpleNamespace(mse=np.append(np.full(38, 1.0), [400.0, 90.0]))
+    finer = SimpleNamespace(mse=np.append(np.full(38, 1.02), [4.0, 2.0]))
+    elsewhere = SimpleNamespace(mse=np.concatenate([[9.0, 9.0], np.full(36, 1.0), [4.0, 2.0]]))
+    far = SimpleNamespace(mse=np.append(np.full(38, 9.0), [400.0, 90.0]))
+    assert scorer.follows(finer, before)  # type: ignore[arg-type]
+    assert not scorer.follows(elsewhere, before)  # type: ignore[arg-type]
+    assert not scorer.follows(before, before)  # type: ignore[arg-type]
+    assert not scorer.follows(finer, far)  # type: ignore[arg-type]

@@ -265,7 +265,8 @@ def test_a_law_of_two_inputs_may_be_the_sum_of_two_kinds(asked: tuple[str, ...],
         (100.0, 10.0, 9.0, True),  # a tenth of what is left, which is a tenth of what the law brought
         (2000.0, 10.0, 7.0, False),  # a third, beside a law that left half a percent
         (2000.0, 10.0, 4.0, True),  # two thirds
-        (100.0, 2.0, 1.6, False),  # near the noise
+        (100.0, 2.0, 1.4, False),  # near the noise, where nothing but the law's own fit may be missing
+        (100.0, 2.0, 1.2, True),
     ],
 )
 def test_what_a_law_leaves_is_no_second_effects(

@@ -50,7 +50,8 @@ def tells(term: Term, fitted: Fit, current: Fit, begin: Fit) -> bool:
     """Whether an effect brings most of what is left, if a law of any shape acts on its joint.
 
     A law of no kind leaves what its table cannot hold, and so does any law near the noise, or where little is left
-    beside what effects brought. Every effect that depends on the same quantities takes up some of that.
+    beside what effects brought. Every effect that depends on the same quantities takes up some of that; near the noise,
+    where it may be half, one that is there takes nearly all.
 
     Args:
         term: the effect.
@@ -62,7 +63,8 @@ def tells(term: Term, fitted: Fit, current: Fit, begin: Fit) -> bool:
     laws = [t.at for t in current.structure.terms if t.effect.of_no_kind or (t.effect.free and close)]
     if term.effect.of_no_kind or joint_at(current.structure.model, term.effect, term.at) not in laws:
         return True
-    return fitted.error - 1 < SEARCH.most * (current.error - 1)
+    most = SEARCH.far_better if current.error < SEARCH.in_reach else SEARCH.most
+    return fitted.error - 1 < most * (current.error - 1)
 
 
 def _named(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:

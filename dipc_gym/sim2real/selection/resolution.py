@@ -157,4 +157,6 @@ def _covariance(fitted: Fit, own: Sequence[int]) -> Array:
 
 
 def _better(fitter: Fitter, finer: Fit, current: Fit) -> bool:
-    return fitter.scorer.compare(finer, current).clear and fitter.scorer.confirmed(finer, current)
+    scorer = fitter.scorer
+    clear = scorer.compare(finer, current).clear and scorer.confirmed(finer, current)
+    return clear or scorer.follows(finer, current)

@@ -103,6 +103,9 @@ class Searched:
         shorter = within_data(whole)
         if shorter is not None:
             whole = fit(partition.problem, *shorter, whole.initial, most=0)
+        # More windows may go where few did before; where those were at the noise, what a law lacks there is knots.
+        for key in names(whole.structure.terms) if fitted.error < SCORE.at_floor else ():
+            whole = refined(over.fitter, whole, key, self.tell)
         return over, whole
 
     def _fitted_over(
