@@ -272,9 +272,9 @@ def _formula(search: Searched, final: Fit, effect: Law, key: str) -> Formula | N
     own = [i for i, slot in enumerate(slots) if slot.key in values_of]
     weight = weights(final.mse)
     curvature = final.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, final.quadratics.A), weight)
-    scale = np.array([slots[i].scale for i in own]) / effect.most
+    scale = np.array([slots[i].scale / effect.most for i in own])
     covariance = np.linalg.pinv(curvature, hermitian=True)[np.ix_(own, own)] * np.outer(scale, scale)
-    places, values = effect.places, np.array([slots[i].value(final.z[i]) for i in own]) / effect.most
+    places, values = effect.places, np.array([slots[i].value(final.z[i]) / effect.most for i in own])
     for found in formulas(places, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows)):
         z = final.z.copy()
         z[own] = [slots[i].mapped(value) for i, value in zip(own, effect.most * found(places), strict=True)]
