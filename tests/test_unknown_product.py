@@ -13,10 +13,19 @@ from sim2real_rigs import CART, NOISE, RK4, record, sweep
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import formulas
-from dipc_gym.sim2real import catalogue, fit_effect
+from dipc_gym.sim2real import catalogue, diagnosis, fit_effect
+from dipc_gym.sim2real.effects.surfaces import Surface
+from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct
 from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
+from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Structure, Term
+from dipc_gym.sim2real.selection import kinds
+from dipc_gym.sim2real.selection.baseline import baseline
+from dipc_gym.sim2real.selection.case import part
+from dipc_gym.sim2real.selection.stop import Stop
+from dipc_gym.sim2real.verdict.withheld import gather
 
 PRODUCT = "residual.force:product"
 PLACES = np.linspace(-0.1, 0.5, 61)
@@ -25,8 +34,8 @@ DRAG = -8.0 * np.exp(-(((PLACES - 0.2) / 0.04) ** 2))  # N s/m
 DRIVE = 0.4 * np.exp(-(((PLACES - 0.1) / 0.05) ** 2)) - 0.3 * np.exp(-(((PLACES - 0.28) / 0.06) ** 2))  # N/V
 
 
-def hidden(factor: np.ndarray, carrier: str, most: float) -> physics.Physics:
-    """The cart with a force of which a table knows what it is at the largest speed or command."""
+def hidden(factor: np.ndarray, carrier: str, most: float, pull: float = 0.0) -> physics.Physics:
+    """The cart with a force of which a table knows what it is at the largest speed or command, and a slope, m/s^2."""
     levels = np.stack([-factor * most, factor * most], axis=1)
     numbers = [10.0, len(PLACES), 2, *PLACES, -most, most, *levels.ravel()]
     names = [
@@ -34,7 +43,8 @@ def hidden(factor: np.ndarray, carrier: str, most: float) -> physics.Physics:
         for k, of in ((1, "position cart"), (2, carrier))
     ]
     entry = f'<numeric name="dipc_gym:residual.force:cart" data="{" ".join(map(str, numbers))}"/>'
-    return physics.load(CART.replace("</mujoco>", f"<custom>{entry}{''.join(names)}</custom></mujoco>"))
+    sloping = CART.replace("<option ", f'<option gravity="{pull} 0 -9.81" ')
+    return physics.load(sloping.replace("</mujoco>", f"<custom>{entry}{''.join(names)}</custom></mujoco>"))
 
 
 @pytest.mark.parametrize(
@@ -80,6 +90,24 @@ def test_a_value_that_no_motion_tells_goes_on_as_its_neighbours_do(count: int, b
     likeliest = prior.centre[0] - prior.precision[0, 1:] @ others[1:] / prior.precision[0, 0]
     off = structure.slots[0].value(likeliest) - begin
     assert abs(off) < 0.1 * (4.0 - begin)
+
+
+@pytest.mark.parametrize(("pull", "kind"), [(0.0, [PRODUCT]), (0.6, ["load.constant", PRODUCT])])
+def test_a_table_over_two_inputs_is_a_product_and_what_acts_beside_it(pull: float, kind: list[str]) -> None:
+    """The table holds both at once, in many times as many values; beside a load no product alone comes near."""
+    rig = hidden(DRAG, "velocity cart", 5.0, pull)
+    run = record(rig, sweep(4.0), 8.0, noise=NOISE["cart"], step=1e-4, integrator=RK4)
+    case = part(gather(mjcf.from_text(CART), [run], (), Wishes())[0], threads=1)
+    asked = [catalogue()[name] for name in ("residual.force", "load.constant", PRODUCT)]
+    search = diagnosis.begin_search(case, baseline(case), asked, Stop(lambda line: None))[0]
+    bare, (places, speeds) = search.progress.current, (np.linspace(0.0, 0.4, 17), np.array([-5.0, 5.0]))
+    levels = np.interp(places, PLACES, DRAG)[:, None] * speeds + 1.26 * pull
+    law = UnknownForce(Surface(("position cart", "velocity cart"), (places, speeds), levels), 9.0, ("m", "m/s"), "cart")
+    structure = bare.structure.with_term(Term(law, "cart", law.first))
+    modelled = fit(search.partition.problem, structure, None, bare.initial, most=8)
+    found = kinds.named(search.question, search.fitter, modelled, bare, print)
+    assert sorted(term.effect.id for term in found.structure.terms) == kind
+    assert len(found.z) < len(modelled.z)
 
 
 def test_a_drag_of_one_sign_is_passive_and_a_drive_is_not() -> None:

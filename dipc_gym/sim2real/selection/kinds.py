@@ -45,7 +45,7 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
         with fitter.sketched([(current, structure) for structure in structures]) as sketch_of:
             for k, shapes in enumerate(asked):
                 sketch = sketch_of(k)
-                if sketch is None or (fitter.behind(sketch, current) and not _may_be_finer(sketch)):
+                if sketch is None or (fitter.behind(sketch, current) and not _may_be_finer(sketch, begin)):
                     continue
                 fitted = fitter.full(current, sketch)
                 for shaped in shapes:
@@ -57,9 +57,10 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     return current
 
 
-def _may_be_finer(sketch: Fit) -> bool:
-    """Whether a sketch is so near the noise that its law may reach it with more knots."""
-    return sketch.structure.terms[0].effect.free and sketch.error < SEARCH.in_reach
+def _may_be_finer(sketch: Fit, begin: Fit) -> bool:
+    """Whether a sketch leaves so little of the mismatch that its law, begun as forces tell it, may lack knots alone."""
+    free = any(term.effect.free for term in sketch.structure.terms)
+    return free and sketch.error < max(SEARCH.in_reach, SEARCH.earns * begin.error)
 
 
 def _formulas(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> list[tuple[Term]]:
