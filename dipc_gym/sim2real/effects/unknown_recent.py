@@ -96,11 +96,10 @@ class UnknownRecent(UnknownProduct):
     def _shaped(self, evidence: Evidence, carrier: str, past: Array, time: float) -> Sequence[tuple[Effect, Values]]:
         """The law with one time constant."""
         moves, roots = evidence.inputs[carrier], np.sqrt(past)
-        most = BEYOND * float(np.abs(moves).max())
-        if not most > 0:
+        most, largest = BEYOND * float(np.abs(moves).max()), float(np.quantile(roots, 1 - TABLES.covered))
+        if not (most > 0 and largest > 0):
             return []
-        # Nothing moved of late when a rig is switched on, and after every rest.
-        knots = np.linspace(0.0, float(np.quantile(roots, 1 - TABLES.covered)), STRETCHES + 1)
+        knots = np.linspace(0.0, largest, STRETCHES + 1)  # nothing moved of late after every rest
         values = smooth(knots, roots, evidence.force, moves / most, beside_product(evidence))
         unit, speed = unit_of(evidence.model, carrier), driven_up_to(evidence)
         names, units = (carrier, carrier), (unit, unit)
@@ -125,7 +124,7 @@ class UnknownRecent(UnknownProduct):
         return {p.name: v for p, v in zip(self.parameters, (*self.first, self.time), strict=True)}
 
     def _at(self, knots: Array, values: Values) -> Array:
-        """The factor at other knots; those that it has lie evenly, so that a spline does not swing between them."""
+        """The factor at other knots; those that it begins with lie evenly: no spline swings between these."""
         return np.asarray(CubicSpline(self.knots, self.values(values))(knots))
 
     def _surface(self, values: Values) -> tuple[list[float], list[float], Array]:
