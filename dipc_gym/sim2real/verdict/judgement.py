@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
@@ -95,6 +96,7 @@ def judgement(
             written=written,
             sensors=sensors,
             beyond=measured.beyond,
+            later=measured.later,
         ),
         tuple(located),
         tuple(named.missing),
@@ -212,6 +214,7 @@ class _Measured:
         comparison: errors on the windows that were compared on.
         test: on test data.
         beyond: of these, what goes beyond what laws were fitted with; None where nothing does.
+        later: error there of the fit that goes to the end of time, where a law of time ends before; else None.
         force: of the inverse models there, at each joint.
         wide: of the intervals of the parameters.
         alone: what has a name without laws of no kind, where that goes before them.
@@ -222,6 +225,7 @@ class _Measured:
     comparison: Errors
     test: Errors
     beyond: Beyond | None
+    later: float | None
     force: dict[str, Errors]
     wide: findings.Wide
     alone: Fit | None
@@ -230,8 +234,12 @@ class _Measured:
 
     @property
     def telling(self) -> Errors:
-        """On the test data that say what is still missing: those in which laws have data."""
-        return self.test if self.beyond is None else self.beyond.within
+        """On the test data that say what is still missing: those in which laws have data.
+
+        A law of time has none in what comes after, all of it; there a fit to that time tells whether more is missing.
+        """
+        telling = self.test if self.beyond is None else self.beyond.within
+        return telling if self.later is None else replace(telling, improved=min(telling.improved, self.later))
 
 
 def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guarded) -> _Measured:
@@ -266,6 +274,10 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
     )
     if outside is not None:
         notes.append(sentences.goes_beyond(outside, fitted=last.reaches_the_end))
+    of_time = any(isinstance(one.effect, Law) and "time" in one.effect.axes(one.at) for one in final.structure.terms)
+    later: float | None = None
+    if of_time and last.reaches_the_end:
+        later = late("What is left later", lambda: judge.error_on(last.problem, final), lambda: None)
     force = late(
         "The error of forces", lambda: _force_errors(three, case.prepared.structure.base, test), dict[str, Errors]
     )
@@ -282,7 +294,8 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
     alone: Fit | None = late(
         "Names without laws", lambda: beside.names_alone(search.fitter, final, search.progress.path[0]), lambda: None
     )
-    left = max(comparison.improved, (errors if outside is None else outside.within).improved)
+    there = (errors if outside is None else outside.within).improved
+    left = max(comparison.improved, there if later is None else min(there, later))
     if final.structure.unnamed or left > SCORE.at_floor:
         of_names = late(
             "What is left adds to the intervals",
@@ -294,7 +307,7 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
     changed = late(
         "Which parameters changed", lambda: findings.changed_parameters(final, of_names), list[dict[str, Any]]
     )
-    return _Measured(comparison, errors, outside, force, findings.Wide(wide, of_names), alone, changed, notes)
+    return _Measured(comparison, errors, outside, later, force, findings.Wide(wide, of_names), alone, changed, notes)
 
 
 @dataclass(frozen=True)

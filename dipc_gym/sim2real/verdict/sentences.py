@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from dipc_gym.sim2real.model.parameters import ModelParameter
@@ -39,6 +40,7 @@ def in_one_sentence(
     written: AsWritten | None = None,
     sensors: Sequence[SensorFit] = (),
     beyond: Beyond | None = None,
+    later: float | None = None,
 ) -> str:
     """What happened, in words that a rig's owner understands.
 
@@ -51,6 +53,7 @@ def in_one_sentence(
         written: what the improved model comes to at its own step.
         sensors: errors of each, in its own unit.
         beyond: held-out windows that go beyond what laws were fitted with.
+        later: error of laws of time that were fitted to the held-out time as well, which no law of time foretells.
     """
     goes = "falls" if errors.improved < errors.nominal else "goes"
     times = f"from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
@@ -68,6 +71,9 @@ def in_one_sentence(
             f"; in the {beyond.of - beyond.count} of {beyond.of} windows that stay where its laws have data, from "
             f"{telling.nominal:.3g} to {telling.improved:.3g} times"
         )
+    if later is not None and later < telling.improved:
+        telling = replace(telling, improved=later)
+        fall += f"; fitted to that time as well, which no law of time foretells, {later:.3g} times are left"
     worse = errors.improved > max(errors.nominal, SCORE.at_floor)
     if worse:
         fall += (
