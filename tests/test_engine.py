@@ -555,3 +555,17 @@ def test_a_law_that_is_more_than_arithmetic_is_left_to_mujoco(monkeypatch: pytes
     _, parameters = program.read([loaded(CART.replace("</mujoco>", entry.format("friction.load")))])
     assert parameters[0][-3:].tolist() == [1, 2, 3]
     assert "friction.mine" not in [rule.effect for rule in program.rules()]
+
+
+def test_a_spring_with_a_gap_may_be_as_stiff_as_nothing_in_a_variant() -> None:
+    """Derivatives are by models beside one whose spring does not bend: an element that comes and goes is none."""
+    text = """<mujoco><worldbody><body name="cart">
+      <inertial pos="0 0 0" mass="1" diaginertia="1e-3 1e-3 1e-3"/><joint name="cart" type="slide" axis="1 0 0"/>
+    </body></worldbody>
+    <tendon><fixed name="bend" springlength="-0.1 0.1" stiffness="{}"><joint joint="cart" coef="1"/></fixed></tendon>
+    <sensor><jointpos name="cart" joint="cart"/></sensor></mujoco>"""
+    variants = [physics.load(text.format(stiffness)) for stiffness in (0.0, 5.0)]
+    what, parameters = program.read(variants)
+    assert parameters.shape[0] == 2
+    for numbers, variant in zip(parameters, variants, strict=True):
+        assert check.check(what, numbers, variant)

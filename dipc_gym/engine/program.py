@@ -199,7 +199,8 @@ class _Writer:
                     self._element(Kind.YIELDING, dofs, coefficients, spring, state=model.na + self.yielding)
                 )
                 self.yielding += 1
-            elif any(stiffness) or any(damping):
+            # One with a gap is meant to pull, also where its stiffness is nothing: a variant may have some.
+            elif any(stiffness) or any(damping) or low != high:
                 elements.append(self._element(Kind.SPRING, dofs, coefficients, spring))
             if model.tendon_limited[t]:
                 stops.append(self._stop(t, name, dofs, coefficients))
