@@ -82,7 +82,7 @@ def smooth(edges: Array, x: Array, force: Array, carrier: Array, beside: Sequenc
     columns = np.column_stack([hats(edges, x) * carrier[:, None], *beside])
     normal, count = columns.T @ columns, len(edges)
     size = float(np.trace(normal[:count, :count])) / count
-    second = np.diff(np.eye(count, len(normal)), 2, axis=0)[:, : len(normal)]
+    second = np.diff(np.eye(count, len(normal)), 2, axis=0)
     stiff = TABLES.stiff * second.T @ second + TABLES.ridge * np.eye(len(normal))
     return np.asarray(np.linalg.solve(normal + size * stiff, columns.T @ force)[:count])
 

@@ -144,8 +144,7 @@ class Scorer:
         after, before = self.mse(fitted), self.mse(current)
         if not ranking.mostly_at_noise(current) or compare(after, before, self.partition.blocks).worst < -SCORE.large:
             return False
-        far = data.outliers(before)
-        return float(np.sum(np.log1p(before[far]) - np.log1p(after[far]))) > SEARCH.once
+        return _lifts_outliers(after, before)
 
     def earns(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit comes down to the noise, or takes a good part of what is left."""
@@ -209,9 +208,13 @@ def settled(after: Array, before: Array) -> bool:
 
     No mean over windows shows an effect that acts in few of them. It is told from a push by leaving no outlier.
     """
+    return _lifts_outliers(after, before) and not len(data.outliers(after, before))
+
+
+def _lifts_outliers(after: Array, before: Array) -> bool:
+    """Whether the outliers among mean square errors (n,) fell, all together, by what makes an event stand out."""
     outliers = data.outliers(before)
-    fall = np.log1p(before[outliers]) - np.log1p(after[outliers])
-    return float(np.sum(fall)) > SEARCH.once and not len(data.outliers(after, before))
+    return float(np.sum(np.log1p(before[outliers]) - np.log1p(after[outliers]))) > SEARCH.once
 
 
 def enough(begin: Fit, current: Fit) -> bool:

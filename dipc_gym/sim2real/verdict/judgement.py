@@ -234,12 +234,17 @@ class _Measured:
 
     @property
     def telling(self) -> Errors:
-        """On the test data that say what is still missing: those in which laws have data.
+        """On the test data that say what is still missing."""
+        return _telling(self.test, self.beyond, self.later)
 
-        A law of time has none in what comes after, all of it; there a fit to that time tells whether more is missing.
-        """
-        telling = self.test if self.beyond is None else self.beyond.within
-        return telling if self.later is None else replace(telling, improved=min(telling.improved, self.later))
+
+def _telling(test: Errors, outside: Beyond | None, later: float | None) -> Errors:
+    """Errors on the test data that say what is still missing: those in which laws have data.
+
+    A law of time has none in what comes after, all of it; there a fit to that time tells whether more is missing.
+    """
+    telling = test if outside is None else outside.within
+    return telling if later is None else replace(telling, improved=min(telling.improved, later))
 
 
 def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guarded) -> _Measured:
@@ -294,8 +299,7 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
     alone: Fit | None = late(
         "Names without laws", lambda: beside.names_alone(search.fitter, final, search.progress.path[0]), lambda: None
     )
-    there = (errors if outside is None else outside.within).improved
-    left = max(comparison.improved, there if later is None else min(there, later))
+    left = max(comparison.improved, _telling(errors, outside, later).improved)
     if final.structure.unnamed or left > SCORE.at_floor:
         of_names = late(
             "What is left adds to the intervals",
