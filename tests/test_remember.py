@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -29,6 +30,8 @@ from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.selection.baseline import baseline
+from dipc_gym.sim2real.selection.case import Given, part
 from dipc_gym.trials import generate
 from dipc_gym.trials.secret import Plan
 
@@ -199,6 +202,38 @@ def test_what_has_no_name_may_depend_on_what_was_of_late(name: str) -> None:
     zero = 0 * time
     (mean,) = recall(physics.RECENT, np.array([[0.5]]), time, zero, zero, zero - 3.0)
     np.testing.assert_allclose(mean, 3.0 * (1 - np.exp(-time / 0.5)), atol=1e-6)
+
+
+def thinning(values: list[float]) -> UnknownRecent:
+    """Drag that thins as its cart moves, by values at the square roots of its recent speed, each for 1 m/s."""
+    knots = np.linspace(0.0, 0.8, len(values)).tolist()
+    return UnknownRecent(knots, values, ("velocity cart",) * 2, 1.0, 2.0, ("m/s", "m/s"), 0.5)
+
+
+def test_a_law_of_the_past_is_told_by_how_recordings_begin() -> None:
+    """At rest: later nothing says what it is near nothing, and a recording that begins in motion never does."""
+    law = thinning([-20.0, -18.0, -12.0, -8.0, -5.0, -3.0])
+    document = Document(mjcf.from_text(CART))
+    law.edit(document, "cart", law.guess)
+    rested = record(physics.load(document.text()), sweep(5.0), noise=(1e-5,), step=1e-4)
+    moving = replace(rested, **{of: getattr(rested, of)[100:] for of in ("time", "commands", "sensors")})
+    source = mjcf.from_text(CART)
+    cases = [part(Given(source, physics.load(source), (run,), (), ()), threads=1) for run in (rested, moving)]
+    assert [len(case.first.windows) for case in cases] == [1, 0]
+    case = cases[0]
+    assert case.first.windows.start.tolist() == [0.0]
+    assert case.prepared.problem.windows.start.min() > 0.2
+
+    partition = baseline(case).partition
+    plain = case.prepared.structure
+    past = plain.with_term(Term(law, "cart", law.guess))
+    whole, more = (partition.whole(structure).problem for structure in (plain, past))
+    assert len(more.windows) == len(whole.windows) + 1
+    begin = past.first.copy()
+    begin[0] = past.slots[0].mapped(-16.0)
+    far, near = (past.slots[0].value(fit(problem, past, begin).z[0]) + 20.0 for problem in (whole, more))
+    assert abs(near) < 0.2
+    assert abs(near) < 0.2 * abs(far)
 
 
 def test_a_memory_of_somebodys_own_may_do_anything(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -208,6 +208,7 @@ class Effect(ABC):
         once: whether it happened once, so that other recordings cannot confirm it.
         of_no_kind: whether it only models what nothing accounts for, as a law that predicts it: asked last, no name.
         of_the_clock: whether it depends on time and not on the state, so that no other recording shares it.
+        of_the_past: whether it goes with what was of late, which is nothing where a recording begins at rest.
         element: of MJCF that it is written as, in words, where its effect has more than one form.
         leaves: share of a mismatch that it may leave and be named. Small for an effect that is told from others by when
             it acts alone: what it leaves may act then as well.
@@ -228,6 +229,7 @@ class Effect(ABC):
     free: ClassVar[bool] = False
     once: ClassVar[bool] = False
     of_the_clock: ClassVar[bool] = False
+    of_the_past: ClassVar[bool] = False
     of_no_kind: ClassVar[bool] = False
     leaves: ClassVar[float] = EFFECTS.leaves
     element: str = ""

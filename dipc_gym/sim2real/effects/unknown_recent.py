@@ -43,6 +43,7 @@ class UnknownRecent(UnknownProduct):
     """
 
     id = f"{RESIDUAL}:recent"
+    of_the_past = True
 
     def __init__(
         self,

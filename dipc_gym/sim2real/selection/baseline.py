@@ -40,11 +40,12 @@ def baseline(case: Case) -> Baseline:
     whole = case.prepared.problem
     late = whole.windows.start >= case.borders[whole.windows.source]
     problem, comparison, aside = data.split(whole.pick(~late))
-    aside = aside.join(whole.pick(late))
+    aside, first = aside.join(whole.pick(late)), case.first
     nominal, fine = fit(problem, structure), None
     if _predicts_better(replace(problem, stepping=own), nominal):
         fine = nominal.error
-        problem, comparison, aside = (replace(part, stepping=own) for part in (problem, comparison, aside))
+        parts = problem, comparison, aside, first
+        problem, comparison, aside, first = (replace(part, stepping=own) for part in parts)
         nominal = fit(problem, structure)
     free = replace(structure, model_parameters=case.given.model_parameters)
     recalibrated = fit(problem, free, initial=nominal.initial, most=ESTIMATION.from_afar)
@@ -54,7 +55,7 @@ def baseline(case: Case) -> Baseline:
         aside = aside.pick(others)
         nominal = fit(problem, structure)
         recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.initial)
-    partition = Partition(problem, comparison, aside, case.borders, ranking.subset(recalibrated.mse))
+    partition = Partition(problem, comparison, aside, first, case.borders, ranking.subset(recalibrated.mse))
     return Baseline(partition, nominal, recalibrated, fine)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, physics
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.estimation import states
+from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.parameters import ModelParameter
@@ -65,12 +66,14 @@ class Case:
     Attributes:
         given: what they were cut from.
         prepared: windows to fit and to validate by.
+        first: windows at the beginnings of recordings that begin at rest, before those.
         borders: times in each recording from which windows validate and are not fitted, s, (recordings,); infinite
             where all are needed to fit, and those that are compared on have to validate as well.
     """
 
     given: Given
     prepared: Prepared
+    first: Problem
     borders: Array
 
 
@@ -85,13 +88,14 @@ def part(given: Given, *, threads: int) -> Case:
         raise CannotTell("no sensor changes in any of them", IN_MOTION)
     stepping = Stepping(min(WINDOWS.coarsest, *(r.period for r in given.recordings)), mujoco.mjtIntegrator.mjINT_RK4)
     try:
-        prepared = data.known_past(prepare(given.source, given.physics, given.recordings, stepping, threads=threads))
+        whole = prepare(given.source, given.physics, given.recordings, stepping, threads=threads)
     except states.Undetermined as error:
         raise CannotTell(error.reason, error.mend) from None
+    prepared = data.known_past(whole)
     standstill = _standstill(prepared)
     if standstill:
         raise CannotTell(standstill, IN_MOTION)
-    return Case(given, prepared, _borders(given, prepared))
+    return Case(given, prepared, data.from_rest(whole), _borders(given, prepared))
 
 
 def _borders(given: Given, prepared: Prepared) -> Array:

@@ -81,12 +81,26 @@ def known_past(prepared: Prepared) -> Prepared:
 
     A swinging rotor asks for more time than a late command; a short recording is cut for the command alone.
     """
+    return replace(prepared, problem=prepared.problem.pick(_past_is_known(prepared)))
+
+
+def from_rest(prepared: Prepared) -> Problem:
+    """Of the windows that `known_past` leaves out those of recordings that begin at rest.
+
+    What goes with the past shows there alone what it is near nothing.
+    """
+    problem, half = prepared.problem, prepared.problem.initial.shape[1] // 2
+    slow = ESTIMATION.at_rest * problem.spread[half:]
+    rests = np.array([bool((np.abs(motion.velocity[0]) < slow).all()) for motion in prepared.motions])
+    return problem.pick(~_past_is_known(prepared) & rests[problem.windows.source])
+
+
+def _past_is_known(prepared: Prepared) -> NDArray[np.bool_]:
+    """Which windows begin late enough, (n,)."""
     w = prepared.problem.windows
     since = w.start - np.array([recording.time[0] for recording in w.recordings])[w.source]
     settled = since > EFFECTS.swing
-    return replace(
-        prepared, problem=prepared.problem.pick(settled if settled.sum() >= WINDOWS.plenty else since > WINDOWS.late)
-    )
+    return settled if settled.sum() >= WINDOWS.plenty else since > WINDOWS.late
 
 
 def split(problem: Problem) -> tuple[Problem, Problem, Problem]:

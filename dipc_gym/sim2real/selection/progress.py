@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.steps import controlled
+from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.screen import Tried
 
@@ -25,6 +26,7 @@ class Partition:
         problem: windows to fit.
         comparison: windows to compare on, between those.
         aside: windows left aside; `events.attend` takes in those that matter later.
+        first: at the beginnings of recordings that begin at rest, which only laws of the past are fitted to.
         borders: times in each recording from which windows that are left aside validate what a search comes to, s.
         subset: the windows of `problem` that are sketched on; what stands out later comes at the end, and older
             sketches know only those before.
@@ -33,6 +35,7 @@ class Partition:
     problem: Problem
     comparison: Problem
     aside: Problem
+    first: Problem
     borders: Array
     subset: NDArray[np.intp]
 
@@ -57,11 +60,12 @@ class Partition:
 
     def controlled(self, fitted: Fit) -> Partition:
         """The same windows in steps as fine as a fit asks for, see `steps.controlled`; this one if none are finer."""
-        parts = self.problem, self.comparison, self.aside
-        problem, comparison, aside = (controlled(part, fitted.structure, fitted.z) for part in parts)
-        if problem is self.problem and comparison is self.comparison and aside is self.aside:
+        parts = self.problem, self.comparison, self.aside, self.first
+        finer = [controlled(part, fitted.structure, fitted.z) for part in parts]
+        if all(new is old for new, old in zip(finer, parts, strict=True)):
             return self
-        return replace(self, problem=problem, comparison=comparison, aside=aside)
+        problem, comparison, aside, first = finer
+        return replace(self, problem=problem, comparison=comparison, aside=aside, first=first)
 
     @property
     def spare(self) -> NDArray[np.bool_]:
@@ -69,9 +73,12 @@ class Partition:
         windows = self.aside.windows
         return np.asarray(windows.start < self.borders[windows.source])
 
-    def whole(self) -> Partition:
-        """All windows fitted; those compared on, and those that validate, among them."""
-        return replace(self, problem=self.problem.join(self.comparison).join(self.aside))
+    def whole(self, structure: Structure) -> Partition:
+        """All windows that a structure may be fitted to; those compared on, and those that validate, among them."""
+        problem = self.problem.join(self.comparison).join(self.aside)
+        if any(term.effect.of_the_past for term in structure.terms) and not structure.warm:
+            problem = problem.join(self.first)
+        return replace(self, problem=problem)
 
     def to_the_end(self, end: Problem) -> Partition:
         """The windows at the ends of recordings fitted as well; see `Searched.to_the_end`."""

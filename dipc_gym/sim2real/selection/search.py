@@ -85,7 +85,7 @@ class Searched:
 
         Tables go as far as these windows do, and no further than they tell.
         """
-        return self._as_far_as(self.partition.whole(), fitted)
+        return self._as_far_as(self.partition.whole(fitted.structure), fitted)
 
     def to_the_end(self, fitted: Fit, end: Problem) -> tuple[Searched, Fit]:
         """The same with the windows at the ends of recordings, which nothing was fitted to before.
