@@ -311,6 +311,9 @@ def test_friction_that_warms_up_is_named_with_its_formula() -> None:
     assert term["kind"] == "exponential"
     assert term["scale"] == pytest.approx(5.0, rel=0.1)
     assert term["factors"][0] == pytest.approx(-2.5, rel=0.05)
+    (along,), levels = law["table"]["inputs"], law["table"]["levels"]
+    said = law["formula"]["constant"] + term["factors"][0] * np.exp(-np.array(along["knots"]) / term["scale"])
+    np.testing.assert_allclose(levels, said, rtol=1e-6)  # what is written is what is said
     assert found.held_out is not None
     assert found.held_out.improved < 1.2 < 0.05 * found.held_out.recalibrated
     assert found.to_dict()["needs_dipc_gym"]

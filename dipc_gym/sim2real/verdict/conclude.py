@@ -15,6 +15,7 @@ from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import judge, sentences, sparse
+from dipc_gym.sim2real.verdict.closed_form import Formula
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
 
@@ -28,6 +29,7 @@ class Conclusion:
         notes: effects that validation data strike off, or that stay without a name, in words.
         unnamed: keys of effects that improve predictions, but not by enough to be believed.
         others: with other model parameters changed, as many, that predict as well.
+        formulas: that the tables of laws hold, by key; see `law_formulas`.
     """
 
     fitted: Fit
@@ -35,6 +37,7 @@ class Conclusion:
     notes: list[str] = field(default_factory=list)
     unnamed: frozenset[str] = frozenset()
     others: list[Fit] = field(default_factory=list)
+    formulas: dict[str, Formula] = field(default_factory=dict)
 
 
 def conclude(search: Searched) -> tuple[Searched, Conclusion]:

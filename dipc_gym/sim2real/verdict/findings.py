@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.law import Law
-from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit, weights
+from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import typical
@@ -23,11 +22,9 @@ from dipc_gym.sim2real.model.settings import MODEL
 from dipc_gym.sim2real.model.structure import Term, names
 from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.selection.data import evenly
-from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict import improve, judge, sentences
-from dipc_gym.sim2real.verdict.closed_form import Formula, formulas
 from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -190,8 +187,8 @@ def missing_effects(
         units = improve.place_units(final.structure, term)
         sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
         law = _law(final, term, units, wide.of_laws)
-        effect = term.effect
-        if law is not None and isinstance(effect, Law) and (formula := _formula(search, final, effect, term.key)):
+        effect, formula = term.effect, found.formulas.get(term.key)
+        if law is not None and isinstance(effect, Law) and formula is not None:
             unit, per = effect.each(law["table"]["unit"]), law["table"]["inputs"][0]["unit"]
             law["formula"] = formula.to_dict(unit, per)
             sentence += f" Its shape is that of a formula: {formula.text(unit, per)}."
@@ -261,28 +258,6 @@ def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[
         for name, end in zip(("low", "high"), np.sort(ends, axis=0), strict=True):
             law["table"][name] = np.reshape(end, shape).tolist()
     return law
-
-
-def _formula(search: Searched, final: Fit, effect: Law, key: str) -> Formula | None:
-    """The plainest formula that predicts all windows as well as the values of a law do, if any."""
-    if isinstance(effect, Hysteresis):
-        return None
-    slots, problem = final.structure.slots, search.partition.problem
-    values_of = {f"{key}.{p.name}" for p in effect.parameters[: len(effect.knots)]}
-    own = [i for i, slot in enumerate(slots) if slot.key in values_of]
-    weight = weights(final.mse)
-    curvature = final.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, final.quadratics.A), weight)
-    scale = np.array([slots[i].scale / effect.most for i in own])
-    covariance = np.linalg.pinv(curvature, hermitian=True)[np.ix_(own, own)] * np.outer(scale, scale)
-    places, values = effect.places, np.array([slots[i].value(final.z[i]) / effect.most for i in own])
-    for found in formulas(places, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows)):
-        z = final.z.copy()
-        z[own] = [slots[i].mapped(value) for i, value in zip(own, effect.most * found(places), strict=True)]
-        z = final.structure.clip(z)
-        with_formula, _ = evaluate(problem, final.structure, z, final.initial)
-        if compare(final.mse, with_formula, problem.blocks).alike:
-            return found
-    return None
 
 
 def _rival(rival: judge.Rival, test: Problem, as_given: float) -> dict[str, Any]:

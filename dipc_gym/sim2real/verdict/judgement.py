@@ -33,6 +33,7 @@ from dipc_gym.sim2real.verdict.beyond import beyond
 from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.details import details, predictions, sensor_fits
 from dipc_gym.sim2real.verdict.guarded import Guarded
+from dipc_gym.sim2real.verdict.law_formulas import in_closed_form
 from dipc_gym.sim2real.verdict.settings import VERDICT
 from dipc_gym.sim2real.verdict.withheld import Test
 
@@ -181,7 +182,7 @@ def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, lat
         search, whole = late(
             "A fit to all windows", lambda: refined[0].whole(best.fitted), lambda: (refined[0], best.fitted)
         )
-        found = replace(best, fitted=whole)
+        found = _plainly(replace(best, fitted=whole), search, late)
     judged, seen = found.fitted, search.partition
     if test.ends and any(term.effect.free for term in judged.structure.terms):
         before = search
@@ -190,8 +191,14 @@ def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, lat
             lambda: _to_the_end(before, judged, problem),
             lambda: (before, judged),
         )
-        found = replace(found, fitted=last)
+        if last is not judged:
+            found = _plainly(replace(found, fitted=last), search, late)
     return _Chosen(search, found, (nominal, recalibrated, judged), seen, validation, problem)
+
+
+def _plainly(found: Conclusion, search: Searched, late: Guarded) -> Conclusion:
+    """With formulas in the place of tables where they predict as well."""
+    return late("Formulas of laws", lambda: in_closed_form(found, search.partition.problem), lambda: found)
 
 
 def _to_the_end(search: Searched, judged: Fit, end: Problem) -> tuple[Searched, Fit]:

@@ -1,0 +1,55 @@
+"""Laws that say no more than a formula does: their tables then hold that formula, which is what is written back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
+from dipc_gym.sim2real.effects.law import Law
+from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.selection.score import compare
+from dipc_gym.sim2real.verdict.closed_form import Formula, formulas
+from dipc_gym.sim2real.verdict.conclude import Conclusion
+
+
+def in_closed_form(found: Conclusion, problem: Problem) -> Conclusion:
+    """What a search came to, with the values of formulas in the tables of laws wherever these predict as well.
+
+    A formula has fewer parameters, so it is known better where few data are, and goes on where none are.
+
+    Args:
+        found: with laws as tables.
+        problem: the windows that it was fitted to.
+    """
+    fitted, said = found.fitted, dict[str, Formula]()
+    for term in fitted.structure.terms:
+        effect = term.effect
+        if isinstance(effect, Law) and not isinstance(effect, Hysteresis) and effect.knots:
+            plainest = _plainest(fitted, problem, effect, term.key)
+            if plainest is not None:
+                said[term.key], fitted = plainest
+    return replace(found, fitted=fitted, formulas=said)
+
+
+def _plainest(fitted: Fit, problem: Problem, effect: Law, key: str) -> tuple[Formula, Fit] | None:
+    """The plainest formula that predicts all windows as well as the values of a law do, and the fit with its values in
+    their place; None where there is none.
+    """
+    slots = fitted.structure.slots
+    values_of = {f"{key}.{p.name}" for p in effect.parameters[: len(effect.knots)]}
+    own = [i for i, slot in enumerate(slots) if slot.key in values_of]
+    weight = weights(fitted.mse)
+    curvature = fitted.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, fitted.quadratics.A), weight)
+    scale = np.array([slots[i].scale / effect.most for i in own])
+    covariance = np.linalg.pinv(curvature, hermitian=True)[np.ix_(own, own)] * np.outer(scale, scale)
+    places, values = effect.places, np.array([slots[i].value(fitted.z[i]) / effect.most for i in own])
+    for formula in formulas(places, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows)):
+        z = fitted.z.copy()
+        z[own] = [slots[i].mapped(value) for i, value in zip(own, effect.most * formula(places), strict=True)]
+        there = fit(problem, fitted.structure, z, fitted.initial, most=0)
+        if compare(fitted.mse, there.mse, problem.blocks).alike:
+            return formula, there
+    return None
