@@ -79,6 +79,7 @@ def test_laws_that_are_written_go_as_far_as_all_that_was_recorded() -> None:
     assert found.held_out.improved > 3.0  # as it was predicted
     assert any(note.endswith("were fitted to all of the recordings after that.") for note in found.notes)
     assert "That was before its parameters were fitted once more" in found.improved
+    assert found.to_dict()["fit"]["as_written"]["fitted_to_the_end"] is True
     table = found.missing[0].law["table"]
     (knots,) = (np.array(one["knots"]) for one in table["inputs"])
     start = given.time[0] + 0.75 * given.duration
@@ -93,6 +94,7 @@ def test_recordings_of_their_own_judge_and_are_not_fitted() -> None:
     given, kept = run(3, 14, 0.0, spring=SPRING), run(5, 14, 0.0, spring=SPRING, backwards=True)
     found = diagnose(mjcf.from_text(NOMINAL), [given], [kept], effects=[catalogue()["load.position:law"]], threads=1)
     assert "fitted once more" not in found.improved
+    assert found.to_dict()["fit"]["as_written"]["fitted_to_the_end"] is False
     assert not any("after that" in note for note in found.notes)
 
 

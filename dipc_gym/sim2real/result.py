@@ -165,6 +165,7 @@ class AsWritten:
         refitted: whether parameters make up for the step, and so hold at no other.
         finer: a step that brings the file down to what fine steps predict, s, and its error on held-out data; None
             where its own does, or none of those tried.
+        to_the_end: whether what is written was fitted to what is held out as well, after that had judged it.
     """
 
     timestep: float
@@ -174,6 +175,7 @@ class AsWritten:
     forms: Mapping[str, str] = field(default_factory=dict)
     refitted: bool = False
     finer: tuple[float, float] | None = None
+    to_the_end: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """As in diagnosis.json."""
@@ -185,6 +187,7 @@ class AsWritten:
             "forms": dict(self.forms),
             "refitted": self.refitted,
             "finer": None if self.finer is None else {"timestep": self.finer[0], "error": round(self.finer[1], 4)},
+            "fitted_to_the_end": self.to_the_end,
         }
 
 

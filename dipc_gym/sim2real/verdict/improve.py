@@ -51,7 +51,7 @@ def improved_model(
     integrator = Document(source).get_option("integrator")
     option, said = written(given.model.opt.timestep, integrator, partition, test, fits, last)
     structure, z = option.structure, option.z
-    if option.to_the_end:
+    if said.to_the_end:
         final = last
     document, forms = structure.write(z), dict(option.forms)
     lines = []
@@ -71,7 +71,7 @@ def improved_model(
         lines.append("Refitted: " + ", ".join(key if far else f"{key} (hardly)" for key, far in moved.items()) + ".")
     lines += _at_rest(Document(source), document)
     lines.append(sentences.as_written(said, errors))
-    if option.to_the_end:
+    if said.to_the_end:
         lines.append("That was before its parameters were fitted once more, to all of the recordings.")
     if option.refitted:
         lines.append(

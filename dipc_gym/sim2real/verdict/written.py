@@ -38,14 +38,12 @@ class Option:
         error: on validation data at the file's own step, in units of noise.
         refitted: whether the parameters make up for the step.
         forms: elements in words, by key of each effect that is in another form than it was fitted in.
-        to_the_end: whether its laws were fitted to the ends of the recordings, after these had judged it.
     """
 
     structure: Structure
     z: Array
     error: float
     refitted: bool = False
-    to_the_end: bool = False
     forms: tuple[tuple[str, str], ...] = ()
 
 
@@ -157,7 +155,7 @@ def written(
     )
     further = None if last is final else _to_the_end(taken, last)
     if further is not None and held_out.error(further.structure, further.z) <= VERDICT.worse * errors[-1]:
-        taken = further
+        return further, replace(said, to_the_end=True)
     return taken, said
 
 
@@ -170,7 +168,7 @@ def _to_the_end(option: Option, last: Fit) -> Option | None:
         return None
     terms = tuple(own[term.key] if term.effect.free else term for term in option.structure.terms)
     structure = replace(last.structure, terms=terms)
-    return replace(option, structure=structure, z=carry(last.structure, last.z, structure), to_the_end=True)
+    return replace(option, structure=structure, z=carry(last.structure, last.z, structure))
 
 
 def _with_one_less(found: Fit, problem: Problem, which: NDArray[np.intp], validation: Predictor) -> list[Option]:
