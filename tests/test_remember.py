@@ -227,13 +227,31 @@ def test_a_law_of_the_past_is_told_by_how_recordings_begin() -> None:
     partition = baseline(case).partition
     plain = case.prepared.structure
     past = plain.with_term(Term(law, "cart", law.guess))
-    whole, more = (partition.whole(structure).problem for structure in (plain, past))
+    whole, more = (partition.whole(fit(partition.problem, structure, most=0)).problem for structure in (plain, past))
     assert len(more.windows) == len(whole.windows) + 1
     begin = past.first.copy()
     begin[0] = past.slots[0].mapped(-16.0)
     far, near = (past.slots[0].value(fit(problem, past, begin).z[0]) + 20.0 for problem in (whole, more))
     assert abs(near) < 0.2
     assert abs(near) < 0.2 * abs(far)
+
+
+def test_what_only_beginnings_show_is_found_or_told() -> None:
+    """Drag that is gone once the cart moves: all later windows are at the noise."""
+    law = thinning((-30.0 * np.exp(-(np.linspace(0.0, 0.8, 25) ** 2) / 0.03)).tolist())
+    document = Document(mjcf.from_text(CART))
+    law.edit(document, "cart", law.guess)
+    rig = physics.load(document.text())
+    runs = [record(rig, sweep(strength), 9.0, noise=(5e-5,)) for strength in (5.0, 7.0)]
+    few = [catalogue()[name] for name in ("friction.coulomb", "residual.force:recent")]
+    with_law, without = (diagnose(mjcf.from_text(CART), runs, effects=asked, threads=1) for asked in (few, few[:1]))
+    assert with_law.verdict == "modelled"
+    (found,) = with_law.missing
+    assert "how large that was in the last 0.5 s" in found.sentence
+    assert found.law["table"]["levels"][0][1] / found.law["table"]["inputs"][1]["knots"][1] == pytest.approx(-30, abs=3)
+    assert without.verdict == "consistent", without.sentence
+    assert any(note.startswith("The first moments of recordings") for note in without.notes)
+    assert not any(note.startswith("The first moments of recordings") for note in with_law.notes)
 
 
 def test_a_memory_of_somebodys_own_may_do_anything(monkeypatch: pytest.MonkeyPatch) -> None:

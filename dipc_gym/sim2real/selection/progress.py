@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.steps import controlled
-from dipc_gym.sim2real.model.structure import Structure
-from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection import beginnings, ranking
 from dipc_gym.sim2real.selection.screen import Tried
 
 Array = NDArray[np.float64]
@@ -73,10 +72,10 @@ class Partition:
         windows = self.aside.windows
         return np.asarray(windows.start < self.borders[windows.source])
 
-    def whole(self, structure: Structure) -> Partition:
-        """All windows that a structure may be fitted to; those compared on, and those that validate, among them."""
+    def whole(self, fitted: Fit) -> Partition:
+        """All windows that a model may be fitted to; those compared on, and those that validate, among them."""
         problem = self.problem.join(self.comparison).join(self.aside)
-        if any(term.effect.of_the_past for term in structure.terms) and not structure.warm:
+        if beginnings.have_a_law(fitted) and beginnings.foretold(fitted):
             problem = problem.join(self.first)
         return replace(self, problem=problem)
 
@@ -141,6 +140,12 @@ class Progress:
         spare, aside = self.partition.spare, self.partition.aside
         left = replace(self, partition=replace(self.partition, aside=aside.pick(~spare)))
         return left.taking_in(aside.pick(spare))
+
+    def with_first(self) -> Progress:
+        """With the windows at the beginnings of recordings to fit."""
+        first = self.partition.first
+        none = first.pick(np.zeros(0, dtype=np.intp))
+        return replace(self, partition=replace(self.partition, first=none)).taking_in(first)
 
     def keeping(self, keep: NDArray[np.bool_]) -> Progress:
         """With some of the windows only, of the fitted and then of the comparison windows."""

@@ -20,7 +20,7 @@ from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure, names
-from dipc_gym.sim2real.selection import beside, choice, kinds, rounds
+from dipc_gym.sim2real.selection import beginnings, beside, choice, kinds, rounds
 from dipc_gym.sim2real.selection.events import attend
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
@@ -85,7 +85,7 @@ class Searched:
 
         Tables go as far as these windows do, and no further than they tell.
         """
-        return self._as_far_as(self.partition.whole(fitted.structure), fitted)
+        return self._as_far_as(self.partition.whole(fitted), fitted)
 
     def to_the_end(self, fitted: Fit, end: Problem) -> tuple[Searched, Fit]:
         """The same with the windows at the ends of recordings, which nothing was fitted to before.
@@ -158,7 +158,23 @@ class Search:
         self.journal.tell(line)
 
     def run(self, most: int = SEARCH.most_effects) -> Fit:
-        """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle."""
+        """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle.
+
+        At last what the beginnings of recordings alone show.
+        """
+        found = self._run(most)
+        past = [effect for effect in self.question.effects if effect.of_the_past]
+        if not past or self.stop.asked or not beginnings.stand_out(self.partition.first, found):
+            return found
+        self.tell("little is left but how recordings begin; asking for what goes with the past")
+        scorer, journal = replace(self.scorer, small=False), Journal(self.progress.with_first(), self.tell)
+        search = Search(replace(self.question, effects=past), scorer, journal, self.stop, Phase.NO_KIND)
+        if beginnings.have_a_law(search._add(1)):
+            self._go_on(search.progress)
+        return self.progress.current
+
+    def _run(self, most: int) -> Fit:
+        """What all but the beginnings of recordings show."""
         found = self._add(most)
         if self._done(found) or self.scorer.small or not any(effect.free for effect in self.question.effects):
             return found

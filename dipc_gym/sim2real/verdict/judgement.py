@@ -21,7 +21,7 @@ from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.estimation.steps import controlled
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.result import Beyond, Details, Diagnosis, Errors, Located, Missing, SensorFit
-from dipc_gym.sim2real.selection import beside
+from dipc_gym.sim2real.selection import beginnings, beside
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.data import sampled_slowly
@@ -290,6 +290,9 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
     later: float | None = None
     if of_time and last.reaches_the_end:
         later = late("What is left later", lambda: judge.error_on(last.problem, final), lambda: None)
+    first = search.partition.first
+    if late("How recordings begin", lambda: beginnings.stand_out(first, final), lambda: False):
+        notes.append(sentences.begins_otherwise(judge.error_on(first, final)))
     force = late(
         "The error of forces", lambda: _force_errors(three, case.prepared.structure.base, test), dict[str, Errors]
     )

@@ -138,6 +138,19 @@ def _shown(value: float, unit: str, *, bare: bool = False) -> str:
     return f"{number:.3g}" if bare else f"{number:.3g} {name}".strip()
 
 
+def begins_otherwise(error: float) -> str:
+    """Note on the first moments of recordings that begin at rest, which no fit has touched.
+
+    Args:
+        error: there, in units of noise.
+    """
+    return (
+        f"The first moments of recordings that begin at rest are predicted to {error:.3g} times the noise only. No "
+        "verdict goes by them: commands from before a file begins may act there. If there were none, something that "
+        "goes with what was of late is missing; begin a recording with a second at rest to tell."
+    )
+
+
 def goes_beyond(outside: Beyond, *, fitted: bool) -> str:
     """Note on held-out windows that go beyond what laws were fitted with.
 
