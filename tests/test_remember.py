@@ -242,7 +242,7 @@ def test_what_only_beginnings_show_is_found_or_told() -> None:
     document = Document(mjcf.from_text(CART))
     law.edit(document, "cart", law.guess)
     rig = physics.load(document.text())
-    runs = [record(rig, sweep(strength), 9.0, noise=(5e-5,)) for strength in (5.0, 7.0)]
+    runs = [record(rig, sweep(strength), 12.0, noise=(5e-5,)) for strength in (5.0, 7.0)]
     few = [catalogue()[name] for name in ("friction.coulomb", "residual.force:recent")]
     with_law, without = (diagnose(mjcf.from_text(CART), runs, effects=asked, threads=1) for asked in (few, few[:1]))
     assert with_law.verdict == "modelled"
