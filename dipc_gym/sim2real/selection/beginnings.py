@@ -1,4 +1,4 @@
-"""How recordings begin, from rest: what goes with the past may show there alone, while a rig warms to its motion."""
+"""How recordings begin, from rest: what goes with the past may show there alone."""
 
 from __future__ import annotations
 
