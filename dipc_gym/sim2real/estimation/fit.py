@@ -75,6 +75,12 @@ class Fit:
         return float(np.sqrt(np.mean(self.mse)))
 
     @property
+    def curvature(self) -> Array:
+        """What data and priors say of the parameters together, (p, p); see `Prior.in_covariance`."""
+        weight = weights(self.mse)
+        return self.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, self.quadratics.A), weight)
+
+    @property
     def whole(self) -> bool:
         """Whether it still has its residuals; see `result`."""
         return self.raw.shape[1] > 0

@@ -22,8 +22,9 @@ def have_a_law(fitted: Fit) -> bool:
     return any(term.effect.of_the_past for term in fitted.structure.terms)
 
 
-def stand_out(first: Problem, fitted: Fit) -> bool:
-    """Whether little is left but how recordings begin, and no law of the past is there yet.
+def left(first: Problem, fitted: Fit) -> float | None:
+    """The error where recordings begin, in units of noise, if little is left but that, and no law of the past is there
+    yet; None otherwise.
 
     Args:
         first: windows at the beginnings of recordings that begin at rest.
@@ -31,6 +32,6 @@ def stand_out(first: Problem, fitted: Fit) -> bool:
     """
     known = common_error(fitted.mse) < SEARCH.in_reach and foretold(fitted)
     if not known or have_a_law(fitted) or not len(first.windows):
-        return False
+        return None
     mse, _ = evaluate(first, fitted.structure, fitted.z)
-    return bool(mse.max() > ESTIMATION.far_out * typical(fitted.mse))
+    return float(np.sqrt(np.mean(mse))) if mse.max() > ESTIMATION.far_out * typical(fitted.mse) else None

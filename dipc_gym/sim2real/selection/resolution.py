@@ -13,7 +13,7 @@ from dipc_gym.sim2real.effects.base import Effect, Values
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
-from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
+from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.fitter import Fitter
@@ -151,9 +151,7 @@ def _covariance(fitted: Fit, own: Sequence[int]) -> Array:
 
     Where masses and gears scale with a law, its size is known as badly as they are, but not where it bends.
     """
-    weight = weights(fitted.mse)
-    curvature = fitted.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, fitted.quadratics.A), weight)
-    return np.asarray(np.linalg.pinv(curvature[np.ix_(own, own)], hermitian=True))
+    return np.asarray(np.linalg.pinv(fitted.curvature[np.ix_(own, own)], hermitian=True))
 
 
 def _better(fitter: Fitter, finer: Fit, current: Fit) -> bool:

@@ -164,7 +164,7 @@ class Search:
         """
         found = self._run(most)
         past = [effect for effect in self.question.effects if effect.of_the_past]
-        if not past or self.stop.asked or not beginnings.stand_out(self.partition.first, found):
+        if not past or self.stop.asked or beginnings.left(self.partition.first, found) is None:
             return found
         self.tell("little is left but how recordings begin; asking for what goes with the past")
         scorer, journal = replace(self.scorer, small=False), Journal(self.progress.with_first(), self.tell)

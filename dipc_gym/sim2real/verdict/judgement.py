@@ -198,7 +198,8 @@ def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, lat
 
 def _plainly(found: Conclusion, search: Searched, late: Guarded) -> Conclusion:
     """With formulas in the place of tables where they predict as well."""
-    return late("Formulas of laws", lambda: in_closed_form(found, search.partition.problem), lambda: found)
+    tables = replace(found, formulas={})  # those of a fit before say nothing of this one
+    return late("Formulas of laws", lambda: in_closed_form(tables, search.partition.problem), lambda: tables)
 
 
 def _to_the_end(search: Searched, judged: Fit, end: Problem) -> tuple[Searched, Fit]:
@@ -290,9 +291,9 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
     later: float | None = None
     if of_time and last.reaches_the_end:
         later = late("What is left later", lambda: judge.error_on(last.problem, final), lambda: None)
-    first = search.partition.first
-    if late("How recordings begin", lambda: beginnings.stand_out(first, final), lambda: False):
-        notes.append(sentences.begins_otherwise(judge.error_on(first, final)))
+    begin = late("How recordings begin", lambda: beginnings.left(search.partition.first, final), lambda: None)
+    if begin is not None:
+        notes.append(sentences.begins_otherwise(begin))
     force = late(
         "The error of forces", lambda: _force_errors(three, case.prepared.structure.base, test), dict[str, Errors]
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.law import Law
-from dipc_gym.sim2real.estimation.fit import Fit, fit, weights
+from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.settings import SCORE
@@ -42,10 +42,8 @@ def _plainest(fitted: Fit, problem: Problem, effect: Law, key: str) -> tuple[For
     slots = fitted.structure.slots
     values_of = {f"{key}.{p.name}" for p in effect.parameters[: len(effect.knots)]}
     own = [i for i, slot in enumerate(slots) if slot.key in values_of]
-    weight = weights(fitted.mse)
-    curvature = fitted.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, fitted.quadratics.A), weight)
     scale = np.array([slots[i].scale / effect.most for i in own])
-    covariance = np.linalg.pinv(curvature, hermitian=True)[np.ix_(own, own)] * np.outer(scale, scale)
+    covariance = np.linalg.pinv(fitted.curvature, hermitian=True)[np.ix_(own, own)] * np.outer(scale, scale)
     places, values = effect.places, np.array([slots[i].value(fitted.z[i]) / effect.most for i in own])
     for formula in formulas(places, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows)):
         z = fitted.z.copy()
