@@ -26,14 +26,15 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import entries
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
+from dipc_gym.sim2real.estimation import slopes
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
+from dipc_gym.sim2real.estimation.slopes import Slopes
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation import batch
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
 from dipc_gym.sim2real.simulation.compiled import compiled
 from dipc_gym.sim2real.simulation.motion import Motion
-from dipc_gym.sim2real.simulation.slopes import Slopes
 from dipc_gym.sim2real.simulation.windows import cut
 
 Array = np.ndarray
@@ -323,15 +324,18 @@ def test_slopes_of_a_table_stay_whatever_masses_do(moved: list[float]) -> None:
         change[2, 2], change[3, 2:4], change[4, 3:] = 2.0, (-1.0, 1.0), 1.0
         return change
 
-    begin, tables = np.ones(5), np.array([-1, -1, 2, 2, 2])
-    known = Slopes(None, begin, parameters_at(begin), slopes_at(begin), np.full(5, 1e-3), tables)  # type: ignore[arg-type]
+    begin, tables, alike = np.ones(5), np.array([-1, -1, 2, 2, 2]), np.ones(5, dtype=bool)
+    known = Slopes(None, begin, parameters_at(begin), slopes_at(begin), np.full(5, 1e-3), tables, alike)  # type: ignore[arg-type]
     there = begin + np.array(moved)
-    assert known.told(there, parameters_at(there)).tolist() == [False, False, True, True, True]
+    held, sure = known.told(there, parameters_at(there))
+    assert (held.tolist(), sure) == ([False, False, True, True, True], False)
     still = np.append(there[:4], begin[4])
-    assert known.told(still, parameters_at(still)).tolist() == [False, False, True, True, True]
-    assert known.told(begin, parameters_at(begin)).all()
+    assert known.told(still, parameters_at(still))[0].tolist() == [False, False, True, True, True]
+    held, sure = known.told(begin, parameters_at(begin))
+    assert sure
+    assert held.all()
     bent = parameters_at(there) + np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-    assert not known.told(there, bent).any()
+    assert known.told(there, bent)[0].tolist() == [False, False, True, False, False]
 
 
 def test_slopes_of_an_affine_map_cost_no_models(hanging: object, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -342,6 +346,40 @@ def test_slopes_of_an_affine_map_cost_no_models(hanging: object, monkeypatch: py
     for z in (structure.first, structure.first + 0.1):
         assert sensitivities(problem, structure, z, [z + 1e-6], problem.initial) is not None
     assert len(made) == 3
+
+
+@pytest.mark.parametrize("beside", [None, ("friction.resting", {"level": 1.0, "rise": 0.5, "time": 0.3, "slow": 0.01})])
+def test_slopes_of_a_table_cost_few_models(
+    hanging: object, monkeypatch: pytest.MonkeyPatch, beside: tuple[str, dict[str, float]] | None
+) -> None:
+    """A few models tell all of them, and where a bend turns, which another element of the program stands for, those of
+    the values beside it do; whatever remembers beside the table. They are those of each value alone.
+    """
+    problem, base, made = hanging.problem.pick(np.arange(2)), hanging.structure.with_term(ramps(40)), []
+    if beside is not None:
+        effect, guess = beside
+        base = base.with_term(Term(catalogue()[effect], "cart", guess))
+    whole = type(base).physics
+    monkeypatch.setattr(type(base), "physics", lambda self, z: made.append(z) or whole(self, z))
+    there = base.first + 0.01 * np.random.default_rng(1).normal(size=len(base.first))
+    there[7] += 3.0 * (1 if there[6] + there[8] > 2 * there[7] else -1)
+
+    def told(structure: object, z: Array) -> tuple[Array, Array, Array]:
+        made.clear()
+        found = sensitivities(problem, structure, z, list(z + 1e-6 * np.eye(len(z))), problem.initial)
+        assert found is not None
+        return found
+
+    structure = replace(base)
+    for z, most in ((base.first, 20), (there, 12)):
+        few = told(structure, z)
+        assert len(made) < most
+        with monkeypatch.context() as patched:
+            patched.setattr(slopes, "_MANY", len(z) + 1)
+            each = told(replace(base), z)  # what it worked out before is not kept
+            assert len(made) > len(z)
+        for ours, theirs in zip(few, each, strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-7 * np.abs(theirs).max())
 
 
 def test_sensitivities_of_a_random_tree() -> None:

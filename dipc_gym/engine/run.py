@@ -7,7 +7,7 @@ import functools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -77,11 +77,13 @@ class Directions:
     Attributes:
         parameters: change of the parameters, (d, k).
         initial: change of the initial states, (d, windows, nx).
-        commands: change of the commands, (d, samples, controls), or None.
+        commanding: which of them change commands, (m,).
+        commands: change of the commands in these, (m, samples, controls).
     """
 
     parameters: Array
     initial: Array
+    commanding: Whole = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     commands: Array | None = None
 
 
@@ -147,8 +149,11 @@ def _felt(program: Program, jobs: Jobs, directions: Directions, step: float, thr
     packs, k = -(-count // LANES), np.arange(count)
     factors = np.zeros((packs, count))
     factors[k // LANES, k] = np.random.default_rng(0).uniform(1.0, 2.0, count) * (1 - 2 * (k % 2))
-    moved = None if directions.commands is None else np.tensordot(factors, directions.commands, 1)
-    sums = Directions(factors @ directions.parameters, np.tensordot(factors, directions.initial, 1), moved)
+    sums = Directions(factors @ directions.parameters, np.tensordot(factors, directions.initial, 1))
+    if directions.commands is not None:
+        moving = np.unique(directions.commanding // LANES)
+        shares = factors[np.ix_(moving, directions.commanding)]
+        sums = replace(sums, commanding=moving, commands=np.tensordot(shares, directions.commands, 1))
     all_of = np.ones((-(-packs // LANES), jobs.initial.shape[1]), dtype=bool)
     _, readings, _, ends = _along(program, jobs, sums, all_of, step, threads)
     size = np.maximum(np.abs(readings).max(axis=(2, 3), initial=0.0), np.abs(ends).max(axis=2, initial=0.0))
@@ -167,21 +172,29 @@ def _along(
     pack, window = np.nonzero(felt)
     rows = _rows(jobs, window)
     rows[:, Row.DIRECTIONS] = pack
-    commands, moved = jobs.commands.values[jobs.which[0]][None], None
-    if directions.commands is not None:
-        rows[:, Row.COMMANDS] += pack * len(jobs.commands.stamps)
-        commands, moved = np.repeat(commands, packs, axis=0), _packed(directions.commands, packs)
+    commands = jobs.commands.values[jobs.which[0]][None]
+    if directions.commands is None:
+        moved = _still(commands.shape)
+    else:  # a set for each pack that changes commands, after one for all others
+        packed, lane = np.divmod(directions.commanding, LANES)
+        moving, which = np.unique(packed, return_inverse=True)
+        commands = np.repeat(commands, 1 + len(moving), axis=0)
+        moved = np.zeros((*commands.shape, LANES))
+        moved[1 + which, :, :, lane] = directions.commands
+        sets = np.zeros(packs, dtype=np.int64)
+        sets[moving] = 1 + np.arange(len(moving))
+        rows[:, Row.COMMANDS] += sets[pack] * len(jobs.commands.stamps)
     out = np.empty((len(rows), *jobs.times.shape[1:]))
     ends = np.empty((len(rows), nx))
     tangents = {
         At.PARAMETER_TANGENTS: _packed(directions.parameters, packs),
         At.INITIAL_TANGENTS: _packed(directions.initial, packs)[pack, window],
-        At.COMMAND_TANGENTS: _still(commands.shape) if moved is None else moved,
+        At.COMMAND_TANGENTS: moved,
         At.READING_TANGENTS: np.zeros((*out.shape, LANES)),
         At.END_TANGENTS: np.zeros((*ends.shape, LANES)),
     }
-    packed = replace(jobs, commands=Commands(jobs.commands.stamps, commands))
-    _call(program, packed, rows, jobs.initial[0, window], step, threads, out, ends, tangents)
+    sent = replace(jobs, commands=Commands(jobs.commands.stamps, commands))
+    _call(program, sent, rows, jobs.initial[0, window], step, threads, out, ends, tangents)
     found = list[Array]()
     for values, at in ((out, At.READING_TANGENTS), (ends, At.END_TANGENTS)):
         whole, changes = np.empty((windows, *values.shape[1:])), np.zeros((packs, LANES, windows, *values.shape[1:]))

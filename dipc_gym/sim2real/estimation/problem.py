@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.engine import Uncovered
-from dipc_gym.engine.program import parameters_of
+from dipc_gym.engine.program import parameters_of, read
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
+from dipc_gym.sim2real.estimation.slopes import Near, Slopes, begins_alike, maps_of, with_maps
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.side_by_side import cores
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
 from dipc_gym.sim2real.simulation.compiled import Compiled, changes, compiled, derivatives
 from dipc_gym.sim2real.simulation.motion import initial_states
-from dipc_gym.sim2real.simulation.slopes import Slopes, begins_alike, maps_of, with_maps
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -153,10 +153,10 @@ def sensitivities(
         for which, part, halved in problem.by_step():
             windows = part.windows
             step = grid_step(windows, _stepping(replace(problem.stepping, integrator=_RK4), structure, halved))
-            of, change = _with_changes(structure, z, probes, steps, windows, step)
+            of, change, apart = _with_changes(structure, z, probes, steps, windows, step)
             begin = initial_states(windows.motions, windows.source, windows.start - warm) if warm else None
             here = initial if part is problem else initial[which]
-            found.append(derivatives(of, change, steps, here, warm, begin, cores(problem.threads)))
+            found.append(derivatives(of, change, steps, apart, here, warm, begin, cores(problem.threads)))
     except Uncovered:
         return None
     readings, *changes = zip(*found, strict=True)
@@ -176,38 +176,52 @@ def _in_order(problem: Problem, parts: Sequence[Array]) -> Array:
 
 def _with_changes(
     structure: Structure, z: Array, probes: Sequence[Array], steps: Array, windows: Windows, step: float
-) -> tuple[Compiled, Array]:
-    """What the engine simulates at z and at the probes, and how its parameters change with z, (p, k); at z alone where
-    that is known.
+) -> tuple[Compiled, Array, NDArray[np.intp]]:
+    """What the engine simulates at z, and at probes that change more than its parameters; how these change with z, (p,
+    k); and the variant of each probe, 0 for those left out, (p,).
     """
-    here, values = structure.physics(z), structure.all_values(z)
-    known, maps = structure.worked_out.get(Slopes), maps_of(here)
+    here, values, count = structure.physics(z), structure.all_values(z), len(probes)
+    maps = maps_of(here)
     apart = [structure.all_values(probe) - values for probe in probes]
     by_step = np.array([moved[i] / steps[i] for i, moved in enumerate(apart)])
-    held, by_value = np.zeros(len(probes), dtype=bool), None
-    if isinstance(known, Slopes) and len(probes):
-        parameters = parameters_of(known.program, here)
-        if parameters is not None:
-            held, by_value = known.told(values, np.append(parameters, maps)), known.by_value
+    alone = count > 0 and all(np.count_nonzero(moved) == 1 and moved[i] for i, moved in enumerate(apart))
+    known, held = _known(structure, here, z, steps) if alone else (None, np.zeros(count, dtype=bool))
     asked = np.flatnonzero(~held)
     variants = (here, *(structure.physics(probes[int(i)]) for i in asked))
     of = compiled(variants, windows, structure.base, step)
     of_maps = np.array([maps_of(variant) - maps for variant in variants[1:]]).reshape(len(asked), len(maps))
     change = np.append(changes(of, steps[asked]), of_maps / steps[asked, None], axis=1)
-    if by_value is not None:
-        found, change = change / by_step[asked, None], by_step[:, None] * by_value
-        change[asked] = by_step[asked, None] * found
-    alone = all(np.count_nonzero(moved) == 1 and moved[i] for i, moved in enumerate(apart))
-    if len(asked) and alone and begins_alike(here):
-        there, beside = np.append(of.parameters[0], maps), by_step * steps
+    if known is not None:
+        found, change = change, by_step[:, None] * known.by_value
+        change[asked] = found
+    if alone and (len(asked) or known is not structure.worked_out.get(Slopes)):
+        there, alike = np.append(of.parameters[0], maps), known.alike if known else begins_alike(structure, here)
         structure.worked_out[Slopes] = Slopes(
-            of.program, values, there, change / by_step[:, None], beside, structure.tables
+            of.program, values, there, change / by_step[:, None], by_step * steps, structure.tables, alike
         )
-    if len(asked) < len(probes):
-        moved_maps = change[:, of.parameters.shape[1] :] * steps[:, None] if len(maps) else ()
-        variants = (here, *(with_maps(here, maps + moved) for moved in moved_maps))
-        of = replace(of, variants=variants, parameters=of.parameters[:1])
-    return of, change[:, : of.parameters.shape[1]]
+    own = of.parameters.shape[1]
+    mapped = np.flatnonzero(held & change[:, own:].any(axis=1))
+    which = np.zeros(count, dtype=np.intp)
+    which[asked], which[mapped] = 1 + np.arange(len(asked)), 1 + len(asked) + np.arange(len(mapped))
+    others = [with_maps(here, maps + change[i, own:] * steps[i]) for i in mapped]
+    beside = np.repeat(of.parameters[:1], len(mapped), axis=0)
+    of = replace(of, variants=(*variants, *others), parameters=np.append(of.parameters, beside, axis=0))
+    return of, change[:, :own], which
+
+
+def _known(structure: Structure, here: Physics, z: Array, steps: Array) -> tuple[Slopes | None, NDArray[np.bool_]]:
+    """Slopes that were found before, or that tables tell at once; and which of them hold at z, (p,)."""
+    known, maps = structure.worked_out.get(Slopes), maps_of(here)
+    if isinstance(known, Slopes):
+        parameters = parameters_of(known.program, here)
+        if parameters is None:
+            return None, np.zeros(len(z), dtype=bool)
+        near = Near(structure, known.program, z, steps, np.append(parameters, maps))
+        held, sure = known.told(structure.all_values(z), near.parameters)
+        return known, held & (sure or near.confirms(known, held))
+    what, (parameters, *_) = read([here])
+    near = Near(structure, what, z, steps, np.append(parameters, maps))
+    return near.in_groups(begins_alike(structure, here))
 
 
 def normalised_residual(problem: Problem, readings: Array) -> Array:

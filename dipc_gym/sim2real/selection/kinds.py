@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from dipc_gym.sim2real.effects.base import Effect, joint_at, joint_of
@@ -45,7 +45,7 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
         with fitter.sketched([(current, structure) for structure in structures]) as sketch_of:
             for k, shapes in enumerate(asked):
                 sketch = sketch_of(k)
-                if sketch is None or (fitter.behind(sketch, current) and not _may_be_finer(sketch, begin)):
+                if sketch is None or (fitter.behind(sketch, current) and not _may_be_finer(sketch, shapes, begin)):
                     continue
                 fitted = fitter.full(current, sketch)
                 for shaped in shapes:
@@ -57,9 +57,9 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     return current
 
 
-def _may_be_finer(sketch: Fit, begin: Fit) -> bool:
-    """Whether a sketch leaves so little of the mismatch that its law, begun as forces tell it, may lack knots alone."""
-    free = any(term.effect.free for term in sketch.structure.terms)
+def _may_be_finer(sketch: Fit, shapes: Sequence[Term], begin: Fit) -> bool:
+    """Whether a sketch leaves so little of the mismatch that its laws, begun as forces tell, may lack knots alone."""
+    free = any(shaped.effect.free for shaped in shapes)
     return free and sketch.error < max(SEARCH.in_reach, SEARCH.earns * begin.error)
 
 

@@ -297,6 +297,7 @@ def derivatives(
     of: Compiled,
     change: Array,
     steps: Array,
+    apart: NDArray[np.intp],
     initial: Array,
     warm: float,
     warm_initial: Array | None,
@@ -305,10 +306,11 @@ def derivatives(
     """Readings of the first variant and how they change with parameters and initial states.
 
     Args:
-        of: the variant itself, and for each parameter one in which it is a little larger; these may be left out where
-            parameters change the program's alone.
+        of: the variant itself, and those in which a parameter is a little larger that changes more than the program's
+            parameters: commands, readings, or where simulations begin.
         change: of the program's parameters with each parameter, (p, k).
         steps: by how much parameters are larger in the other variants, (p,).
+        apart: variant of each parameter, 0 where it has none, (p,).
         initial: positions and velocities of the base joints, (windows, 2 nb).
         warm: s simulated before each window.
         warm_initial: as `initial`, `warm` seconds before.
@@ -326,51 +328,50 @@ def derivatives(
     if links[..., :GEOMETRY].any():
         raise Uncovered("derivatives by the geometry of joints")
     commands = of.commands(warm)
-    moved = None
-    if len(commands.values) > 1:
-        moved = np.zeros((count + nb2, *commands.values.shape[1:]))
-        moved[:count] = (commands.values[1:] - commands.values[0]) / steps[:, None, None]
-    one = replace(of, variants=of.variants[:1], parameters=of.parameters[:1])
-    commands = Commands(commands.stamps, commands.values[:1])
+    beside = np.flatnonzero(apart)
     along = np.zeros((count + nb2, of.parameters.shape[1]))
     along[:count] = change
+    along_commands = Directions(along, np.zeros(0))
+    if len(commands.values) > 1:
+        moved = (commands.values[apart[beside]] - commands.values[0]) / steps[beside, None, None]
+        along_commands = replace(along_commands, commanding=beside, commands=moved)
+    one = replace(of, variants=of.variants[:1], parameters=of.parameters[:1])
+    commands = Commands(commands.stamps, commands.values[:1])
     unit = np.zeros((count + nb2, *initial.shape))
     unit[count:] = np.eye(nb2)[:, None, :]
+
+    def begin_changes(begun: Array) -> Array:
+        """Change of the states that simulations begin at in every direction, from those of all variants."""
+        out = np.zeros((count + nb2, *begun.shape[1:]))
+        out[beside] = (begun[apart[beside]] - begun[0]) / steps[beside, None, None]
+        return out
+
     if warm > 0:
         assert warm_initial is not None
         far = np.broadcast_to(warm_initial, initial.shape)
         begun = of.begun(-warm, np.broadcast_to(far, (len(of.variants), *initial.shape)))
-        begin = _begin_changes(begun, steps)
         nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
         jobs = one.jobs(-warm, np.full(len(of.windows), warm), nothing, begun[:1], commands)
-        directions = Directions(change, begin, None if moved is None else moved[:count])
-        _, _, ends, changes = differentiate(of.program, jobs, directions, of.step, threads=threads)
+        before = replace(along_commands, parameters=change, initial=begin_changes(begun)[:count])
+        _, _, ends, changes = differentiate(of.program, jobs, before, of.step, threads=threads)
         whole = np.concatenate([changes, np.zeros((nb2, *changes.shape[1:]))])
         states, tangents = of.put_back(ends, initial), of.put_back(whole, unit)
     else:
         begun = of.begun(0.0, np.broadcast_to(initial, (len(of.variants), *initial.shape)))
-        states = begun[0]
-        tangents = np.concatenate([_begin_changes(begun, steps), np.zeros((nb2, *begun.shape[1:]))])
+        states, tangents = begun[0], begin_changes(begun)
         tangents[count:] = of.put_back(tangents[count:], unit[count:])
     times, length = of.sampled()
     jobs = one.jobs(0.0, length, times, states[None], commands)
     readings, changes, _, _ = differentiate(
-        of.program, jobs, Directions(along, tangents, moved), of.step, threads=threads
+        of.program, jobs, replace(along_commands, initial=tangents), of.step, threads=threads
     )
     said = of.sensed(readings, of.variants[0])
     if of.variants[0].stage("sensor"):
         # A map of one reading: its slope, and what the parameters change in it.
-        ahead, behind = (of.sensed(readings + move, of.variants[0]) for move in (BESIDE, -BESIDE))
-        slope = ((ahead - behind) / (2 * BESIDE))[None]
+        higher, lower = (of.sensed(readings + move, of.variants[0]) for move in (BESIDE, -BESIDE))
+        slope = ((higher - lower) / (2 * BESIDE))[None]
         changes = slope * changes
-        for k in range(count):
-            changes[k] += (of.sensed(readings, of.variants[k + 1]) - said) / steps[k]
+        for k in beside.tolist():
+            changes[k] += (of.sensed(readings, of.variants[apart[k]]) - said) / steps[k]
     said, changes = np.swapaxes(said, 1, 2), np.swapaxes(changes, 2, 3)
     return np.ascontiguousarray(said), changes[:count], changes[count:]
-
-
-def _begin_changes(begun: Array, steps: Array) -> Array:
-    """Change (p, windows, nx) of the states that simulations begin at, from those of all variants (1 + p or 1, ...)."""
-    if len(begun) == 1:
-        return np.zeros((len(steps), *begun.shape[1:]))
-    return np.asarray((begun[1:] - begun[0]) / steps[:, None, None])
