@@ -220,8 +220,7 @@ def _known(structure: Structure, here: Physics, z: Array, steps: Array) -> tuple
         held, sure = known.told(structure.all_values(z), near.parameters)
         return known, held & (sure or near.confirms(known, held))
     what, (parameters, *_) = read([here])
-    near = Near(structure, what, z, steps, np.append(parameters, maps))
-    return near.in_groups(begins_alike(structure, here))
+    return Near(structure, what, z, steps, np.append(parameters, maps)).in_groups(here)
 
 
 def normalised_residual(problem: Problem, readings: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.engine import program
-from dipc_gym.physics import Extra, Physics
+from dipc_gym.physics import Extra, Physics, from_model
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.simulation.heat import heating_motors
 from dipc_gym.sim2real.unseen.parts import loads, yielding
@@ -120,7 +120,7 @@ class Near:
         moved = self.moved(np.where(held, _sizes(len(held)) * (1 - 2 * (np.arange(len(held)) % 2)), 0.0))
         return moved is not None and slopes.hold(moved[0], self.parameters, moved[1])
 
-    def in_groups(self, alike: NDArray[np.bool_]) -> tuple[Slopes | None, NDArray[np.bool_]]:
+    def in_groups(self, here: Physics) -> tuple[Slopes | None, NDArray[np.bool_]]:
         """Slopes by values of tables, a few models for dozens of them, and which these are, (p,); None where they are
         few, or bend at these values.
 
@@ -128,9 +128,13 @@ class Near:
         once, twice and by other sizes: by which share of itself a parameter moves less tells whose it is.
 
         Args:
-            alike: which values simulations begin at the same states with, (p,).
+            here: the model.
         """
-        told, nothing = alike & (self.structure.tables >= 0), (None, np.zeros(len(alike), dtype=bool))
+        told, nothing = self.structure.tables >= 0, (None, np.zeros(len(self.z), dtype=bool))
+        if np.count_nonzero(told) < _MANY:
+            return nothing
+        alike = begins_alike(self.structure, here)
+        told &= alike
         asked = np.flatnonzero(told)
         if len(asked) < _MANY:
             return nothing
@@ -167,10 +171,10 @@ def begins_alike(structure: Structure, here: Physics) -> NDArray[np.bool_]:
     """
     if not _remembering(here):
         return np.ones(len(structure.slots), dtype=bool)
-    bare = replace(structure, model_parameters=(), terms=())
-    without, plain = _remembering(bare.physics(bare.first)), list[int]()
-    for k, term in enumerate(structure.terms):
-        alone = replace(structure, model_parameters=(), terms=(term,))
+    tables, plain = np.unique(structure.tables[structure.tables >= 0]).tolist(), list[int]()
+    without = _remembering(from_model(structure.model)) if tables else 0
+    for k in tables:
+        alone = replace(structure, model_parameters=(), terms=(structure.terms[k],))
         made = alone.physics(alone.first)
         if _remembering(made) == without and not made.stage("command"):
             plain.append(k)
