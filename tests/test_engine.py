@@ -375,7 +375,7 @@ def test_slopes_of_a_table_cost_few_models(
         few = told(structure, z)
         assert len(made) < most
         with monkeypatch.context() as patched:
-            patched.setattr(slopes, "_MANY", len(z) + 1)
+            patched.setattr(slopes, "ESTIMATION", replace(slopes.ESTIMATION, grouped=len(z) + 1))
             each = told(replace(base), z)  # what it worked out before is not kept
             assert len(made) > len(z)
         for ours, theirs in zip(few, each, strict=True):

@@ -56,6 +56,13 @@ class EstimationSettings:
             much as the others
         touch: finite difference of a mapped parameter where only the model's parameters are differenced, and the engine
             knows the rest: small, for nothing has a kink there
+        foretold: share of what values moved a parameter of the program by, to which slopes must foretell it: an affine
+            map is known to the rounding of small differences
+        rounding: share of itself, to which a parameter of the program is known: a few of the last bit
+        moved: share of itself, from which a value has moved: beyond what rounding does
+        groups: of the values of tables whose slopes are found at once: a knot moves the bends at itself and at both its
+            neighbours, and no further
+        grouped: values of tables from which groups are asked: nine models, and some that tell whether they may be
         probe: finite difference of a mapped parameter; smaller ones drown in the kinks of dry friction
         beside: of a reading, to where the slope of a sensor's scale is asked for
         least_slope: of a scale: one that stands still or runs backwards has no inverse, and is taken to run on slowly
@@ -96,6 +103,11 @@ class EstimationSettings:
     lag: float = 0.02
     far_out: float = 4.0
     touch: float = 1e-6
+    foretold: float = 1e-7
+    rounding: float = 4 * 2.0**-52
+    moved: float = 1e-12
+    groups: int = 4
+    grouped: int = 24
     probe: float = 0.02
     beside: float = 2.0**-20
     least_slope: float = 0.1

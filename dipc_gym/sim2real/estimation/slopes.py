@@ -16,17 +16,12 @@ from numpy.typing import NDArray
 
 from dipc_gym.engine import program
 from dipc_gym.physics import Extra, Physics, from_model
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.simulation.heat import heating_motors
 from dipc_gym.sim2real.unseen.parts import loads, yielding
 
 Array = NDArray[np.float64]
-
-_FORETOLD = 1e-7  # share of what the values moved a parameter by, to which an affine map foretells it
-_ROUNDING = 4 * np.finfo(float).eps  # share of itself, to which a parameter is known
-_MOVED = 1e-12  # share of itself from which a value has moved
-_GROUPS = 4  # of the values of tables: a knot moves the bends at itself and at both its neighbours
-_MANY = 24  # values from which groups cost fewer models than each value one
 
 
 @dataclass(frozen=True)
@@ -66,7 +61,7 @@ class Slopes:
         if not moved.any():
             return self.alike, True
         astray = self._astray(moved, parameters - self.parameters, parameters)
-        still = (np.abs(moved) <= _MOVED * np.abs(values)) & (self.tables < 0)
+        still = (np.abs(moved) <= ESTIMATION.moved * np.abs(values)) & (self.tables < 0)
         return self.alike & ~np.any(astray & (self.by_value != 0), axis=1), not (astray.any() or still.any())
 
     def hold(self, moved: Array, parameters: Array, change: Array) -> bool:
@@ -75,8 +70,8 @@ class Slopes:
 
     def _astray(self, moved: Array, change: Array, parameters: Array) -> NDArray[np.bool_]:
         """Which parameters changed by something else than slopes say, (k,)."""
-        rounding = _ROUNDING * (1 + np.sum(np.abs(moved / np.where(self.apart, self.apart, 1.0))))
-        allowed = _FORETOLD * np.abs(moved) @ np.abs(self.by_value) + rounding * np.abs(parameters)
+        rounding = ESTIMATION.rounding * (1 + np.sum(np.abs(moved / np.where(self.apart, self.apart, 1.0))))
+        allowed = ESTIMATION.foretold * np.abs(moved) @ np.abs(self.by_value) + rounding * np.abs(parameters)
         return np.asarray(np.abs(moved @ self.by_value - change) > allowed)
 
 
@@ -131,15 +126,15 @@ class Near:
             here: the model.
         """
         told, nothing = self.structure.tables >= 0, (None, np.zeros(len(self.z), dtype=bool))
-        if np.count_nonzero(told) < _MANY:
+        if np.count_nonzero(told) < ESTIMATION.grouped:
             return nothing
         alike = begins_alike(self.structure, here)
         told &= alike
         asked = np.flatnonzero(told)
-        if len(asked) < _MANY:
+        if len(asked) < ESTIMATION.grouped:
             return nothing
         by_value, apart = np.zeros((len(alike), len(self.parameters))), np.zeros(len(alike))
-        for group in (asked[first::_GROUPS] for first in range(_GROUPS)):
+        for group in (asked[first :: ESTIMATION.groups] for first in range(ESTIMATION.groups)):
             unit = np.isin(np.arange(len(alike)), group).astype(float)
             whole, part = self.moved(unit), self.moved(unit * _sizes(len(alike)))
             if whole is None or part is None:
