@@ -20,7 +20,7 @@ def held():
 if {asked}:
     give_back_freed()
 np.ones(4_000_000)  # 32 MB, mapped apart and gone
-filled = [np.ones(12_000) for _ in range(600)]  # takes up what imports left free in the heap: 0 to 30 MB of it by chance
+filled = [np.ones(12_000) for _ in range(600)]  # in what imports left free: up to 30 MB, by chance
 before, kept = held(), []
 for _ in range(20):
     large = [np.ones(625_000 + 1000 * k) for k in range(8)]  # 5 MB each, 40 MB together
