@@ -32,6 +32,8 @@ from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import Given, part
+from dipc_gym.sim2real.simulation.memory import memories
+from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.trials import generate
 from dipc_gym.trials.secret import Plan
 
@@ -187,6 +189,47 @@ def test_a_diagnosis_finds_it_and_the_file_holds_it(effect: str, tmp_path: Path)
     (extra,) = physics.load(found.improved).remembering
     assert extra.effect == effect
     assert found.to_dict()["needs_dipc_gym"]
+
+
+def test_a_rest_is_told_through_the_noise_of_a_reading() -> None:
+    """A velocity that was estimated at rest is never nothing; ten times that is a motion."""
+    rig = with_entry("friction.resting")
+    time = np.arange(0.0, 0.5, 2e-3)
+    noise = 10 * RESTS[3] * np.random.default_rng(2).uniform(-1, 1, len(time))
+    none = np.zeros((len(time), 1))
+    run = recording.Recording("run", time, none, none, ("motor",), ("cart",))
+    for velocity, age in ((noise, 0.3), (noise + np.where(time > 0.2, 100 * RESTS[3], 0.0), 0.0)):
+        (found,) = memories([rig], 0, ("cart",), run, Motion(time, none, velocity[:, None], none), np.array([0.3]))
+        assert found[0] == pytest.approx(age, abs=5e-3)
+
+
+def with_pauses(t: float) -> float:
+    """A sweep with three rests, each ended by a voltage that grows."""
+    for begin, end in ((5.0, 5.4), (8.0, 8.2), (10.1, 10.9)):
+        if begin <= t < end + 0.4:
+            return 6.0 * max(t - end, 0.0) / 0.4
+    return sweep(5.0)(t)
+
+
+def test_what_few_rests_show_is_found_and_what_none_shows_is_left_open() -> None:
+    """All other windows are at the noise with Coulomb friction, and a push would do in those few."""
+    few = [catalogue()[name] for name in ("friction.coulomb", "friction.stribeck", "friction.resting")]
+    few.append(catalogue()["disturbance.pulse"])
+    rests, none = (
+        diagnose(
+            mjcf.from_text(CART),
+            [record(with_entry("friction.resting"), command, 12.0, noise=(5e-5,), step=1e-4)],
+            effects=few,
+            threads=1,
+        )
+        for command in (with_pauses, sweep(5.0))
+    )
+    assert [missing.effect for missing in rests.missing] == ["friction.resting"]
+    assert rests.held_out is not None
+    assert rests.held_out.improved < 1.05
+    assert [missing.effect for missing in none.missing] == ["friction.coulomb"]
+    assert {"effect": "friction.resting", "at": "cart"} in none.missing[0].same_here
+    assert "record rests of" in none.next_experiment
 
 
 @pytest.mark.parametrize("name", ["velocity cart", "command motor"])

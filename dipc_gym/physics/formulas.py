@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SOONEST = 4e-3  # s, in which a memory may fade: usual steps follow that
+UNTOLD = 20.0  # times the speed up to which a joint rests: a velocity told from readings is no nearer to none
 
 
 @dataclass(frozen=True)
@@ -198,6 +199,11 @@ def resting(data: Array, now: Moment) -> Array:
     """How fast the time at rest grows: as fast as time, and back to none where the joint moves."""
     moves = np.minimum(np.maximum(np.abs(now.speed) / data[..., 3] - 1.0, 0.0), 1.0)
     return 1.0 - moves * (1.0 + now.memory / SOONEST)
+
+
+def told_rests(data: Array, speed: Array) -> Array:
+    """A speed as it was told from readings (n,), and none where it is as near to none as readings tell."""
+    return np.where(np.abs(speed) < UNTOLD * data[3], 0.0, speed)
 
 
 def force_of_recent(data: Array, now: Moment) -> Array:

@@ -204,11 +204,13 @@ class Effect(ABC):
         moves_readings: whether it changes what sensors say of a state, so that estimated initial states mean little.
         linear: parameters in proportion to which, taken together, its response grows from nothing.
         levels: parameters that are levels of dry friction.
+        valleys: parameters that a fit hardly moves from where it begins: each of their guesses is fitted.
         free: whether its law takes any shape, as a table; such effects are asked where no formula comes to the noise.
         once: whether it happened once, so that other recordings cannot confirm it.
         of_no_kind: whether it only models what nothing accounts for, as a law that predicts it: asked last, no name.
         of_the_clock: whether it depends on time and not on the state, so that no other recording shares it.
         of_the_past: whether it goes with what was of late, which is nothing where a recording begins at rest.
+        shown_by: what to record to tell it from what is the same model on what was recorded.
         element: of MJCF that it is written as, in words, where its effect has more than one form.
         leaves: share of a mismatch that it may leave and be named. Small for an effect that is told from others by when
             it acts alone: what it leaves may act then as well.
@@ -226,12 +228,16 @@ class Effect(ABC):
     moves_readings: ClassVar[bool] = False
     linear: tuple[str, ...] = ()
     levels: tuple[str, ...] = ()
+    valleys: ClassVar[tuple[str, ...]] = ()
     free: ClassVar[bool] = False
     once: ClassVar[bool] = False
     of_the_clock: ClassVar[bool] = False
     of_the_past: ClassVar[bool] = False
     of_no_kind: ClassVar[bool] = False
     leaves: ClassVar[float] = EFFECTS.leaves
+    shown_by: ClassVar[str] = (
+        "what moves one and not the other: other speeds, other positions, another load, or a second sensor"
+    )
     element: str = ""
 
     @property
@@ -250,6 +256,16 @@ class Effect(ABC):
     @abstractmethod
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """First guesses, small enough that the response is nearly linear; each is tried."""
+
+    def unseen(self, evidence: Evidence, plain: Values) -> Values | None:
+        """A size at which it would matter elsewhere, where one that it contains was found: windows that are predicted
+        as well with that do not say whether it is there. None for what shows wherever the other does.
+
+        Args:
+            evidence: of its place.
+            plain: values of the effect that was found.
+        """
+        return None
 
     @property
     def bends(self) -> Array:

@@ -39,9 +39,11 @@ class Resting(Effect):
         Parameter("slow", "m/s", 0.0, fixed=True),
     )
     levels = ("level",)
+    valleys = ("rise", "time")  # a joint breaks away or does not, and in between nothing shows
     needs_loader = True
     rivals = ("friction.stribeck", "friction.coulomb", "friction.hysteresis")
     contains = ("friction.coulomb",)
+    shown_by = "rests of a twentieth of a second to a few seconds, each ended by a force that grows slowly"
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The level from the force that opposes motion; how that grows, from how long rests were and what ended them.
@@ -62,6 +64,11 @@ class Resting(Effect):
         likely = [(time, rise), (time, 2.0 * rise)]
         others = [(time, share * level) for time in TIMES for share in RISES]
         return [{"level": level, "rise": rise, "time": time, "slow": slow} for time, rise in likely + others]
+
+    def unseen(self, evidence: Evidence, plain: Values) -> Values:
+        """As much again as in motion, which a joint that hardly rests does not show."""
+        level = plain["level"]
+        return {"level": level, "rise": level, "time": TIMES[1], "slow": SLOW * evidence.speed_scale}
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The law for the loader, which keeps the time at rest in mind; the level in motion for stock MuJoCo."""

@@ -67,7 +67,9 @@ def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> It
             break
     for inner in term.effect.contains:
         plainer = _swap(question, fitter, current, term, inner)
-        if plainer is not None and fitter.scorer.compare(current, plainer).alike:
+        if plainer is None or fitter.scorer.settles(current, plainer):
+            continue
+        if fitter.scorer.compare(current, plainer).alike:
             yield plainer
 
 

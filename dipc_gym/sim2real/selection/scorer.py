@@ -220,9 +220,11 @@ def _lifts_outliers(after: Array, before: Array) -> bool:
 def enough(begin: Fit, current: Fit) -> bool:
     """Whether what is left near the noise is little enough, beside what effects took away, for their laws to leave it.
 
-    No law is exact to the last percent: a contact is not a spring and a damper, a bristle not a bristle.
+    No law is exact to the last percent: a contact is not a spring and a damper, a bristle not a bristle. But that shows
+    in most windows, and not in a few that stand out.
     """
-    return current.error < SCORE.at_floor and left_by_laws(begin, current)
+    even = not len(data.outliers(current.mse))
+    return current.error < SCORE.at_floor and even and left_by_laws(begin, current)
 
 
 def near(begin: Fit, current: Fit) -> bool:

@@ -78,14 +78,15 @@ class LaidOver:
         self.luck = _luck(problem, current, some, currently)
 
     def tried(self, terms: Sequence[Term]) -> list[Tried]:
-        """Hypotheses with their predicted gains: the best guess of each shape.
+        """Hypotheses with their predicted gains: the best guess of each shape, and of each valley.
 
         Args:
             terms: several guesses of one hypothesis among them.
         """
-        guesses: dict[tuple[str, int], list[Term]] = {}
+        guesses: dict[tuple[object, ...], list[Term]] = {}
         for term in terms:  # a law of any shape has numbers of its own in each of its shapes
-            guesses.setdefault((term.key, id(term.effect) if term.effect.free else 0), []).append(term)
+            valley = (term.guess[name] for name in term.effect.valleys)
+            guesses.setdefault((term.key, id(term.effect) if term.effect.free else 0, *valley), []).append(term)
         found = []
         for group in guesses.values():
             slow = min(group[0].effect.finest, self.current.structure.finest) < self.step

@@ -78,7 +78,8 @@ def _sketched(fitter: Fitter, tries: Sequence[Start], current: Fit) -> list[Star
     """The best sketch of one hypothesis, if any, from the largest predicted gain on.
 
     A fit that brings less than its predicted gain is stuck, unless it leaves nothing; then the next start is tried as
-    well. So is the next shape of a law of no kind, for screening hardly tells which inputs are the right ones.
+    well. So is the next shape of a law of no kind, for screening hardly tells which inputs are the right ones, and the
+    next valley of what has several.
     """
     sketches: list[Start] = []
     before = current.mse[fitter.subset]
@@ -88,8 +89,8 @@ def _sketched(fitter: Fitter, tries: Sequence[Start], current: Fit) -> list[Star
             continue
         sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch.result()), base))
         foretold = max(tried.predicted_gain, SCORE.hardly)
-        enough = ranking.brought(sketch, before) > foretold and not tried.term.effect.of_no_kind
-        if ranking.complete(sketch) or enough:
+        several = tried.term.effect.of_no_kind or tried.term.effect.valleys
+        if ranking.complete(sketch) or (ranking.brought(sketch, before) > foretold and not several):
             break
     losses = ranking.losses([tried.sketch.mse for tried, _ in sketches if tried.sketch is not None])
     return [sketches[int(np.argmin(losses))]] if sketches else []

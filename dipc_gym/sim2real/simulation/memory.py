@@ -20,6 +20,8 @@ from dipc_gym import mjcf
 from dipc_gym.engine.remember import recall
 from dipc_gym.engine.swing import Springs, swing
 from dipc_gym.physics import Physics
+from dipc_gym.physics.entries import RESTING
+from dipc_gym.physics.formulas import told_rests
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.simulation.motion import Motion
@@ -112,7 +114,10 @@ def memories(
             at = [model.joint(name).dofadr[0] if kind == "velocity" else model.joint(name).qposadr[0] for name in base]
             follows = (motion.velocity if kind == "velocity" else motion.position)[:, at.index(k)]
     numbers, each = np.unique([law.data for law in laws], axis=0, return_inverse=True)
-    moved = motion.time, motion.position[:, joint], motion.velocity[:, joint]
+    velocity = motion.velocity[:, joint]
+    if laws[0].effect == RESTING:  # the noise of a reading would wake a joint that rests
+        velocity = told_rests(numbers[0], velocity)
+    moved = motion.time, motion.position[:, joint], velocity
     along = recall(laws[0].effect, numbers, *moved, follows)
     return np.stack([np.interp(time, motion.time, one) for one in along])[each]
 

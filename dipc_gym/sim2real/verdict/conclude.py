@@ -64,6 +64,8 @@ def conclude(search: Searched) -> tuple[Searched, Conclusion]:
             break
         search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer parameters'}")
         search = search.carried_on(rival.fitted)
+    for term in () if search.stop.asked else upheld.structure.named:
+        rivals[term.key] += judge.unseen(search, upheld, term)
     return search, Conclusion(fewest, rivals, notes, unnamed, _others(search, upheld, fewest))
 
 

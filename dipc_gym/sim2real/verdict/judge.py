@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from dipc_gym.sim2real.effects.base import acts_on
-from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit, weights
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.unexplained import Scene
-from dipc_gym.sim2real.model.structure import Structure, Term, names
+from dipc_gym.sim2real.model.structure import Structure, Term, carry, names
 from dipc_gym.sim2real.result import Located
 from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.scorer import compare_on
@@ -135,6 +135,31 @@ def rivals(search: Searched, full: Fit, term: Term) -> list[Rival]:
             better = len(others) == 1 and _better(search, swapped, full)
             if same or len(others) == 1:
                 found += [Rival(other, swapped.result(), same, not close, better) for other in others]
+    return found
+
+
+def unseen(search: Searched, full: Fit, term: Term) -> list[Rival]:
+    """Effects that hold one in them, and more that no window tells: they are the same model here.
+
+    Asked at the noise, with what would matter elsewhere and without a fit, which would only make it vanish.
+    """
+    error = search.scorer.comparison_error(full)
+    wider = [effect for effect in search.question.effects if term.effect.id in effect.contains]
+    if error > SCORE.at_floor or not wider:
+        return []
+    scene, plain = search.question.look(full), full.structure.term_values(full.z, term)
+    found: list[Rival] = []
+    for effect in wider:
+        values = effect.unseen(scene.at(effect.place, term.at, {}), plain)
+        if values is None:
+            continue
+        more = Term(effect, term.at, values)
+        structure = full.structure.with_term(more)
+        problem = search.partition.problem
+        fitted = fit(problem, structure, carry(full.structure, full.z, structure), full.initial, most=0)
+        lost = search.scorer.compare(full, fitted)
+        if lost.alike and lost.gain < SCORE.worth:
+            found.append(Rival(more, fitted.result(), same=True, ruled_out=False))
     return found
 
 

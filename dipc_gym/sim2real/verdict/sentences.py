@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import AsWritten, Beyond, Errors, Missing, SensorFit, scaled
@@ -199,8 +200,7 @@ def next_experiment(
         m, s = open_[0]
         return (
             f"On this rig with this data {m.effect} at {m.at} and {s['effect']} at {s['at']} are one model. To tell "
-            "them apart, record what moves one and not the other: other speeds, other positions, another load, or a "
-            "second sensor."
+            f"them apart, record {catalogue().get(s['effect'], Effect).shown_by}."
         )
     doubt = [(m, r) for m in missing for r in m.rivals if not r["ruled_out"]]
     if doubt:
