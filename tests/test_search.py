@@ -17,15 +17,17 @@ from dipc_gym import mjcf
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.parameters import Wishes
-from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.model.structure import Term, names
 from dipc_gym.sim2real.selection import choice, kinds, sketches
 from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.scorer import earned, settled
 from dipc_gym.sim2real.selection.screen import Tried
@@ -410,3 +412,14 @@ def test_what_is_compared_may_be_simulated_as_the_other_is(dry: Search) -> None:
     assert (alike.finest, alike.warm) == (rich.finest, rich.warm) != (plain.finest, plain.warm)
     assert alike.terms == plain.terms
     assert rich.simulated_as(plain) == rich
+
+
+def test_a_law_that_says_no_more_than_a_plain_effect_gives_way_to_it() -> None:
+    """A force over the place that is the same everywhere is a constant load, seen again once the law is out."""
+    search = begun([run(3, 12, 0.0, constant=4.0)], ("load.constant", "load.position:law"))
+    law = Term(ForceOfPosition([-0.2, 0.0, 0.2], [4.0, 4.0, 4.0]), "cart", {})
+    law = replace(law, guess=law.effect.guess)
+    problem = search.partition.problem
+    fitted = fit(problem, search.progress.current.structure.with_term(law), initial=problem.initial)
+    assert fitted.error < 1.1
+    assert names(prune(search.question, search.fitter, fitted, print).structure.terms) == ["load.constant@cart"]

@@ -20,13 +20,15 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import Effect, catalogue
+from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
+from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.verdict.settings import VERDICT
-from dipc_gym.sim2real.verdict.written import Option, Predictor, _with_one_less, choose
+from dipc_gym.sim2real.verdict.written import Option, Predictor, _to_the_end, _with_one_less, choose
 
 FURUTA = """<mujoco model="furuta">
   <compiler angle="radian"/>
@@ -249,3 +251,20 @@ def test_a_file_may_do_without_an_effect_that_takes_fine_steps() -> None:
     assert [term.key for term in option.structure.terms] == [friction.key]
     assert option.error == own.error(option.structure, option.z) < np.inf
     assert _with_one_less(replace(both, structure=P.structure.with_term(winding)), P.problem, some, own) == []
+
+
+def test_laws_that_were_fitted_to_the_end_are_written_in_its_order() -> None:
+    """A fit to more windows may give laws more knots, and puts the one that it made finer last."""
+    ready = sim2real_rigs.prepared(CART, [sim2real_rigs.record(physics.load(CART), sim2real_rigs.sweep(4.0))])
+    speed, place = (Term(kind([0.0, 0.5], [1.0, 2.0]), "cart", {}) for kind in (FrictionOfSpeed, ForceOfPosition))
+    finer = Term(FrictionOfSpeed([0.0, 0.2, 0.5], [1.0, 1.5, 2.0]), "cart", {})
+    speed, place, finer = (replace(term, guess=term.effect.guess) for term in (speed, place, finer))
+    before, last = (
+        fit(ready.problem, ready.structure.with_term(one).with_term(other), most=0)
+        for one, other in ((speed, place), (place, finer))
+    )
+    further = _to_the_end(Option(before.structure, before.z, 1.0), last)
+    assert further is not None
+    assert further.structure.terms == last.structure.terms
+    np.testing.assert_array_equal(further.z, last.z)
+    assert _to_the_end(Option(before.structure, before.z, 1.0, refitted=True), last) is None

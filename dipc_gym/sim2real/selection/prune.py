@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.unexplained import places
-from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.model.structure import Term, carry
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Question
@@ -90,7 +91,9 @@ def _swap(question: Question, fitter: Fitter, current: Fit, term: Term, effect: 
     remaining = current.structure.without(term.key)
     if other is None or any(t.key == f"{effect}@{term.at}" for t in remaining.terms):
         return None
-    scene = question.look(current)
+    # What it does has to be seen again, for another to take it up; friction is told by its level.
+    seen = replace(current, structure=remaining, z=carry(current.structure, current.z, remaining))
+    scene = question.look(current if term.effect.levels else seen)
     if term.at not in places(other, current.structure.model, question.joints, scene.recordings[0]):
         return None
     values = current.structure.term_values(current.z, term)

@@ -163,10 +163,10 @@ def _to_the_end(option: Option, last: Fit) -> Option | None:
     """An option with the parameters of a fit to more windows; None where it has other effects, or makes up for a
     step.
     """
-    own = {term.key: term for term in last.structure.terms}
-    if option.refitted or {term.key for term in option.structure.terms} != set(own):
+    as_option = {term.key: term for term in option.structure.terms}
+    if option.refitted or as_option.keys() != {term.key for term in last.structure.terms}:
         return None
-    terms = tuple(own[term.key] if term.effect.free else term for term in option.structure.terms)
+    terms = tuple(term if term.effect.free else as_option[term.key] for term in last.structure.terms)
     structure = replace(last.structure, terms=terms)
     return replace(option, structure=structure, z=carry(last.structure, last.z, structure))
 
