@@ -243,6 +243,25 @@ def test_laws_of_no_kind_keep_none_of_a_kind_from_being_asked(monkeypatch: pytes
 @pytest.mark.parametrize(
     ("asked", "kind"),
     [
+        (("friction.speed", "load.constant"), ["friction.speed@cart", "load.constant@cart"]),
+        (("friction.speed",), ["residual.force@cart"]),  # which leaves the load
+    ],
+)
+def test_a_law_of_one_input_may_hold_a_plain_effect_as_well(asked: tuple[str, ...], kind: list[str]) -> None:
+    """Friction and a constant load, seen as one force of velocity: neither alone does as much."""
+    search = begun([run(3, 12, 3.0, constant=2.0)], ("residual.force", *asked))
+    bare = search.progress.current
+    shape = Surface(("velocity cart",), (np.array([-0.4, -2e-3, 2e-3, 0.4]),), np.array([5.0, 5.0, -1.0, -1.0]))
+    law = UnknownForce(shape, 1.0, ("",), "cart")
+    structure = bare.structure.with_term(Term(law, "cart", law.first))
+    modelled = fit(search.partition.problem, structure, None, bare.initial, most=8)
+    found = kinds.named(search.question, search.fitter, modelled, bare, print)
+    assert sorted(names(found.structure.terms)) == kind
+
+
+@pytest.mark.parametrize(
+    ("asked", "kind"),
+    [
         (("load.position:law", "friction.speed"), ["friction.speed@cart", "load.position:law@cart"]),
         (("load.position:law",), ["residual.force@cart"]),  # which leaves the friction
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from dipc_gym.sim2real.effects.base import Effect, joint_at, joint_of
@@ -18,6 +18,8 @@ from dipc_gym.sim2real.selection.resolution import refined
 from dipc_gym.sim2real.selection.screen import LaidOver, Tried
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
+Asked = Callable[[Question, Fitter, Fit, Term], Iterable[tuple[Term, ...]]]
+
 
 def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Callable[[str], None]) -> Fit:
     """A fit with effects that have names, or laws of a kind, in the place of laws of no kind, where they predict as
@@ -27,8 +29,9 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     command to its own motor alone is the curve of that drive. A search may come to the first by a law of no kind, since
     an effect that was asked for alone may end in a poor fit; with all the rest in place it does not. One that depends
     on two quantities may be a law of either, once an effect that was found later does the rest, or the sum of two laws.
-    Or it is a product, and something else: a table of both holds both, in as many values as it has cells, and knows
-    nothing of a cell in which no data were.
+    Of one quantity it may hold an effect with a name as well: over velocity, friction and a constant load. Or it is a
+    product, and something else: a table of both holds both, in as many values as it has cells, and knows nothing of a
+    cell in which no data were.
 
     Args:
         question: effects and places.
@@ -39,22 +42,34 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     """
     for term in current.structure.unnamed:
         fewer = fitter.without(current, term.key)
-        asked = [*_formulas(question, fitter, fewer, term), *_laws(question, fewer, term)]
-        asked += _products(question, fitter, fewer, term)
-        structures = [functools.reduce(Structure.with_term, shapes, fewer.structure) for shapes in asked]
-        with fitter.sketched([(current, structure) for structure in structures]) as sketch_of:
-            for k, shapes in enumerate(asked):
-                sketch = sketch_of(k)
-                if sketch is None or (fitter.behind(sketch, current) and not _may_be_finer(sketch, shapes, begin)):
-                    continue
-                fitted = fitter.full(current, sketch)
-                for shaped in shapes:
-                    fitted = fitted and refined(fitter, fitted, shaped.key)
-                if fitted and fitter.scorer.alike(current, fitted, begin):
-                    said = " and ".join(shaped.key for shaped in shapes)
-                    tell(f"{term.key} is {said}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
-                    return named(question, fitter, fitter.polish(fitted), begin, tell)
+        for more in (_kinds_alone, _kinds_and_names, _products):
+            fitted = _as_good(fitter, current, begin, list(more(question, fitter, fewer, term)), tell, term.key)
+            if fitted is not None:
+                return named(question, fitter, fitter.polish(fitted), begin, tell)
     return current
+
+
+def _as_good(
+    fitter: Fitter, current: Fit, begin: Fit, asked: Sequence[tuple[Term, ...]], tell: Callable[[str], None], key: str
+) -> Fit | None:
+    """The first fit with some of the effects that are asked for, in the place of a law of no kind, that predicts as
+    well; None where none does.
+    """
+    fewer = current.structure.without(key)
+    structures = [functools.reduce(Structure.with_term, shapes, fewer) for shapes in asked]
+    with fitter.sketched([(current, structure) for structure in structures]) as sketch_of:
+        for k, shapes in enumerate(asked):
+            sketch = sketch_of(k)
+            if sketch is None or (fitter.behind(sketch, current) and not _may_be_finer(sketch, shapes, begin)):
+                continue
+            fitted = fitter.full(current, sketch)
+            for shaped in shapes:
+                fitted = fitted and refined(fitter, fitted, shaped.key)
+            if fitted and fitter.scorer.alike(current, fitted, begin):
+                said = " and ".join(shaped.key for shaped in shapes)
+                tell(f"{key} is {said}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
+                return fitted
+    return None
 
 
 def _may_be_finer(sketch: Fit, shapes: Sequence[Term], begin: Fit) -> bool:
@@ -76,6 +91,30 @@ def _formulas(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> lis
     return [(one.term,) for one in sorted(promising, key=lambda one: -one.predicted_gain)[: SEARCH.names]]
 
 
+def _kinds_alone(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
+    """Effects with names, and laws of a kind."""
+    yield from _formulas(question, fitter, fewer, term)
+    yield from _laws(question, fewer, term)
+
+
+def _kinds_and_names(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
+    """A law of a kind, and an effect with a name beside it: a force over velocity is friction, and a load as well."""
+    for shapes in _laws(question, fewer, term):
+        if len(shapes) == 1:
+            yield from _beside(question, fitter, fewer, term, *shapes, _formulas)
+
+
+def _beside(
+    question: Question, fitter: Fitter, fewer: Fit, term: Term, law: Term, others: Asked
+) -> Iterator[tuple[Term, ...]]:
+    """A law, as it is fitted alone, and each single one of others that are asked for beside it."""
+    sketch = fitter.sketch(fewer, fewer.structure.with_term(law))
+    fitted = sketch and fitter.full(fewer, sketch)
+    if fitted is not None:
+        law = ranking.as_fitted(fitted)
+        yield from ((law, *other) for other in others(question, fitter, fitted, term) if len(other) == 1)
+
+
 def _laws(question: Question, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
     """Laws of the kinds that a law of no kind may have by its inputs, one alone or two together."""
     for kinds in _kinds(question, fewer.structure, term):
@@ -93,13 +132,7 @@ def _products(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Ite
             if set(product.effect.inputs(term.at)) != set(term.effect.inputs(term.at)):
                 continue
             yield (product,)
-            sketch = fitter.sketch(fewer, fewer.structure.with_term(product))
-            fitted = sketch and fitter.full(fewer, sketch)
-            if fitted is None:
-                continue
-            product = ranking.as_fitted(fitted)
-            beside = [*_formulas(question, fitter, fitted, term), *_laws(question, fitted, term)]
-            yield from ((product, *others) for others in beside if len(others) == 1)
+            yield from _beside(question, fitter, fewer, term, product, _kinds_alone)
 
 
 def _kinds(question: Question, structure: Structure, term: Term) -> Iterator[tuple[tuple[Effect, str], ...]]:
