@@ -206,18 +206,25 @@ def test_what_a_name_may_leave_to_go_before_a_law_without_one(before: float, lef
 
 
 @pytest.mark.parametrize(
-    ("named", "modelled", "end"),
+    ("named", "modelled", "end", "begin"),
     [
-        ([150.0] * 33, [100.0] * 33, "named"),  # a name goes before a law without one
-        ([800.0] * 20 + [20.0] * 13, [160.0] * 33, "modelled"),  # unless it leads astray where windows are not its own
-        ([1.2] * 33, [1.0] * 33, "named"),
-        ([2.5] * 33, [0.9] * 33, "named"),
-        ([3.5] * 33, [0.9] * 33, "modelled"),
+        ([150.0] * 33, [100.0] * 33, "named", 22600.0),  # a name goes before a law without one
+        (
+            [800.0] * 20 + [20.0] * 13,
+            [160.0] * 33,
+            "modelled",
+            22600.0,
+        ),  # unless it leads astray where windows are not its own
+        ([1.2] * 33, [1.0] * 33, "named", 22600.0),
+        ([2.5] * 33, [0.9] * 33, "named", 22600.0),
+        ([3.5] * 33, [0.9] * 33, "modelled", 22600.0),
+        ([6.5] * 33, [2.4] * 33, "modelled", 16.0),  # it brought less than half of what logarithms of errors count
+        ([5.5] * 33, [2.4] * 33, "named", 16.0),
     ],
 )
-def test_which_of_two_ends_a_search_comes_to(named: list[float], modelled: list[float], end: str) -> None:
+def test_which_of_two_ends_a_search_comes_to(named: list[float], modelled: list[float], end: str, begin: float) -> None:
     """From the error that each leaves of windows that it was not fitted to, in units of noise."""
-    left = {"begin": [22600.0] * 33, "named": named, "modelled": modelled}
+    left = {"begin": [begin] * 33, "named": named, "modelled": modelled}
     fits = {name: SimpleNamespace(name=name, structure=SimpleNamespace(unnamed=name == "modelled")) for name in left}
     scorer = SimpleNamespace(unfitted_mse=lambda fitted: np.square(left[fitted.name]))
     paths = [(fits["begin"], fits[name]) for name in ("named", "modelled")]

@@ -95,7 +95,8 @@ def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]
     """Of several paths the one whose end predicts windows best that it was not fitted to, those that validate among
     them: a law may go astray where no other window is, and what leaves far more than another is out.
 
-    One with names alone goes before one with laws of no kind, see `before_unnamed`.
+    One with names alone goes before one with laws of no kind, see `before_unnamed`; nothing that stands beside a name
+    is left to be asked here, so it has to bring half of what a law of no kind does as log errors count it.
 
     Args:
         scorer: compares fits.
@@ -105,7 +106,8 @@ def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]
     losses, left = ranking.losses(compared), [_error(mse) for mse in compared]
     close = [k for k, error in enumerate(left) if error <= min(left) / SEARCH.far_better]
     best = min(close, key=lambda k: losses[k])
-    most = before_unnamed(_error(scorer.unfitted_mse(paths[0][0])), compared[best])
+    before = _error(scorer.unfitted_mse(paths[0][0]))
+    most = min(before_unnamed(before, compared[best]), before ** (1 - SEARCH.most) * left[best] ** SEARCH.most)
     named = [k for k in close if not paths[k][-1].structure.unnamed and left[k] < most]
     return paths[min(named, key=lambda k: losses[k], default=best)]
 
