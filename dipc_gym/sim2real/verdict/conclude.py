@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -57,15 +58,15 @@ def conclude(search: Searched) -> tuple[Searched, Conclusion]:
             upheld, fewest, notes, unnamed = _upheld(search)
         except KeyboardInterrupt:
             search.stop.ask("writing what was found")
-            return search, Conclusion(search.progress.current, _rivals(search, search.progress.current))
-        rivals = _rivals(search, upheld)
+            return search, Conclusion(search.progress.current, _rivals(search, search.progress.current, judge.rivals))
+        rivals = _rivals(search, upheld, judge.rivals)
         rival = _successor(search, upheld, [rival for group in rivals.values() for rival in group])
         if notes or rival is None or search.stop.asked or swaps == VERDICT.swaps:
             break
         search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer parameters'}")
         search = search.carried_on(rival.fitted)
-    for term in () if search.stop.asked else upheld.structure.named:
-        rivals[term.key] += judge.unseen(search, upheld, term)
+    more = _rivals(search, upheld, judge.unseen)
+    rivals = {key: [*found, *more[key]] for key, found in rivals.items()}
     return search, Conclusion(fewest, rivals, notes, unnamed, _others(search, upheld, fewest))
 
 
@@ -215,7 +216,9 @@ def _others(search: Searched, upheld: Fit, fewest: Fit) -> list[Fit]:
         return []
 
 
-def _rivals(search: Searched, full: Fit) -> dict[str, list[judge.Rival]]:
+def _rivals(
+    search: Searched, full: Fit, of: Callable[[Searched, Fit, Term], list[judge.Rival]]
+) -> dict[str, list[judge.Rival]]:
     """What could stand in the place of each effect; nothing from when Ctrl-C ended that."""
     found: dict[str, list[judge.Rival]] = {}
     for term in full.structure.terms:
@@ -223,8 +226,7 @@ def _rivals(search: Searched, full: Fit) -> dict[str, list[judge.Rival]]:
         if search.stop.asked or term.effect.of_no_kind:
             continue
         try:
-            search.tell(f"what could stand in for {term.key}?")
-            found[term.key] = judge.rivals(search, full, term)
+            found[term.key] = of(search, full, term)
         except KeyboardInterrupt:
             search.stop.ask("writing what was found")
     return found

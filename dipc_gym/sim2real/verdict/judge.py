@@ -110,6 +110,7 @@ def rivals(search: Searched, full: Fit, term: Term) -> list[Rival]:
     Those that came close in its round, those it is mistaken for, a single effect that stands for it and another one,
     and two that stand for it alone.
     """
+    search.tell(f"what could stand in for {term.key}?")
     error = search.scorer.comparison_error(full)
     found: list[Rival] = []
     search.fitter.remember(full)
