@@ -16,16 +16,22 @@ from scipy.interpolate import CubicSpline
 from sim2real_rigs import CART, HANGING, NOISE, RK4, TORQUE, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
+from dipc_gym.engine import Uncovered
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.estimation.problem import predict
+from dipc_gym.sim2real.estimation import problem
+from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.estimation.problem import predict, sensitivities
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure, Term
+from dipc_gym.sim2real.simulation import batch
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.simulation.windows import cut
 
 AS_GIVEN = Stepping(0.001)
+INVERTED = TORQUE.replace('pos="0 0 -0.2"', 'pos="0 0 0.2"')
 FINE = Stepping(0.001, RK4)
 
 
@@ -344,7 +350,7 @@ def test_a_lagging_sensor_remembers_the_motion_before_its_window() -> None:
         Stepping(5e-4, RK4),
         base=["cart"],
         warm=0.06,
-        warm_initial=states[None, begin - 30],
+        approach=states[None, None, begin - 30],
     )[0, 0, :, 0]
     bend = gear * 10 / mass * period**2  # by how much a step bends, with the largest force
     np.testing.assert_allclose(readings, windows.observed[0, :, 0], atol=5e-3 * bend)
@@ -361,7 +367,7 @@ def test_currents_follow_voltages_with_their_time_constant() -> None:
         windows = cut([run], np.ones(1), 0.25, (0.0, 1.0)).pick(np.array([1]))
         zero = np.zeros((1, 1, 2))
         stepping = Stepping(5e-4, RK4)
-        readings = simulate([winding], windows, zero, stepping, base=["cart"], warm=0.06, warm_initial=zero[0])[0]
+        readings = simulate([winding], windows, zero, stepping, base=["cart"], warm=0.06, approach=zero)[0]
         t = np.maximum(windows.start[0] + windows.times[0] - 0.3, 0.0)
         force = 5.0 * 78.7 * 0.06 / 1.2
         exact = force / 1e4 * (t**2 / 2 - tau * t + tau**2 * (1 - np.exp(-t / tau)))
@@ -489,3 +495,59 @@ def test_a_rotor_behind_play_is_where_the_warm_up_left_it() -> None:
     effect = type("Centred", (type(S.terms[0].effect),), {"warm": 0.0})()
     centred = replace(S, terms=(replace(S.terms[0], effect=effect),))
     assert error(S) < 0.2 * error(centred)
+
+
+@pytest.fixture(scope="module")
+def balanced() -> tuple[Recording, dict[str, float]]:
+    """Six seconds of an arm that a controller keeps upright through a shaft that gives way, and what that shaft is."""
+    values = {"stiffness": 12.0, "damping": 0.12, "rotor_inertia": 4e-3}
+    model = copy.copy(rig(INVERTED, "transmission.compliance", "drive", **values).model)
+    model.opt.timestep, model.opt.integrator = 5e-5, RK4
+    data, rng, period = mujoco.MjData(model), np.random.default_rng(5), 0.002
+    arm = int(model.joint("shoulder").dofadr[0])
+    time = period * np.arange(3000)
+    commands, angles = np.empty((2, len(time)))
+    for k, t in enumerate(time):
+        commands[k] = sweep(0.15)(t) - 1.6 * data.qpos[arm] - 0.05 * data.qvel[arm]
+        angles[k] = data.qpos[arm] + 1e-5 * rng.normal()
+        data.ctrl[0] = commands[k]
+        mujoco.mj_step(model, data, 40)
+    return Recording("balanced", time, commands[:, None], angles[:, None], ("drive",), ("angle",)), values
+
+
+def test_a_rotor_on_a_spring_swings_as_it_does_on_a_rig_that_is_kept_from_falling(
+    balanced: tuple[Recording, dict[str, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Left alone for as long as the rotor needs, the arm falls, and the rotor with it."""
+    run, values = balanced
+    ready = prepared(INVERTED, [run])
+    structure = ready.structure.with_term(Term(catalogue()["transmission.compliance"], "drive", values))
+
+    known = ready.problem.pick(np.flatnonzero(ready.problem.windows.start > 0.45))  # recorded before
+
+    def error() -> float:
+        return fit(known, structure, most=0).error
+
+    assert np.abs(run.sensors).max() < 0.5
+    assert error() < 1.1
+    monkeypatch.setattr(problem, "ESTIMATION", replace(ESTIMATION, stretch=1.0))
+    assert error() > 1.6
+
+
+def test_windows_are_approached_alike_by_the_engine_and_by_mujoco(
+    balanced: tuple[Recording, dict[str, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Joints are put back three times on the way; what the engine says changes with the parameters is what does."""
+    run, values = balanced
+    ready = prepared(INVERTED, [run])
+    structure = ready.structure.with_term(Term(catalogue()["transmission.compliance"], "drive", values))
+    z, initial = structure.first, ready.problem.initial
+    said = sensitivities(ready.problem, structure, z, [z + 1e-7 * unit for unit in np.eye(len(z))], initial)
+    assert said is not None
+    readings, by_parameters, _ = said
+    moved = [z + sign * 1e-4 * unit for unit in np.eye(len(z)) for sign in (1, -1)]
+    monkeypatch.setattr(batch, "compiled", lambda *_: (_ for _ in ()).throw(Uncovered("for comparison")))
+    there = predict(ready.problem, structure, [z, *moved], initial[None])
+    np.testing.assert_allclose(there[0], readings, atol=1e-7)
+    for exact, difference in zip(by_parameters, (there[1::2] - there[2::2]) / 2e-4, strict=True):
+        np.testing.assert_allclose(exact, difference, atol=2e-3 * np.abs(difference).max() + 1e-9)

@@ -122,7 +122,7 @@ def predict_with(problem: Problem, structure: Structure, variants: Sequence[Phys
                 _stepping(problem.stepping, structure, halved),
                 base=structure.base,
                 warm=warm,
-                warm_initial=initial_states(windows.motions, windows.source, windows.start - warm) if warm else None,
+                approach=_approach(windows, warm),
                 threads=cores(problem.threads),
             )
         )
@@ -154,14 +154,24 @@ def sensitivities(
             windows = part.windows
             step = grid_step(windows, _stepping(replace(problem.stepping, integrator=_RK4), structure, halved))
             of, change, apart = _with_changes(structure, z, probes, steps, windows, step)
-            begin = initial_states(windows.motions, windows.source, windows.start - warm) if warm else None
             here = initial if part is problem else initial[which]
-            found.append(derivatives(of, change, steps, apart, here, warm, begin, cores(problem.threads)))
+            approach = _approach(windows, warm)
+            found.append(derivatives(of, change, steps, apart, here, warm, approach, cores(problem.threads)))
     except Uncovered:
         return None
     readings, *changes = zip(*found, strict=True)
     by_parameter, by_state = (_in_order(problem, each) for each in changes)
     return _in_order(problem, [each[None] for each in readings])[0], by_parameter, by_state
+
+
+def _approach(windows: Windows, warm: float) -> Array | None:
+    """Positions and velocities of the base joints where each stretch of the `warm` seconds before windows begins, (k,
+    n, 2 nb).
+    """
+    if not warm:
+        return None
+    before = np.linspace(warm, 0.0, math.ceil(warm / ESTIMATION.stretch - 1e-9), endpoint=False)
+    return np.stack([initial_states(windows.motions, windows.source, windows.start - one) for one in before])
 
 
 def _in_order(problem: Problem, parts: Sequence[Array]) -> Array:

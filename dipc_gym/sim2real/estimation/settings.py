@@ -70,6 +70,8 @@ class EstimationSettings:
         integration: root mean square, in units of noise, by which halving a step may change a window's readings: as
             much adds a thousandth to the error of a right model
         halvings: of a step at most: what converges no faster than a contact would take hours
+        stretch: s of simulation before a window, after which joints are put back to where they were: what hides behind
+            them needs longer, and a rig that is balanced falls
         averaged: time, s, over which forces are averaged: no acceleration is known faster than that
     """
 
@@ -114,6 +116,7 @@ class EstimationSettings:
     newton: int = 12
     integration: float = 0.05
     halvings: int = 3
+    stretch: float = 0.15
     averaged: float = 0.025
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -88,7 +89,7 @@ def simulate(
     *,
     base: Sequence[str],
     warm: float = 0.0,
-    warm_initial: Array | None = None,
+    approach: Array | None = None,
     threads: int = 0,
 ) -> Array:
     """Predict the sensors of every window with every variant.
@@ -100,7 +101,8 @@ def simulate(
         stepping: integrator and step.
         base: names of the nb joints that `initial` describes; others begin where the joint that they follow does.
         warm: s simulated before each window, so that bristles, currents and gaps reach their state.
-        warm_initial: as `initial`, at `warm` seconds before each window; needed if `warm` is positive.
+        approach: as `initial`, where each of so many equal stretches of that begins, (k, n, 2 nb); needed if `warm` is
+            positive. There joints are put back, for a rig that has to be balanced would fall meanwhile.
         threads: for MuJoCo's batch; 0 means all cores.
 
     Returns:
@@ -113,22 +115,27 @@ def simulate(
         which = np.array([next(i for i, one in enumerate(distinct) if one is variant) for variant in variants])
         with contextlib.suppress(Uncovered):
             of = compiled(distinct, windows, base, grid_step(windows, stepping))
-            return predicted(of, initial, which, warm, warm_initial, threads)
+            return predicted(of, initial, which, warm, approach, threads)
     runs, track = _Runs(variants, windows, stepping, base, threads), None
     if warm > 0:
-        assert warm_initial is not None
+        assert approach is not None
         before = math.ceil(warm / runs.step - 1e-9)
+        seams = np.linspace(-before, 0, len(approach) + 1).round().astype(int).tolist()
         # How a window is approached does not depend on its own start, which fits vary most.
         distinct = list({id(variant): variant for variant in variants}.values())
-        approach = runs if len(distinct) == count else _Runs(distinct, windows, stepping, base, threads)
-        approach.begin(-before, np.broadcast_to(warm_initial, (len(distinct), *initial.shape[1:])))
-        track = approach.run(-before, before, record=bool(runs.physics.stage("lag")))
-        if track is not None:
-            track = np.append(track, approach.readings()[:, None], axis=1)
-        if approach is not runs:
+        ahead_of = runs if len(distinct) == count else _Runs(distinct, windows, stepping, base, threads)
+        far, tracks = np.repeat(approach[:, None], len(distinct), axis=1), list[Array]()
+        ahead_of.begin(-before, far[0])
+        for k, (since, until) in enumerate(itertools.pairwise(seams)):
+            if k:
+                ahead_of.put_back(far[k])
+            track = ahead_of.run(since, until - since, record=bool(ahead_of.physics.stage("lag")))
+            tracks += [] if track is None else [track]
+        track = np.concatenate([*tracks, ahead_of.readings()[:, None]], axis=1) if tracks else None
+        if ahead_of is not runs:
             which = np.array([next(i for i, one in enumerate(distinct) if one is variant) for variant in variants])
             rows = (which[:, None] * n + np.arange(n)).ravel()
-            runs.sims.state[:] = approach.sims.state[rows]
+            runs.sims.state[:] = ahead_of.sims.state[rows]
             track = None if track is None else track[rows]
         runs.put_back(initial)
     else:

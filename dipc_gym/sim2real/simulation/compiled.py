@@ -249,7 +249,7 @@ def left_to_mujoco(source: Physics) -> list[str]:
 
 
 def predicted(
-    of: Compiled, initial: Array, which: NDArray[np.intp], warm: float, warm_initial: Array | None, threads: int
+    of: Compiled, initial: Array, which: NDArray[np.intp], warm: float, approach: Array | None, threads: int
 ) -> Array:
     """Readings (rows, windows, samples, sensors) of several rows.
 
@@ -258,18 +258,21 @@ def predicted(
         initial: positions and velocities of the base joints, (rows, windows, 2 nb).
         which: variant of each row, (rows,).
         warm: s simulated before each window.
-        warm_initial: as `initial`, `warm` seconds before, (1 or variants, windows, 2 nb).
+        approach: as `initial`, at the first of so many equal stretches of these, and of all others, (k, windows, 2 nb).
         threads: 0 for all cores.
     """
     commands = of.commands(warm)
     if warm > 0:
-        assert warm_initial is not None
-        far = np.broadcast_to(warm_initial, (len(of.variants), *initial.shape[1:]))
+        assert approach is not None
         nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
-        length = np.full(len(of.windows), warm)
-        jobs = of.jobs(-warm, length, nothing, of.begun(-warm, far), commands)
-        _, ends = run(of.program, jobs, of.step, threads=threads)
-        states = of.put_back(ends[which], initial)
+        stretch, far = warm / len(approach), np.repeat(approach[:, None], len(of.variants), axis=1)
+        states = of.begun(-warm, far[0])
+        for k, there in enumerate(far):
+            if k:
+                states = of.put_back(states, there)
+            jobs = of.jobs(k * stretch - warm, np.full(len(of.windows), stretch), nothing, states, commands)
+            _, states = run(of.program, jobs, of.step, threads=threads)
+        states = of.put_back(states[which], initial)
     else:
         rows = replace(of, variants=tuple(of.variants[k] for k in which), parameters=of.parameters[which])
         states = rows.begun(0.0, initial)
@@ -300,7 +303,7 @@ def derivatives(
     apart: NDArray[np.intp],
     initial: Array,
     warm: float,
-    warm_initial: Array | None,
+    approach: Array | None,
     threads: int,
 ) -> tuple[Array, Array, Array]:
     """Readings of the first variant and how they change with parameters and initial states.
@@ -313,7 +316,7 @@ def derivatives(
         apart: variant of each parameter, 0 where it has none, (p,).
         initial: positions and velocities of the base joints, (windows, 2 nb).
         warm: s simulated before each window.
-        warm_initial: as `initial`, `warm` seconds before.
+        approach: see `predicted`.
         threads: 0 for all cores.
 
     Returns:
@@ -347,15 +350,19 @@ def derivatives(
         return out
 
     if warm > 0:
-        assert warm_initial is not None
-        far = np.broadcast_to(warm_initial, initial.shape)
-        begun = of.begun(-warm, np.broadcast_to(far, (len(of.variants), *initial.shape)))
+        assert approach is not None
         nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
-        jobs = one.jobs(-warm, np.full(len(of.windows), warm), nothing, begun[:1], commands)
-        before = replace(along_commands, parameters=change, initial=begin_changes(begun)[:count])
-        _, _, ends, changes = differentiate(of.program, jobs, before, of.step, threads=threads)
-        whole = np.concatenate([changes, np.zeros((nb2, *changes.shape[1:]))])
-        states, tangents = of.put_back(ends, initial), of.put_back(whole, unit)
+        stretch = warm / len(approach)
+        begun = of.begun(-warm, np.broadcast_to(approach[0], (len(of.variants), *initial.shape)))
+        states, tangents = begun[0], begin_changes(begun)[:count]
+        for k, there in enumerate(approach):
+            if k:
+                states, tangents = of.put_back(states, there), of.put_back(tangents, np.zeros((count, *there.shape)))
+            jobs = one.jobs(k * stretch - warm, np.full(len(of.windows), stretch), nothing, states[None], commands)
+            before = replace(along_commands, parameters=change, initial=tangents)
+            _, _, states, tangents = differentiate(of.program, jobs, before, of.step, threads=threads)
+        tangents = np.concatenate([tangents, np.zeros((nb2, *tangents.shape[1:]))])
+        states, tangents = of.put_back(states, initial), of.put_back(tangents, unit)
     else:
         begun = of.begun(0.0, np.broadcast_to(initial, (len(of.variants), *initial.shape)))
         states, tangents = begun[0], begin_changes(begun)
