@@ -128,7 +128,7 @@ def simulate(
         ahead_of.begin(-before, far[0])
         for k, (since, until) in enumerate(itertools.pairwise(seams)):
             if k:
-                ahead_of.put_back(far[k])
+                ahead_of.put_back(far[k], since)
             track = ahead_of.run(since, until - since, record=bool(ahead_of.physics.stage("lag")))
             tracks += [] if track is None else [track]
         track = np.concatenate([*tracks, ahead_of.readings()[:, None]], axis=1) if tracks else None
@@ -193,15 +193,17 @@ class _Runs:
         time = sims.time.reshape(len(self.variants), len(windows))[0]
         begin(self._places(), initial, self.variants, windows, self._names, self.delays, time)
 
-    def put_back(self, initial: Array) -> None:
-        """Put the joints at positions and velocities (variants, n, 2 nb).
+    def put_back(self, initial: Array, at: int = 0) -> None:
+        """Put the joints at positions and velocities (variants, n, 2 nb), `at` steps after each window's start.
 
-        Whatever hides behind a gap keeps its place relative to them, and springs that yield stay as bent as they are.
+        Whatever hides behind a gap keeps its place relative to them, or is where they are if the recording begins only
+        then; springs that yield stay as bent as they are.
         """
         places, (_, hidden, leaders) = self._places(), self._joints
         before = places.position.copy()
         each = (places.position, places.velocity)
-        apart = [state[..., hidden] - state[..., leaders] for state in each]
+        kept = self.windows.after_the_first(at * self.step)[:, None]
+        apart = [kept * (state[..., hidden] - state[..., leaders]) for state in each]
         places.put(self._joints, initial)
         for state, kept in zip(each, apart, strict=True):
             state[..., hidden] += kept

@@ -172,19 +172,21 @@ class Compiled:
             states[..., lag] = states[..., read] @ weights
         return states
 
-    def put_back(self, states: Array, initial: Array) -> Array:
-        """States (..., nx) with base joints at positions and velocities (..., 2 nb).
+    def put_back(self, states: Array, initial: Array, at: float = 0.0) -> Array:
+        """States (..., windows, nx) with base joints at positions and velocities (..., windows, 2 nb), `at` seconds
+        after each window's start.
 
-        What hides behind a gap keeps its place relative to them, springs that yield stay as bent as they are, and what
-        a sensor remembers moves along. All of it is linear, so tangents are put back in the same way.
+        What hides behind a gap keeps its place relative to them, or is where they are if the recording begins only
+        then; springs that yield stay as bent as they are, and what a sensor remembers moves along. All of it is linear,
+        so tangents are put back in the same way.
         """
         base, hidden, leaders = Joints.of(self.model, self.base)
         n, nb = self.model.nv, len(base)
-        out = states.copy()
+        out, kept = states.copy(), self.windows.after_the_first(at)[:, None]
         for part in (0, 1):
             at, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
             out[..., at] = initial[..., part * nb : (part + 1) * nb]
-            out[..., behind] += out[..., lead] - states[..., lead]
+            out[..., behind] = out[..., lead] + kept * (states[..., behind] - states[..., lead])
         self._places(out).stay_bent(self.model, out[..., :n] - states[..., :n])
         for lag, read, weights in self._lags:
             out[..., lag] += (out[..., read] - states[..., read]) @ weights
@@ -268,9 +270,10 @@ def predicted(
         stretch, far = warm / len(approach), np.repeat(approach[:, None], len(of.variants), axis=1)
         states = of.begun(-warm, far[0])
         for k, there in enumerate(far):
+            at = k * stretch - warm
             if k:
-                states = of.put_back(states, there)
-            jobs = of.jobs(k * stretch - warm, np.full(len(of.windows), stretch), nothing, states, commands)
+                states = of.put_back(states, there, at)
+            jobs = of.jobs(at, np.full(len(of.windows), stretch), nothing, states, commands)
             _, states = run(of.program, jobs, of.step, threads=threads)
         states = of.put_back(states[which], initial)
     else:
@@ -356,9 +359,10 @@ def derivatives(
         begun = of.begun(-warm, np.broadcast_to(approach[0], (len(of.variants), *initial.shape)))
         states, tangents = begun[0], begin_changes(begun)[:count]
         for k, there in enumerate(approach):
+            at, still = k * stretch - warm, np.zeros((count, *there.shape))
             if k:
-                states, tangents = of.put_back(states, there), of.put_back(tangents, np.zeros((count, *there.shape)))
-            jobs = one.jobs(k * stretch - warm, np.full(len(of.windows), stretch), nothing, states[None], commands)
+                states, tangents = of.put_back(states, there, at), of.put_back(tangents, still, at)
+            jobs = one.jobs(at, np.full(len(of.windows), stretch), nothing, states[None], commands)
             before = replace(along_commands, parameters=change, initial=tangents)
             _, _, states, tangents = differentiate(of.program, jobs, before, of.step, threads=threads)
         tangents = np.concatenate([tangents, np.zeros((nb2, *tangents.shape[1:]))])

@@ -12,6 +12,7 @@ from dipc_gym.recording import Recording
 from dipc_gym.sim2real.simulation.motion import Motion
 
 Array = NDArray[np.float64]
+JUST = 1e-9  # s: less than stamps are told apart by
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,11 @@ class Windows:
             observed=np.append(self.observed, other.observed, 0),
             valid=np.append(self.valid, other.valid, 0),
         )
+
+    def after_the_first(self, at: float) -> NDArray[np.bool_]:
+        """Whether `at` seconds after each window's start its recording has begun, (n,): before, nothing is known."""
+        first = np.array([recording.time[0] for recording in self.recordings])
+        return np.asarray(self.start + at > first[self.source] + JUST)
 
     @property
     def period(self) -> float:
