@@ -523,9 +523,7 @@ def test_a_rotor_on_a_spring_swings_as_it_does_on_a_rig_that_is_kept_from_fallin
     ready = prepared(INVERTED, [run])
     structure = ready.structure.with_term(Term(catalogue()["transmission.compliance"], "drive", values))
 
-    known = ready.problem.pick(
-        np.flatnonzero(ready.problem.windows.start != 0.25)
-    )  # of that one a moment was not recorded
+    known = ready.problem.pick(np.flatnonzero(ready.problem.windows.start != 0.25))
 
     def error() -> float:
         return fit(known, structure, most=0).error

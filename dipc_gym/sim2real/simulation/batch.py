@@ -202,8 +202,8 @@ class _Runs:
         places, (_, hidden, leaders) = self._places(), self._joints
         before = places.position.copy()
         each = (places.position, places.velocity)
-        kept = self.windows.after_the_first(at * self.step)[:, None]
-        apart = [kept * (state[..., hidden] - state[..., leaders]) for state in each]
+        begun = self.windows.after_the_first(at * self.step)[:, None]
+        apart = [begun * (state[..., hidden] - state[..., leaders]) for state in each]
         places.put(self._joints, initial)
         for state, kept in zip(each, apart, strict=True):
             state[..., hidden] += kept

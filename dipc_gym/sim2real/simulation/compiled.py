@@ -184,8 +184,8 @@ class Compiled:
         n, nb = self.model.nv, len(base)
         out, kept = states.copy(), self.windows.after_the_first(at)[:, None]
         for part in (0, 1):
-            at, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
-            out[..., at] = initial[..., part * nb : (part + 1) * nb]
+            seen, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
+            out[..., seen] = initial[..., part * nb : (part + 1) * nb]
             out[..., behind] = out[..., lead] + kept * (states[..., behind] - states[..., lead])
         self._places(out).stay_bent(self.model, out[..., :n] - states[..., :n])
         for lag, read, weights in self._lags:
