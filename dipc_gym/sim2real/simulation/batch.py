@@ -203,7 +203,7 @@ class _Runs:
         before = places.position.copy()
         each = (places.position, places.velocity)
         begun = self.windows.after_the_first(at * self.step)[:, None]
-        apart = [begun * (state[..., hidden] - state[..., leaders]) for state in each]
+        apart = [np.where(begun, state[..., hidden] - state[..., leaders], 0.0) for state in each]
         places.put(self._joints, initial)
         for state, kept in zip(each, apart, strict=True):
             state[..., hidden] += kept
