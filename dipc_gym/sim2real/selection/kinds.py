@@ -87,7 +87,8 @@ def _formulas(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> lis
     for guesses in hypotheses(replace(question, effects=known), Phase.FORMULAS, fewer, question.look(fewer)):
         here = [one for one in guesses() if joint_at(model, one.effect, one.at) == term.at and not fitter.slow(one)]
         found += laid_over.tried(here)
-    promising = [one for one in found if one.predicted_gain > SCORE.worth]
+    best = {one.key: one for one in sorted(found, key=lambda one: one.predicted_gain)}  # of several starts
+    promising = [one for one in best.values() if one.predicted_gain > SCORE.worth]
     return [(one.term,) for one in sorted(promising, key=lambda one: -one.predicted_gain)[: SEARCH.names]]
 
 
