@@ -16,7 +16,7 @@ from test_diagnose import NOMINAL, run
 from dipc_gym import mjcf
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real import diagnosis
-from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects import Effect, Evidence, Values, catalogue
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
@@ -449,3 +449,21 @@ def test_a_law_that_says_no_more_than_a_plain_effect_gives_way_to_it() -> None:
     fitted = fit(problem, search.progress.current.structure.with_term(law), initial=problem.initial)
     assert fitted.error < 1.1
     assert names(prune(search.question, search.fitter, fitted, print).structure.terms) == ["load.constant@cart"]
+
+
+class Broken(ForceOfPosition):
+    """A law whose guesses cannot be worked out."""
+
+    id = "load.broken"
+
+    def proposals(self, evidence: Evidence) -> list[tuple[Effect, Values]]:
+        raise ValueError("math domain error")
+
+
+def test_an_error_among_laws_leaves_what_formulas_explain() -> None:
+    """The search for laws begins anew, without the effects that were found before."""
+    search = begun([run(9, 12, 4.0, uneven=(0.4, 0.05))], ("friction.coulomb",))
+    search.question = replace(search.question, effects=[*search.question.effects, Broken()])
+    with pytest.raises(ValueError, match="math domain"):
+        search.run()
+    assert added(search) == ["friction.coulomb"]

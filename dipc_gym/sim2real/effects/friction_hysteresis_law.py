@@ -79,7 +79,7 @@ class HysteresisOfAnyLaw(Effect):
         begin, bounds = -np.diff(tries[best, 1:]), ([SOFTEST * steepest] * FIRST, [2 * steepest] * FIRST)
         falls = sought.nearest(pull, begin.tolist(), *bounds)
         bound = sought.explained(pull(falls)).weight
-        return [self._shaped(bound, bound * _stiffness(falls))]
+        return [self._shaped(bound, bound * _stiffness(falls))] if bound > 0 else []
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, what it begins with."""

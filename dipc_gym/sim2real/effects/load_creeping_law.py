@@ -94,7 +94,8 @@ class CreepingSpringOfAnyLaw(Effect):
         fastest = furthest / SHORTEST
         bounds = [SLOWEST * fastest] * FIRST, [fastest] * FIRST
         faster = sought.nearest(pull, np.diff(begin, prepend=0.0).tolist(), *bounds)
-        return [self._shaped(furthest, sought.explained(pull(faster)).weight, np.cumsum(faster))]
+        stiffness = sought.explained(pull(faster)).weight
+        return [self._shaped(furthest, stiffness, np.cumsum(faster))] if stiffness > 0 else []
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, what it begins with."""

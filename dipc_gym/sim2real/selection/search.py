@@ -179,7 +179,17 @@ class Search:
         if self._done(found) or self.scorer.small or not any(effect.free for effect in self.question.effects):
             return found
         self.tell("no formula comes down to the noise; asking for laws of any shape, from the beginning")
-        self.phase, formulas = Phase.SHAPES, self.progress.path
+        formulas = self.progress.path
+        try:
+            return self._with_laws(formulas, most)
+        except Exception:  # whoever goes on without what failed goes on from what was found
+            ends = [self.progress.informed(path) for path in (formulas, self.progress.path)]
+            self.journal.go_back(choice.of_ends(self.scorer, ends))
+            raise
+
+    def _with_laws(self, formulas: tuple[Fit, ...], most: int) -> Fit:
+        """What laws of any shape show, from the beginning on and beside formulas; what is left then is modelled."""
+        self.phase = Phase.SHAPES
         # What a machine lacks at all its joints came first, and would come first again.
         self.journal.go_back(formulas[: 2 if self._everywhere(formulas[1:2]) else 1])
         self._go_on(self.progress.with_spare())
