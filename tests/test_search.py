@@ -467,3 +467,17 @@ def test_an_error_among_laws_leaves_what_formulas_explain() -> None:
     with pytest.raises(ValueError, match="math domain"):
         search.run()
     assert added(search) == ["friction.coulomb"]
+
+
+@pytest.mark.parametrize(("hidden", "level", "kept"), [(0.0, 1e-6, False), (3.0, 3.0, True)])
+def test_a_name_that_does_nothing_beside_a_law_of_no_kind_goes(hidden: float, level: float, kept: bool) -> None:
+    """That law would take over what friction does, so it is not asked to; nothing in its place tells."""
+    search = begun([run(3, 12, hidden, constant=2.0)], ("residual.force", "friction.coulomb"))
+    bare = search.progress.current
+    law = UnknownForce(Surface(("velocity cart",), (np.array([-0.4, 0.4]),), np.full(2, 2.0)), 1.0, ("",), "cart")
+    structure = bare.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": level}))
+    structure = structure.with_term(Term(law, "cart", law.first))
+    both = fit(search.partition.problem, structure, None, bare.initial, most=0)
+    left = names(prune(search.question, search.fitter, both, print).structure.terms)
+    assert ("friction.coulomb@cart" in left) == kept
+    assert "residual.force@cart" in left

@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.unexplained import places
-from dipc_gym.sim2real.model.structure import Term, carry
+from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Question
@@ -40,11 +40,15 @@ def prune(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str]
 
 def _doubtful(fitter: Fitter, current: Fit, term: Term) -> bool:
     """Whether an effect may be idle, as far as can be told without a refit."""
-    # A law of no kind takes over whatever depends on the same. It was asked beside the name, not in its place.
-    if term.at in [law.at for law in current.structure.unnamed] and not term.effect.of_no_kind:
-        return False
     plain = term.effect.linear and not (term.effect.contains or term.effect.once or term.effect.free)
     return not (plain and ranking.foretold_loss(current, [term], fitter.problem.counts) > SCORE.large)
+
+
+def _beside_unnamed(current: Fit, term: Term) -> bool:
+    """Whether an effect with a name acts where a law of no kind does, which takes over whatever depends on the same: it
+    was asked beside the name, not in its place.
+    """
+    return not term.effect.of_no_kind and term.at in [law.at for law in current.structure.unnamed]
 
 
 def _idle(question: Question, fitter: Fitter, current: Fit, term: Term) -> Fit | None:
@@ -56,6 +60,25 @@ def _idle(question: Question, fitter: Fitter, current: Fit, term: Term) -> Fit |
 def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> Iterator[Fit]:
     """Fits without an effect, or with a plainer one in its place, that do not miss it."""
     remaining = current.structure.without(term.key)
+    if _beside_unnamed(current, term):
+        begin = carry(current.structure, current.z, remaining)
+        nothing = fit(fitter.problem, remaining, begin, current.initial, most=0)  # in its place, from the law neither
+        if not term.effect.once and fitter.scorer.compare(current, nothing).gain < SCORE.told:
+            yield nothing
+    else:
+        yield from _without(fitter, current, term, remaining)
+    # A plainer one would stand beside the law, not for it; a law of a kind may be nothing else.
+    plain = term.effect.contains if term.effect.free or not _beside_unnamed(current, term) else ()
+    for inner in plain:
+        plainer = _swap(question, fitter, current, term, inner)
+        if plainer is None or fitter.scorer.settles(current, plainer):
+            continue
+        if fitter.scorer.compare(current, plainer).alike:
+            yield plainer
+
+
+def _without(fitter: Fitter, current: Fit, term: Term, remaining: Structure) -> Iterator[Fit]:
+    """A fit without an effect, all else refitted, if it is not missed."""
     alike = remaining.simulated_as(current.structure)
     # What it is missed for may be the finer steps, or the time before a window, that it was simulated with.
     same = (alike.finest, alike.warm) == (remaining.finest, remaining.warm)
@@ -66,12 +89,6 @@ def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> It
         if not _missed(fitter.scorer, term, current, less):
             yield less
             break
-    for inner in term.effect.contains:
-        plainer = _swap(question, fitter, current, term, inner)
-        if plainer is None or fitter.scorer.settles(current, plainer):
-            continue
-        if fitter.scorer.compare(current, plainer).alike:
-            yield plainer
 
 
 def _missed(scorer: Scorer, term: Term, current: Fit, less: Fit) -> bool:
