@@ -227,6 +227,10 @@ class Fitter:
         again = fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=0)
         return replace(again, steps=fitted.steps, converged=fitted.converged)
 
+    def as_it_is(self, current: Fit, structure: Structure) -> Fit:
+        """A structure with the parameters of a fit, which is not fitted on; what the fit lacks is at its guess."""
+        return fit(self.problem, structure, carry(current.structure, current.z, structure), current.initial, most=0)
+
     def without(self, current: Fit, key: str) -> Fit:
         """Refit with one effect less, from the parameters that it has now: the fit before may have been stuck."""
         structure = current.structure.without(key)

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.unexplained import places
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
@@ -59,16 +59,15 @@ def _idle(question: Question, fitter: Fitter, current: Fit, term: Term) -> Fit |
 
 def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> Iterator[Fit]:
     """Fits without an effect, or with a plainer one in its place, that do not miss it."""
-    remaining = current.structure.without(term.key)
-    if _beside_unnamed(current, term):
-        begin = carry(current.structure, current.z, remaining)
-        nothing = fit(fitter.problem, remaining, begin, current.initial, most=0)  # in its place, from the law neither
+    remaining, beside = current.structure.without(term.key), _beside_unnamed(current, term)
+    if beside:
+        nothing = fitter.as_it_is(current, remaining)  # in its place, from the law neither
         if not term.effect.once and fitter.scorer.compare(current, nothing).gain < SCORE.told:
             yield nothing
     else:
         yield from _without(fitter, current, term, remaining)
     # A plainer one would stand beside the law, not for it; a law of a kind may be nothing else.
-    plain = term.effect.contains if term.effect.free or not _beside_unnamed(current, term) else ()
+    plain = term.effect.contains if term.effect.free or not beside else ()
     for inner in plain:
         plainer = _swap(question, fitter, current, term, inner)
         if plainer is None or fitter.scorer.settles(current, plainer):

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from dipc_gym.sim2real.effects.base import acts_on
-from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit, weights
+from dipc_gym.sim2real.estimation.fit import Fit, evaluate, weights
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.unexplained import Scene
-from dipc_gym.sim2real.model.structure import Structure, Term, carry, names
+from dipc_gym.sim2real.model.structure import Structure, Term, names
 from dipc_gym.sim2real.result import Located
 from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.scorer import compare_on
@@ -155,9 +155,7 @@ def unseen(search: Searched, full: Fit, term: Term) -> list[Rival]:
         if values is None:
             continue
         more = Term(effect, term.at, values)
-        structure = full.structure.with_term(more)
-        problem = search.partition.problem
-        fitted = fit(problem, structure, carry(full.structure, full.z, structure), full.initial, most=0)
+        fitted = search.fitter.as_it_is(full, full.structure.with_term(more))
         lost = search.scorer.compare(full, fitted)
         if lost.alike and lost.gain < SCORE.worth:
             found.append(Rival(more, fitted.result(), same=True, ruled_out=False))
