@@ -22,7 +22,7 @@ from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation import problem
 from dipc_gym.sim2real.estimation.fit import fit
-from dipc_gym.sim2real.estimation.problem import predict, sensitivities
+from dipc_gym.sim2real.estimation.problem import Problem, predict, sensitivities
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.simulation import batch
@@ -498,8 +498,8 @@ def test_a_rotor_behind_play_is_where_the_warm_up_left_it() -> None:
 
 
 @pytest.fixture(scope="module")
-def balanced() -> tuple[Recording, dict[str, float]]:
-    """Six seconds of an arm that a controller keeps upright through a shaft that gives way, and what that shaft is."""
+def balanced() -> tuple[Problem, Structure]:
+    """Six seconds of an arm that a controller keeps upright through a shaft that gives way; the model with that."""
     values = {"stiffness": 12.0, "damping": 0.12, "rotor_inertia": 4e-3}
     model = copy.copy(rig(INVERTED, "transmission.compliance", "drive", **values).model)
     model.opt.timestep, model.opt.integrator = 5e-5, RK4
@@ -512,42 +512,40 @@ def balanced() -> tuple[Recording, dict[str, float]]:
         angles[k] = data.qpos[arm] + 1e-5 * rng.normal()
         data.ctrl[0] = commands[k]
         mujoco.mj_step(model, data, 40)
-    return Recording("balanced", time, commands[:, None], angles[:, None], ("drive",), ("angle",)), values
+    run = Recording("balanced", time, commands[:, None], angles[:, None], ("drive",), ("angle",))
+    ready = prepared(INVERTED, [run])
+    return ready.problem, ready.structure.with_term(Term(catalogue()["transmission.compliance"], "drive", values))
 
 
 def test_a_rotor_on_a_spring_swings_as_it_does_on_a_rig_that_is_kept_from_falling(
-    balanced: tuple[Recording, dict[str, float]], monkeypatch: pytest.MonkeyPatch
+    balanced: tuple[Problem, Structure], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Left alone for as long as the rotor needs, the arm falls, and the rotor with it."""
-    run, values = balanced
-    ready = prepared(INVERTED, [run])
-    structure = ready.structure.with_term(Term(catalogue()["transmission.compliance"], "drive", values))
+    windows, structure = balanced
 
-    known = ready.problem.pick(np.flatnonzero(ready.problem.windows.start != 0.25))
+    known = windows.pick(np.flatnonzero(windows.windows.start != 0.25))
 
     def error() -> float:
         return fit(known, structure, most=0).error
 
-    assert np.abs(run.sensors).max() < 0.5
+    assert np.abs(windows.windows.recordings[0].sensors).max() < 0.5
     assert error() < 1.1
     monkeypatch.setattr(problem, "ESTIMATION", replace(ESTIMATION, stretch=1.0))
     assert error() > 1.6
 
 
 def test_windows_are_approached_alike_by_the_engine_and_by_mujoco(
-    balanced: tuple[Recording, dict[str, float]], monkeypatch: pytest.MonkeyPatch
+    balanced: tuple[Problem, Structure], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Joints are put back three times on the way; what the engine says changes with the parameters is what does."""
-    run, values = balanced
-    ready = prepared(INVERTED, [run])
-    structure = ready.structure.with_term(Term(catalogue()["transmission.compliance"], "drive", values))
-    z, initial = structure.first, ready.problem.initial
-    said = sensitivities(ready.problem, structure, z, [z + 1e-7 * unit for unit in np.eye(len(z))], initial)
+    windows, structure = balanced
+    z, initial = structure.first, windows.initial
+    said = sensitivities(windows, structure, z, [z + 1e-7 * unit for unit in np.eye(len(z))], initial)
     assert said is not None
     readings, by_parameters, _ = said
     moved = [z + sign * 1e-4 * unit for unit in np.eye(len(z)) for sign in (1, -1)]
     monkeypatch.setattr(batch, "compiled", lambda *_: (_ for _ in ()).throw(Uncovered("for comparison")))
-    there = predict(ready.problem, structure, [z, *moved], initial[None])
+    there = predict(windows, structure, [z, *moved], initial[None])
     np.testing.assert_allclose(there[0], readings, atol=1e-7)
     for exact, difference in zip(by_parameters, (there[1::2] - there[2::2]) / 2e-4, strict=True):
         np.testing.assert_allclose(exact, difference, atol=2e-3 * np.abs(difference).max() + 1e-9)
