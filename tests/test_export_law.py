@@ -172,7 +172,7 @@ def test_a_law_is_what_the_loader_applies(key: str, tmp_path: Path) -> None:
         found = law(*given, speed=speed)
     elif key in ("motor.map@motor", "sensor.map@cart"):
         applied = formulas.mapped(
-            np.array([*effect.knots, *effect.first]), physics.Moment(zero, zero, zero, zero, given[0])
+            np.concatenate(effect.written(effect.guess)), physics.Moment(zero, zero, zero, zero, given[0])
         )
         found = law(*given)
     else:

@@ -17,6 +17,7 @@ from dipc_gym import mjcf
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.effects import Effect, Evidence, Values, catalogue
+from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
@@ -477,3 +478,18 @@ def test_a_name_that_does_nothing_beside_a_law_of_no_kind_goes(hidden: float, le
     left = names(prune(search.question, search.fitter, both, print).structure.terms)
     assert ("friction.coulomb@cart" in left) == kept
     assert "residual.force@cart" in left
+
+
+def test_what_a_coarse_law_left_is_no_physics_of_its_own() -> None:
+    """A law of no kind that models it goes where the law of a kind, made finer, predicts as well."""
+    search = begun([run(9, 12, 4.0, uneven=(0.02, 0.2))], ("residual.force", "friction.position:law"))
+    bare, way = search.progress.current, np.linspace(-0.06, 0.26, 5)
+    law = FrictionOfPosition(way.tolist(), np.full(5, 4.0).tolist())
+    axes = (np.array([-0.4, -0.01, 0.01, 0.4]), np.linspace(-0.3, 0.3, 13))
+    rest = UnknownForce(Surface(("velocity cart", "position cart"), axes, np.zeros((4, 13))), 1.0, ("", ""), "cart")
+    structure = bare.structure.with_term(Term(law, "cart", law.guess))
+    assert fit(search.partition.problem, structure, None, bare.initial).error > 2
+    both = fit(search.partition.problem, structure.with_term(Term(rest, "cart", rest.first)), None, bare.initial)
+    pruned = prune(search.question, search.fitter, both, print)
+    assert names(pruned.structure.terms) == ["friction.position:law@cart"]
+    assert pruned.error < 1.2

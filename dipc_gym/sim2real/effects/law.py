@@ -14,7 +14,7 @@ from dipc_gym.engine.remember import recall
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 from dipc_gym.sim2real.effects.settings import LAWS
-from dipc_gym.sim2real.effects.tables import grow
+from dipc_gym.sim2real.effects.tables import between, curve, grow
 
 Array = NDArray[np.float64]
 
@@ -132,6 +132,7 @@ class Law(Effect):
     kind: str  # what the values are, in words
     passive: bool | None = True  # whether it can only take energy away; None where it exerts nothing
     outside: Outside = "constant"  # what it does where no data lie
+    smooth = False  # whether it bends between its knots, or is straight from one to the next
     from_nothing = True  # whether the whole law at zero does nothing, and half of it half as much
     most = 1.0  # of what its values are in proportion to, where they hold
 
@@ -191,7 +192,7 @@ class Law(Effect):
         if len(knots) == len(old):
             return None
         inside = np.clip(knots, old[0], old[-1])
-        longer = np.interp(inside, old, levels) + (knots - inside if self.outside == "parallel" else 0.0)
+        longer = self._at(inside, values) + (knots - inside if self.outside == "parallel" else 0.0)
         before, after = knots < old[0], knots > old[-1]
         beyond = np.cumsum(before[::-1])[::-1] * before + np.cumsum(after) * after
         # It goes on flat, but for what gives each stretch a slope to fit by.
@@ -218,9 +219,28 @@ class Law(Effect):
         """To what the stretches may be bisected, one less than there are knots."""
         return np.full(len(self.knots) - 1, (self.knots[-1] - self.knots[0]) / LAWS.narrowest)
 
+    def off(self, new: NDArray[np.bool_]) -> Array:
+        """By how much each value that is new lies off the law through the others, as weights of all values, (n, k).
+
+        Args:
+            new: which knots are, (k,); never the first or the last, nor two beside each other.
+        """
+        knots, unit = np.array(self.knots), np.eye(len(self.knots))
+        if not self.smooth:
+            return unit[new] - 0.5 * (np.roll(unit, -1, axis=0) + np.roll(unit, 1, axis=0))[new]
+        return np.asarray(unit[new] - curve(knots[~new], unit[~new], knots[new]))
+
     def _at(self, knots: Array, values: Values) -> Array:
         """The law at other knots within its own."""
-        return np.interp(knots, self.knots, self.values(values))
+        levels = np.array(self.values(values))
+        if not self.smooth:
+            return np.interp(knots, self.knots, levels)
+        return curve(np.array(self.knots), levels, knots)
+
+    def written(self, values: Values) -> tuple[Array, Array]:
+        """Knots and values of the table that is written, lines from one to the next."""
+        knots = between(np.array(self.knots)) if self.smooth else np.array(self.knots)
+        return knots, self._at(knots, values)
 
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         """The same law with these knots, of which some are new."""
@@ -251,10 +271,11 @@ class Law(Effect):
         return at_joint(self.slide, unit[self.parameters[0].name])
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
-        """Knots and values."""
-        inputs = [{"name": self.of, "unit": self.per(unit), "knots": list(self.knots)}]
-        levels, per = self.values(values), unit[self.parameters[0].name]
-        return described(self.kind, inputs, levels, per, passive=self.passive, outside=self.outside)
+        """Knots and values, as they are written."""
+        knots, levels = self.written(values)
+        inputs = [{"name": self.of, "unit": self.per(unit), "knots": knots.tolist()}]
+        per = unit[self.parameters[0].name]
+        return described(self.kind, inputs, levels.tolist(), per, passive=self.passive, outside=self.outside)
 
     def where(self, values: Values, unit: Mapping[str, str]) -> str:
         """Range and place of the largest value, in words."""
@@ -269,11 +290,11 @@ class Map(Law):
     slide = ""
     passive, outside = None, "parallel"
     from_nothing = False
-    needs_loader = True
+    smooth = needs_loader = True
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader."""
-        document.custom(self.id, at, [*self.knots, *self.values(values)])
+        document.custom(self.id, at, np.concatenate(self.written(values)).tolist())
 
 
 class FrictionLaw(Law):
@@ -309,4 +330,4 @@ class FrictionLaw(Law):
         levels = np.array(self.values(values))
         dry_beside(document, at, self.in_stock(levels))
         even = np.linspace(self.knots[0], self.knots[-1], LAWS.narrowest + 1)  # every knot is one of these
-        document.custom(self.entry, at, [even[0], even[-1], *np.interp(even, self.knots, levels)])
+        document.custom(self.entry, at, [even[0], even[-1], *self._at(even, values)])

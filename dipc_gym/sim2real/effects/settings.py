@@ -104,6 +104,8 @@ class TableSettings:
         covered: share of the samples beyond either end of a table: the few fastest and farthest would stretch it over
             where nearly none are
         ridge: weight of a value's size, in that of the samples: a trace of it gives bins without samples a value
+        between: lines that stand for a smooth law from one knot to the next: they miss it by a sixteenth of what one
+            would
         stiff: weight of the bends of a smooth table, likewise: where nearly no samples are, it goes on as beside them
     """
 
@@ -115,6 +117,7 @@ class TableSettings:
     near: float = 0.1
     covered: float = 0.005
     ridge: float = 1e-6
+    between: int = 4
     stiff: float = 1e-3
 
 

@@ -1,6 +1,8 @@
 """Laws of any shape, as tables: where knots have to lie, and a table as elements of MJCF.
 
-A table is piecewise linear between its knots and constant outside. Knots are proposed from the unexplained force, where
+A table is piecewise linear between its knots and constant outside. A map is written as one of closer knots along a
+curve: a command that is held asks for it at one point, where a line between values of a bent one is off by more than
+motion over all of them shows. Knots are proposed from the unexplained force, where
 a table costs one linear regression; its values are then fitted in simulation, like every other parameter. The growth
 is LOLIMOT's idea (Nelles 1996) in one dimension: the knot that removes most of what is left comes next.
 """
@@ -12,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import passive_ramp
@@ -98,6 +101,24 @@ def bending(x: Array) -> Array:
         share = (x[k] - x[k - 1]) / (x[k + 1] - x[k - 1])
         rows[k - 1, k - 1 : k + 2] = share - 1.0, 1.0, -share
     return rows
+
+
+def curve(knots: Array, values: Array, at: Array) -> Array:
+    """A smooth law at places within its knots, (m,) or (m, ...): cubics with the slopes of parabolas through three
+    values, so that it is affine in these and goes straight where they do.
+
+    Args:
+        knots: increasing, (k,).
+        values: there, (k,) or (k, ...).
+        at: places, (m,).
+    """
+    return np.asarray(CubicHermiteSpline(knots, values, np.gradient(values, knots, axis=0))(at))
+
+
+def between(knots: Array) -> Array:
+    """Knots, and places evenly between each two of them, so close that lines from one to the next follow a curve."""
+    steps = np.arange(TABLES.between * (len(knots) - 1) + 1) / TABLES.between
+    return np.interp(steps, np.arange(len(knots)), knots)
 
 
 def odd_blocks(time: Array) -> NDArray[np.bool_]:

@@ -14,8 +14,9 @@ from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Question
+from dipc_gym.sim2real.selection.resolution import refined
 from dipc_gym.sim2real.selection.scorer import Scorer
-from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 
 def prune(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str], None]) -> Fit:
@@ -66,6 +67,7 @@ def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> It
             yield nothing
     else:
         yield from _without(fitter, current, term, remaining)
+        yield from _finer_without(fitter, current, term)
     # A plainer one would stand beside the law, not for it; a law of a kind may be nothing else.
     plain = term.effect.contains if term.effect.free or not beside else ()
     for inner in plain:
@@ -88,6 +90,21 @@ def _without(fitter: Fitter, current: Fit, term: Term, remaining: Structure) -> 
         if not _missed(fitter.scorer, term, current, less):
             yield less
             break
+
+
+def _finer_without(fitter: Fitter, current: Fit, term: Term) -> Iterator[Fit]:
+    """A fit without a law of no kind, those of a kind beside it made finer, if it is not missed: what a coarse law
+    leaves may be all that the other models.
+    """
+    laws = [other.key for other in current.structure.terms if other.effect.free and not other.effect.of_no_kind]
+    if not (term.effect.of_no_kind and laws):
+        return
+    less = fitter.without(current, term.key)
+    for key in laws if less.error < SEARCH.in_reach else []:
+        less = refined(fitter, less, key)
+    lost = fitter.scorer.compare(current, less)
+    if lost.gain <= max(SCORE.worth, lost.error):
+        yield less
 
 
 def _missed(scorer: Scorer, term: Term, current: Fit, less: Fit) -> bool:

@@ -122,22 +122,24 @@ def _instead(structure: Structure, z: Array, term: Term, effect: Effect, guess: 
 
 
 def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
-    """Which knots of a law data moved off the line between their neighbours, by twice the standard error of that, (p,).
+    """Which knots of a law data moved off where it went through the others, by twice the standard error of that, (p,).
 
     Only those can be that were put there last; None where none was, and of a law of two inputs.
     """
     own = _own(fitted, key)
     sigma = np.array([fitted.structure.slots[i].sigma for i in own])
-    new = np.flatnonzero(sigma[1:-1] < sigma.max()) + 1  # elements of hysteresis are added on either side as well
     effect = next(term.effect for term in fitted.structure.terms if term.key == key)
-    if not isinstance(effect, Law) or not len(new):
+    if not isinstance(effect, Law):
         return None
-    off = np.zeros((len(new), len(own)))
-    for row, k in enumerate(new):
-        off[row, k - 1 : k + 2] = -0.5, 1.0, -0.5
+    new = sigma[: len(effect.knots)] < sigma.max()
+    new[[0, -1]] = False  # elements of hysteresis are added on either side as well
+    if not new.any():
+        return None
+    off = np.zeros((np.count_nonzero(new), len(own)))
+    off[:, : len(new)] = effect.off(new)
     error = np.sqrt(np.einsum("ki,ij,kj->k", off, _covariance(fitted, own), off))
     told = np.zeros(len(own), dtype=bool)
-    told[new] = np.abs(off @ fitted.z[own]) > SCORE.alike * error
+    told[: len(new)][new] = np.abs(off @ fitted.z[own]) > SCORE.alike * error
     return told
 
 

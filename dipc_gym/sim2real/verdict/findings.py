@@ -249,14 +249,15 @@ def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[
     if law is None:
         return None
     keys = {f"{term.key}.{p.name}" for p in term.effect.parameters if not p.fixed}
-    own = [i for i, slot in enumerate(final.structure.slots) if slot.key in keys]
+    own = np.array([slot.key in keys for slot in final.structure.slots])
     levels = np.array(law["table"]["levels"])
-    shape, values = levels.shape, [final.structure.slots[i].value(final.z[i]) for i in own]
-    parameters = len(own) == levels.size and np.allclose(values, levels.ravel())
-    if parameters and np.isfinite(wide[own]).all():
-        ends = [[final.structure.slots[i].value(final.z[i] + sign * wide[i]) for i in own] for sign in (-1, 1)]
-        for name, end in zip(("low", "high"), np.sort(ends, axis=0), strict=True):
-            law["table"][name] = np.reshape(end, shape).tolist()
+    values = [slot.value(z) for slot, z in zip(final.structure.slots, final.z, strict=True) if slot.key in keys]
+    on_a_curve = isinstance(term.effect, Law) and term.effect.smooth
+    as_they_are = len(values) == levels.size and np.allclose(values, levels.ravel())
+    if (on_a_curve or as_they_are) and np.isfinite(wide[own]).all():
+        for name, sign in (("low", -1), ("high", 1)):
+            end = final.structure.term_values(final.z + sign * np.where(own, wide, 0.0), term)
+            law["table"][name] = (term.effect.law_of(end, units) or law)["table"]["levels"]
     return law
 
 
