@@ -11,14 +11,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_diagnose import NOMINAL, run
+from test_diagnose import FORCE, NOMINAL, run
 
 from dipc_gym import mjcf
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.effects import Effect, Evidence, Values, catalogue
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
+from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
+from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit
@@ -437,13 +439,19 @@ def test_what_is_compared_may_be_simulated_as_the_other_is(dry: Search) -> None:
     assert rich.simulated_as(plain) == rich
 
 
-def test_a_law_that_says_no_more_than_a_plain_effect_gives_way_to_it() -> None:
-    """A force over the place that is the same everywhere is a constant load, seen again once the law is out."""
-    search = begun([run(3, 12, 0.0, constant=4.0)], ("load.constant", "load.position:law"))
-    law = Term(ForceOfPosition([-0.2, 0.0, 0.2], [4.0, 4.0, 4.0]), "cart", {})
-    law = replace(law, guess=law.effect.guess)
+SAME_EVERYWHERE = ForceOfPosition([-0.2, 0.0, 0.2], [4.0, 4.0, 4.0])
+SHIFTED = CommandMap([-9.0, 0.0, 9.0], (np.array([-9.0, 0.0, 9.0]) + 4.0 / FORCE).tolist())
+
+
+@pytest.mark.parametrize(("law", "at"), [(SAME_EVERYWHERE, "cart"), (SHIFTED, "motor")])
+def test_a_law_that_says_no_more_than_a_plain_effect_gives_way_to_it(law: Law, at: str) -> None:
+    """A force that is the same wherever the cart is, and whatever the command, is a constant load, seen again once the
+    law is out.
+    """
+    search = begun([run(3, 12, 0.0, constant=4.0)], ("load.constant", law.id))
     problem = search.partition.problem
-    fitted = fit(problem, search.progress.current.structure.with_term(law), initial=problem.initial)
+    structure = search.progress.current.structure.with_term(Term(law, at, law.guess))
+    fitted = fit(problem, structure, initial=problem.initial)
     assert fitted.error < 1.1
     assert names(prune(search.question, search.fitter, fitted, print).structure.terms) == ["load.constant@cart"]
 

@@ -197,6 +197,7 @@ class Effect(ABC):
         parameters: its parameters.
         rivals: ids of effects it is easily mistaken for.
         contains: ids of effects that are this one with a parameter at its limit; adding this one replaces them.
+        at_its_joint: ids of effects of the joint that its actuator drives, which it may be nothing else than.
         law: what it settles at its place: two effects that settle the same exclude each other.
         finest: longest step at which it can be simulated, s.
         warm: s of simulation before a window, so that hidden states settle.
@@ -221,6 +222,7 @@ class Effect(ABC):
     parameters: tuple[Parameter, ...]
     rivals: ClassVar[tuple[str, ...]] = ()
     contains: ClassVar[tuple[str, ...]] = ()
+    at_its_joint: ClassVar[tuple[str, ...]] = ()
     law: ClassVar[str] = ""
     finest: ClassVar[float] = math.inf
     warm: ClassVar[float] = 0.0

@@ -21,6 +21,7 @@ class CommandMap(Map):
     of, kind, unit = "command", "command that acts", "command"
     rivals = ("motor.deadzone", "motor.saturation")
     contains = ("motor.deadzone", "motor.saturation")
+    at_its_joint = ("load.constant",)  # one that shifts all commands alike
 
     def table(self, evidence: Evidence) -> tuple[Array, Array] | None:
         """The unexplained force by command, in commands."""

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from dipc_gym.sim2real.effects.base import acts_on
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.unexplained import places
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
@@ -69,7 +70,7 @@ def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> It
         yield from _without(fitter, current, term, remaining)
         yield from _finer_without(fitter, current, term)
     # A plainer one would stand beside the law, not for it; a law of a kind may be nothing else.
-    plain = term.effect.contains if term.effect.free or not beside else ()
+    plain = (*term.effect.contains, *term.effect.at_its_joint) if term.effect.free or not beside else ()
     for inner in plain:
         plainer = _swap(question, fitter, current, term, inner)
         if plainer is None or fitter.scorer.settles(current, plainer):
@@ -121,19 +122,20 @@ def _missed(scorer: Scorer, term: Term, current: Fit, less: Fit) -> bool:
 def _swap(question: Question, fitter: Fitter, current: Fit, term: Term, effect: str) -> Fit | None:
     """Refit with another effect in the place of one; None where it cannot act."""
     other = next((e for e in question.effects if e.id == effect), None)
-    remaining = current.structure.without(term.key)
-    if other is None or any(t.key == f"{effect}@{term.at}" for t in remaining.terms):
+    remaining, model = current.structure.without(term.key), current.structure.model
+    at = acts_on(model, term.effect, term.at) if effect in term.effect.at_its_joint else term.at
+    if other is None or any(t.key == f"{effect}@{at}" for t in remaining.terms):
         return None
     # What it does has to be seen again, for another to take it up; friction is told by its level.
     seen = replace(current, structure=remaining, z=carry(current.structure, current.z, remaining))
     scene = question.look(current if term.effect.levels else seen)
-    if term.at not in places(other, current.structure.model, question.joints, scene.recordings[0]):
+    if at is None or at not in places(other, model, question.joints, scene.recordings[0]):
         return None
     values = current.structure.term_values(current.z, term)
     levels = [values[name] for name in term.effect.levels]
-    evidence = scene.at(other.place, term.at, {term.at: float(np.mean(levels))} if levels else {})
+    evidence = scene.at(other.place, at, {at: float(np.mean(levels))} if levels else {})
     proposals = other.proposals(evidence)
     if not proposals:
         return None
     shaped, guess = proposals[0]
-    return fitter.near(current, remaining.with_term(Term(shaped, term.at, dict(guess))))
+    return fitter.near(current, remaining.with_term(Term(shaped, at, dict(guess))))
