@@ -30,6 +30,7 @@ def prune(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str]
         tell: called with a line about each effect that goes.
     """
     asked = [term for term in current.structure.terms if _doubtful(fitter, current, term)]
+    asked.sort(key=lambda term: not term.effect.of_no_kind)  # beside one, laws of a kind look idle
     tasks = [partial(_idle, question, fitter, current, term) for term in asked]
     with fitter.side_by_side(tasks, [current]) as result:
         found = ((term, result(k)) for k, term in enumerate(asked))
@@ -102,7 +103,7 @@ def _finer_without(fitter: Fitter, current: Fit, term: Term) -> Iterator[Fit]:
         return
     less = fitter.without(current, term.key)
     for key in laws if less.error < SEARCH.in_reach else []:
-        less = refined(fitter, less, key)
+        less = refined(fitter, less, key, enough=current.error)
     lost = fitter.scorer.compare(current, less)
     if lost.gain <= max(SCORE.worth, lost.error):
         yield less

@@ -24,7 +24,13 @@ from dipc_gym.sim2real.simulation.windows import Windows
 Array = NDArray[np.float64]
 
 
-def refined(fitter: Fitter, current: Fit, key: str, tell: Callable[[str], None] = lambda line: None) -> Fit:
+def refined(
+    fitter: Fitter,
+    current: Fit,
+    key: str,
+    tell: Callable[[str], None] = lambda line: None,
+    enough: float = SCORE.at_noise,
+) -> Fit:
     """A fit with one of its effects, if it has a free shape, made finer for as long as that predicts clearly better.
 
     Args:
@@ -32,9 +38,10 @@ def refined(fitter: Fitter, current: Fit, key: str, tell: Callable[[str], None] 
         current: a fit.
         key: of the effect.
         tell: called with a line about each time that it is made finer.
+        enough: error, from which on it is not made finer, in units of noise.
     """
     for _ in range(SEARCH.halvings):
-        finer = _finer(fitter, current, key)
+        finer = _finer(fitter, current, key, enough)
         if finer is None:
             break
         tell(f"{key} made finer: error {finer.error:.3g} x noise (was {current.error:.3g})")
@@ -74,14 +81,14 @@ def within_data(fitted: Fit) -> tuple[Structure, Array] | None:
     return None if structure is fitted.structure else (structure, z)
 
 
-def _finer(fitter: Fitter, current: Fit, key: str) -> Fit | None:
+def _finer(fitter: Fitter, current: Fit, key: str, enough: float) -> Fit | None:
     """A fit with one law made finer that predicts clearly better; None where there is none.
 
     If halves of a stretch gain nothing, quarters are tried: a narrow spot shows only when knots are as near.
     """
     tried: Fit | None = current
     for _ in range(SEARCH.ahead):
-        if tried is None or current.error <= SCORE.at_noise:
+        if tried is None or current.error <= enough:
             return None
         effect = next(term.effect for term in tried.structure.terms if term.key == key)
         if not effect.free or (tried is not current and len(effect.parameters) > SEARCH.fine):
