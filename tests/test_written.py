@@ -28,7 +28,7 @@ from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.verdict.settings import VERDICT
-from dipc_gym.sim2real.verdict.written import Option, Predictor, _to_the_end, _with_one_less, choose
+from dipc_gym.sim2real.verdict.written import Option, Predictor, _allowed, _to_the_end, _with_one_less, choose
 
 FURUTA = """<mujoco model="furuta">
   <compiler angle="radian"/>
@@ -251,6 +251,18 @@ def test_a_file_may_do_without_an_effect_that_takes_fine_steps() -> None:
     assert [term.key for term in option.structure.terms] == [friction.key]
     assert option.error == own.error(option.structure, option.z) < np.inf
     assert _with_one_less(replace(both, structure=P.structure.with_term(winding)), P.problem, some, own) == []
+
+
+@pytest.mark.parametrize(
+    ("enough", "error", "times"),
+    [
+        pytest.param(1.2, 5.4, VERDICT.coarse, id="the step costs most: which file is better at it is chance"),
+        pytest.param(2.4, 4.6, VERDICT.worse, id="fine steps leave half as much"),
+        pytest.param(1.2, 1.0, VERDICT.worse, id="the step costs nothing"),
+    ],
+)
+def test_a_file_may_be_worse_than_another_at_a_step_that_costs_most(enough: float, error: float, times: float) -> None:
+    assert _allowed(enough, error) == times
 
 
 def test_laws_that_were_fitted_to_the_end_are_written_in_its_order() -> None:

@@ -101,11 +101,21 @@ def choose(physical: Sequence[Option], refitted: Sequence[Option], plainer: Sequ
         if best is not None and best.error <= min(enough, least):
             return best
     best = min(physical, key=lambda option: option.error)
-    coarse = enough < SEARCH.most * best.error
-    if best.error <= (VERDICT.coarse if coarse else 1.0) * least:
+    if best.error <= _allowed(enough, best.error, 1.0) * least:
         return best
     made_up = [option for option in refitted if option.error < SEARCH.most * least]
     return min([*physical, *made_up, *plainer], key=lambda option: option.error)
+
+
+def _allowed(enough: float, error: float, usual: float = VERDICT.worse) -> float:
+    """Times the error of another file that one may have: more where the step costs most of what a file comes to.
+
+    Args:
+        enough: error that fine steps allow.
+        error: at the file's own step.
+        usual: where the step costs less.
+    """
+    return VERDICT.coarse if enough < SEARCH.most * error else usual
 
 
 def written(
@@ -154,7 +164,10 @@ def written(
         None if finer is None else (finer, held_out.at(finer).error(taken.structure, taken.z)),
     )
     further = None if last is final else _to_the_end(taken, last)
-    if further is not None and held_out.error(further.structure, further.z) <= VERDICT.worse * errors[-1]:
+    if further is None:
+        return taken, said
+    after, fine = (predictor.error(further.structure, further.z) for predictor in (held_out, finely[1]))
+    if after <= _allowed(SCORE.at_floor * max(fine, 1.0), after) * errors[-1]:
         return further, replace(said, to_the_end=True)
     return taken, said
 
