@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from dipc_gym.recording import Recording
 from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.effects import Effect, Evidence, Values, catalogue
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
+from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
@@ -38,6 +40,8 @@ from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.selection.settings import SEARCH
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.simulation.windows import Windows
+from dipc_gym.sim2real.verdict.closed_form import Formula
+from dipc_gym.sim2real.verdict.law_formulas import _from_the_start
 from dipc_gym.sim2real.verdict.withheld import gather
 
 PLAIN = ("friction.coulomb", "load.constant", "drag.quadratic", "motor.deadzone")
@@ -504,3 +508,20 @@ def test_what_a_coarse_law_left_is_no_physics_of_its_own(uneven: float, coarse: 
     pruned = prune(search.question, search.fitter, both, print)
     assert names(pruned.structure.terms) == ["friction.position:law@cart"]
     assert pruned.error < 1.2
+
+
+@pytest.mark.parametrize(("early", "taken"), [(4.0, True), (9.0, False)])
+def test_a_formula_of_time_holds_from_the_start_if_that_predicts_beginnings(early: float, taken: bool) -> None:
+    """Nothing is fitted to the first moments, in which other commands may act; they tell whether it goes on there."""
+    search = begun([run(9, 12, 4.0)], ("friction.coulomb",))
+    law = FrictionOfTime([2.0, 4.0, 12.0], [3.0, 4.0, 4.0])
+    term = Term(law, "cart", law.guess)
+    problem, first = search.partition.problem, search.partition.first
+    assert len(first.windows)
+    bare = search.progress.current
+    fitted = fit(problem, bare.structure.with_term(term), None, bare.initial, most=0)
+    formula = cast("Formula", lambda time: np.where(time < 2.0, early, 4.0))
+    [after] = _from_the_start(fitted, problem, first, term, formula).structure.terms
+    assert isinstance(after.effect, FrictionOfTime)
+    assert (after.effect.knots[0] == 0.0) == taken
+    assert after.effect.knots[-1] == 12.0

@@ -61,7 +61,7 @@ def reaching(fitted: Fit, windows: Windows) -> tuple[Structure, Array]:
         spans = [span(name, fitted, windows) for name in axes]
         longer = term.effect.reaching(structure.term_values(z, term), spans)
         if longer is not None:
-            structure, z = _instead(structure, z, term, *longer)
+            structure, z = instead(structure, z, term, *longer)
     return structure, z
 
 
@@ -77,8 +77,16 @@ def within_data(fitted: Fit) -> tuple[Structure, Array] | None:
         known = np.sqrt(np.diag(_covariance(fitted, _own(fitted, term.key)))) < LAWS.untold
         shorter = term.effect.shortened(fitted.structure.term_values(fitted.z, term), known)
         if shorter is not None:
-            structure, z = _instead(structure, z, term, *shorter)
+            structure, z = instead(structure, z, term, *shorter)
     return None if structure is fitted.structure else (structure, z)
+
+
+def instead(structure: Structure, z: Array, term: Term, effect: Effect, guess: Values) -> tuple[Structure, Array]:
+    """A structure with another shape of one effect, and mapped parameters; those of the shape begin anew."""
+    others = structure.without(term.key)
+    kept = carry(structure, z, others)
+    reshaped = others.with_term(Term(effect, term.at, dict(guess)))
+    return reshaped, carry(others, kept, reshaped)
 
 
 def _finer(fitter: Fitter, current: Fit, key: str, enough: float) -> Fit | None:
@@ -104,7 +112,7 @@ def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
     term = next(term for term in current.structure.terms if term.key == key)
     values = current.structure.term_values(current.z, term)
     shapes = [
-        _instead(current.structure, current.z, term, *shape) for shape in term.effect.finer(values, _told(current, key))
+        instead(current.structure, current.z, term, *shape) for shape in term.effect.finer(values, _told(current, key))
     ]
 
     def reshaped(structure: Structure, begin: Array) -> Fit | None:
@@ -118,14 +126,6 @@ def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
         found = [one for one in map(result, range(len(tasks))) if one is not None]
     losses = ranking.losses([one.mse for one in found])
     return found[int(np.argmin(losses))] if found else None
-
-
-def _instead(structure: Structure, z: Array, term: Term, effect: Effect, guess: Values) -> tuple[Structure, Array]:
-    """A structure with another shape of one effect, and mapped parameters; those of the shape begin anew."""
-    others = structure.without(term.key)
-    kept = carry(structure, z, others)
-    reshaped = others.with_term(Term(effect, term.at, dict(guess)))
-    return reshaped, carry(others, kept, reshaped)
 
 
 def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:

@@ -199,7 +199,8 @@ def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, lat
 def _plainly(found: Conclusion, search: Searched, late: Guarded) -> Conclusion:
     """With formulas in the place of tables where they predict as well."""
     tables = replace(found, formulas={})  # those of a fit before say nothing of this one
-    return late("Formulas of laws", lambda: in_closed_form(tables, search.partition.problem), lambda: tables)
+    seen = search.partition
+    return late("Formulas of laws", lambda: in_closed_form(tables, seen.problem, seen.first), lambda: tables)
 
 
 def _to_the_end(search: Searched, judged: Fit, end: Problem) -> tuple[Searched, Fit]:
