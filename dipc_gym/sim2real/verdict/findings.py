@@ -255,9 +255,10 @@ def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[
     on_a_curve = isinstance(term.effect, Law) and term.effect.smooth
     as_they_are = len(values) == levels.size and np.allclose(values, levels.ravel())
     if (on_a_curve or as_they_are) and np.isfinite(wide[own]).all():
-        for name, sign in (("low", -1), ("high", 1)):
-            end = final.structure.term_values(final.z + sign * np.where(own, wide, 0.0), term)
-            law["table"][name] = (term.effect.law_of(end, units) or law)["table"]["levels"]
+        apart = np.where(own, wide, 0.0)
+        ends = [final.structure.term_values(final.z + sign * apart, term) for sign in (-1, 1)]
+        tables = [(term.effect.law_of(end, units) or law)["table"]["levels"] for end in ends]
+        law["table"] |= dict(zip(("low", "high"), np.sort(tables, axis=0).tolist(), strict=True))
     return law
 
 
