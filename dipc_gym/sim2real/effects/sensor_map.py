@@ -66,7 +66,7 @@ class ScaleMap(Map):
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         along = np.linspace(self.knots[0], self.knots[-1], BINS + 1)
-        off = np.interp(along, self.knots, np.subtract(self.values(values), self.knots))
+        off = self._at(along, values) - along
         off -= np.polynomial.Polynomial.fit(along, off, 1)(along)  # a straight one shows in other parameters as well
         k, name = int(np.argmax(np.abs(off))), self.per(unit)
         return (

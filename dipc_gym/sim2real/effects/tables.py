@@ -2,9 +2,11 @@
 
 A table is piecewise linear between its knots and constant outside. A map is written as one of closer knots along a
 curve: a command that is held asks for it at one point, where a line between values of a bent one is off by more than
-motion over all of them shows. Knots are proposed from the unexplained force, where
-a table costs one linear regression; its values are then fitted in simulation, like every other parameter. The growth
-is LOLIMOT's idea (Nelles 1996) in one dimension: the knot that removes most of what is left comes next.
+motion over all of them shows.
+
+Knots are proposed from the unexplained force, where a table costs one linear regression; its values are then fitted in
+simulation, like every other parameter. The growth is LOLIMOT's idea (Nelles 1996) in one dimension: the knot that
+removes most of what is left comes next.
 """
 
 from __future__ import annotations
@@ -115,9 +117,9 @@ def curve(knots: Array, values: Array, at: Array) -> Array:
     return np.asarray(CubicHermiteSpline(knots, values, np.gradient(values, knots, axis=0))(at))
 
 
-def between(knots: Array) -> Array:
-    """Knots, and places evenly between each two of them, so close that lines from one to the next follow a curve."""
-    steps = np.arange(TABLES.between * (len(knots) - 1) + 1) / TABLES.between
+def between(knots: Array, lines: int = TABLES.between) -> Array:
+    """Knots, and places evenly between each two of them, so close that so many lines follow a curve there."""
+    steps = np.arange(lines * (len(knots) - 1) + 1) / lines
     return np.interp(steps, np.arange(len(knots)), knots)
 
 

@@ -14,7 +14,7 @@ from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.law import Array, holding_new, recalled
 from dipc_gym.sim2real.effects.settings import LAWS, TABLES
 from dipc_gym.sim2real.effects.sought import apart
-from dipc_gym.sim2real.effects.tables import hats, smooth
+from dipc_gym.sim2real.effects.tables import between, hats, smooth
 from dipc_gym.sim2real.effects.unknown_force import BEYOND, driven_up_to, in_words, unit_of
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct, beside_product, carriers
 
@@ -130,9 +130,7 @@ class UnknownRecent(UnknownProduct):
 
     def _surface(self, values: Values) -> tuple[list[float], list[float], Array]:
         """Over the mean itself, in so many rows that it bends."""
-        last = len(self.knots) - 1
-        places = np.linspace(0, last, -(-ROWS // last) * last + 1)  # every knot is one of these
-        roots = np.interp(places, range(last + 1), self.knots)
+        roots = between(np.array(self.knots), -(-ROWS // (len(self.knots) - 1)))
         levels = self._at(roots, values)
         return (roots**2).tolist(), [-self.most, self.most], np.stack([-levels, levels], axis=1)
 

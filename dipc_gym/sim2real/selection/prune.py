@@ -104,8 +104,7 @@ def _finer_without(fitter: Fitter, current: Fit, term: Term) -> Iterator[Fit]:
     less = fitter.without(current, term.key)
     for key in laws if less.error < SEARCH.in_reach else []:
         less = refined(fitter, less, key, enough=current.error)
-    lost = fitter.scorer.compare(current, less)
-    if lost.gain <= max(SCORE.worth, lost.error):
+    if not fitter.scorer.compare(current, less).matters:
         yield less
 
 
@@ -116,7 +115,7 @@ def _missed(scorer: Scorer, term: Term, current: Fit, less: Fit) -> bool:
     lost = scorer.compare(current, less)
     # Of a kind that acts at several joints each one takes little of what all of them leave.
     if sum(other.effect.id == term.effect.id for other in current.structure.terms) > 1:
-        return lost.gain > max(SCORE.worth, lost.error)
+        return lost.matters
     return (not lost.alike and scorer.earns(current, less)) or scorer.settles(current, less)
 
 

@@ -47,6 +47,11 @@ class Improvement:
         return self.gain > max(SCORE.told, SCORE.clear * self.error)
 
     @property
+    def matters(self) -> bool:
+        """Better by enough to be worth an effect, and by more than a standard error."""
+        return self.gain > max(SCORE.worth, self.error)
+
+    @property
     def alike(self) -> bool:
         """Not told from the other, or hardly better than it."""
         return not self.shows and self.gain < max(SCORE.hardly, SCORE.alike * self.error)
