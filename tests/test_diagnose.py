@@ -165,7 +165,7 @@ def test_names_dry_friction_and_its_level(sticky: Diagnosis, tmp_path: Path) -> 
     model = mujoco.MjModel.from_xml_string(found.improved)
     # At 1 ms MuJoCo's friction is off by more than the noise, whatever its level: then the level is the rig's.
     assert model.dof_frictionloss[0] == level["value"]
-    note = next(note for note in found.notes if "a shorter step is worth more" in note)
+    note = next(note for note in found.notes if "finer steps are worth more" in note)
     advice = re.search(r"With a timestep of (\S+) ms and each solreffriction (\d+) times shorter as well", note)
     assert advice is not None
     followed = found.improved.replace('timestep="0.001"', f'timestep="{1e-3 * float(advice[1])}"')

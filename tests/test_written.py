@@ -126,13 +126,45 @@ def test_what_the_file_costs_at_its_own_step_is_said_everywhere(tmp_path: Path) 
     assert figure in note
     assert off(found.improved, fresh, tmp_path) == pytest.approx(written.held_out.improved, rel=0.05)
     assert written.finer is not None
-    step, error = written.finer
+    step, error = written.finer.timestep, written.finer.error
     assert f"a timestep of {1e3 * step:g} ms" in note
     assert f"{error:.3g} times" in note
     finer = found.improved.replace('timestep="0.002"', f'timestep="{step}"')
     finer = finer.replace('solreffriction="0.004 1"', f'solreffriction="{2 * step} 1"')
     assert off(finer, fresh, tmp_path) == pytest.approx(error, rel=0.05)
     json.dumps(found.to_dict(), allow_nan=False)
+
+
+AXIS = """<mujoco model="axis">
+  <option timestep="0.0005" integrator="implicitfast"/>
+  <worldbody>
+    <body name="wheel">
+      <inertial pos="0 0 0" mass="0.1" diaginertia="1.5e-4 1.5e-4 1.5e-4"/>
+      <joint name="axis" type="hinge" axis="0 0 1" damping="2e-4"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="torque" joint="axis"/></actuator>
+  <sensor><jointpos name="axis" joint="axis"/></sensor>
+</mujoco>
+"""
+
+
+def test_a_step_that_hides_what_was_found_is_taken_by_another_integrator(tmp_path: Path) -> None:
+    """Half a step of a fast axis is more than a wrong damping: at the file's own, a model that lacks it is better."""
+    truth = AXIS.replace("implicitfast", "RK4").replace('damping="2e-4"', 'damping="2.006e-4"')
+    first, second, fresh = (simulated(truth, "axis", 0.0, 0.012, 1e-4, seed) for seed in (1, 2, 3))
+    found = asked(AXIS, [first, second], fresh)
+    assert found.written is not None
+    assert found.written.exact
+    assert found.written.integrator == "RK4"
+    assert found.written.held_out.improved < SCORE.at_floor < found.written.held_out.nominal
+    assert mjcf.compile(mjcf.from_text(found.improved)).opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    assert off(found.improved, fresh, tmp_path) < SCORE.at_floor
+    asks = "improved.xml asks for the integrator RK4"
+    assert asks in found.improved
+    assert any(asks in note for note in found.notes)
+    own = found.improved.replace("RK4", "implicitfast")
+    assert off(own, fresh, tmp_path) > off(AXIS, fresh, tmp_path)  # what it would be without
 
 
 NOTHING = Structure(Document(mjcf.from_text(CART)), mjcf.compile(mjcf.from_text(CART)), ("cart",))
@@ -148,38 +180,57 @@ def options(*, refitted: bool = False) -> st.SearchStrategy[list[Option]]:
 
 
 @pytest.mark.parametrize(
-    ("physical", "refitted", "plainer", "taken"),
+    ("physical", "refitted", "exact", "plainer", "taken"),
     [
-        ((1.1,), (), (9.0,), 1.1),  # the rig's own parameters will do
-        ((50.0, 1.7, 1.1), (), (9.0,), 1.1),  # in another form
-        ((3.0,), (1.1,), (9.0,), 1.1),  # others make up for the step
-        ((9.0,), (4.0,), (20.0,), 9.0),  # others do not, and are wrong at any other step
-        ((9.0,), (2.4,), (5.0,), 2.4),  # but they may for most of it
-        ((9.0,), (4.0,), (5.0,), 5.0),  # for a part of it is chance
-        ((7.0,), (4.0,), (5.0,), 7.0),  # where the step costs most, the rig's own are right at any other
-        ((9.0,), (7.0,), (5.0, 6.0), 5.0),  # nothing is better
-        ((9.0,), (7.0,), (9.0,), 9.0),  # as good, and right at any step
-        ((1.19,), (), (1.0,), 1.19),  # at the noise all are as good
+        ((1.1,), (), (), (9.0,), 1.1),  # the rig's own parameters will do
+        ((50.0, 1.7, 1.1), (), (), (9.0,), 1.1),  # in another form
+        ((3.0,), (1.1,), (), (9.0,), 1.1),  # others make up for the step
+        ((9.0,), (4.0,), (), (20.0,), 9.0),  # others do not, and are wrong at any other step
+        ((9.0,), (2.4,), (), (5.0,), 2.4),  # but they may for most of it
+        ((9.0,), (4.0,), (), (5.0,), 5.0),  # for a part of it is chance
+        ((7.0,), (4.0,), (), (5.0,), 7.0),  # where the step costs most, the rig's own are right at any other
+        ((9.0,), (7.0,), (), (5.0, 6.0), 5.0),  # nothing is better
+        ((9.0,), (7.0,), (), (9.0,), 9.0),  # as good, and right at any step
+        ((1.19,), (), (), (1.0,), 1.19),  # at the noise all are as good
+        ((9.0,), (7.0,), (1.0,), (5.0, 6.0), 1.0),  # in the same steps of another integrator
+        ((9.0,), (2.4,), (1.0,), (5.0,), 1.0),  # which is right at any other step
+        ((7.0,), (4.0,), (1.0,), (5.0,), 1.0),  # and no worse than a plainer one
+        ((4.0,), (), (1.0,), (5.0,), 4.0),  # but takes four times as long
+        ((9.0,), (), (3.0,), (5.0,), 5.0),  # and is nothing for itself
     ],
 )
 def test_what_is_written(
-    physical: tuple[float, ...], refitted: tuple[float, ...], plainer: tuple[float, ...], taken: float
+    physical: tuple[float, ...],
+    refitted: tuple[float, ...],
+    exact: tuple[float, ...],
+    plainer: tuple[float, ...],
+    taken: float,
 ) -> None:
     made = [option(error, refitted=True) for error in refitted]
-    chosen = choose([option(error) for error in physical], made, [option(error) for error in plainer], 1.2)
+    own, other, fewer = ([option(error) for error in errors] for errors in (physical, exact, plainer))
+    chosen = choose(own, made, other, fewer, 1.2)
     assert chosen.error == taken
 
 
-@given(physical=options(), refitted=options(refitted=True), plainer=options(), enough=st.floats(1.2, 1e6))
+@given(
+    physical=options(),
+    refitted=options(refitted=True),
+    exact=st.lists(st.floats(0.9, 1e6).map(option), max_size=1),
+    plainer=options(),
+    enough=st.floats(1.2, 1e6),
+)
 def test_no_file_predicts_worse_than_a_plainer_one(
-    physical: list[Option], refitted: list[Option], plainer: list[Option], enough: float
+    physical: list[Option], refitted: list[Option], exact: list[Option], plainer: list[Option], enough: float
 ) -> None:
-    taken = choose(physical, refitted, plainer, enough)
+    taken = choose(physical, refitted, exact, plainer, enough)
     least = max(VERDICT.worse * min(option.error for option in plainer), SCORE.at_floor)
     coarse = enough < SEARCH.most * min(option.error for option in physical)
     assert taken.error <= (VERDICT.coarse if coarse and taken in physical else 1.0) * least
     if taken.refitted:  # the rig's own parameters would do as badly as to be no good
         assert min(option.error for option in physical) > min(enough, *(option.error for option in plainer))
+    if any(taken is option for option in exact):
+        assert taken.error <= enough
+        assert min(option.error for option in physical) > least
     if physical[0].error <= min(enough, least):
         assert taken is physical[0]
 

@@ -153,6 +153,25 @@ class SensorFit:
 
 
 @dataclass(frozen=True)
+class FinerSteps:
+    """How improved.xml would be simulated to come down to what fine steps predict.
+
+    Attributes:
+        timestep: s.
+        integrator: as MJCF names it.
+        error: on held-out data then, in units of noise.
+    """
+
+    timestep: float
+    integrator: str
+    error: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in diagnosis.json."""
+        return {"timestep": self.timestep, "integrator": self.integrator, "error": round(self.error, 4)}
+
+
+@dataclass(frozen=True)
 class AsWritten:
     """What improved.xml comes to as its owner will run it, simulated by MuJoCo at the file's own step.
 
@@ -163,8 +182,9 @@ class AsWritten:
         validation: the same on those that the form was chosen by.
         forms: elements in words, by key of each effect that is written otherwise than it was fitted.
         refitted: whether parameters make up for the step, and so hold at no other.
-        finer: a step that brings the file down to what fine steps predict, s, and its error on held-out data; None
-            where its own does, or none of those tried.
+        exact: whether the file asks for that integrator in the place of its own, without which a model that lacks what
+            was found would predict better at its step.
+        finer: what brings the file down to what fine steps predict; None where its own steps do, or nothing tried.
         to_the_end: whether what is written was fitted to what is held out as well, after that had judged it.
     """
 
@@ -174,7 +194,8 @@ class AsWritten:
     validation: Errors
     forms: Mapping[str, str] = field(default_factory=dict)
     refitted: bool = False
-    finer: tuple[float, float] | None = None
+    exact: bool = False
+    finer: FinerSteps | None = None
     to_the_end: bool = False
 
     def to_dict(self) -> dict[str, Any]:
@@ -186,7 +207,8 @@ class AsWritten:
             "validation_in_noise": self.validation.in_noise(),
             "forms": dict(self.forms),
             "refitted": self.refitted,
-            "finer": None if self.finer is None else {"timestep": self.finer[0], "error": round(self.finer[1], 4)},
+            "exact": self.exact,
+            "finer": None if self.finer is None else self.finer.to_dict(),
             "fitted_to_the_end": self.to_the_end,
         }
 

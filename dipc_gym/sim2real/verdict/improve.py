@@ -71,6 +71,8 @@ def improved_model(
         lines.append("Refitted: " + ", ".join(key if far else f"{key} (hardly)" for key, far in moved.items()) + ".")
     lines += _at_rest(Document(source), document)
     lines.append(sentences.as_written(said, errors))
+    if said.exact:
+        lines.append(sentences.asks_for(said))
     if said.to_the_end:
         lines.append("That was before its parameters were fitted once more, to all of the recordings.")
     if option.refitted:

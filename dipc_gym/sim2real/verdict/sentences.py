@@ -273,6 +273,17 @@ def as_written(said: AsWritten, errors: Errors) -> str:
     )
 
 
+def asks_for(said: AsWritten) -> str:
+    """A sentence on the integrator that the file asks for in the place of its own; empty if it does not."""
+    if not said.exact:
+        return ""
+    return (
+        f"improved.xml asks for the integrator {said.integrator}: with the model's own at the same step of "
+        f"{1e3 * said.timestep:g} ms, a model that lacks what was found would predict better. A step takes about four "
+        "times as long."
+    )
+
+
 def step_costs(said: AsWritten, errors: Errors, *, dropped: Sequence[str], alone: bool, stiff: bool) -> str:
     """Note on a file that predicts worse at its own step than what was found does in fine ones; empty if it does not.
 
@@ -283,22 +294,28 @@ def step_costs(said: AsWritten, errors: Errors, *, dropped: Sequence[str], alone
         alone: whether it holds none.
         stiff: whether dry friction in it has constants chosen with its step in mind.
     """
+    asks = asks_for(said)
     allowed = SCORE.at_floor * max(errors.improved, 1.0)
     if not dropped and said.finer is None and said.held_out.improved <= allowed:
-        return ""
-    note = (
+        return asks
+    note = asks and f"{asks} "
+    note += (
         f"At the model's own step of {1e3 * said.timestep:g} ms and with its integrator improved.xml predicts to "
         f"{said.held_out.improved:.3g} times the noise, with a converged step to {errors.improved:.3g}, and no "
-        "parameters make up for that: a shorter step is worth more than any further physics."
+        "parameters make up for that: finer steps are worth more than any further physics."
     )
     if dropped:
         left_out = "what was found beside it" if alone else " and ".join(dropped)
         note += f" With {left_out}, it would predict worse there than without, so that is left out of it."
     if said.finer is None:
         return f"{note} None of the steps tried, down to 1/{max(VERDICT.shorter)} of it, brings it there."
-    step, error = said.finer
-    also = f" and each solreffriction {said.timestep / step:.0f} times shorter as well" if stiff else ""
-    return f"{note} With a timestep of {1e3 * step:g} ms{also} it predicts to {error:.3g} times the noise."
+    finer = said.finer
+    if finer.timestep == said.timestep:
+        steps = f"the integrator {finer.integrator} at this step"
+    else:
+        also = f" and each solreffriction {said.timestep / finer.timestep:.0f} times shorter as well" if stiff else ""
+        steps = f"a timestep of {1e3 * finer.timestep:g} ms{also}"
+    return f"{note} With {steps} it predicts to {finer.error:.3g} times the noise."
 
 
 def own_step(step: float, fine: float) -> str:
