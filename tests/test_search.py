@@ -318,28 +318,27 @@ def test_what_a_law_leaves_is_no_second_effects(
 
 
 @pytest.mark.parametrize(
-    ("begin", "now", "finer"),
+    ("begin", "now", "after", "finer"),
     [
-        (20000.0, 1700.0, False),  # much else is missing
-        (20000.0, 60.0, True),  # little beside what was found
-        (100.0, 2.5, True),  # it may yet come down to the noise
-        (100.0, 5.0, False),
+        (20000.0, 1700.0, 1500.0, False),  # much else is missing: it would take up what that does
+        (20000.0, 60.0, 50.0, True),  # little beside what was found
+        (100.0, 2.5, 2.0, True),  # it may yet come down to the noise
+        (100.0, 7.0, 1.1, True),  # what was left was of the law alone
+        (100.0, 7.0, 5.0, False),
     ],
 )
-def test_laws_are_made_finer_where_little_else_can_be_missing(
-    dry: Search, monkeypatch: pytest.MonkeyPatch, begin: float, now: float, finer: bool
+def test_laws_are_finer_where_little_else_can_be_missing_then(
+    dry: Search, monkeypatch: pytest.MonkeyPatch, begin: float, now: float, after: float, finer: bool
 ) -> None:
     """Errors in units of noise."""
-    asked = list[str]()
-    monkeypatch.setattr(
-        "dipc_gym.sim2real.selection.search.refined", lambda _, fit, key, tell: asked.append(key) or fit
+    bare, law, better = (
+        replace(dry.progress.current, mse=np.full_like(dry.progress.current.mse, error**2))
+        for error in (begin, now, after)
     )
-    found = dry.progress.current
-    bare, law = (replace(found, mse=np.full_like(found.mse, error**2)) for error in (begin, now))
+    monkeypatch.setattr("dipc_gym.sim2real.selection.search.refined", lambda *_: better)
     search = begun([run(1, 12, 3.0)], MANY)
     search.journal.progress = replace(search.progress, path=(bare,))
-    assert search._finer(law) is law
-    assert bool(asked) == finer
+    assert search._finer(law) is (better if finer else law)
 
 
 @pytest.mark.parametrize(

@@ -282,14 +282,13 @@ class Search:
         return added in names(pruned.structure.terms) or self.scorer.compare(pruned, before).clear
 
     def _finer(self, fitted: Fit) -> Fit:
-        """A fit whose laws are as fine as its windows ask for, where little else can be missing: a law that is made
-        finer before that takes up what something else does.
+        """A fit whose laws are as fine as its windows ask for, if little else can be missing then: one that is made finer
+        before that takes up what something else does.
         """
-        if not near(self.progress.path[0], fitted):
-            return fitted
+        finer = fitted
         for key in names(fitted.structure.terms):
-            fitted = refined(self.fitter, fitted, key, self.tell)
-        return fitted
+            finer = refined(self.fitter, finer, key, self.tell)
+        return finer if near(self.progress.path[0], finer) else fitted
 
     def _go_on(self, progress: Progress) -> None:
         """Go on from here, on these windows."""
