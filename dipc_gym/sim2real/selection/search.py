@@ -282,7 +282,7 @@ class Search:
         return added in names(pruned.structure.terms) or self.scorer.compare(pruned, before).clear
 
     def _finer(self, fitted: Fit) -> Fit:
-        """A fit whose laws are as fine as its windows ask for, if little else can be missing then: one that is made finer
+        """A fit whose laws are as fine as its windows ask for, if little else can be missing then: a law that is finer
         before that takes up what something else does.
         """
         finer = fitted
