@@ -95,6 +95,7 @@ class TableSettings:
             out from motion is too rough to tell finer shapes
         most_knots: of a table: simulation tells where more are needed
         fewest: samples between two knots: of fewer, noise decides what the table says there
+        averaged: s, over which forces and what is to explain them are averaged: no acceleration is known faster
         block: s; alternating blocks choose knots and confirm them: errors of an estimated force last for a part of a
             second, so that neighbouring samples would confirm each other's noise
         spare: share of what knots gain on the confirming blocks that a table with fewer of them may forgo, so that
@@ -112,6 +113,7 @@ class TableSettings:
     bins: int = 64
     most_knots: int = 24
     fewest: int = 20
+    averaged: float = 0.025
     block: float = 1.0
     spare: float = 0.03
     near: float = 0.1

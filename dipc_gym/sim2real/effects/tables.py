@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.interpolate import CubicHermiteSpline
 
 from dipc_gym.mjcf.edit import Document
@@ -43,14 +44,29 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     low, high = (float(v) for v in np.quantile(x, [TABLES.covered, 1 - TABLES.covered]))
     high = max(high, low + 1e-9 * max(1.0, abs(low)))
     edges = np.linspace(low, high, TABLES.bins + 1)
-    confirming = odd_blocks(time)
+    mean = averaging(time)
+    confirming = odd_blocks(mean @ time)
     if confirming.all() or not confirming.any():
-        confirming = np.arange(len(x)) % 2 == 1
-    columns = np.column_stack([hats(edges, x) * carrier[:, None], *beside])
+        confirming = np.arange(len(confirming)) % 2 == 1
+    columns, force = mean @ np.column_stack([hats(edges, x) * carrier[:, None], *beside]), mean @ force
     parts = [Nested.of(columns[part], force[part]) for part in (~confirming, confirming)]
     counts = np.append(0, np.cumsum(np.histogram(x, edges)[0]))
     knots = grown(parts[0], parts[1], counts)
     return edges[knots], Nested.of(columns, force).weights(knots)[: len(knots)]
+
+
+def averaging(time: Array) -> sparse.csr_array:
+    """What averages over stretches of time, (m, n): the force to be explained, and all that is to explain it.
+
+    Forces are known smoothed, as accelerations are. A command that shakes faster, as that of a rig that is balanced by
+    noisy readings does, would seem to do nothing.
+
+    Args:
+        time: s, (n,), beginning anew with each recording.
+    """
+    begins = np.flatnonzero(np.diff(np.floor(time / TABLES.averaged), prepend=np.nan) != 0)
+    counts = np.diff(begins, append=len(time))
+    return sparse.csr_array((np.repeat(1.0 / counts, counts), np.arange(len(time)), np.append(begins, len(time))))
 
 
 def grown(fitted: Nested, confirming: Nested, counts: NDArray[np.intp]) -> list[int]:
