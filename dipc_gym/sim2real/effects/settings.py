@@ -87,6 +87,25 @@ LAWS = LawSettings()
 
 
 @dataclass(frozen=True)
+class SmoothingSettings:
+    """Decision constants of how forces are smoothed before a law is looked for in them.
+
+    Attributes:
+        width: s, standard deviation of the bell curve that samples are weighted by: of a force at 8 Hz, as fast as
+            most rigs move, it leaves more than half, and next to nothing from 25 Hz on, where encoders tell only noise
+        every: s from one smoothed sample to the next: half the width needs no more
+        reach: widths to either side, beyond which a sample counts for nothing
+    """
+
+    width: float = 0.02
+    every: float = 0.01
+    reach: float = 3.0
+
+
+SMOOTHING = SmoothingSettings()
+
+
+@dataclass(frozen=True)
 class TableSettings:
     """Decision constants of how a table of one input is grown from the unexplained force.
 
@@ -95,7 +114,6 @@ class TableSettings:
             out from motion is too rough to tell finer shapes
         most_knots: of a table: simulation tells where more are needed
         fewest: samples between two knots: of fewer, noise decides what the table says there
-        averaged: s, over which forces and what is to explain them are averaged: no acceleration is known faster
         block: s; alternating blocks choose knots and confirm them: errors of an estimated force last for a part of a
             second, so that neighbouring samples would confirm each other's noise
         spare: share of what knots gain on the confirming blocks that a table with fewer of them may forgo, so that
@@ -113,7 +131,6 @@ class TableSettings:
     bins: int = 64
     most_knots: int = 24
     fewest: int = 20
-    averaged: float = 0.025
     block: float = 1.0
     spare: float = 0.03
     near: float = 0.1

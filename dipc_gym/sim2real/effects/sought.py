@@ -11,15 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
 from dipc_gym.sim2real.effects.base import Evidence
+from dipc_gym.sim2real.effects.smoothing import smoothing
 
 Array = NDArray[np.float64]
 
-SMOOTH = 0.02  # s: the noise of encoders grows with the square of frequency in a force; what remembers is slower
-BLOCK = 0.01  # s, averaged first: half of that needs no more samples
 ROUNDS = 12  # of Gauss and Newton: the force is too rough for more
 WITHIN = 1e-3  # of a bound, where a fit may begin
 
@@ -56,9 +54,9 @@ class Sought:
     """
 
     def __init__(self, evidence: Evidence, beside: Sequence[Array] = ()) -> None:
-        self._evidence = evidence
+        self._mean = smoothing(evidence.time)
         plain = [np.ones(len(evidence.time)), *(beside or (evidence.velocity, evidence.position))]
-        self._beside, _ = np.linalg.qr(np.stack([self._smooth(one) for one in plain], axis=1))
+        self._beside, _ = np.linalg.qr(self._mean @ np.stack(plain, axis=1))
         self.force = self._apart(evidence.force)
 
     def explained(self, pull: Array) -> Explained:
@@ -94,18 +92,8 @@ class Sought:
 
     def _apart(self, force: Array) -> Array:
         """A force (n,), smoothed, less what explains a part of it as well, (m,)."""
-        smooth = self._smooth(force)
+        smooth = self._mean @ force
         return np.asarray(smooth - self._beside @ (self._beside.T @ smooth))
-
-    def _smooth(self, column: Array) -> Array:
-        """Means of blocks of samples, smoothed, run by run, (m,)."""
-        found = []
-        for run in self._evidence.runs:
-            step = float(np.median(np.diff(self._evidence.time[run]))) if len(run) > 1 else np.inf
-            block = max(round(BLOCK / step), 1)
-            means = column[run[: len(run) // block * block]].reshape(-1, block).mean(axis=1)
-            found.append(gaussian_filter1d(means, SMOOTH / (block * step)) if len(means) else means)
-        return np.concatenate(found)
 
 
 def apart(left: Sequence[float], paces: Sequence[float], *, count: int, ratio: float = 1.0) -> list[int]:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from dipc_gym.sim2real.effects.settings import SURFACES, TABLES
-from dipc_gym.sim2real.effects.tables import averaging, odd_blocks, spared
+from dipc_gym.sim2real.effects.smoothing import smoothing
+from dipc_gym.sim2real.effects.tables import odd_blocks, spared
 
 Array = NDArray[np.float64]
 Sums = tuple[sparse.csr_array, Array, float]  # normal matrix, right-hand side, sum of squares
@@ -49,7 +50,7 @@ def surfaces(inputs: Mapping[str, Array], force: Array, time: Array) -> list[Sur
         force: to be explained, (n,).
         time: s, (n,), beginning anew with each recording.
     """
-    mean = averaging(time)
+    mean = smoothing(time)
     late, force = odd_blocks(mean @ time), mean @ force
     if late.all() or not late.any():
         return []
@@ -87,9 +88,9 @@ class _Even:
 
     Args:
         inputs: one or two, (n,) each.
-        mean: what averages over stretches of time, (m, n).
-        force: averaged so, (m,).
-        halves: stretches that fit a table, and those that tell what it is worth; then the other way round.
+        mean: what smooths, (m, n).
+        force: smoothed, (m,).
+        halves: of these samples, those that fit a table and those that tell what it is worth; then the other way round.
         bins: along each input.
     """
 

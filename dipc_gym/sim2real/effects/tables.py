@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.interpolate import CubicHermiteSpline
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import passive_ramp
 from dipc_gym.sim2real.effects.settings import TABLES
+from dipc_gym.sim2real.effects.smoothing import smoothing
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     low, high = (float(v) for v in np.quantile(x, [TABLES.covered, 1 - TABLES.covered]))
     high = max(high, low + 1e-9 * max(1.0, abs(low)))
     edges = np.linspace(low, high, TABLES.bins + 1)
-    mean = averaging(time)
+    mean = smoothing(time)
     confirming = odd_blocks(mean @ time)
     if confirming.all() or not confirming.any():
         confirming = np.arange(len(confirming)) % 2 == 1
@@ -53,20 +53,6 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     counts = np.append(0, np.cumsum(np.histogram(x, edges)[0]))
     knots = grown(parts[0], parts[1], counts)
     return edges[knots], Nested.of(columns, force).weights(knots)[: len(knots)]
-
-
-def averaging(time: Array) -> sparse.csr_array:
-    """What averages over stretches of time, (m, n): the force to be explained, and all that is to explain it.
-
-    Forces are known smoothed, as accelerations are. A command that shakes faster, as that of a rig that is balanced by
-    noisy readings does, would seem to do nothing.
-
-    Args:
-        time: s, (n,), beginning anew with each recording.
-    """
-    begins = np.flatnonzero(np.diff(np.floor(time / TABLES.averaged), prepend=np.nan) != 0)
-    counts = np.diff(begins, append=len(time))
-    return sparse.csr_array((np.repeat(1.0 / counts, counts), np.arange(len(time)), np.append(begins, len(time))))
 
 
 def grown(fitted: Nested, confirming: Nested, counts: NDArray[np.intp]) -> list[int]:
@@ -91,7 +77,9 @@ def grown(fitted: Nested, confirming: Nested, counts: NDArray[np.intp]) -> list[
 
 
 def smooth(edges: Array, x: Array, force: Array, carrier: Array, beside: Sequence[Array]) -> Array:
-    """Values at even knots of the table that `grow` asks for, where it bends as little as the force lets it.
+    """Values at even knots of a table as `grow` asks for, where it bends as little as the force lets it.
+
+    Samples are taken one by one: it is for what shows in moments, where a recording begins.
 
     Args:
         edges: knots, (k,).

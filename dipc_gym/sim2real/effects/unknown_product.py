@@ -13,6 +13,7 @@ from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, joint_of
 from dipc_gym.sim2real.effects.law import Array, Law, described, holding_new
 from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.smoothing import smoothing
 from dipc_gym.sim2real.effects.tables import bending, grow, odd_blocks
 from dipc_gym.sim2real.effects.unknown_force import BEYOND, driven_up_to, in_words, unit_of
 
@@ -108,13 +109,13 @@ class UnknownProduct(Law):
         knots, values = grow(x, evidence.force, y / most, others, evidence.time)
         if len(knots) == 2 and np.ptp(values) == 0:
             return None
-        late = odd_blocks(evidence.time)
-        law = np.interp(x, knots, values) * y / most
-        columns = np.column_stack([law, *others])
+        mean = smoothing(evidence.time)
+        late, force = odd_blocks(mean @ evidence.time), mean @ evidence.force
+        columns = mean @ np.column_stack([np.interp(x, knots, values) * y / most, *others])
         left = 0.0
         for fitted, told in ((late, ~late), (~late, late)):
-            weights = np.linalg.lstsq(columns[fitted], evidence.force[fitted], rcond=None)[0]
-            left += float(np.sum((evidence.force[told] - columns[told] @ weights) ** 2))
+            weights = np.linalg.lstsq(columns[fitted], force[fitted], rcond=None)[0]
+            left += float(np.sum((force[told] - columns[told] @ weights) ** 2))
         return left, most, knots, values
 
     @property
