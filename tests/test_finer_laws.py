@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -29,6 +30,7 @@ from dipc_gym.sim2real.effects.surfaces import Surface, surfaces
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.selection.resolution import _passed as passed
 from dipc_gym.sim2real.selection.resolution import within_data
 from dipc_gym.sim2real.selection.scorer import Scorer
 
@@ -390,3 +392,21 @@ def test_few_windows_where_the_rig_seldom_was_make_a_law_finer(monkeypatch: pyte
     assert not scorer.follows(elsewhere, before)  # type: ignore[arg-type]
     assert not scorer.follows(before, before)  # type: ignore[arg-type]
     assert not scorer.follows(finer, far)  # type: ignore[arg-type]
+
+
+def test_knots_lie_where_windows_stand_out_that_a_law_is_too_coarse_for() -> None:
+    """The nearest ones to where such windows pass; none where all are predicted alike."""
+    ready = prepared(CART, [record(physics.load(CART), sweep(4.0))])
+    law = ForceOfPosition(np.linspace(-1.0, 1.0, 41).tolist(), [0.1] * 41)
+    term = Term(law, "cart", law.guess)
+    fitted = fit(ready.problem, ready.structure.with_term(term), ready.structure.with_term(term).first, most=0)
+    windows, even = ready.problem.windows, np.ones(len(ready.problem.windows))
+    assert not passed(replace(fitted, mse=even), term, windows).any()
+    mse = even.copy()
+    mse[3] = 1e4
+    found = np.array(law.knots)[passed(replace(fitted, mse=mse), term, windows)]
+    place = windows.observed[3, :, 0]
+    assert len(found)
+    assert np.all(np.abs(found[:, None] - place).min(axis=1) < 0.5 * 0.05 + 1e-3)
+    assert np.all(np.abs(place[:, None] - found).min(axis=1) < 0.5 * 0.05 + 1e-3)
+    assert len(found) < len(law.knots)

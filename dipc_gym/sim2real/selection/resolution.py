@@ -16,9 +16,10 @@ from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.data import outliers
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
-from dipc_gym.sim2real.selection.support import span
+from dipc_gym.sim2real.selection.support import input_of, span
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -111,9 +112,10 @@ def _with_more(fitter: Fitter, current: Fit, key: str) -> Fit | None:
     """The best fit with more parameters of one law; None where it has none."""
     term = next(term for term in current.structure.terms if term.key == key)
     values = current.structure.term_values(current.z, term)
-    shapes = [
-        instead(current.structure, current.z, term, *shape) for shape in term.effect.finer(values, _told(current, key))
-    ]
+    told = _told(current, key)
+    if told is not None:
+        told |= _passed(current, term, fitter.problem.windows)
+    shapes = [instead(current.structure, current.z, term, *shape) for shape in term.effect.finer(values, told)]
 
     def reshaped(structure: Structure, begin: Array) -> Fit | None:
         try:
@@ -148,6 +150,24 @@ def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
     told = np.zeros(len(own), dtype=bool)
     told[: len(new)][new] = np.abs(off @ fitted.z[own]) > SCORE.alike * error
     return told
+
+
+def _passed(fitted: Fit, term: Term, windows: Windows) -> NDArray[np.bool_]:
+    """Which knots of a law are the nearest to where windows pass that stand out: what they lack may lie there, (p,).
+
+    Args:
+        fitted: to these windows.
+        term: the law.
+        windows: of the fit.
+    """
+    law, passed = term.effect, np.zeros(len(term.effect.parameters), dtype=bool)
+    axes = law.axes(term.at) if isinstance(law, Law) else ()
+    worst = outliers(fitted.mse)
+    if axes and len(worst):
+        seen = input_of(axes[0], fitted, windows)[worst][windows.valid[worst]]
+        middles = 0.5 * (np.array(law.knots[1:]) + np.array(law.knots[:-1]))
+        passed[np.unique(np.searchsorted(middles, seen))] = True
+    return passed
 
 
 def _own(fitted: Fit, key: str) -> list[int]:
