@@ -160,13 +160,13 @@ def _passed(fitted: Fit, term: Term, windows: Windows) -> NDArray[np.bool_]:
         term: the law.
         windows: of the fit.
     """
-    law, passed = term.effect, np.zeros(len(term.effect.parameters), dtype=bool)
-    axes = law.axes(term.at) if isinstance(law, Law) else ()
-    worst = outliers(fitted.mse)
-    if axes and len(worst):
-        seen = input_of(axes[0], fitted, windows)[worst][windows.valid[worst]]
-        middles = 0.5 * (np.array(law.knots[1:]) + np.array(law.knots[:-1]))
-        passed[np.unique(np.searchsorted(middles, seen))] = True
+    law, worst = term.effect, outliers(fitted.mse)
+    passed = np.zeros(len(law.parameters), dtype=bool)
+    if isinstance(law, Law) and len(worst):
+        for axis in law.axes(term.at):
+            seen = input_of(axis, fitted, windows)[worst][windows.valid[worst]]
+            middles = 0.5 * (np.array(law.knots[1:]) + np.array(law.knots[:-1]))
+            passed[np.unique(np.searchsorted(middles, seen))] = True
     return passed
 
 

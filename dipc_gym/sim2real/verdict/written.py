@@ -182,7 +182,7 @@ def written(
         dict(taken.forms),
         taken.refitted,
         bool(taken.integrator),
-        _finer(taken, integrator, validation, held_out, enough) if costs else None,
+        _finer(taken, exact, integrator, validation, held_out, enough) if costs else None,
     )
     further = None if last is final else _to_the_end(taken, last)
     if further is None:
@@ -267,17 +267,30 @@ def _exactly(option: Option, validation: Predictor) -> Option:
 
 
 def _finer(
-    option: Option, integrator: str, validation: Predictor, held_out: Predictor, enough: float
+    option: Option,
+    tried: Sequence[Option],
+    integrator: str,
+    validation: Predictor,
+    held_out: Predictor,
+    enough: float,
 ) -> FinerSteps | None:
     """How a model would be simulated to predict validation data well enough; None if nothing that is tried does.
 
     Runge-Kutta at the same step costs as much as a quarter of it, and no script of the owner's has to count otherwise.
     Else it is the longest of a few shorter steps. Errors fall no faster than with the square of the step: what that
     foretells to be too coarse is not tried.
+
+    Args:
+        option: the model.
+        tried: models in steps of Runge-Kutta, that it may be one of.
+        integrator: of the file.
+        validation: windows to choose by.
+        held_out: windows to judge by.
+        enough: error that fine steps allow.
     """
     own, least = validation.own.stepping.timestep, 0.0
     if integrator != EXACT and not option.integrator and not option.refitted:
-        exact = _exactly(option, validation)
+        exact = next((one for one in tried if one.z is option.z), None) or _exactly(option, validation)
         if exact.error <= enough:
             return FinerSteps(own, EXACT, held_out.error(exact.structure, exact.z))
     for shorter in VERDICT.shorter:
