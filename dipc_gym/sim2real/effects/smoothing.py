@@ -4,6 +4,9 @@ Differentiated twice, the noise of an encoder grows with the square of frequency
 times what is sought, and nearly gone where that is smoothed over a few hundredths of a second. Both sides of a
 regression have to be: a command that shakes faster, as that of a rig that is balanced by noisy readings does, would
 seem to do nothing beside a smooth force.
+
+Tables over two inputs are told from samples as they come: they are asked last, for whatever is left, and of a rig whose
+encoder is fine, smoothing hides what it does within a few hundredths of a second.
 """
 
 from __future__ import annotations
