@@ -48,8 +48,7 @@ def improved_model(
     final = fits[-1]
     if not final.structure.model_parameters and not final.structure.terms:
         return source.text, None, ""
-    integrator = Document(source).get_option("integrator")
-    option, said = written(given.model.opt.timestep, integrator, partition, test, fits, last)
+    option, said = written(given.model.opt.timestep, partition, test, fits, last)
     structure, z = option.structure, option.z
     if said.to_the_end:
         final = last
@@ -71,8 +70,8 @@ def improved_model(
         lines.append("Refitted: " + ", ".join(key if far else f"{key} (hardly)" for key, far in moved.items()) + ".")
     lines += _at_rest(Document(source), document)
     lines.append(sentences.as_written(said, errors))
-    if said.exact:
-        lines.append(sentences.asks_for(said))
+    if asks := sentences.asks_for(said):
+        lines.append(asks)
     if said.to_the_end:
         lines.append("That was before its parameters were fitted once more, to all of the recordings.")
     if option.refitted:

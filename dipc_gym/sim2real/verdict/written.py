@@ -42,7 +42,6 @@ class Option:
         z: its mapped parameters, (p,).
         error: on validation data at the file's own step, in units of noise.
         refitted: whether the parameters make up for the step.
-        integrator: that the file asks for instead of its own, as MJCF names it; empty if it does not.
         forms: elements in words, by key of each effect that is in another form than it was fitted in.
     """
 
@@ -50,7 +49,6 @@ class Option:
     z: Array
     error: float
     refitted: bool = False
-    integrator: str = ""
     forms: tuple[tuple[str, str], ...] = ()
 
 
@@ -139,13 +137,12 @@ def _allowed(enough: float, error: float, usual: float = VERDICT.worse) -> float
 
 
 def written(
-    timestep: float, integrator: str, partition: Partition, test: Problem, fits: tuple[Fit, Fit, Fit], last: Fit
+    timestep: float, partition: Partition, test: Problem, fits: tuple[Fit, Fit, Fit], last: Fit
 ) -> tuple[Option, AsWritten]:
     """Choose what is written, and judge it on windows that nothing was chosen by.
 
     Args:
         timestep: of the file, s.
-        integrator: of the file.
         partition: windows to refit to, and to choose by.
         test: windows to judge by.
         fits: the model as given, recalibrated, and what was found.
@@ -161,7 +158,7 @@ def written(
     as_found = Option(final.structure, final.z, validation.error(final.structure, final.z))
     physical, refitted, exact, fewer = [as_found], list[Option](), list[Option](), list[Option]()
     if as_found.error > enough:
-        exact = [_exactly(as_found, validation)] if integrator != EXACT else []
+        exact = [_exactly(as_found, validation)] if _integrator(final.structure) != EXACT else []
         physical += _in_other_forms(as_found, validation)
         some = evenly(len(partition.problem.windows), VERDICT.refit)
         fewer = _with_one_less(final, partition.problem.pick(some), some, validation)
@@ -176,13 +173,13 @@ def written(
     costs = taken.error > enough or errors[-1] > told
     said = AsWritten(
         timestep,
-        taken.integrator or integrator,
+        _integrator(taken.structure),
         Errors(*errors),
         Errors(*(option.error for option in (*plainer, taken))),
         dict(taken.forms),
         taken.refitted,
-        bool(taken.integrator),
-        _finer(taken, exact, integrator, validation, held_out, enough) if costs else None,
+        _integrator(taken.structure) != _integrator(final.structure),
+        _finer(taken, exact, validation, held_out, enough) if costs else None,
     )
     further = None if last is final else _to_the_end(taken, last)
     if further is None:
@@ -258,18 +255,22 @@ def _made_up(option: Option, problem: Problem, validation: Predictor) -> list[Op
     return []
 
 
+def _integrator(structure: Structure) -> str:
+    """That a model's file asks for, as MJCF names it."""
+    return structure.document.get_option("integrator")
+
+
 def _exactly(option: Option, validation: Predictor) -> Option:
     """A model in the same steps of Runge-Kutta."""
     document = option.structure.document.copy()
     document.option(integrator=EXACT)
     structure = replace(option.structure, document=document)
-    return replace(option, structure=structure, error=validation.error(structure, option.z), integrator=EXACT)
+    return replace(option, structure=structure, error=validation.error(structure, option.z))
 
 
 def _finer(
     option: Option,
     tried: Sequence[Option],
-    integrator: str,
     validation: Predictor,
     held_out: Predictor,
     enough: float,
@@ -282,14 +283,13 @@ def _finer(
 
     Args:
         option: the model.
-        tried: models in steps of Runge-Kutta, that it may be one of.
-        integrator: of the file.
+        tried: models in steps of Runge-Kutta.
         validation: windows to choose by.
         held_out: windows to judge by.
         enough: error that fine steps allow.
     """
     own, least = validation.own.stepping.timestep, 0.0
-    if integrator != EXACT and not option.integrator and not option.refitted:
+    if _integrator(option.structure) != EXACT and not option.refitted:
         exact = next((one for one in tried if one.z is option.z), None) or _exactly(option, validation)
         if exact.error <= enough:
             return FinerSteps(own, EXACT, held_out.error(exact.structure, exact.z))
@@ -299,9 +299,7 @@ def _finer(
         after = validation.at(own / shorter).error(option.structure, option.z)
         if after <= enough:
             step = own / shorter
-            return FinerSteps(
-                step, option.integrator or integrator, held_out.at(step).error(option.structure, option.z)
-            )
+            return FinerSteps(step, _integrator(option.structure), held_out.at(step).error(option.structure, option.z))
         floor = enough / SCORE.at_floor
         least = shorter * np.sqrt((after - floor) / (enough - floor))
     return None
