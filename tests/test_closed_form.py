@@ -71,3 +71,17 @@ def test_units_change_nothing(size: float, length: float) -> None:
     assert kind == "Gaussian"
     assert height / size == pytest.approx(1.8, rel=0.05)
     assert abs(where["width"]) / length == pytest.approx(0.04, rel=0.1)
+
+
+@settings(max_examples=30, deadline=None)
+@given(fall=st.floats(0.3, 3.0), far=st.floats(0.5, 20.0), kind=st.sampled_from(["exponential", "flank"]))
+def test_what_sits_somewhere_is_seen_there(fall: float, far: float, kind: str) -> None:
+    """The flank of a Gaussian far away fits many a bend, but nobody would call it one."""
+    x = SPEED - 0.3 if kind == "flank" else SPEED
+    law = np.exp(-0.5 * ((x + far) / fall) ** 2 + 0.5 * ((x[0] + far) / fall) ** 2) if kind == "flank" else None
+    values = 1.0 + (np.exp(-x / fall) if law is None else law)
+    for formula in formulas(x, values, 1e6 * np.eye(len(x)), 150):
+        for _, _, numbers in formula.terms:
+            assert -0.2 * 0.9 + x[0] <= numbers.get("at", x[0]) <= x[-1] + 0.2 * 0.9
+            assert numbers.get("width", 0.0) <= 0.9 + 1e-9
+            assert numbers.get("scale", 0.0) <= 1.8 + 1e-9

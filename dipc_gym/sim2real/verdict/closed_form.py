@@ -30,7 +30,9 @@ class Basis:
         kind: in words.
         names: of its nonlinear parameters.
         columns: of an input (m,) and these: (m, k), each with a factor of its own.
-        starts: of a length and the ends of a table.
+        starts: of the ends of a table.
+        bounds: of the same: smallest and largest, within which a term is seen as what it is called. The flank of a
+            Gaussian far away is a curve, but nobody would say so.
         one_sided: whether it is a function of the size of the input alone, so that it needs one that begins at zero.
     """
 
@@ -38,6 +40,7 @@ class Basis:
     names: tuple[str, ...]
     columns: Callable[[Array, Sequence[float]], Array]
     starts: Callable[[float, float], list[tuple[float, ...]]]
+    bounds: Callable[[float, float], list[tuple[float, float]]]
     one_sided: bool = False
 
 
@@ -46,32 +49,45 @@ def _spots(low: float, high: float) -> list[tuple[float, ...]]:
     return [(place, width * (high - low)) for place in places for width in FORMULAS.widths]
 
 
+def _seen(low: float, high: float) -> list[tuple[float, float]]:
+    length = high - low
+    near = FORMULAS.aside * length
+    return [(low - near, high + near), (FORMULAS.narrowest * length, length)]
+
+
+def _lengths(low: float, high: float) -> list[tuple[float, float]]:
+    return [(FORMULAS.narrowest * (high - low), FORMULAS.longest * (high - low))]
+
+
 def _column(x: Array) -> Array:
     return np.asarray(x)[:, None]
 
 
 GRAMMAR = (
-    Basis("line", (), lambda x, _: _column(x), lambda low, high: [()]),
-    Basis("Gaussian", ("at", "width"), lambda x, p: _column(np.exp(-0.5 * ((x - p[0]) / p[1]) ** 2)), _spots),
-    Basis("step", ("at", "width"), lambda x, p: _column(np.tanh((x - p[0]) / p[1])), _spots),
+    Basis("line", (), lambda x, _: _column(x), lambda low, high: [()], lambda low, high: []),
+    Basis("Gaussian", ("at", "width"), lambda x, p: _column(np.exp(-0.5 * ((x - p[0]) / p[1]) ** 2)), _spots, _seen),
+    Basis("step", ("at", "width"), lambda x, p: _column(np.tanh((x - p[0]) / p[1])), _spots, _seen),
     Basis(
         "sine",
         ("wavelength",),
         lambda x, p: np.stack([np.sin(2 * np.pi * x / p[0]), np.cos(2 * np.pi * x / p[0])], axis=1),
         lambda low, high: [((high - low) / count,) for count in FORMULAS.waves],
+        _lengths,
     ),
     Basis(
         "power",
         ("power",),
-        lambda x, p: _column(np.abs(x) ** min(max(p[0], FORMULAS.flattest), FORMULAS.steepest)),
+        lambda x, p: _column(np.abs(x) ** p[0]),
         lambda low, high: [(power,) for power in FORMULAS.powers],
+        lambda low, high: [(FORMULAS.flattest, FORMULAS.steepest)],
         one_sided=True,
     ),
     Basis(
         "exponential",
         ("scale",),
-        lambda x, p: _column(np.exp(-np.abs(x) / max(abs(p[0]), 1e-12))),
-        lambda low, high: [(width * high,) for width in FORMULAS.widths],
+        lambda x, p: _column(np.exp(-np.abs(x) / p[0])),
+        lambda low, high: [(width * (high - low),) for width in FORMULAS.widths],
+        _lengths,
         one_sided=True,
     ),
 )
@@ -118,14 +134,14 @@ def _said(kind: str, factors: Sequence[float], p: dict[str, float], unit: str, p
     if kind == "line":
         return f"{factors[0]:.3g} {unit} for each {per or 'unit'}".replace("  ", " ")
     if kind == "sine":
-        return f"a sine of {math.hypot(*factors):.3g} {unit}, {abs(p['wavelength']):.3g} {per} long"
+        return f"a sine of {math.hypot(*factors):.3g} {unit}, {p['wavelength']:.3g} {per} long"
     if kind == "power":
         return f"{size} times the {p['power']:.3g}th power of the input in {per or 'units'}"
     if kind == "exponential":
-        return f"an exponential of {size} that falls over {abs(p['scale']):.3g} {per}"
+        return f"an exponential of {size} that falls over {p['scale']:.3g} {per}"
     if kind == "step":
-        return f"a step of {2 * factors[0]:.3g} {unit}, {abs(p['width']):.3g} {per} wide, at {p['at']:.3g} {per}"
-    return f"a Gaussian of {size}, {abs(p['width']):.3g} {per} wide, at {p['at']:.3g} {per}"
+        return f"a step of {2 * factors[0]:.3g} {unit}, {p['width']:.3g} {per} wide, at {p['at']:.3g} {per}"
+    return f"a Gaussian of {size}, {p['width']:.3g} {per} wide, at {p['at']:.3g} {per}"
 
 
 def formulas(x: Array, values: Array, precision: Array, samples: int) -> list[Formula]:
@@ -191,12 +207,15 @@ def _fitted(terms: Sequence[Basis], x: Array, values: Array, root: Array) -> tup
         return np.asarray(target - seen @ np.linalg.lstsq(seen, target, rcond=1e-10)[0])
 
     starts = [np.array(sum(one, ())) for one in itertools.product(*(term.starts(low, high) for term in terms))]
+    within = [each for term in terms for each in term.bounds(low, high)]
+    least, most = (np.array([each[k] for each in within]) for k in (0, 1))
     # A table is short, but two terms have hundreds of starts: those that begin best are followed.
     ahead = sorted(starts, key=lambda p: float(np.sum(left(p) ** 2)))[: FORMULAS.followed]
     for start in ahead:
         p = start
         if count:
-            p = least_squares(left, start, x_scale=np.maximum(np.abs(start), 1e-3), max_nfev=FORMULAS.most).x
+            scale = np.maximum(np.abs(start), 1e-3)
+            p = least_squares(left, start, bounds=(least, most), x_scale=scale, max_nfev=FORMULAS.most).x
         squares = float(np.sum(left(p) ** 2))
         if squares < best[0]:
             best = squares, p, factors(p)

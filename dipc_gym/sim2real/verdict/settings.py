@@ -44,6 +44,10 @@ class FormulaSettings:
         places: starts along the input, for a formula of what sits somewhere: no two of its widest start further apart
             than they are wide
         widths: starts for its width, in lengths of the table: of a narrow spot, a usual one, and one that fills it
+        narrowest: the same, at least: a narrower spot lies between two knots
+        aside: of the same, by which what sits somewhere may lie beside the table: its top is just seen from there
+        longest: a wave and the length over which something falls, in lengths of the table: of a longer one it shows a
+            bend, which a power says as well
         waves: starts of a sine, in waves to the length of a table: more than eight no table of few knots tells
         powers: starts of a power: a root, and what drags and bearings are said to have
         flattest: power, below which one is a step
@@ -55,6 +59,9 @@ class FormulaSettings:
 
     places: int = 7
     widths: tuple[float, ...] = (0.02, 0.07, 0.25)
+    narrowest: float = 0.005
+    aside: float = 0.2
+    longest: float = 2.0
     waves: tuple[float, ...] = (0.7, 1, 1.5, 2, 3, 4, 6, 8)
     powers: tuple[float, ...] = (0.5, 1.5, 2.0, 3.0)
     flattest: float = 0.05
