@@ -11,6 +11,7 @@ import numpy as np
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import ranking
+from dipc_gym.sim2real.selection.choice import before_unnamed
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.ranking import Start
 from dipc_gym.sim2real.selection.screen import Tried
@@ -111,9 +112,26 @@ def keeping_up(fitter: Fitter, sketched: Sequence[Start], current: Fit) -> list[
     if at_noise(sketched):
         return [start for start in sketched if gains[start[0].key] > closely]
     close = [t for t, _ in sketched if gains[t.key] > (closely if fitter.slow(t.term) else enough)]
-    near = sorted(close, key=lambda t: -gains[t.key])[: SEARCH.fully]
+    error = float(np.sqrt(np.mean(before)))
+    near = [*sorted(close, key=lambda t: -gains[t.key])[: SEARCH.fully], *_going_before(sketched, error)]
     wanted = {t.key for t in near} | {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
-    return plain_first([start for start in sketched if start[0].key in wanted], float(np.sqrt(np.mean(before))))
+    return plain_first([start for start in sketched if start[0].key in wanted], error)
+
+
+def _going_before(sketched: Sequence[Start], error: float) -> list[Tried]:
+    """Effects with names that would go before the laws of no kind that are asked beside them (`choice.before_unnamed`).
+
+    Args:
+        sketched: hypotheses with sketches, and what they were laid over.
+        error: of the present fit on the same windows, in units of noise.
+    """
+    left = {tried.key: tried.sketch for tried, _ in sketched if tried.sketch is not None}
+    of_no_kind = [left[t.key].mse for t, _ in sketched if t.term.effect.of_no_kind and t.key in left]
+    if not of_no_kind:
+        return []
+    most = before_unnamed(error, min(of_no_kind, key=lambda mse: float(np.mean(mse))))
+    named = [t for t, _ in sketched if not t.term.effect.of_no_kind and t.key in left and left[t.key].error < most]
+    return sorted(named, key=lambda t: left[t.key].error)[: SEARCH.fully]
 
 
 def plain_first(sketched: Sequence[Start], error: float) -> list[Start]:
