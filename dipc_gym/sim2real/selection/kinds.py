@@ -49,6 +49,38 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     return current
 
 
+def shaped(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str], None]) -> Fit:
+    """A fit with a law of any shape in the place of formulas that it holds, where these leave more than noise and it
+    does not.
+
+    Formulas that come near the noise end a search, and may yet be no more than likenesses: Stribeck friction and square
+    drag together are nearly any friction over speed.
+
+    Args:
+        question: effects and places.
+        fitter: fits to the windows of the search.
+        current: what the search came to with formulas.
+        tell: called with a line if a law takes their place.
+    """
+    if current.error < SCORE.at_noise:
+        return current
+    laws = [effect for effect in question.effects if effect.free and not effect.of_no_kind]
+    held = {(law, term.at) for law in laws for term in current.structure.terms if term.effect.id in law.contains}
+    asked = [
+        term for law, at in sorted(held, key=lambda one: one[0].id) for term in _shapes(question, law, at, current)
+    ]
+    with fitter.sketched([(current, current.structure.with_term(term)) for term in asked]) as sketch_of:
+        sketched = [(sketch, term.key) for term, sketch in zip(asked, map(sketch_of, range(len(asked))), strict=True)]
+    for sketch, key in sorted(((s, key) for s, key in sketched if s is not None), key=lambda one: one[0].error):
+        fitted = fitter.full(current, sketch)
+        fitted = fitted and refined(fitter, fitted, key)
+        # Any law takes up some of whatever else is missing; one that is there leaves nothing.
+        if fitted is not None and fitted.error < SCORE.at_noise and fitter.scorer.better(fitted, current):
+            tell(f"{key} in the place of what it holds: error {fitted.error:.3g} x noise (was {current.error:.3g})")
+            return fitter.polish(fitted)
+    return current
+
+
 def _as_good(
     fitter: Fitter, current: Fit, begin: Fit, asked: Sequence[tuple[Term, ...]], tell: Callable[[str], None], key: str
 ) -> Fit | None:

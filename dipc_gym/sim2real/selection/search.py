@@ -176,8 +176,11 @@ class Search:
     def _run(self, most: int) -> Fit:
         """What all but the beginnings of recordings show."""
         found = self._add(most)
-        if self._done(found) or self.scorer.small or not any(effect.free for effect in self.question.effects):
+        if self.stop.asked or self.scorer.small or not any(effect.free for effect in self.question.effects):
             return found
+        if self._done(found):
+            self.journal.correct(kinds.shaped(self.question, self.fitter, found, self.tell))
+            return self.progress.current
         self.tell("no formula comes down to the noise; asking for laws of any shape, from the beginning")
         formulas = self.progress.path
         try:
