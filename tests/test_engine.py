@@ -457,12 +457,12 @@ def test_limits_that_no_recording_comes_near_end_what_meets_them() -> None:
     moved = record(source, sweep(2.0), 0.5)
     still = np.zeros((len(moved.time), 3))
     for angle, matter in ((0.1, False), (2.95, True)):
-        motion = Motion(moved.time, still + np.array([0.0, angle, 0.0]), still, still)
+        motion = Motion(moved.time, still + np.array([0.0, angle, 0.0]), still, still, np.zeros(3))
         windows = replace(cut([moved], np.ones(3), 0.25, (0.0, 1.0)), motions=(motion,))
         of = compiled([source], windows, base, 0.001)
         assert of._limits_matter is matter
     initial = np.zeros((1, len(windows), 6))
-    windows = replace(windows, motions=(Motion(moved.time, still, still, still),))
+    windows = replace(windows, motions=(Motion(moved.time, still, still, still, np.zeros(3)),))
     (gone,) = simulate([run_away], windows, initial, Stepping(0.001, RK4), base=base)
     assert np.isnan(gone[:, -1]).all()
 

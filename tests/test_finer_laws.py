@@ -34,6 +34,8 @@ from dipc_gym.sim2real.selection.resolution import _passed as passed
 from dipc_gym.sim2real.selection.resolution import within_data
 from dipc_gym.sim2real.selection.scorer import Scorer
 
+AS_IT_COMES = 1e-6  # s, a width that leaves every sample alone
+
 ALONG = {
     FrictionOfPosition: (-0.3, 0.2),
     ForceOfPosition: (-1.0, 3.0),
@@ -243,7 +245,9 @@ def test_a_table_goes_on_where_nearly_no_samples_are() -> None:
     time = np.arange(0.0, 40.0, 0.005)
     place, command = rng.uniform(-0.2, 0.2, len(time)), rng.uniform(-6, 6, len(time))
     command[place > 0.1] /= 4
-    found, *_ = surfaces({"command motor": command, "position cart": place}, 3 * command * (place + 0.3), time)
+    found, *_ = surfaces(
+        {"command motor": command, "position cart": place}, 3 * command * (place + 0.3), time, AS_IT_COMES
+    )
     assert found.inputs == ("command motor", "position cart")
     corner, largest, farthest = found.levels[-1, -1], found.knots[0][-1], found.knots[1][-1]
     assert corner == pytest.approx(3 * largest * (farthest + 0.3), rel=0.3)
@@ -255,7 +259,7 @@ def test_inputs_that_tell_nearly_as_much_are_asked_as_well() -> None:
     time = np.arange(0.0, 40.0, 0.005)
     place, command = rng.uniform(-0.2, 0.2, len(time)), rng.uniform(-6, 6, len(time))
     inputs = {"command motor": command, "position cart": place, "velocity cart": command + rng.normal(size=len(time))}
-    found = surfaces(inputs, command * np.sin(20 * place), time)
+    found = surfaces(inputs, command * np.sin(20 * place), time, AS_IT_COMES)
     assert [set(one.inputs) for one in found[:2]] == [
         {"command motor", "position cart"},
         {"velocity cart", "position cart"},
@@ -269,7 +273,7 @@ def test_a_table_stays_within_what_it_says_of_data() -> None:
     place = rng.uniform(-1, 1, len(time))
     speed = rng.uniform(-1, 1, len(time)) * (1 - np.abs(place))
     force = 5 * place * np.exp(speed)
-    found, *_ = surfaces({"velocity cart": speed, "position cart": place}, force, time)
+    found, *_ = surfaces({"velocity cart": speed, "position cart": place}, force, time, AS_IT_COMES)
     assert np.abs(found.levels).max() < 1.3 * np.abs(force).max()
 
 

@@ -199,7 +199,8 @@ def test_a_rest_is_told_through_the_noise_of_a_reading() -> None:
     none = np.zeros((len(time), 1))
     run = recording.Recording("run", time, none, none, ("motor",), ("cart",))
     for velocity, age in ((noise, 0.3), (noise + np.where(time > 0.2, 100 * RESTS[3], 0.0), 0.0)):
-        (found,) = memories([rig], 0, ("cart",), run, Motion(time, none, velocity[:, None], none), np.array([0.3]))
+        motion = Motion(time, none, velocity[:, None], none, np.zeros(1))
+        (found,) = memories([rig], 0, ("cart",), run, motion, np.array([0.3]))
         assert found[0] == pytest.approx(age, abs=5e-3)
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from dipc_gym.sim2real.effects.smoothing import smoothing
+from dipc_gym.sim2real.effects.smoothing import smoothing, width_for
 from dipc_gym.sim2real.effects.tables import grow
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ def test_samples_of_a_recording_are_averaged_with_its_own(lengths: list[int], ra
     rng = np.random.default_rng(seed)
     time = np.concatenate([rng.uniform(0, 50) + np.arange(n) / rate for n in lengths])
     which = np.repeat(np.arange(len(lengths)), lengths)
-    mean = smoothing(np.concatenate([time[which == k] - time[which == k][0] for k in range(len(lengths))]))
+    mean = smoothing(np.concatenate([time[which == k] - time[which == k][0] for k in range(len(lengths))]), 0.02)
     assert mean.shape[1] == len(time)
     np.testing.assert_allclose(mean @ np.ones(len(time)), 1.0)
     assert np.all(mean.data >= 0)
@@ -37,12 +37,43 @@ def test_samples_of_a_recording_are_averaged_with_its_own(lengths: list[int], ra
 
 def test_one_sample_every_hundredth_of_a_second_and_what_shakes_faster_is_gone() -> None:
     time = np.arange(0.0, 10.0, 1 / RATE)
-    mean = smoothing(time)
+    mean = smoothing(time, 0.02)
     assert mean.shape == (1000, 5000)
     inner = slice(20, -20)
     for rate, left in ((1.0, 1.0), (8.0, 0.6), (30.0, 0.0)):
         size = np.sqrt(2) * (mean @ np.sin(2 * np.pi * rate * time))[inner].std()
         assert size == pytest.approx(left, abs=0.02)
+
+
+@given(
+    width=st.floats(0.004, 0.019),
+    force=st.floats(0.01, 100.0),
+    seed=st.integers(0, 1000),
+    rate=st.sampled_from([1e3, 2e3]),
+)
+def test_a_hundredth_of_a_force_is_noise_once_it_is_smoothed(
+    width: float, force: float, seed: int, rate: float
+) -> None:
+    period = 1 / rate
+    noise = 0.01 * force * np.sqrt(8 * np.sqrt(np.pi) * width**5 / (3 * period))  # for which that width is asked
+    assert width_for(force, noise, period) == pytest.approx(width, rel=1e-6)
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 40.0, period)
+    read = np.gradient(np.gradient(rng.normal(scale=noise, size=len(time)), period), period)
+    left = smoothing(time, width) @ read
+    assert left[10:-10].std() == pytest.approx(0.01 * force, rel=0.15)
+
+
+@given(force=st.floats(0.0, 1e6), noise=st.floats(0.0, 1e3), period=st.floats(1e-4, 0.05))
+def test_what_has_no_noise_stays_as_it_is_and_nothing_is_smoothed_away(
+    force: float, noise: float, period: float
+) -> None:
+    width = width_for(force, noise, period)
+    assert 0 < width <= max(0.02, 0.1 * period)
+    assert width_for(force, 2 * noise, period) >= width >= width_for(2 * force, noise, period)
+    time = np.arange(40) * period
+    still = smoothing(time, width_for(1.0, 0.0, period))
+    np.testing.assert_array_equal(still.toarray(), np.eye(40))
 
 
 def worked_out(force: Array, rng: np.random.Generator) -> Array:
@@ -67,6 +98,6 @@ def test_a_drive_is_told_by_a_command_that_shakes() -> None:
     """Against a smooth force the command as it comes would seem to do nothing, and all of it to be missing."""
     rng = np.random.default_rng(3)
     time, command = shaking(40.0, rng)
-    knots, values = grow(command, worked_out(bent(command), rng), np.ones_like(time), [], time)
+    knots, values = grow(command, worked_out(bent(command), rng), np.ones_like(time), [], time, 0.02)
     inside = np.linspace(-1.0, 1.8, 50)
     assert np.interp(inside, knots, values) == pytest.approx(bent(inside), abs=0.08)

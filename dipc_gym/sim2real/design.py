@@ -239,7 +239,7 @@ class _Rig:
     def readings(self, commands: Array) -> Array:
         """What the sensors would read (k, m, ns) under commands (k, m, nu), from rest at the usual positions."""
         nb, m = len(self.usual), len(self.time)
-        still = Motion(self.time, np.tile(self.usual, (m, 1)), np.zeros((m, nb)), np.zeros((m, nb)))
+        still = Motion(self.time, np.tile(self.usual, (m, 1)), np.zeros((m, nb)), np.zeros((m, nb)), np.zeros(nb))
         runs = tuple(_recording(self.like, self.time, c) for c in commands)
         k = len(runs)
         windows = Windows(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.settings import EFFECTS, SMOOTHING
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -115,6 +115,7 @@ class Evidence:
         outliers: times at which outlier windows begin, the worst first, s.
         inputs: what a law may depend on, (n,) each: `position cart`, `velocity pole1`, `command motor`.
         misread: what is left of the sensor's readings; None where the place is no sensor.
+        width: s, to which the force has to be smoothed, so that little of it is noise; see `effects.smoothing`.
     """
 
     model: mujoco.MjModel
@@ -133,6 +134,7 @@ class Evidence:
     outliers: tuple[float, ...] = ()
     inputs: Mapping[str, Array] = field(default_factory=dict)
     misread: Misread | None = None
+    width: float = SMOOTHING.widest
 
     @property
     def force_scale(self) -> float:

@@ -7,9 +7,13 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Evidence, dof, joint_of
+
+Array = NDArray[np.float64]
 
 # Of a contact: the smallest that MuJoCo allows. Whatever presses on the contact keeps all but this share of its effect,
 # so the limit is a spring and a damper that only push. A large one holds a load without giving way.
@@ -23,11 +27,21 @@ def can_split(model: mujoco.MjModel, actuator: str) -> bool:
 
 def inertia_at(model: mujoco.MjModel, joint: str) -> float:
     """What the joint moves, kg or kg m^2, in the model's reference configuration."""
-    data = mujoco.MjData(model)
+    at = model.joint(joint).dofadr[0]
+    return float(_inertia(model)[at, at])
+
+
+def base_inertia(model: mujoco.MjModel) -> Array:
+    """Mass matrix of the base joints, those that follow others moving with them, (nb, nb), in the same."""
+    out = mjcf.spread_out(model)
+    return np.asarray(out.T @ _inertia(model) @ out)
+
+
+def _inertia(model: mujoco.MjModel) -> Array:
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     mujoco.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
-    return float(full[model.joint(joint).dofadr[0], model.joint(joint).dofadr[0]])
+    return full
 
 
 def free_inertia(model: mujoco.MjModel, joint: str) -> float:
@@ -35,12 +49,8 @@ def free_inertia(model: mujoco.MjModel, joint: str) -> float:
 
     No more than that can be taken out of it: poles that hang on a cart are carried by it and are no part of it.
     """
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
     at = model.joint(joint).dofadr[0]
-    return float(1.0 / np.linalg.inv(full)[at, at])
+    return float(1.0 / np.linalg.inv(_inertia(model))[at, at])
 
 
 def rotor_guesses(evidence: Evidence, shares: Sequence[float]) -> list[float]:

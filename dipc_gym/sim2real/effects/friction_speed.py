@@ -41,7 +41,7 @@ class FrictionOfSpeed(Law):
         moves = np.abs(evidence.velocity) > SLOW * evidence.speed_scale
         velocity, time = evidence.velocity[moves], evidence.time[moves]
         beside = [np.ones_like(velocity)]
-        knots, more = grow(np.abs(velocity), evidence.force[moves], -np.sign(velocity), beside, time)
+        knots, more = grow(np.abs(velocity), evidence.force[moves], -np.sign(velocity), beside, time, evidence.width)
         knots[0] = 0.0
         return knots, first_levels(evidence, more)
 

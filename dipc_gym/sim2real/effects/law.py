@@ -14,7 +14,7 @@ from dipc_gym.engine.remember import recall
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 from dipc_gym.sim2real.effects.settings import LAWS
-from dipc_gym.sim2real.effects.tables import between, curve, grow
+from dipc_gym.sim2real.effects.tables import bending, between, curve, grow
 
 Array = NDArray[np.float64]
 
@@ -219,6 +219,11 @@ class Law(Effect):
         """To what the stretches may be bisected, one less than there are knots."""
         return np.full(len(self.knots) - 1, (self.knots[-1] - self.knots[0]) / LAWS.narrowest)
 
+    @property
+    def bends(self) -> Array:
+        """Knots that hardly any motion comes near go on as their neighbours do."""
+        return bending(np.array(self.knots)) * LAWS.step / LAWS.bends if len(self.knots) > 2 else super().bends
+
     def off(self, new: NDArray[np.bool_]) -> Array:
         """By how much each value that is new lies off the law through the others, as weights of all values, (n, k).
 
@@ -314,7 +319,9 @@ class FrictionLaw(Law):
     def table(self, evidence: Evidence) -> tuple[Array, Array]:
         """Force that opposes motion, by the input."""
         beside = [np.ones_like(evidence.force), evidence.velocity]
-        knots, more = grow(self.seen(evidence), evidence.force, -evidence.direction, beside, evidence.time)
+        knots, more = grow(
+            self.seen(evidence), evidence.force, -evidence.direction, beside, evidence.time, evidence.width
+        )
         return knots, first_levels(evidence, more)
 
     @abstractmethod

@@ -31,6 +31,7 @@ class ForceOfPosition(Law):
             np.ones_like(evidence.force),
             [evidence.velocity, evidence.direction],
             evidence.time,
+            evidence.width,
         )
 
     def edit(self, document: Document, at: str, values: Values) -> None:

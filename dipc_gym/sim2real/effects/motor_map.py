@@ -29,7 +29,9 @@ class CommandMap(Map):
         if not gain or not len(evidence.command) or np.ptp(evidence.command) == 0:
             return None
         beside = [evidence.velocity, evidence.direction]
-        knots, more = grow(evidence.command, evidence.force / gain, np.ones_like(evidence.force), beside, evidence.time)
+        knots, more = grow(
+            evidence.command, evidence.force / gain, np.ones_like(evidence.force), beside, evidence.time, evidence.width
+        )
         return knots, knots + more
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:

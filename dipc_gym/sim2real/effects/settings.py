@@ -56,7 +56,7 @@ class LawSettings:
         loose: standard deviation of a value's prior, in sizes of the whole law: it holds a knot that no motion comes
             near, and hardly any other
         new: of a knot that is put between two others: where no data are, the law stays as it was
-        bends: standard deviation, in sizes of the whole law, by which a value of a smooth law lies off the line between
+        bends: standard deviation, in sizes of the whole law, by which a value of a law lies off the line between
             its neighbours: knots lie so close that it bends by less from one to the next
         narrowest: of a table's length: no stretch is bisected to less, for laws are written over as many even ones
         twice: times the narrowest stretch, from which one is bisected; two would leave out, by rounding, a stretch that
@@ -91,15 +91,21 @@ class SmoothingSettings:
     """Decision constants of how forces are smoothed before a law is looked for in them.
 
     Attributes:
-        width: s, standard deviation of the bell curve that samples are weighted by: of a force at 8 Hz, as fast as
-            most rigs move, it leaves more than half, and next to nothing from 25 Hz on, where encoders tell only noise
-        every: s from one smoothed sample to the next: half the width needs no more
-        reach: widths to either side, beyond which a sample counts for nothing
+        noisy: share of the force that is sought, to which the encoders' noise in it may come: more would hide what
+            takes a few hundredths of it
+        widest: s, standard deviation of the bell curve that samples are weighted by, at most: of a force at 8 Hz, as
+            fast as most rigs move, it leaves more than half
+        narrowest: the same in periods of the recording, at least: so narrow that every sample stays as it is
+        every: widths from one smoothed sample to the next: closer ones tell nothing new
+        reach: widths to either side, beyond which a sample counts for nothing: a curve that ends at three has an edge
+            there, which lets more noise through than the rest of it
     """
 
-    width: float = 0.02
-    every: float = 0.01
-    reach: float = 3.0
+    noisy: float = 0.01
+    widest: float = 0.02
+    narrowest: float = 0.1
+    every: float = 0.5
+    reach: float = 4.0
 
 
 SMOOTHING = SmoothingSettings()

@@ -54,7 +54,7 @@ class Sought:
     """
 
     def __init__(self, evidence: Evidence, beside: Sequence[Array] = ()) -> None:
-        self._mean = smoothing(evidence.time)
+        self._mean = smoothing(evidence.time, evidence.width)
         plain = [np.ones(len(evidence.time)), *(beside or (evidence.velocity, evidence.position))]
         self._beside, _ = np.linalg.qr(self._mean @ np.stack(plain, axis=1))
         self.force = self._apart(evidence.force)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from dipc_gym.sim2real.effects.settings import SURFACES, TABLES
+from dipc_gym.sim2real.effects.smoothing import smoothing
 from dipc_gym.sim2real.effects.tables import odd_blocks, spared
 
 Array = NDArray[np.float64]
@@ -37,7 +38,7 @@ class Surface:
     levels: Array
 
 
-def surfaces(inputs: Mapping[str, Array], force: Array, time: Array) -> list[Surface]:
+def surfaces(inputs: Mapping[str, Array], force: Array, time: Array, width: float) -> list[Surface]:
     """The table that a force asks for, and those of other inputs that tell nearly as much; none where none tells
     anything.
 
@@ -48,20 +49,22 @@ def surfaces(inputs: Mapping[str, Array], force: Array, time: Array) -> list[Sur
         inputs: what it may depend on, (n,) each.
         force: to be explained, (n,).
         time: s, (n,), beginning anew with each recording.
+        width: s, to which both sides are smoothed.
     """
-    late = odd_blocks(time)
+    mean = smoothing(time, width)
+    late = odd_blocks(mean @ time)
     if late.all() or not late.any():
         return []
     halves = (~late, late)
     moving = {name: x for name, x in inputs.items() if np.ptp(x) > 0}
     worth: dict[tuple[str, ...], float] = {
-        (name,): _Even([x], force, halves, SURFACES.alone).worth for name, x in moving.items()
+        (name,): _Even([x], force, mean, halves, SURFACES.alone).worth for name, x in moving.items()
     }
     if not worth:
         return []
     better = sorted(worth, key=lambda one: -worth[one])
     pairs = {
-        (*a, *b): _Even([moving[a[0]], moving[b[0]]], force, halves, SURFACES.both).worth
+        (*a, *b): _Even([moving[a[0]], moving[b[0]]], force, mean, halves, SURFACES.both).worth
         for a, b in itertools.combinations(better[: SURFACES.paired], 2)
     }
     two = max(pairs, key=lambda one: pairs[one], default=better[0])
@@ -71,7 +74,11 @@ def surfaces(inputs: Mapping[str, Array], force: Array, time: Array) -> list[Sur
     found = []
     for chosen in (one for one in better[: SURFACES.rivals] if worth[one] >= least):
         even = _Even(
-            [moving[name] for name in chosen], force, halves, SURFACES.alone if len(chosen) == 1 else SURFACES.both
+            [moving[name] for name in chosen],
+            force,
+            mean,
+            halves,
+            SURFACES.alone if len(chosen) == 1 else SURFACES.both,
         )
         found.append(Surface(chosen, *even.grown()))
     return found
@@ -83,17 +90,26 @@ class _Even:
     Args:
         inputs: one or two, (n,) each.
         force: (n,).
-        halves: samples that fit a table, and those that tell what it is worth; then the other way round.
+        mean: weights with which samples make up smoothed ones, (m, n).
+        halves: smoothed samples that fit a table, and those that tell what it is worth; then the other way round.
         bins: along each input.
     """
 
-    def __init__(self, inputs: Sequence[Array], force: Array, halves: Sequence[NDArray[np.bool_]], bins: int) -> None:
+    def __init__(
+        self,
+        inputs: Sequence[Array],
+        force: Array,
+        mean: sparse.csr_array,
+        halves: Sequence[NDArray[np.bool_]],
+        bins: int,
+    ) -> None:
         self.bins = bins
         self.edges = [np.linspace(*_span(x), bins + 1) for x in inputs]
         hats = _hats([(x - e[0]) / (e[-1] - e[0]) for x, e in zip(inputs, self.edges, strict=True)], bins + 1)
+        hats, force = sparse.csr_array(mean @ hats), mean @ force
         self.sums: list[Sums] = []
         for part in halves:
-            some, told = hats[part], force[part]
+            some, told = sparse.csr_array(hats[part]), force[part]
             self.sums.append((some.T @ some, some.T @ told, float(told @ told) or 1.0))
 
     @property

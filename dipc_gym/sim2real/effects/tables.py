@@ -26,7 +26,9 @@ from dipc_gym.sim2real.effects.smoothing import smoothing
 Array = NDArray[np.float64]
 
 
-def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: Array) -> tuple[Array, Array]:
+def grow(
+    x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: Array, width: float
+) -> tuple[Array, Array]:
     """Knots and values of the table g in force = carrier g(x) + what goes with the regressors beside it.
 
     Knots are added one at a time; how many of them stay is decided by blocks of time that did not choose them.
@@ -37,6 +39,7 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
         carrier: what the table is multiplied by, (n,).
         beside: regressors with free weights, (n,) each.
         time: s, (n,).
+        width: s, to which both sides are smoothed.
 
     Returns:
         Knots (k,), increasing, and the table's values there, (k,); k is at least 2.
@@ -44,7 +47,7 @@ def grow(x: Array, force: Array, carrier: Array, beside: Sequence[Array], time: 
     low, high = (float(v) for v in np.quantile(x, [TABLES.covered, 1 - TABLES.covered]))
     high = max(high, low + 1e-9 * max(1.0, abs(low)))
     edges = np.linspace(low, high, TABLES.bins + 1)
-    mean = smoothing(time)
+    mean = smoothing(time, width)
     confirming = odd_blocks(mean @ time)
     if confirming.all() or not confirming.any():
         confirming = np.arange(len(confirming)) % 2 == 1

@@ -61,7 +61,11 @@ class UnknownForce(Effect):
         at, speed = evidence.at, driven_up_to(evidence)
         own = {name: x for name, x in evidence.inputs.items() if name in (f"position {at}", f"velocity {at}")}
         found: dict[tuple[str, ...], tuple[Effect, Values]] = {}
-        asked = [one for inputs in (evidence.inputs, own) for one in surfaces(inputs, evidence.force, evidence.time)]
+        asked = [
+            one
+            for inputs in (evidence.inputs, own)
+            for one in surfaces(inputs, evidence.force, evidence.time, evidence.width)
+        ]
         for shape in asked:
             if shape.inputs not in found and shape.inputs != (f"position {at}",):  # that is a law of a kind
                 units = [unit_of(evidence.model, one) for one in shape.inputs]

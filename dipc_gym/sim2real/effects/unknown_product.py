@@ -12,9 +12,8 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, joint_of
 from dipc_gym.sim2real.effects.law import Array, Law, described, holding_new
-from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.smoothing import smoothing
-from dipc_gym.sim2real.effects.tables import bending, grow, odd_blocks
+from dipc_gym.sim2real.effects.tables import grow, odd_blocks
 from dipc_gym.sim2real.effects.unknown_force import BEYOND, driven_up_to, in_words, unit_of
 
 MOST = 2  # that are proposed: each costs a fit
@@ -106,10 +105,10 @@ class UnknownProduct(Law):
         if not (most > 0 and np.ptp(x) > 0):
             return None
         others = beside_product(evidence)
-        knots, values = grow(x, evidence.force, y / most, others, evidence.time)
+        knots, values = grow(x, evidence.force, y / most, others, evidence.time, evidence.width)
         if len(knots) == 2 and np.ptp(values) == 0:
             return None
-        mean = smoothing(evidence.time)
+        mean = smoothing(evidence.time, evidence.width)
         late, force = odd_blocks(mean @ evidence.time), mean @ evidence.force
         columns = mean @ np.column_stack([np.interp(x, knots, values) * y / most, *others])
         left = 0.0
@@ -117,11 +116,6 @@ class UnknownProduct(Law):
             weights = np.linalg.lstsq(columns[fitted], force[fitted], rcond=None)[0]
             left += float(np.sum((force[told] - columns[told] @ weights) ** 2))
         return left, most, knots, values
-
-    @property
-    def bends(self) -> Array:
-        """Knots that no motion comes near go on as their neighbours do."""
-        return bending(np.array(self.knots)) * LAWS.step / LAWS.bends if len(self.knots) > 2 else super().bends
 
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         shaped = UnknownProduct(knots.tolist(), values.tolist(), self.names, self.most, self.speed, self.units)

@@ -149,10 +149,12 @@ def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
         smooth[:, s] = smoothed(recording.time, recording.sensors[:, s], noise[s])
     _undo_lateness(physics, recording.time, smooth)
     smooth = straightened(physics, smooth)[:, positional]
-    position = (smooth - c[positional]) @ inverse_map(P[positional], noise[positional]).T
+    inverse = inverse_map(P[positional], noise[positional])
+    position = (smooth - c[positional]) @ inverse.T
     velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
     acceleration = np.gradient(velocity, recording.time, axis=0, edge_order=2)
-    return Motion(recording.time, position, velocity, acceleration)
+    read = np.hypot.reduce(inverse * np.where(np.isfinite(noise), noise, 0.0)[positional], axis=1)
+    return Motion(recording.time, position, velocity, acceleration, read)
 
 
 def inverse_map(P: Array, noise: Array) -> Array:

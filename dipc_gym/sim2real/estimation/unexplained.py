@@ -14,8 +14,9 @@ from dipc_gym import mjcf
 from dipc_gym.mjcf.model import base_joints
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Misread, Place, joint_of, sensed_joint
-from dipc_gym.sim2real.effects.coupling import inertia_at
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Misread, Place, joint_of, rms, sensed_joint
+from dipc_gym.sim2real.effects.coupling import base_inertia, inertia_at
+from dipc_gym.sim2real.effects.smoothing import width_for
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.states import straightened, unexplained_force
@@ -37,6 +38,7 @@ class Scene:
         velocity: (n, nv).
         force: unexplained generalised force, (n, nv).
         load: that each joint transmits, (n, nv).
+        noise: that encoders leave in the force for each second squared, kg m or kg m^2 rad, (nv,).
         outliers: times at which outlier windows begin, the worst first, s.
         fitted: the windows of the fit, and the fit, whose model leaves that force.
     """
@@ -48,6 +50,7 @@ class Scene:
     velocity: Array
     force: Array
     load: Array
+    noise: Array
     outliers: tuple[float, ...] = ()
     fitted: tuple[Windows, Fit] | None = None
 
@@ -74,6 +77,7 @@ class Scene:
             power = np.sqrt(np.mean(self.force**2, axis=0)) / (np.sqrt(np.mean(self.load**2, axis=0)) + 1e-12)
             joint = self._joints[int(np.argmax(power))]
         j = self._joints.index(joint)
+        period = min(r.period for r in self.recordings)
         return Evidence(
             self.model,
             self.force[:, j],
@@ -85,12 +89,13 @@ class Scene:
             reading,
             gear,
             inertia_at(self.model, joint),
-            min(r.period for r in self.recordings),
+            period,
             levels.get(joint),
             name,
             self.outliers,
             self._inputs,
             self._misread(name) if place == "sensor" else None,
+            width_for(rms(self.force[:, j]), float(self.noise[j]), period),
         )
 
     def _misread(self, sensor: str) -> Misread | None:
@@ -149,7 +154,8 @@ def scene(
         force, load = unexplained_force(physics, recording, motion)
         parts.append((recording.time, motion.position, motion.velocity, force, load))
     time, position, velocity, force, load = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return Scene(model, tuple(recordings), time, position, velocity, force, load, tuple(outliers))
+    noise = np.hypot.reduce(base_inertia(model) * np.max([motion.noise for motion in motions], axis=0), axis=1)
+    return Scene(model, tuple(recordings), time, position, velocity, force, load, noise, tuple(outliers))
 
 
 def _index(recording: Recording, share: float) -> int:

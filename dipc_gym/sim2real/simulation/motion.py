@@ -20,12 +20,14 @@ class Motion:
         position: of each base joint, m or rad, (n, nb).
         velocity: m/s or rad/s, (n, nb).
         acceleration: m/s^2 or rad/s^2, (n, nb).
+        noise: standard deviation of the positions as they were read, before they were smoothed, (nb,).
     """
 
     time: Array
     position: Array
     velocity: Array
     acceleration: Array
+    noise: Array
 
     def at(self, time: Array) -> Array:
         """Positions and velocities (..., 2 nb) at any time, linear between samples."""
