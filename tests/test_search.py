@@ -250,6 +250,19 @@ def test_laws_of_no_kind_keep_none_of_a_kind_from_being_asked(monkeypatch: pytes
     assert len(laws) - len(of_a_kind) > 2
 
 
+def test_names_that_would_go_before_a_law_of_no_kind_are_fitted_as_well() -> None:
+    """By logarithms, a name that takes two thirds of the error is next to nothing beside a law that takes all."""
+    left = {"friction.coulomb": 8100.0, "friction.time": 3700.0, "drag.quadratic": 14000.0, "residual.force": 63.0}
+    found = catalogue()
+    sketched = [
+        (Tried(Term(found[name], "cart", {}), 1.0, sketch=SimpleNamespace(error=e, mse=np.full(9, e**2))), None)  # type: ignore[arg-type]
+        for name, e in left.items()
+    ]
+    asked = sketches._going_before(sketched, 22600.0)  # type: ignore[arg-type]
+    assert [tried.key for tried in asked] == ["friction.time@cart", "friction.coulomb@cart"]  # drag brings too little
+    assert sketches._going_before(sketched[:-1], 22600.0) == []  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("asked", "kind"),
     [

@@ -65,10 +65,9 @@ def shaped(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str
     if current.error < SCORE.at_noise:
         return current
     laws = [effect for effect in question.effects if effect.free and not effect.of_no_kind]
-    held = {(law, term.at) for law in laws for term in current.structure.terms if term.effect.id in law.contains}
-    asked = [
-        term for law, at in sorted(held, key=lambda one: one[0].id) for term in _shapes(question, law, at, current)
-    ]
+    terms = current.structure.terms
+    held = {law: sorted({term.at for term in terms if term.effect.id in law.contains}) for law in laws}
+    asked = [term for law in laws for at in held[law] for term in _shapes(question, law, at, current)]
     with fitter.sketched([(current, current.structure.with_term(term)) for term in asked]) as sketch_of:
         sketched = [(sketch, term.key) for term, sketch in zip(asked, map(sketch_of, range(len(asked))), strict=True)]
     for sketch, key in sorted(((s, key) for s, key in sketched if s is not None), key=lambda one: one[0].error):
