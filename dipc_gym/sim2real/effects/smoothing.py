@@ -36,7 +36,7 @@ def width_for(force: float, noise: float, period: float) -> float:
 
     Example:
         >>> round(width_for(3.0, 5e-5, 0.002), 4)  # a cart of kilograms, to a few hundredths of a millimetre
-        0.0156
+        0.0164
         >>> width_for(0.0, 1.0, 0.002)
         0.02
     """
