@@ -202,14 +202,16 @@ class Search:
             self.tell("laws predict no better than formulas; asking for laws beside these")
             self._back_to(formulas)
             found, ends = self._add(most), []
+        begin = self.progress.path[0]
         if self._done(found):
-            return found
+            if not self.stop.asked:  # a law of no kind that came with another effect, or was coarse, may have one now
+                self.journal.correct(kinds.named(self.question, self.fitter, found, begin, self.tell))
+            return self.progress.current
         self.tell("no law of a kind comes down to the noise; modelling what is left")
         self.phase = Phase.NO_KIND
         found = self._modelled([self.progress.path, *ends])
         if self.stop.asked:
             return found
-        begin = self.progress.path[0]
         found = kinds.named(self.question, self.fitter, found, begin, self.tell)
         self.journal.correct(beside.least(self.question, self.fitter, found, begin, self.tell))
         return self.progress.current
