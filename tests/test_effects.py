@@ -448,7 +448,9 @@ def test_bristles_are_springs_until_they_slip() -> None:
 def test_waves_are_found_under_noise_ten_times_as_large(count: float, phase: float, along: bool, seed: int) -> None:
     """Over the whole of a recording; the direction of motion may carry them."""
     rng = np.random.default_rng(seed)
-    t = np.arange(20_000) * 1e-3
+    # Noise leaves a wave's count a standard error of sqrt(24 / n) / (2 pi) times itself over the wave (Cramer and Rao),
+    # and the counts that are tried lie a tenth apart: of 40 s, a quarter is half of the one and five of the other.
+    t = np.arange(40_000) * 1e-3
     x = 0.5 * np.sin(1.7 * t) + 0.5 * np.sin(0.61 * t + 1)
     v = np.gradient(x, t)
     seen = unexplained.scene(physics.load(CART), [recorded("cart")], ready("cart").motions)
@@ -458,10 +460,7 @@ def test_waves_are_found_under_noise_ten_times_as_large(count: float, phase: flo
     wave = carrier * np.sin(2 * np.pi * count / reach * x + phase)
     scene = replace(scene, force=wave + rng.normal(0, 10, len(x)))
     found = waves(scene, 0.5, carrier if along else None)
-    # Noise leaves a wave's count a standard error of sqrt(24 / n) / (2 pi) times itself over the wave (Cramer and Rao),
-    # and the counts that are tried lie a tenth apart: five of the one, and half of the other.
-    error = np.sqrt(24 / len(x)) / (2 * np.pi) * 10
-    assert reach / found[0]["wavelength"] == pytest.approx(count, abs=5 * error + 0.05)
+    assert reach / found[0]["wavelength"] == pytest.approx(count, abs=0.25)
     assert np.hypot(found[0]["sine"], found[0]["cosine"]) == pytest.approx(1.0, abs=0.6)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from dipc_gym.sim2real.effects.smoothing import smoothing, width_for
+from dipc_gym.sim2real.effects.surfaces import surfaces
 from dipc_gym.sim2real.effects.tables import grow
 
 Array = NDArray[np.float64]
@@ -101,3 +102,13 @@ def test_a_drive_is_told_by_a_command_that_shakes() -> None:
     knots, values = grow(command, worked_out(bent(command), rng), np.ones_like(time), [], time, 0.02)
     inside = np.linspace(-1.0, 1.8, 50)
     assert np.interp(inside, knots, values) == pytest.approx(bent(inside), abs=0.08)
+
+
+def test_what_a_force_depends_on_is_told_though_it_shakes() -> None:
+    rng = np.random.default_rng(4)
+    time, command = shaking(40.0, rng)
+    place = np.cumsum(rng.normal(size=len(time))) / 100
+    found = surfaces({"command motor": command, "position cart": place}, worked_out(bent(command), rng), time, 0.02)
+    assert found[0].inputs == ("command motor",)
+    inside = np.linspace(-1.0, 1.8, 50)
+    assert np.interp(inside, found[0].knots[0], found[0].levels) == pytest.approx(bent(inside), abs=0.12)

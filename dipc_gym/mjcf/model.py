@@ -159,6 +159,14 @@ def spread_out(model: mujoco.MjModel) -> Array:
     return np.array([[float(leader[model.joint(j).name] == name) for name in base] for j in range(model.njnt)])
 
 
+def mass_matrix(model: mujoco.MjModel) -> Array:
+    """Mass matrix in the reference configuration, (nv, nv), kg and kg m^2."""
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_fullM(model, data, full)
+    return full
+
+
 def _ties(model: mujoco.MjModel) -> tuple[list[str], dict[str, str]]:
     """The base joints, and for every joint the base joint that says where it is."""
     names = [model.joint(j).name for j in range(model.njnt)]

@@ -28,20 +28,13 @@ def can_split(model: mujoco.MjModel, actuator: str) -> bool:
 def inertia_at(model: mujoco.MjModel, joint: str) -> float:
     """What the joint moves, kg or kg m^2, in the model's reference configuration."""
     at = model.joint(joint).dofadr[0]
-    return float(_inertia(model)[at, at])
+    return float(mjcf.mass_matrix(model)[at, at])
 
 
 def base_inertia(model: mujoco.MjModel) -> Array:
     """Mass matrix of the base joints, those that follow others moving with them, (nb, nb), in the same."""
     out = mjcf.spread_out(model)
-    return np.asarray(out.T @ _inertia(model) @ out)
-
-
-def _inertia(model: mujoco.MjModel) -> Array:
-    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
-    mujoco.mj_forward(model, data)
-    mujoco.mj_fullM(model, data, full)
-    return full
+    return np.asarray(out.T @ mjcf.mass_matrix(model) @ out)
 
 
 def free_inertia(model: mujoco.MjModel, joint: str) -> float:
@@ -50,7 +43,7 @@ def free_inertia(model: mujoco.MjModel, joint: str) -> float:
     No more than that can be taken out of it: poles that hang on a cart are carried by it and are no part of it.
     """
     at = model.joint(joint).dofadr[0]
-    return float(1.0 / np.linalg.inv(_inertia(model))[at, at])
+    return float(1.0 / np.linalg.inv(mjcf.mass_matrix(model))[at, at])
 
 
 def rotor_guesses(evidence: Evidence, shares: Sequence[float]) -> list[float]:

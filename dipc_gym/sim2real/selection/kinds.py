@@ -69,8 +69,8 @@ def shaped(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str
     held = {law: sorted({term.at for term in terms if term.effect.id in law.contains}) for law in laws}
     asked = [term for law in laws for at in held[law] for term in _shapes(question, law, at, current)]
     with fitter.sketched([(current, current.structure.with_term(term)) for term in asked]) as sketch_of:
-        sketched = [(sketch, term.key) for term, sketch in zip(asked, map(sketch_of, range(len(asked))), strict=True)]
-    for sketch, key in sorted(((s, key) for s, key in sketched if s is not None), key=lambda one: one[0].error):
+        sketches = [(sketch, term.key) for k, term in enumerate(asked) if (sketch := sketch_of(k)) is not None]
+    for sketch, key in sorted(sketches, key=lambda one: one[0].error):
         fitted = fitter.full(current, sketch)
         fitted = fitted and refined(fitter, fitted, key)
         # Any law takes up some of whatever else is missing; one that is there leaves nothing.

@@ -39,10 +39,7 @@ class Load:
 
         In m or rad and 1/s^2, 1/s and 1/s.
         """
-        data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mj_fullM(model, data, full)
-        inertia = max(float(full[self.at, self.at]), 1e-300)
+        inertia = max(float(mjcf.mass_matrix(model)[self.at, self.at]), 1e-300)
         springs = tuple(
             (float(np.ptp(model.tendon_lengthspring[t])) / 2, float(model.tendon_stiffness[t]) / inertia)
             for t in self.tendons
