@@ -26,6 +26,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import entries
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
+from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 from dipc_gym.sim2real.estimation import slopes
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.estimation.slopes import Slopes
@@ -279,6 +280,39 @@ def ramps(count: int) -> Term:
     knots = np.linspace(-0.3, 0.3, count)
     law = ForceOfPosition(knots.tolist(), np.sin(9 * knots).tolist())
     return Term(law, "cart", law.guess)
+
+
+def thinning() -> Term:
+    """A drag that goes with how fast the cart was of late: a table over that, and its time constant."""
+    speed = ("velocity cart", "velocity cart")
+    law = UnknownRecent(
+        np.linspace(0, 0.5, 6).tolist(), [2, 1.5, 1.2, 1, 0.9, 0.8], speed, units=("m/s", "m/s"), time=0.4
+    )
+    return Term(law, "cart", law.guess)
+
+
+def test_what_remembers_is_compiled_for_what_moves_its_beginnings_alone(
+    hanging: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A time constant does; values of its table, those of another law, friction and masses do not."""
+    problem, terms = hanging.problem, (Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0}), ramps(30))
+    parameters = model_parameters(Document(mjcf.from_text(HANGING)), hanging.structure.model)
+    base = replace(hanging.structure, model_parameters=tuple(parameters[:3]), terms=terms)
+    made, found, whole = [], [], type(base).physics
+    monkeypatch.setattr(type(base), "physics", lambda self, z: made.append(z) or whole(self, z))
+    for before in (True, False):
+        structure = base.with_term(thinning())
+        there = structure.first + 1e-2 * (1 + np.arange(len(structure.first)) / 7) * (structure.tables >= 0)
+        for z in (structure.first, there) if before else (there,):
+            probes = [z + 1e-6 * unit for unit in np.eye(len(z))]
+            made.clear()
+            found.append((sensitivities(problem, structure, z, probes, problem.initial), len(made)))
+    _, (kept, few), (anew, many) = found
+    for ours, theirs in zip(kept, anew, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-7 * np.abs(theirs).max())
+    assert np.abs(kept[1][-1]).max() > 0  # by the time constant
+    assert few <= 3  # the model, a check of the slopes that are kept, and one for the time constant
+    assert many > 10
 
 
 def test_passive_elements_are_no_commands(hanging: object) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -15,11 +15,11 @@ from dipc_gym.engine import Uncovered
 from dipc_gym.engine.program import parameters_of, read
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.estimation.slopes import Near, Slopes, begins_alike, maps_of, with_maps
+from dipc_gym.sim2real.estimation.slopes import Near, Slopes, maps_of, remembering, with_maps
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.side_by_side import cores
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
-from dipc_gym.sim2real.simulation.compiled import Compiled, changes, compiled, derivatives
+from dipc_gym.sim2real.simulation.compiled import Compiled, begins_alike, changes, compiled, derivatives
 from dipc_gym.sim2real.simulation.motion import initial_states
 from dipc_gym.sim2real.simulation.windows import Windows
 
@@ -153,9 +153,10 @@ def sensitivities(
         for which, part, halved in problem.by_step():
             windows = part.windows
             step = grid_step(windows, _stepping(replace(problem.stepping, integrator=_RK4), structure, halved))
-            of, change, apart = _with_changes(structure, z, probes, steps, windows, step)
             here = initial if part is problem else initial[which]
             approach = _approach(windows, warm)
+            begin = -warm, here if approach is None else approach[0]
+            of, change, apart = _with_changes(structure, z, probes, steps, windows, step, begin)
             found.append(derivatives(of, change, steps, apart, here, warm, approach, cores(problem.threads)))
     except Uncovered:
         return None
@@ -185,29 +186,58 @@ def _in_order(problem: Problem, parts: Sequence[Array]) -> Array:
 
 
 def _with_changes(
-    structure: Structure, z: Array, probes: Sequence[Array], steps: Array, windows: Windows, step: float
+    structure: Structure,
+    z: Array,
+    probes: Sequence[Array],
+    steps: Array,
+    windows: Windows,
+    step: float,
+    begin: tuple[float, Array],
 ) -> tuple[Compiled, Array, NDArray[np.intp]]:
     """What the engine simulates at z, and at probes that change more than its parameters; how these change with z, (p,
     k); and the variant of each probe, 0 for those left out, (p,).
+
+    Args:
+        structure: of the model.
+        z: its mapped parameters, (p,).
+        probes: as `sensitivities` takes them.
+        steps: how far each is from z, (p,).
+        windows: to simulate.
+        step: in which they are, s.
+        begin: when they begin, s after each window's start, and at which positions and velocities, (n, 2 nb).
     """
     here, values, count = structure.physics(z), structure.all_values(z), len(probes)
     maps = maps_of(here)
     apart = [structure.all_values(probe) - values for probe in probes]
     by_step = np.array([moved[i] / steps[i] for i, moved in enumerate(apart)])
     alone = count > 0 and all(np.count_nonzero(moved) == 1 and moved[i] for i, moved in enumerate(apart))
-    known, held = _known(structure, here, z, steps) if alone else (None, np.zeros(count, dtype=bool))
+
+    def made(variants: Sequence[Physics]) -> Compiled:
+        return compiled((here, *variants), windows, structure.base, step)
+
+    def alike(of: Compiled) -> NDArray[np.bool_]:
+        if not remembering(here):
+            return np.ones(len(of.variants) - 1, dtype=bool)
+        return begins_alike(of, *begin)[1:]
+
+    known, held = None, np.zeros(count, dtype=bool)
+    if alone:
+        known, held = _known(structure, here, z, steps, lambda one: bool(alike(made([one]))))
     asked = np.flatnonzero(~held)
-    variants = (here, *(structure.physics(probes[int(i)]) for i in asked))
-    of = compiled(variants, windows, structure.base, step)
-    of_maps = np.array([maps_of(variant) - maps for variant in variants[1:]]).reshape(len(asked), len(maps))
+    of = made([structure.physics(probes[int(i)]) for i in asked])
+    of_maps = np.array([maps_of(variant) - maps for variant in of.variants[1:]]).reshape(len(asked), len(maps))
     change = np.append(changes(of, steps[asked]), of_maps / steps[asked, None], axis=1)
     if known is not None:
         found, change = change, by_step[:, None] * known.by_value
         change[asked] = found
-    if alone and (len(asked) or known is not structure.worked_out.get(Slopes)):
-        there, alike = np.append(of.parameters[0], maps), known.alike if known else begins_alike(structure, here)
+    fresh = known is None or known is not structure.worked_out.get(Slopes)
+    if alone and (len(asked) or fresh):
+        there, begins = np.append(of.parameters[0], maps), held if known is None else known.alike
+        if fresh:
+            begins = held.copy()
+            begins[asked] = alike(of)
         structure.worked_out[Slopes] = Slopes(
-            of.program, values, there, change / by_step[:, None], by_step * steps, structure.tables, alike
+            of.program, values, there, change / by_step[:, None], by_step * steps, structure.tables, begins
         )
     own = of.parameters.shape[1]
     mapped = np.flatnonzero(held & change[:, own:].any(axis=1))
@@ -215,12 +245,22 @@ def _with_changes(
     which[asked], which[mapped] = 1 + np.arange(len(asked)), 1 + len(asked) + np.arange(len(mapped))
     others = [with_maps(here, maps + change[i, own:] * steps[i]) for i in mapped]
     beside = np.repeat(of.parameters[:1], len(mapped), axis=0)
-    of = replace(of, variants=(*variants, *others), parameters=np.append(of.parameters, beside, axis=0))
+    of = replace(of, variants=(*of.variants, *others), parameters=np.append(of.parameters, beside, axis=0))
     return of, change[:, :own], which
 
 
-def _known(structure: Structure, here: Physics, z: Array, steps: Array) -> tuple[Slopes | None, NDArray[np.bool_]]:
-    """Slopes that were found before, or that tables tell at once; and which of them hold at z, (p,)."""
+def _known(
+    structure: Structure, here: Physics, z: Array, steps: Array, alike: Callable[[Physics], bool]
+) -> tuple[Slopes | None, NDArray[np.bool_]]:
+    """Slopes that were found before, or that tables tell at once; and which of them hold at z, (p,).
+
+    Args:
+        structure: of the model.
+        here: the model at z.
+        z: mapped parameters, (p,).
+        steps: of these that are small, (p,).
+        alike: whether simulations of a model begin at the same states as here.
+    """
     known, maps = structure.worked_out.get(Slopes), maps_of(here)
     if isinstance(known, Slopes):
         parameters = parameters_of(known.program, here)
@@ -230,7 +270,7 @@ def _known(structure: Structure, here: Physics, z: Array, steps: Array) -> tuple
         held, sure = known.told(structure.all_values(z), near.parameters)
         return known, held & (sure or near.confirms(known, held))
     what, (parameters, *_) = read([here])
-    return Near(structure, what, z, steps, np.append(parameters, maps)).in_groups(here)
+    return Near(structure, what, z, steps, np.append(parameters, maps)).in_groups(alike)
 
 
 def normalised_residual(problem: Problem, readings: Array) -> Array:

@@ -9,13 +9,14 @@ another element of the program takes over; only the values beside it are asked a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.engine import program
-from dipc_gym.physics import Extra, Physics, from_model
+from dipc_gym.physics import Extra, Physics
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.simulation.heat import heating_motors
@@ -115,7 +116,7 @@ class Near:
         moved = self.moved(np.where(held, _sizes(len(held)) * (1 - 2 * (np.arange(len(held)) % 2)), 0.0))
         return moved is not None and slopes.hold(moved[0], self.parameters, moved[1])
 
-    def in_groups(self, here: Physics) -> tuple[Slopes | None, NDArray[np.bool_]]:
+    def in_groups(self, alike: Callable[[Physics], bool]) -> tuple[Slopes | None, NDArray[np.bool_]]:
         """Slopes by values of tables, a few models for dozens of them, and which these are, (p,); None where they are
         few, or bend at these values.
 
@@ -123,29 +124,27 @@ class Near:
         once, twice and by other sizes: by which share of itself a parameter moves less tells whose it is.
 
         Args:
-            here: the model.
+            alike: whether simulations of a model begin at the same states as here.
         """
-        told, nothing = self.structure.tables >= 0, (None, np.zeros(len(self.z), dtype=bool))
-        if np.count_nonzero(told) < ESTIMATION.grouped:
-            return nothing
-        alike = begins_alike(self.structure, here)
-        told &= alike
-        asked = np.flatnonzero(told)
+        tables, nothing = self.structure.tables >= 0, (None, np.zeros(len(self.z), dtype=bool))
+        asked, told = np.flatnonzero(tables), np.zeros(len(self.z), dtype=bool)
         if len(asked) < ESTIMATION.grouped:
             return nothing
-        by_value, apart = np.zeros((len(alike), len(self.parameters))), np.zeros(len(alike))
+        by_value, apart = np.zeros((len(told), len(self.parameters))), np.zeros(len(told))
         for group in (asked[first :: ESTIMATION.groups] for first in range(ESTIMATION.groups)):
-            unit = np.isin(np.arange(len(alike)), group).astype(float)
-            whole, part = self.moved(unit), self.moved(unit * _sizes(len(alike)))
+            unit = np.isin(np.arange(len(told)), group).astype(float)
+            whole, part = self.moved(unit), self.moved(unit * _sizes(len(told)))
             if whole is None or part is None:
                 return nothing
+            # One of a law that remembers, as its time constant, may move where simulations begin; the others do not.
+            told[group] = alike(self.structure.physics(self.z + unit * self.steps))
             touched = np.flatnonzero(whole[1])
             shares = part[0][group] / whole[0][group]
             mine = np.argmin(np.abs((part[1] / np.where(whole[1], whole[1], 1.0))[touched, None] - shares), axis=1)
             by_value[group[mine], touched] = whole[1][touched] / whole[0][group[mine]]
             apart[group] = whole[0][group]
         values = self.structure.all_values(self.z)
-        found = Slopes(self.program, values, self.parameters, by_value, apart, self.structure.tables, alike)
+        found = Slopes(self.program, values, self.parameters, by_value, apart, self.structure.tables, told)
         return (found, told) if self.confirms(found, told) else nothing
 
 
@@ -154,32 +153,10 @@ def _sizes(count: int) -> Array:
     return np.random.default_rng(0).uniform(0.5, 1.0, count)
 
 
-def begins_alike(structure: Structure, here: Physics) -> NDArray[np.bool_]:
-    """For each value of a hypothesis, whether simulations begin at the same states whatever it is, (p,).
-
-    What heats, yields, swings or remembers begins with what the motion before has left, which its own numbers change,
-    and those of motors and masses; not the table of a law that remembers nothing itself.
-
-    Args:
-        structure: of the hypothesis.
-        here: one of its models.
-    """
-    if not _remembering(here):
-        return np.ones(len(structure.slots), dtype=bool)
-    tables, plain = np.unique(structure.tables[structure.tables >= 0]).tolist(), list[int]()
-    without = _remembering(from_model(structure.model)) if tables else 0
-    for k in tables:
-        alone = replace(structure, model_parameters=(), terms=(structure.terms[k],))
-        made = alone.physics(alone.first)
-        if _remembering(made) == without and not made.stage("command"):
-            plain.append(k)
-    return np.isin(structure.tables, plain)
-
-
-def _remembering(physics: Physics) -> int:
-    """How much in a model begins with what the motion before has left."""
+def remembering(physics: Physics) -> bool:
+    """Whether anything in a model begins with what the motion before has left."""
     model = physics.model
-    return len(heating_motors(model)) + len(yielding(model)) + len(loads(model)) + len(physics.remembering)
+    return bool(heating_motors(model) or yielding(model) or loads(model) or physics.remembering)
 
 
 def maps_of(physics: Physics) -> Array:

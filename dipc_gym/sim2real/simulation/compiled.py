@@ -299,6 +299,18 @@ def changes(of: Compiled, steps: Array) -> Array:
     return np.asarray((of.parameters[1:] - of.parameters[0]) / steps[:, None])
 
 
+def begins_alike(of: Compiled, at: float, initial: Array) -> NDArray[np.bool_]:
+    """Which variants begin at the states of the first, (variants,).
+
+    Args:
+        of: one model with different parameters.
+        at: s after each window's start.
+        initial: positions and velocities of the base joints, (windows, 2 nb).
+    """
+    begun = of.begun(at, np.broadcast_to(initial, (len(of.variants), *initial.shape)))
+    return np.asarray(np.all(begun == begun[0], axis=(1, 2)))
+
+
 def derivatives(
     of: Compiled,
     change: Array,
