@@ -27,6 +27,8 @@ def effective(root: ET.Element, element: ET.Element, attribute: str, default: st
     """An attribute of an element of a model's tree: its own, or what the default classes give it."""
     if attribute in element.attrib:
         return element.attrib[attribute]
+    if root.find("default") is None:  # most files; a parent of every element is asked for below
+        return default
     tags = _ACTUATORS if element.tag in _ACTUATORS else {element.tag}
     for defaults in _classes(root, element):
         for entry in reversed(defaults):

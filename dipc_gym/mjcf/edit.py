@@ -28,7 +28,7 @@ _OPTIONS = {
     "noslip_iterations": "0",
 }
 _TAG = re.compile(rb"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>""")
-_WRITTEN = re.compile(r"<!--.*?-->|(<[^!?/>][^>]*?)( ?/)?>", re.DOTALL)
+_WRITTEN = re.compile(r"<!--.*?-->|<[^!?/>][^>]*>", re.DOTALL)  # as ElementTree writes them
 
 
 class Document:
@@ -250,10 +250,12 @@ class Document:
     def text(self) -> str:
         """The whole file; tags that nobody changed look as their author wrote them."""
 
-        def written(tag: re.Match[str]) -> str:
-            if not tag[1]:
-                return tag[0]
-            return self._layout.get(tag[1], tag[1]) + ("/>" if tag[2] else ">")
+        def written(found: re.Match[str]) -> str:
+            tag = found[0]
+            if tag.startswith("<!"):
+                return tag
+            alone, end = (tag[:-3], "/>") if tag.endswith(" />") else (tag[:-1], ">")
+            return self._layout.get(alone, alone) + end
 
         return self.head + _WRITTEN.sub(written, ET.tostring(self.root, encoding="unicode")) + self.tail
 
@@ -273,6 +275,6 @@ def text(value: str | float | Sequence[float]) -> str:
     """An attribute's text; numbers keep every digit."""
     if isinstance(value, str):
         return value
-    if isinstance(value, (int, float)):
-        return repr(float(value)).removesuffix(".0")
-    return " ".join(text(float(number)) for number in value)
+    # Tables hold hundreds of them, and a diagnosis writes tens of thousands of tables.
+    numbers = (value,) if isinstance(value, (int, float)) else value
+    return " ".join([repr(number).removesuffix(".0") for number in map(float, numbers)])
