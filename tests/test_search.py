@@ -444,6 +444,17 @@ def test_two_shapes_of_one_law_are_two_sketches(dry: Search) -> None:
     assert against.error < along.error  # friction goes with velocity
 
 
+def test_no_sketch_of_the_present_fit_is_made_twice(dry: Search, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor of the fit without effects, which a search comes back to; of others none is kept."""
+    fitter, made, rough = Fitter(dry.scorer), [], Fitter._rough
+    monkeypatch.setattr(Fitter, "_rough", lambda *given: made.append(given) or rough(*given))
+    bare, present = dry.progress.path[0], fitter.whole(dry.progress.current)
+    tilted = Term(catalogue()["load.constant"], "cart", {"force": 0.1})
+    for base in (bare, present, present, bare, replace(present), present):
+        assert fitter.sketch(base, base.structure.with_term(tilted)) is not None
+    assert len(made) == 4
+
+
 def test_a_recording_that_comes_to_rest_is_divided_by_its_motion() -> None:
     """A third of it stands still: windows to fit and to validate by share what moves as in one that never rests."""
     moving = run(1, 24, 3.0)

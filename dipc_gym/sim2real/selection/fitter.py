@@ -88,9 +88,19 @@ class Fitter:
                 sketch = min(sketch, self._rough(structure, _from_nothing(structure, z), initial, hopeless), key=_left)
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             sketch = None
-        if not base.structure.terms:
-            self._begun[asked] = base, sketch and sketch.result()  # dozens, for the whole search
+        self._keep({asked: (base, sketch and sketch.result())})
         return sketch
+
+    def _keep(self, begun: dict[_Asked, tuple[Fit, Fit | None]]) -> None:
+        """Keep sketches, dozens of each fit that they begin at: of that without effects, which a search comes back to,
+        and of the latest one, over which a new phase lays the same laws of no kind.
+        """
+        latest = {id(base) for base, _ in begun.values() if base.structure.terms}
+        if latest:
+            gone = [k for k, (base, _) in self._begun.items() if base.structure.terms and id(base) not in latest]
+            for asked in gone:
+                del self._begun[asked]
+        self._begun.update(begun)
 
     @contextmanager
     def side_by_side(self, tasks: Sequence[Callable[[], T]], bases: Sequence[Fit]) -> Iterator[Callable[[int], T]]:
@@ -115,7 +125,7 @@ class Fitter:
 
             def found(k: int) -> T:
                 what, begun = result(k)
-                self._begun.update(begun)
+                self._keep(begun)
                 return what
 
             yield found
