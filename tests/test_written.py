@@ -25,8 +25,9 @@ from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.replay import replay
-from dipc_gym.sim2real.result import Diagnosis
+from dipc_gym.sim2real.result import AsWritten, Diagnosis, Errors
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+from dipc_gym.sim2real.verdict.sentences import initial_states, step_costs
 from dipc_gym.sim2real.verdict.settings import VERDICT
 from dipc_gym.sim2real.verdict.written import Option, Predictor, _allowed, _to_the_end, _with_one_less, choose
 
@@ -314,6 +315,18 @@ def test_a_file_may_do_without_an_effect_that_takes_fine_steps() -> None:
 )
 def test_a_file_may_be_worse_than_another_at_a_step_that_costs_most(enough: float, error: float, times: float) -> None:
     assert _allowed(enough, error) == times
+
+
+def test_what_no_initial_state_explains_is_not_put_down_to_the_step() -> None:
+    """Derivatives may ask for an initial state that does not help where a joint sticks, in fine steps as in its own."""
+    said = AsWritten(1e-3, "Euler", Errors(159.0, 91.0, 62.5), Errors(155.0, 110.0, 60.0), 62.3)
+    dropped = {"dropped": [], "alone": False, "stiff": False}
+    assert step_costs(said, **dropped) == ""
+    assert "62.3 times the noise" in (note := initial_states(said, Errors(159.0, 91.0, 24.4)))
+    assert "24.4" in note
+    assert initial_states(said, Errors(159.0, 91.0, 60.0)) == ""
+    coarse = replace(said, held_out=Errors(159.0, 91.0, 80.0))
+    assert "with a converged step to 62.3" in step_costs(coarse, **dropped)
 
 
 def test_laws_that_were_fitted_to_the_end_are_written_in_its_order() -> None:

@@ -180,6 +180,7 @@ class AsWritten:
         integrator: of the file, as MJCF names it.
         held_out: errors in units of noise, of all three models in such steps, on windows that nothing was chosen by.
         validation: the same on those that the form was chosen by.
+        fine: the error of what was found on held-out data, simulated likewise in fine steps, in units of noise.
         forms: elements in words, by key of each effect that is written otherwise than it was fitted.
         refitted: whether parameters make up for the step, and so hold at no other.
         exact: whether the file asks for that integrator in the place of its own, without which a model that lacks what
@@ -192,6 +193,7 @@ class AsWritten:
     integrator: str
     held_out: Errors
     validation: Errors
+    fine: float
     forms: Mapping[str, str] = field(default_factory=dict)
     refitted: bool = False
     exact: bool = False
@@ -205,6 +207,7 @@ class AsWritten:
             "integrator": self.integrator,
             "held_out_in_noise": self.held_out.in_noise(),
             "validation_in_noise": self.validation.in_noise(),
+            "fine_in_noise": round(self.fine, 4),
             "forms": dict(self.forms),
             "refitted": self.refitted,
             "exact": self.exact,

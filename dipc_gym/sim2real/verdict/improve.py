@@ -15,7 +15,7 @@ from dipc_gym.sim2real.effects.base import acts_on, is_dcmotor
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import Structure, Term
-from dipc_gym.sim2real.result import AsWritten, Errors
+from dipc_gym.sim2real.result import AsWritten
 from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.simulation.batch import is_stiff
 from dipc_gym.sim2real.verdict import sentences
@@ -31,7 +31,6 @@ def improved_model(
     partition: Partition,
     test: Problem,
     fits: tuple[Fit, Fit, Fit],
-    errors: Errors,
     last: Fit,
 ) -> tuple[str, AsWritten | None, str]:
     """Text of the improved model in the forms that predict best at its own step, what it comes to there, and a note.
@@ -42,7 +41,6 @@ def improved_model(
         partition: windows to refit to, and to choose by.
         test: windows to judge by.
         fits: the model as given, recalibrated, and what was found.
-        errors: of these in fine steps, on the windows to judge by, in units of noise.
         last: what was found, fitted to the windows to judge by as well; the same where it was not.
     """
     final = fits[-1]
@@ -69,7 +67,7 @@ def improved_model(
         }
         lines.append("Refitted: " + ", ".join(key if far else f"{key} (hardly)" for key, far in moved.items()) + ".")
     lines += _at_rest(Document(source), document)
-    lines.append(sentences.as_written(said, errors))
+    lines.append(sentences.as_written(said))
     if asks := sentences.asks_for(said):
         lines.append(asks)
     if said.to_the_end:
@@ -81,7 +79,7 @@ def improved_model(
         )
     if loaders:
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")
-    note = sentences.step_costs(said, errors, dropped=dropped, alone=not kept, stiff=bool(_stiff(structure, z)))
+    note = sentences.step_costs(said, dropped=dropped, alone=not kept, stiff=bool(_stiff(structure, z)))
     if not structure.model_parameters and not structure.terms:
         return source.text, said, note
     document.comment("Changed by dipc-gym diagnose.", *lines)

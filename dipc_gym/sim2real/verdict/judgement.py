@@ -70,10 +70,11 @@ def judgement(
     improved, written, step_note = late(
         "What the improved model costs at its own step",
         lambda: improve.improved_model(
-            source, case.given.physics, last.seen, last.problem, last.three, measured.test, last.found.fitted
+            source, case.given.physics, last.seen, last.problem, last.three, last.found.fitted
         ),
         lambda: (final.structure.write(final.z).text(), None, ""),
     )
+    unheld = sentences.initial_states(written, measured.test) if written and measured.test else ""
     predicted = late("Predictions of test data", lambda: predictions(last.problem, *last.three), dict[str, Array])
     sensors = late(
         "Errors in the units of the sensors",
@@ -118,7 +119,7 @@ def judgement(
         ),
         improved,
         files_of(source, improved),
-        tuple([*notes, step_note] if step_note else notes),
+        tuple([*notes, *(note for note in (step_note, unheld) if note)]),
         details=behind,
     )
     return diagnosis, last.found

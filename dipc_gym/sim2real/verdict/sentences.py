@@ -264,12 +264,12 @@ def disagreement(errors: Errors, force: dict[str, Errors]) -> list[str]:
     return notes
 
 
-def as_written(said: AsWritten, errors: Errors) -> str:
-    """What the improved model comes to as its owner will run it; its errors in fine steps, in units of noise."""
+def as_written(said: AsWritten) -> str:
+    """What the improved model comes to as its owner will run it."""
     at = f"At its own step of {1e3 * said.timestep:g} ms ({said.integrator})"
     return (
         f"{at} this file predicts held-out data to {said.held_out.improved:.3g} times the noise, the model as given to "
-        f"{said.held_out.nominal:.3g}; in fine steps what was found predicts them to {errors.improved:.3g}."
+        f"{said.held_out.nominal:.3g}; in fine steps what was found predicts them to {said.fine:.3g}."
     )
 
 
@@ -284,24 +284,39 @@ def asks_for(said: AsWritten) -> str:
     )
 
 
-def step_costs(said: AsWritten, errors: Errors, *, dropped: Sequence[str], alone: bool, stiff: bool) -> str:
+def initial_states(said: AsWritten, errors: Errors) -> str:
+    """Note on an error that no initial states were found for; empty where it is what simulation comes to.
+
+    Args:
+        said: what the file comes to.
+        errors: with what yet other initial states would explain, as derivatives have it, in units of noise.
+    """
+    if said.fine <= SCORE.at_floor * max(errors.improved, 1.0):
+        return ""
+    return (
+        f"Simulated from the best initial states that were found, held-out data are predicted to {said.fine:.3g} times "
+        f"the noise, whatever the step: {errors.improved:.3g} grants every window what yet another initial state would "
+        "explain by derivatives, and where joints stick there may be no such state."
+    )
+
+
+def step_costs(said: AsWritten, *, dropped: Sequence[str], alone: bool, stiff: bool) -> str:
     """Note on a file that predicts worse at its own step than what was found does in fine ones; empty if it does not.
 
     Args:
         said: what the file comes to.
-        errors: in fine steps, in units of noise.
         dropped: effects that are left out of the file.
         alone: whether it holds none.
         stiff: whether dry friction in it has constants chosen with its step in mind.
     """
     asks = asks_for(said)
-    allowed = SCORE.at_floor * max(errors.improved, 1.0)
+    allowed = SCORE.at_floor * max(said.fine, 1.0)
     if not dropped and said.finer is None and said.held_out.improved <= allowed:
         return asks
     note = asks and f"{asks} "
     note += (
         f"At the model's own step of {1e3 * said.timestep:g} ms and with its integrator improved.xml predicts to "
-        f"{said.held_out.improved:.3g} times the noise, with a converged step to {errors.improved:.3g}, and no "
+        f"{said.held_out.improved:.3g} times the noise, with a converged step to {said.fine:.3g}, and no "
         "parameters make up for that: finer steps are worth more than any further physics."
     )
     if dropped:

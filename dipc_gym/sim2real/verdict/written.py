@@ -176,6 +176,7 @@ def written(
         _integrator(taken.structure),
         Errors(*errors),
         Errors(*(option.error for option in (*plainer, taken))),
+        there,
         dict(taken.forms),
         taken.refitted,
         _integrator(taken.structure) != _integrator(final.structure),
