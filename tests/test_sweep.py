@@ -11,55 +11,23 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
+from halving import Halve
 
 from dipc_gym import sweep
 from dipc_gym.experiments import compare
 from dipc_gym.experiments.compare import Comparison
-from dipc_gym.safety import intact
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sweep import Outcome, SweepError
 from dipc_gym.training import seeds, train
 from dipc_gym.training.train import Recipe, Training
 from dipc_gym.trials.attempt import Attempt
-
-
-@dataclass(frozen=True)
-class Halve:
-    """Halves a number; some numbers fail or kill the process that halves them."""
-
-    number: int
-    trace: str = ""
-    options: dict[str, float] = field(default_factory=lambda: {"scale": 1.0})
-
-    @property
-    def name(self) -> str:
-        return f"halve-{self.number:03d}"
-
-    def run(self) -> Any:
-        if self.trace:
-            (Path(self.trace) / f"{self.number}-{time.monotonic_ns()}").touch()
-        if self.number == 13:
-            raise ArithmeticError("thirteen\nis unlucky")
-        if self.number == 14:
-            return float("nan")
-        if self.number == 99:
-            os._exit(3)
-        time.sleep(0.02)
-        return {
-            "half": self.number / 2 * self.options["scale"],
-            "pid": os.getpid(),
-            "threads": os.environ.get("OMP_NUM_THREADS"),
-        }
-
-    def check(self, result: Any) -> None:
-        intact.fit(result, {"half": float})
 
 
 def numbers(outcomes: list[Outcome[Halve]]) -> list[int]:
@@ -180,7 +148,7 @@ def test_a_killed_sweep_goes_on(tmp_path: Path) -> None:
     (tmp_path / "trace").mkdir()
     code = (
         "import sys; from pathlib import Path; sys.path.insert(0, sys.argv[1])\n"
-        "from test_sweep import Halve; from dipc_gym import sweep\n"
+        "from halving import Halve; from dipc_gym import sweep\n"
         "place = Path(sys.argv[2])\n"
         "cells = [Halve(n, str(place / 'trace')) for n in range(100, 300)]\n"
         "if __name__ == '__main__':\n"
