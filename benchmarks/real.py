@@ -5,8 +5,9 @@
 FOLDER holds a folder for each rig with `nominal.xml` beside its recordings, as `examples/real_recordings.py` writes
 them; rigs that it does not hold are left out. Errors are those of predictions of held-out data, in multiples of the
 encoder's noise: of the model as given, of its parameters refitted, of what was found, and of `improved.xml` as MuJoCo
-simulates it at its own step. Beside them stand the same of windows that validate, in parentheses: what is far better
-there than on held-out data follows the data that it was fitted to. Seconds are those of the processor, all forks
+simulates it at its own step, in brackets what fine steps come to from the same initial states. Beside the others stand
+those of windows that validate, in parentheses: what is far better there than on held-out data follows the data that it
+was fitted to. Seconds are those of the processor, all forks
 together, then those on the clock.
 """
 
@@ -46,7 +47,7 @@ def row(folder, fitted, held_out, threads):
         f"{getattr(test, which):.4g} ({getattr(validation, which):.3g})"
         for which in ("nominal", "recalibrated", "improved")
     ]
-    own = f"{found.written.held_out.improved:.4g}" if found.written else ""
+    own = f"{found.written.held_out.improved:.4g} [{found.written.fine:.4g}]" if found.written else ""
     effects = ", ".join(f"`{one.effect}@{one.at}`" for one in found.missing)
     return [*errors, own, found.verdict, effects, f"{cpu:.0f}, {clock:.0f}"]
 
