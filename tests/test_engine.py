@@ -315,6 +315,15 @@ def test_what_remembers_is_compiled_for_what_moves_its_beginnings_alone(
     assert many > 10
 
 
+def test_what_moves_beginnings_is_asked_all_along_the_recordings(hanging: object) -> None:
+    """In the first window nothing has been remembered yet, whatever the time constant."""
+    structure, problem = hanging.structure.with_term(thinning()), hanging.problem.pick(np.arange(1))
+    assert problem.windows.start.tolist() == [0.0]
+    z = structure.first
+    assert sensitivities(problem, structure, z, [z + 1e-6 * unit for unit in np.eye(len(z))], problem.initial)
+    assert structure.worked_out[Slopes].alike.tolist() == [True] * 6 + [False]
+
+
 def test_passive_elements_are_no_commands(hanging: object) -> None:
     structure = hanging.structure.with_term(ramps(60))
     here = structure.physics(structure.first)

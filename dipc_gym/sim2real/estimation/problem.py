@@ -153,10 +153,9 @@ def sensitivities(
         for which, part, halved in problem.by_step():
             windows = part.windows
             step = grid_step(windows, _stepping(replace(problem.stepping, integrator=_RK4), structure, halved))
+            of, change, apart = _with_changes(structure, z, probes, steps, windows, step)
             here = initial if part is problem else initial[which]
             approach = _approach(windows, warm)
-            begin = -warm, here if approach is None else approach[0]
-            of, change, apart = _with_changes(structure, z, probes, steps, windows, step, begin)
             found.append(derivatives(of, change, steps, apart, here, warm, approach, cores(problem.threads)))
     except Uncovered:
         return None
@@ -186,13 +185,7 @@ def _in_order(problem: Problem, parts: Sequence[Array]) -> Array:
 
 
 def _with_changes(
-    structure: Structure,
-    z: Array,
-    probes: Sequence[Array],
-    steps: Array,
-    windows: Windows,
-    step: float,
-    begin: tuple[float, Array],
+    structure: Structure, z: Array, probes: Sequence[Array], steps: Array, windows: Windows, step: float
 ) -> tuple[Compiled, Array, NDArray[np.intp]]:
     """What the engine simulates at z, and at probes that change more than its parameters; how these change with z, (p,
     k); and the variant of each probe, 0 for those left out, (p,).
@@ -204,7 +197,6 @@ def _with_changes(
         steps: how far each is from z, (p,).
         windows: to simulate.
         step: in which they are, s.
-        begin: when they begin, s after each window's start, and at which positions and velocities, (n, 2 nb).
     """
     here, values, count = structure.physics(z), structure.all_values(z), len(probes)
     maps = maps_of(here)
@@ -218,7 +210,7 @@ def _with_changes(
     def alike(of: Compiled) -> NDArray[np.bool_]:
         if not remembering(here):
             return np.ones(len(of.variants) - 1, dtype=bool)
-        return begins_alike(of, *begin)[1:]
+        return begins_alike(of)[1:]
 
     known, held = None, np.zeros(count, dtype=bool)
     if alone:

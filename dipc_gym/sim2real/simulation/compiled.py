@@ -20,6 +20,7 @@ from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.physics import Moment, Physics
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.simulation.memory import Joints, Places, begin
+from dipc_gym.sim2real.simulation.motion import initial_states
 from dipc_gym.sim2real.unseen.parts import yielding
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 BESIDE = 2.0**-20  # of a reading, to where a sensor's map is asked for its slope
+MOMENTS = 200  # of each recording, at which it is asked where a window would begin
 NEAR = 0.02  # of a joint's range: a motion that keeps this far from its ends tells nothing of its limits
 
 _checked: set[bytes] = set()
@@ -299,15 +301,19 @@ def changes(of: Compiled, steps: Array) -> Array:
     return np.asarray((of.parameters[1:] - of.parameters[0]) / steps[:, None])
 
 
-def begins_alike(of: Compiled, at: float, initial: Array) -> NDArray[np.bool_]:
-    """Which variants begin at the states of the first, (variants,).
+def begins_alike(of: Compiled) -> NDArray[np.bool_]:
+    """Which variants begin at the states of the first wherever in the recordings a window begins, (variants,).
 
-    Args:
-        of: one model with different parameters.
-        at: s after each window's start.
-        initial: positions and velocities of the base joints, (windows, 2 nb).
+    Asked all along them, for what these windows show nothing of, others may remember.
     """
-    begun = of.begun(at, np.broadcast_to(initial, (len(of.variants), *initial.shape)))
+    windows = of.windows
+    if not windows.motions:  # whoever simulates is told that these are missing
+        return np.zeros(len(of.variants), dtype=bool)
+    time = np.concatenate([np.linspace(m.time[0], m.time[-1], MOMENTS) for m in windows.motions])
+    source = np.repeat(np.arange(len(windows.motions)), MOMENTS)
+    initial = initial_states(windows.motions, source, time)
+    everywhere = replace(of, windows=replace(windows, source=source, start=time))
+    begun = everywhere.begun(0.0, np.broadcast_to(initial, (len(of.variants), *initial.shape)))
     return np.asarray(np.all(begun == begun[0], axis=(1, 2)))
 
 
