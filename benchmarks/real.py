@@ -7,8 +7,7 @@ them; rigs that it does not hold are left out. Errors are those of predictions o
 encoder's noise: of the model as given, of its parameters refitted, of what was found, and of `improved.xml` as MuJoCo
 simulates it at its own step, in brackets what fine steps come to from the same initial states. Beside the others stand
 those of windows that validate, in parentheses: what is far better there than on held-out data follows the data that it
-was fitted to. Seconds are those of the processor, all forks
-together, then those on the clock.
+was fitted to. Seconds are those of the processor, all forks together, then those on the clock.
 """
 
 import argparse

@@ -15,7 +15,7 @@ from dipc_gym.engine import Uncovered
 from dipc_gym.engine.program import parameters_of, read
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.estimation.slopes import Near, Slopes, maps_of, remembering, with_maps
+from dipc_gym.sim2real.estimation.slopes import Near, Slopes, maps_of, with_maps
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.side_by_side import cores
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
@@ -207,14 +207,9 @@ def _with_changes(
     def made(variants: Sequence[Physics]) -> Compiled:
         return compiled((here, *variants), windows, structure.base, step)
 
-    def alike(of: Compiled) -> NDArray[np.bool_]:
-        if not remembering(here):
-            return np.ones(len(of.variants) - 1, dtype=bool)
-        return begins_alike(of)[1:]
-
     known, held = None, np.zeros(count, dtype=bool)
     if alone:
-        known, held = _known(structure, here, z, steps, lambda one: bool(alike(made([one]))))
+        known, held = _known(structure, here, z, steps, lambda one: bool(begins_alike(made([one])).all()))
     asked = np.flatnonzero(~held)
     of = made([structure.physics(probes[int(i)]) for i in asked])
     of_maps = np.array([maps_of(variant) - maps for variant in of.variants[1:]]).reshape(len(asked), len(maps))
@@ -222,14 +217,15 @@ def _with_changes(
     if known is not None:
         found, change = change, by_step[:, None] * known.by_value
         change[asked] = found
-    fresh = known is None or known is not structure.worked_out.get(Slopes)
-    if alone and (len(asked) or fresh):
-        there, begins = np.append(of.parameters[0], maps), held if known is None else known.alike
-        if fresh:
-            begins = held.copy()
-            begins[asked] = alike(of)
+    before = structure.worked_out.get(Slopes)
+    if alone and (len(asked) or known is not before):
+        there, alike = np.append(of.parameters[0], maps), held.copy()
+        if known is not None and known is before:
+            alike = known.alike
+        else:
+            alike[asked] = begins_alike(of)[1:]
         structure.worked_out[Slopes] = Slopes(
-            of.program, values, there, change / by_step[:, None], by_step * steps, structure.tables, begins
+            of.program, values, there, change / by_step[:, None], by_step * steps, structure.tables, alike
         )
     own = of.parameters.shape[1]
     mapped = np.flatnonzero(held & change[:, own:].any(axis=1))

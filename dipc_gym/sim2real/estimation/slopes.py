@@ -19,8 +19,6 @@ from dipc_gym.engine import program
 from dipc_gym.physics import Extra, Physics
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure
-from dipc_gym.sim2real.simulation.heat import heating_motors
-from dipc_gym.sim2real.unseen.parts import loads, yielding
 
 Array = NDArray[np.float64]
 
@@ -151,12 +149,6 @@ class Near:
 def _sizes(count: int) -> Array:
     """Sizes of steps that no two values share, (count,)."""
     return np.random.default_rng(0).uniform(0.5, 1.0, count)
-
-
-def remembering(physics: Physics) -> bool:
-    """Whether anything in a model begins with what the motion before has left."""
-    model = physics.model
-    return bool(heating_motors(model) or yielding(model) or loads(model) or physics.remembering)
 
 
 def maps_of(physics: Physics) -> Array:

@@ -19,7 +19,7 @@ from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.physics import Moment, Physics
 from dipc_gym.recording import Recording
-from dipc_gym.sim2real.simulation.memory import Joints, Places, begin
+from dipc_gym.sim2real.simulation.memory import Joints, Places, begin, remembering
 from dipc_gym.sim2real.simulation.motion import initial_states
 from dipc_gym.sim2real.unseen.parts import yielding
 
@@ -307,6 +307,8 @@ def begins_alike(of: Compiled) -> NDArray[np.bool_]:
     Asked all along them, for what these windows show nothing of, others may remember.
     """
     windows = of.windows
+    if not remembering(of.variants[0]):
+        return np.ones(len(of.variants), dtype=bool)
     if not windows.motions:  # whoever simulates is told that these are missing
         return np.zeros(len(of.variants), dtype=bool)
     time = np.concatenate([np.linspace(m.time[0], m.time[-1], MOMENTS) for m in windows.motions])

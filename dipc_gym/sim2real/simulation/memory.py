@@ -180,6 +180,12 @@ class Places:
                 unbent += (coefficient * moved[..., joint])[..., None]
 
 
+def remembering(physics: Physics) -> bool:
+    """Whether anything in a model begins with what the motion before has left, as `begin` has it."""
+    model = physics.model
+    return bool(heating_motors(model) or yielding(model) or loads(model) or physics.remembering)
+
+
 def begin(
     places: Places,
     initial: Array,

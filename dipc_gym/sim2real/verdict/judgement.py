@@ -119,7 +119,7 @@ def judgement(
         ),
         improved,
         files_of(source, improved),
-        tuple([*notes, *(note for note in (step_note, unheld) if note)]),
+        (*notes, *filter(None, (step_note, unheld))),
         details=behind,
     )
     return diagnosis, last.found
