@@ -50,6 +50,7 @@ def propose(text: str, *structures: tuple[str, str, dict[str, float]], strength:
 
 COULOMB = ("friction.coulomb", "cart", {"level": 1.5})
 STRIBECK = ("friction.stribeck", "cart", {"level": 1.5, "static": 2.0, "velocity": 0.02})
+COULOMB_SHOULDER = ("friction.coulomb", "shoulder", {"level": 0.02})
 DEADZONE = ("motor.deadzone", "motor", {"width": 0.38})
 
 
@@ -112,6 +113,20 @@ def test_commands_keep_within_the_control_range() -> None:
     found = propose(LIMITED, COULOMB, DEADZONE, strength=1.5)
     assert found.commands.commands.min() >= -3
     assert found.commands.commands.max() <= 3
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 0.6), (0.1, 0.4), (-0.5, -0.1)])
+def test_commands_of_one_sign_swing_within_their_range(low: float, high: float) -> None:
+    """They begin with the least that the range has, on a pendulum that its weight brings back."""
+    text = TORQUE.replace('gear="2"', f'gear="2" ctrlrange="{low} {high}"').replace('type="hinge"', 'damping="0.2"')
+    P, run = ready(TORQUE.replace('type="hinge"', 'damping="0.2"'), 0.4)
+    built = structure(replace(P, structure=prepared(text, [run]).structure), COULOMB_SHOULDER)
+    found = design.propose([built], P.problem, [run], P.motions)
+    commands = found.commands.commands
+    assert commands.min() >= low - 1e-12
+    assert commands.max() <= high + 1e-12
+    assert np.ptp(commands) > 0.05 * (high - low)
+    assert np.abs(commands[0]) == pytest.approx(min(abs(low), abs(high)))
 
 
 def test_it_begins_and_ends_gently() -> None:

@@ -16,6 +16,7 @@ import pytest
 
 from dipc_gym import cli, mjcf, physics, recording
 from dipc_gym.recording import Recording, RecordingError
+from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation import unexplained
@@ -24,10 +25,12 @@ from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis, Errors, Located, SensorFit
+from dipc_gym.sim2real.selection import data
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.simulation.batch import Stepping
-from dipc_gym.sim2real.verdict import judge, sentences
+from dipc_gym.sim2real.verdict import judge, judgement, sentences
+from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.withheld import gather
 
 MASS, DRAG, FORCE = 1.26, 40.0, 4.0  # kg, N s/m of bearing and back-EMF together, N/V
@@ -651,6 +654,39 @@ def test_what_is_fitted_is_no_judge() -> None:
     fitted = run(5, 10, 0.0)
     with pytest.raises(RecordingError, match="copy: held out, but the same as run5, which is fitted; hold out another"):
         diagnose(mjcf.from_text(NOMINAL), [fitted], [replace(fitted, name="copy")])
+
+
+def test_parts_of_a_recording_may_be_held_out_where_they_do_not_overlap() -> None:
+    fitted, rest = run(5, 10, 0.0).split(0.6)
+    data.check_apart([fitted], [rest])
+    with pytest.raises(RecordingError, match="held out, but the same as"):
+        data.check_apart([fitted], [run(5, 10, 0.0).slice(len(fitted) - 1, len(fitted) + 50)])
+
+
+def test_an_error_at_the_end_of_a_search_leaves_shares_and_intervals(
+    few: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*given: object) -> None:
+        raise ValueError("something odd")
+
+    monkeypatch.setattr(diagnosis, "conclude", fails)
+    monkeypatch.setattr(Guarded, "strict", False)
+    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], effects=few)  # type: ignore[arg-type]
+    assert [m.effect for m in found.missing] == ["friction.coulomb"]
+    assert {"low", "high"} <= found.missing[0].parameters["level"].keys()
+    assert [note for note in found.notes if "could not be worked out" in note] == [
+        note for note in found.notes if "something odd" in note
+    ]
+
+
+def test_a_diagnosis_needs_no_file_of_the_model_that_is_gone_by_its_end(tmp_path: Path) -> None:
+    """What a model pulls in was read when it was loaded."""
+    (tmp_path / "cube.obj").write_text("".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)))
+    asset = '<asset><mesh name="cube" file="cube.obj"/></asset>'
+    source = mjcf.from_text(NOMINAL.replace("<worldbody>", asset + "<worldbody>"), tmp_path)
+    (tmp_path / "cube.obj").unlink()
+    assert judgement.files_of(source, source.text) == dict(source.files)
+    assert judgement.files_of(source, NOMINAL) == {}
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,7 @@ CONTRACT = [
     "load.swinging",
     "load.creeping",
     "motor.map",
+    "motor.sag",
     "residual.force",
 ]
 # Parameters with which an effect does nothing. A rotor of its own always adds inertia: see the transmissions below.
@@ -91,6 +92,7 @@ NEUTRAL: dict[str, Mapping[str, float]] = {
     "friction.asymmetric": {"forward": 0, "backward": 0},
     "friction.coulomb": {"level": 0},
     "friction.load": {"level": 0, "by_drive": 0, "by_weight": 0},
+    "friction.load:stribeck": {"level": 0, "by_drive": 0, "by_weight": 0, "excess": 0, "velocity": 0.1},
     "friction.position": {"first": -1, "last": 1, **{f"level_{k}": 0.0 for k in range(1, 6)}},
     "friction.position:wave": {"level": 0, "sine": 0, "cosine": 0, "wavelength": 0.1},
     "friction.resting": {"level": 0, "rise": 0, "time": 0.1, "slow": 1e-3},
@@ -105,6 +107,7 @@ NEUTRAL: dict[str, Mapping[str, float]] = {
     "motor.cogging": {"sine": 0, "cosine": 0, "poles": 7},
     "motor.deadzone": {"width": 0},
     "motor.inductance": {"time_constant": 2e-4},
+    "motor.sag": {"drop": 0, "time_constant": 1, "current": 3, "gain": 1, "back": 0},
     "motor.saturation": {"limit": 1e3},
     "motor.thermal": {"thermal_resistance": 1e-9, "time_constant": 10},
     "sensor.bias": {"bias": 0},

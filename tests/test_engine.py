@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import copy
 import ctypes
+import gc
 import os
 import re
 import stat
+import sys
+import threading
+import weakref
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -203,6 +209,45 @@ def test_a_block_stops_where_the_closed_form_says(level: float) -> None:
     assert np.all(np.diff(readings[0, 0, 0]) >= 0)
 
 
+def test_what_ctrl_c_leaves_behind_writes_into_arrays_that_are_still_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads go on with the rows that they have begun, when whoever asked for these has gone."""
+    module, begun, goes_on = sys.modules[run.__module__], threading.Event(), threading.Event()
+
+    def function(table: object, first: int, last: int) -> None:
+        begun.set()
+        goes_on.wait(60)
+
+    class Interrupted(ThreadPoolExecutor):
+        def map(self, work: Callable[..., object], items: Iterable[object], **options: object) -> Iterator[object]:
+            self.submit(work, next(iter(items)))
+            begun.wait(60)
+            raise KeyboardInterrupt
+
+    threads = Interrupted(1)
+    monkeypatch.setattr(module, "_function", lambda *of: function)
+    monkeypatch.setattr(module, "pool", lambda *of: threads)
+    kept: list[weakref.ref[np.ndarray]] = []
+    empty = np.empty
+
+    def remembered(*shape: object, **options: object) -> np.ndarray:
+        made = empty(*shape, **options)  # type: ignore[call-overload]
+        kept.append(weakref.ref(made))
+        return made  # type: ignore[no-any-return]
+
+    monkeypatch.setattr(module.np, "empty", remembered)
+    what, parameters = program.read([loaded(CART)])
+    jobs = jobs_for(parameters, np.zeros((1, 40, 2)), np.zeros((2, 1)), 10, 1)
+    with pytest.raises(KeyboardInterrupt):
+        run(what, jobs, 0.002, threads=2)
+    monkeypatch.undo()
+    gc.collect()
+    assert [one() is not None for one in kept] == [True, True]
+    goes_on.set()
+    threads.shutdown()
+    gc.collect()
+    assert [one() is not None for one in kept] == [False, False]
+
+
 # Derivatives
 
 
@@ -210,6 +255,12 @@ CASES = [
     ("friction.coulomb", "cart", {"level": 2.0}),
     ("friction.stribeck", "cart", {"level": 2.0, "static": 3.0, "velocity": 0.05}),
     ("friction.load", "cart", {"level": 1.0, "by_drive": 0.1, "by_weight": 0.1}),
+    (
+        "friction.load:stribeck",
+        "cart",
+        {"level": 1.0, "by_drive": 0.1, "by_weight": 0.1, "excess": 0.4, "velocity": 0.05},
+    ),
+    ("motor.sag", "motor", {"drop": 0.2, "time_constant": 0.1, "current": 3.0, "gain": 4.0, "back": 4.0}),
     ("friction.position:wave", "cart", {"level": 2.0, "sine": 0.5, "cosine": 0.5, "wavelength": 0.1}),
     ("transmission.compliance", "motor", {"stiffness": 3e3, "damping": 10.0, "rotor_inertia": 0.2}),
     ("timing.delay", "motor", {"delay": 0.0033}),

@@ -230,6 +230,21 @@ def test_a_second_run_says_so_and_stops_and_a_killed_one_leaves_no_lock(held: An
     assert [path.name for path in folder.iterdir()] == ["mine"]
 
 
+def test_a_folder_that_was_made_in_vain_goes_before_it_is_let_go(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever waits for it would hold a folder that is none any more."""
+    folder, close, there = tmp_path / "out", os.close, []
+
+    def closing(handle: int) -> None:
+        there.append(folder.exists())
+        close(handle)
+
+    with alone(folder):
+        monkeypatch.setattr(os, "close", closing)
+    assert there == [False]
+
+
 @pytest.mark.parametrize(
     "command",
     [

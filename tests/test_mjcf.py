@@ -403,6 +403,30 @@ def test_contact_filters_agree_with_mujoco(geoms: list[tuple[int, int, int]], ex
     assert (mjcf.touching_pair(model) is not None) == (data.ncon > 0)
 
 
+@pytest.mark.parametrize(
+    ("flag", "mend"),
+    [("frictionloss", "remove it$"), ("constraint", 'remove it, and write <flag contact="disable"/> for it$')],
+)
+def test_dry_friction_that_is_switched_off_is_refused(flag: str, mend: str) -> None:
+    """Simulators would disagree on it, and what is written back would do nothing."""
+    text = rig().replace("<mujoco>", f'<mujoco><option><flag {flag}="disable"/></option>')
+    with pytest.raises(mjcf.MjcfError, match=f'^rig.xml: <flag {flag}="disable"/> switches dry friction off.*{mend}'):
+        mjcf.check_supported(mjcf.compile(text), "rig.xml")
+
+
+def test_geoms_by_the_ten_thousand_are_paired_by_what_they_may_touch() -> None:
+    """Of a body's geoms that may touch the same, one tells for all."""
+    text = rig(inside="<replicate count='20000' offset='0 0 1'><geom size='0.1' mass='1'/></replicate>")
+    model = mjcf.compile(text)
+    assert model.ngeom >= 20_000
+    assert mjcf.touching_pair(model) is None
+    touched = rig(
+        inside="<replicate count='500' offset='0 0 1'><geom size='0.1' mass='1'/></replicate>",
+        beside="<geom name='b' size='1' contype='2' conaffinity='1'/>",
+    )
+    assert "'b'" in (mjcf.touching_pair(mjcf.compile(touched)) or ())
+
+
 def test_switched_off_contacts_are_no_contacts() -> None:
     text = rig(inside="<geom size='1'/>", beside="<geom size='1'/>")
     mjcf.check_supported(

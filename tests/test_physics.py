@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -131,6 +132,57 @@ def test_friction_under_load_grows_with_what_the_joint_carries() -> None:
     assert run(lift, force, 300).qvel[0] == pytest.approx((force - weight - friction) / MASS * 0.3, rel=0.01)
 
 
+@given(st.floats(-1, 1), st.floats(-50, 50), st.floats(-50, 50))
+def test_friction_under_load_is_largest_at_rest_and_plain_in_motion(speed: float, drive: float, weight: float) -> None:
+    plain, more = np.array([1.0, 0.2, 0.1]), np.array([1.0, 0.2, 0.1, 0.5, 0.03])
+    now = replace(formulas.moment(0.0, drive=drive, weight=weight), speed=np.asarray(speed))
+    share = formulas.friction_under_load_at_rest(more, now) / formulas.friction_under_load(plain, now)
+    assert share == pytest.approx(1.5 if speed == 0 else 1.0 + 0.5 * math.exp(-((speed / 0.03) ** 2)))
+
+
+def test_a_joint_under_load_breaks_away_late_and_then_slides_with_what_friction_is_left() -> None:
+    """30 N against a weight of 19.62 N: the gear carries both, 0.1 of each, and twice as much of it at rest."""
+    rig = cart(entry("friction.load_stribeck", "cart", 1.0, 0.1, 0.1, 1.0, 0.01), axis="0 0 1")
+    weight = MASS * 9.81
+    level = 1.0 + 0.1 * (30.0 + weight)
+    assert 30.0 - weight < 2.0 * level
+    assert abs(run(rig, 30.0, 300).qvel[0]) < 1e-3
+    force = 45.0
+    level = 1.0 + 0.1 * (force + weight)
+    assert run(rig, force, 300).qvel[0] == pytest.approx((force - weight - level) / MASS * 0.3, rel=0.02)
+
+
+SAGS = '<text name="dipc_gym:input:1:motor.sag:cart" data="command motor"/>'
+
+
+def sagging(*numbers: float, room: int = 1, text: str = SAGS) -> str:
+    return text + entry("motor.sag", "cart", *numbers) + f'</custom><size nuserdata="{room}"/><custom>'
+
+
+def test_a_supply_sags_as_a_first_order_lag_says() -> None:
+    """Under a command of 4 it loses 1 - exp(-t / T) of what it comes to lose; the momentum that is lacking tells."""
+    share, time, command = 0.05, 0.2, 4.0
+    rig = cart(sagging(1.0, 0.0, share, time), timestep=1e-3)
+    lost = share * command * (0.5 - time * (1.0 - math.exp(-0.5 / time)))
+    assert run(rig, command, 500).qvel[0] == pytest.approx(command * (0.5 - lost) / MASS, rel=1e-3)
+
+
+def test_back_emf_spares_the_supply() -> None:
+    """A joint as fast as its command drives it draws nothing, and one that is driven back draws more."""
+    rig = cart(sagging(1.0, 2.0, 0.1, 0.5))
+    data = mujoco.MjData(rig.model)
+    for speed, drawn in ((2.0, 0.0), (0.0, 4.0), (-1.0, 6.0)):
+        data.ctrl[0], data.qvel[0], data.userdata[0] = 4.0, speed, 0.0
+        assert rig.grown(data)[0] == pytest.approx(drawn / 0.5)
+
+
+@given(st.floats(-1e3, 1e3), st.floats(-1e6, 1e6))
+def test_a_supply_never_gives_less_than_nothing_nor_more_than_it_has(command: float, memory: float) -> None:
+    now = replace(formulas.moment(0.0), inputs=(np.asarray(command),), memory=np.asarray(memory))
+    left = command + float(formulas.sagging_force(np.array([1.0, 0.0, 0.1, 1.0]), now))
+    assert min(0.0, command) <= left <= max(0.0, command)
+
+
 @pytest.mark.parametrize("timestep", [1e-4, 2e-3])
 def test_periodic_force_moves_a_free_mass_as_integration_says(timestep: float) -> None:
     """Neither early nor late, however long the step over which it is held."""
@@ -251,6 +303,18 @@ def test_a_batch_of_variants_equals_single_simulations_bit_for_bit() -> None:
         (entry("friction.position", "cart", 0.0, 1.0, 2.0), "too few"),
         (entry("friction.position", "cart", 1.0, 1.0, 2.0, 2.0), "out of range"),
         (entry("disturbance.pulse", "cart", 1.0, 0.0), "numbers \\[1.0, 0.0\\], too few"),
+        (entry("friction.load_stribeck", "cart", 1.0, 0.1, 0.1, 0.5, 0.0), "out of range; .*excess, velocity"),
+        (sagging(1.0, 0.0, -0.1, 1.0), "out of range; .*gain, back, per, time constant"),
+        (sagging(1.0, 0.0, 0.1, 1e-4), "out of range"),
+        (sagging(1.0, 0.0, 0.1), "too few"),
+        (sagging(1.0, 0.0, 0.1, 1.0, text=""), "out of range"),
+        (sagging(1.0, 0.0, 0.1, 1.0, text=SAGS.replace("command motor", "velocity cart")), "out of range"),
+        (sagging(1.0, 0.0, 0.1, 1.0, text=SAGS.replace("command motor", "command moto")), "no 'command moto'.*motor"),
+        (sagging(1.0, 0.0, 0.1, 1.0, room=0), "nuserdata"),
+        (entry("motor.deadzone", "motor", 0.4, 7.0), "numbers \\[0.4, 7.0\\], too few, too many or out of range"),
+        (entry("motor.deadzone", "motor", -0.4), "out of range"),
+        (entry("disturbance.pulse", "cart", 1.0, 0.0, -1.0), "out of range"),
+        (entry("residual.force", "cart", 1, 2, 2, 0, 1, 0, 1, 1, 2, 3, 4) + depends("position cart"), "out of range"),
         (entry("timing.sensor_lag", "x", 0.0), "out of range; .*time constant > 0"),
         (entry("timing.sensor_lag", "x", -0.1), "out of range"),
     ],

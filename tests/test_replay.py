@@ -149,6 +149,19 @@ def test_the_worst_window_is_where_the_model_was_wrong(tmp_path: Path) -> None:
     assert np.median(done.errors) < 1.1
 
 
+def test_windows_that_diverge_are_the_worst_and_are_written_as_none(tmp_path: Path) -> None:
+    text = hanging().replace('damping="5.0"', 'damping="5.0" stiffness="-1e7"')
+    assert "stiffness" in text
+    model, path = files(tmp_path, text, Run().of(hanging()))
+    said = tmp_path / "said.json"
+    assert main(["replay", str(model), str(path), "--step", "0.002", "--window", "0.5", "--json", str(said)]) == 0
+    held = json.loads(said.read_text())
+    assert held["error"] is None
+    assert held["sensors"]["x"]["error"] is None
+    worst = held["sensors"]["x"]["worst"][0]
+    assert next(one for one in held["windows"] if one["start"] == worst)["error"] is None
+
+
 def test_free_motion_read_by_a_tendon_needs_no_actuator(tmp_path: Path) -> None:
     text = ARM.format(damping=0.001)
     recording = Run(start=(2.6, 0.8)).of(text)

@@ -444,6 +444,23 @@ def test_two_shapes_of_one_law_are_two_sketches(dry: Search) -> None:
     assert against.error < along.error  # friction goes with velocity
 
 
+def test_what_is_simulated_as_another_is_has_a_sketch_of_its_own(dry: Search, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is written is the same, and steps and run-up are not; nor is a rival's, which may be given up, another's."""
+    fitter, made, rough = Fitter(dry.scorer), [], Fitter._rough
+    monkeypatch.setattr(Fitter, "_rough", lambda *given: made.append(given) or rough(*given))
+    base = fitter.whole(dry.progress.current)
+    rich = base.structure.with_term(Term(catalogue()["friction.stribeck:presliding"], "cart", PRESLIDING))
+    plain = base.structure.with_term(Term(catalogue()["load.constant"], "cart", {"force": 0.1}))
+    for structure in (plain, plain.simulated_as(rich)):
+        found = fitter.sketch(base, structure)
+        assert found is not None
+        assert (found.structure.finest, found.structure.warm) == (structure.finest, structure.warm)
+    other = base.structure.with_term(Term(catalogue()["load.constant"], "cart", {"force": 0.2}))
+    for rival, count in ((True, 3), (False, 4), (True, 4)):
+        fitter.sketch(base, other, rival=rival)
+        assert len(made) == count
+
+
 def test_no_sketch_of_the_present_fit_is_made_twice(dry: Search, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor of the fit without effects, which a search comes back to; of others none is kept."""
     fitter, made, rough = Fitter(dry.scorer), [], Fitter._rough

@@ -18,6 +18,7 @@ from sim2real_rigs import CART, HANGING, NOISE, RK4, TORQUE, prepared, record, s
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import Uncovered
 from dipc_gym.mjcf.edit import Document
+from dipc_gym.physics import entries
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation import problem
@@ -157,6 +158,10 @@ def test_a_simulation_that_diverges_is_not_restarted() -> None:
     [
         ("friction.coulomb", {"level": 2.0}),
         ("friction.load", {"level": 1.0, "by_drive": 0.1, "by_weight": 0.1}),
+        (
+            "friction.load:stribeck",
+            {"level": 1.0, "by_drive": 0.1, "by_weight": 0.1, "excess": 0.5, "velocity": 0.02},
+        ),
         ("friction.position", {"first": -0.1, "last": 0.1, **{f"level_{k}": 1.0 + k / 3 for k in range(1, 6)}}),
         ("friction.position:wave", {"level": 2.0, "sine": 0.5, "cosine": 0.5, "wavelength": 0.1}),
     ],
@@ -173,6 +178,24 @@ def test_a_window_that_diverges_leaves_the_others_alone(effect: str, values: dic
 
 
 # Samples and commands between steps
+
+
+def test_a_command_that_changes_with_time_does_so_in_either_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drive that fades pushes a free mass as far as integration says."""
+    monkeypatch.setattr(entries, "_rules", dict(entries._rules))
+    physics.register("motor.fades", "command", lambda data, now: now.value * np.exp(-now.time / data[..., 0]))
+    text = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>
+        <joint name="cart" type="slide" axis="1 0 0"/></body></worldbody>
+        <actuator><motor name="motor" joint="cart"/></actuator><sensor><jointpos name="x" joint="cart"/></sensor>
+        <custom><numeric name="dipc_gym:motor.fades:motor" data="0.1"/></custom></mujoco>"""
+    time = 2e-3 * np.arange(252)
+    run = Recording("fades", time, np.ones((252, 1)), np.zeros((252, 1)), ["motor"], ["x"])
+    windows = cut([run], np.ones(1), 0.5, (0.0, 1.0))
+    at = windows.times[0]
+    moved = 0.1 / 2 * (at - 0.1 * (1 - np.exp(-at / 0.1)))
+    for stepping in (Stepping(2e-3, None), Stepping(2e-3, mujoco.mjtIntegrator.mjINT_RK4)):
+        read = simulate([rig(text)], windows, np.zeros((1, len(windows), 2)), stepping, base=["cart"])[0, 0, :, 0]
+        assert read == pytest.approx(moved, rel=0.02, abs=0.02 * moved[-1])
 
 
 def test_irregular_samples_are_read_between_steps() -> None:

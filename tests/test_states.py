@@ -239,6 +239,26 @@ def test_a_force_that_the_model_does_not_know_is_recovered() -> None:
     assert np.std(load[inner, 1]) > 0.1  # the weight that swings
 
 
+def test_who_is_interrupted_leaves_the_model_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is simulated afterwards, for what was found so far is judged."""
+    rig, noise = cart_pole(), 1e-6
+    run = swinging(rig, noise)
+    motion = states.estimate(run, rig, np.full(2, noise))
+    rig.model.actuator_delay[:], rig.model.dof_frictionloss[:] = 0.01, 0.3
+    calls, actuation = iter(range(50)), mujoco.mj_fwdActuation
+
+    def interrupted(*given: object) -> None:
+        if next(calls) == 49:
+            raise KeyboardInterrupt
+        actuation(*given)
+
+    monkeypatch.setattr(mujoco, "mj_fwdActuation", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        states.unexplained_force(rig, run, motion)
+    assert (rig.model.actuator_delay == 0.01).all()
+    assert (rig.model.dof_frictionloss == 0.3).all()
+
+
 def test_a_force_on_a_follower_counts_for_its_leader() -> None:
     noise = 1e-6
     run = swinging(cart_pole(), noise)

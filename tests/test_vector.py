@@ -358,6 +358,11 @@ LAWS = {
         '<numeric name="dipc_gym:friction.hysteresis:cart" data="2 900 800 300 0"/>'
         '</custom><size nuserdata="2"/><custom>'
     ),
+    "force that a supply which sags takes off": (
+        '<text name="dipc_gym:input:1:motor.sag:cart" data="command motor"/>'
+        '<numeric name="dipc_gym:motor.sag:cart" data="4 4 0.05 0.2"/>'
+        '</custom><size nuserdata="1"/><custom>'
+    ),
 }
 ROUGH = {
     "friction that grows at rest": (
@@ -367,6 +372,10 @@ ROUGH = {
     "frictionloss": ('name="cart" type="slide"', 'name="cart" type="slide" frictionloss="3" solreffriction="0.002 1"'),
     "friction along the way": ("<keyframe>", '<numeric name="dipc_gym:friction.position:cart" data="-0.4 0.4 2 5 1"/>'),
     "friction under load": ("<keyframe>", '<numeric name="dipc_gym:friction.load:cart" data="2 0.1 0.05"/>'),
+    "friction under load that weakens with speed": (
+        "<keyframe>",
+        '<numeric name="dipc_gym:friction.load_stribeck:cart" data="2 0.1 0.05 0.5 0.02"/>',
+    ),
 }
 
 

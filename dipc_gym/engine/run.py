@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -268,9 +268,14 @@ def _call(
     borders = np.linspace(0, count, (4 * workers if workers > 1 else 1) + 1).astype(int)
     shares = list(zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True))
     each = pool(workers, os.getpid()).map if workers > 1 else map
-    list(each(lambda share: function(table, *share), shares))
+    list(each(functools.partial(_simulate, function, table, kept), shares))
     if jobs.limits and left.any():
         raise Uncovered("a joint that meets its limit")
+
+
+def _simulate(function: Any, table: Any, kept: Mapping[At, Any], rows: tuple[int, int]) -> None:
+    """Simulate some rows; a thread that Ctrl-C leaves behind goes on writing, into arrays that this keeps."""
+    function(table, *rows)
 
 
 def cores(threads: int) -> int:

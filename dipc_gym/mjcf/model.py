@@ -213,8 +213,8 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
         name: what messages call it, as its file.
 
     Raises:
-        MjcfError: free or ball joints, flexible bodies, geoms that can touch, no joint, no named scalar sensor, or an
-            actuator with a control and no name.
+        MjcfError: free or ball joints, flexible bodies, geoms that can touch, no joint, no named scalar sensor, an
+            actuator with a control and no name, or dry friction switched off.
     """
     for joint in range(model.njnt):
         kind = int(model.jnt_type[joint])  # a NumPy integer in a tuple of MuJoCo's enums is not found
@@ -228,6 +228,12 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
     if not scalar_sensors(model):
         raise MjcfError(f"{name}: the model has no named scalar sensor, such as <jointpos name=.../>. {SUPPORTED}")
     controls(model, name)
+    for flag in ("constraint", "frictionloss"):
+        if model.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}"):
+            raise MjcfError(
+                f'{name}: <flag {flag}="disable"/> switches dry friction off, so that none could be found or written; '
+                "remove it" + (', and write <flag contact="disable"/> for it' if flag == "constraint" else "")
+            )
     pair = touching_pair(model)
     if pair:
         raise MjcfError(
@@ -248,7 +254,9 @@ def touching_pair(model: mujoco.MjModel) -> tuple[str, str] | None:
     parents_touch = bool(disabled & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     excluded = set(model.exclude_signature.tolist())
     type_of, affinity, body_of = model.geom_contype, model.geom_conaffinity, model.geom_bodyid.tolist()
-    solid = [geom for geom in range(model.ngeom) if type_of[geom] or affinity[geom]]
+    bits = np.stack([model.geom_bodyid, type_of, affinity], axis=1)
+    _, firsts = np.unique(bits, axis=0, return_index=True)  # of a body's geoms that may touch the same, one tells
+    solid = [geom for geom in np.sort(firsts).tolist() if type_of[geom] or affinity[geom]]
     for i, g in enumerate(solid):
         for h in solid[i + 1 :]:
             a, b = sorted((body_of[g], body_of[h]))

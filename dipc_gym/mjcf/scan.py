@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import posixpath
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
@@ -28,13 +29,14 @@ class MjcfError(ValueError):
     """An MJCF that cannot be used; the message names the file, the element or line, and the mend."""
 
 
-def scan(text: str, name: str, folder: Path) -> dict[str, bytes]:
+def scan(text: str, name: str, folder: Path, known: Mapping[str, bytes] | None = None) -> dict[str, bytes]:
     """Scan a model and load the files it names.
 
     Args:
         text: the XML.
         name: what messages call it.
         folder: the folder that all its files must lie in.
+        known: files of it that were read before, by the path that MuJoCo asks for.
 
     Returns:
         File contents, by the path that MuJoCo asks for.
@@ -42,7 +44,7 @@ def scan(text: str, name: str, folder: Path) -> dict[str, bytes]:
     Raises:
         MjcfError: as the module says.
     """
-    whole = _Scan(folder.resolve())
+    whole = _Scan(folder.resolve(), known or {})
     whole.document(text, name, base="", ancestors=())
     return whole.files
 
@@ -83,8 +85,8 @@ class _Document:
 
 
 class _Scan:
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, known: Mapping[str, bytes]) -> None:
+        self.folder, self.known = folder, known
         self.files: dict[str, bytes] = {}
         self.file_bytes = 0
         self.text_bytes = 0
@@ -167,6 +169,9 @@ class _Scan:
             raise MjcfError(f"{where}: its file's name has more than {MAX_PATH:,} characters; give a shorter one")
         key = posixpath.normpath(path)
         if key in self.files:
+            return key
+        if key in self.known:
+            self.files[key] = self.known[key]
             return key
         if key.startswith("/") or ":" in key:
             raise MjcfError(f"{where}: {path!r} is not a path inside the model's folder; use a relative one")

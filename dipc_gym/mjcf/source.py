@@ -58,6 +58,12 @@ class Source:
             digest.update(name.encode() + b"\0" + hashlib.sha256(self.files[name]).digest())
         return digest.hexdigest()
 
+    def asked_by(self, text: str) -> dict[str, bytes]:
+        """Of its files, as they were read, those that another text of the same model asks for; what it included may
+        stand in that text itself.
+        """
+        return scan(text, self.name, self.folder, self.files)
+
     def edited(self, text: str) -> Source:
         """The same model with another text; its files stay as they were read."""
         return replace(self, text=text)

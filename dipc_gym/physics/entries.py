@@ -32,8 +32,24 @@ HEAD = 16  # numbers of an entry that say more than one level of a table
 
 _TABLES = frozenset({"motor.map", "sensor.map"})
 _EVEN = frozenset({"friction.position", "friction.time"})  # tables of equal distances between two ends
+_COUNTS = {  # of numbers, where a law has no table
+    "motor.deadzone": 1,
+    "sensor.gain": 1,
+    "sensor.bias": 1,
+    "sensor.eccentric": 3,
+    "timing.sensor_lag": 1,
+    "friction.wave": 4,
+    "friction.load": 3,
+    "friction.load_stribeck": 5,
+    "disturbance.periodic": 3,
+    "disturbance.pulse": 3,
+    "friction.resting": 4,
+    "motor.sag": 4,
+}
+_NEVER_NEGATIVE = {"motor.deadzone": 0, "disturbance.pulse": 2}  # which number: a width, a duration
 _PLACED = (formulas.friction_along, formulas.friction_over_time, formulas.friction_wave, formulas.friction_rested)
 CREEPING, RESTING, HYSTERESIS = "load.creeping", "friction.resting", "friction.hysteresis"
+SAG = "motor.sag"
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
 RECENT = "residual.recent"  # the same of what went before
 
@@ -49,11 +65,13 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     "friction.time": ("friction", formulas.friction_over_time),
     "friction.wave": ("friction", formulas.friction_wave),
     "friction.load": ("friction", formulas.friction_under_load),
+    "friction.load_stribeck": ("friction", formulas.friction_under_load_at_rest),
     "disturbance.periodic": ("force", formulas.periodic_force),
     "disturbance.pulse": ("force", formulas.pulse_force),
     CREEPING: ("force", formulas.creeping_force),
     RESTING: ("friction", formulas.friction_rested),
     HYSTERESIS: ("force", formulas.hysteresis_force),
+    SAG: ("force", formulas.sagging_force),
     RESIDUAL: ("force", formulas.force_of),
     RECENT: ("force", formulas.force_of_recent),
 }
@@ -61,6 +79,7 @@ _memories: dict[str, Rule] = {
     CREEPING: formulas.creeping,
     RESTING: formulas.resting,
     HYSTERESIS: formulas.bending,
+    SAG: formulas.sagging,
     RECENT: formulas.recent,
 }
 
@@ -229,6 +248,10 @@ def usable(extra: Extra) -> bool:
     numbers = extra.data
     if not (0 < len(numbers) <= MOST_NUMBERS and np.all(np.abs(numbers) <= LARGEST)):
         return False
+    if len(numbers) != _COUNTS.get(extra.effect, len(numbers)):
+        return False
+    if extra.effect in _NEVER_NEGATIVE and numbers[_NEVER_NEGATIVE[extra.effect]] < 0:
+        return False
     if extra.stage == "lag" and not SHORTEST_LAG <= numbers[0] <= LONGEST_LAG:
         return False
     # A table of bounded levels over knots that increase gives bounded numbers everywhere.
@@ -241,13 +264,16 @@ def usable(extra: Extra) -> bool:
         return _is_surface(numbers, len(extra.inputs))
     if extra.effect == RECENT:  # its table has two inputs: what it remembers of the one that is named, and that one
         return bool(numbers[0] >= formulas.SOONEST) and len(extra.inputs) == 1 and _is_surface(numbers[1:], 2)
+    if extra.effect == SAG:  # one that gives more the more was drawn would drive its joint for ever
+        commanded = [kind for kind, _ in extra.inputs] == ["command"]
+        return bool(numbers[2] >= 0 and numbers[3] >= formulas.SOONEST) and commanded
     if extra.effect == CREEPING:  # one that pushes, or stretches of its own, would drive its joint for ever
         return len(numbers) >= FEWEST_EVEN and bool(np.all(numbers >= 0)) and bool(numbers[1] > CLOSEST)
     if extra.effect == HYSTERESIS:  # a loop that is stiffer loading than unloading would give energy away
         falls = len(numbers) >= FEWEST_EVEN and bool(np.all(np.diff(numbers[1:]) <= 0))
         return falls and bool(numbers[0] > CLOSEST) and numbers[-1] == 0
     if extra.effect == RESTING:
-        return len(numbers) == 4 and bool(np.all(numbers[2:] > CLOSEST))
+        return bool(np.all(numbers[2:] > CLOSEST))
     # At its own numbers as positions a wave of no length shows itself.
     usual = np.unique([*numbers[:HEAD], numbers.min(), numbers.max(), *TRIED])
     try:
@@ -272,6 +298,8 @@ def _is_surface(numbers: Array, inputs: int) -> bool:
         return False
     if not (np.all(head[1:] == np.round(head[1:])) and head[1] >= 2 and inputs <= head[2] <= MOST_LEVELS):
         return False
+    if inputs == 1 and head[2] != 1:
+        return False
     m, n = int(head[1]), int(head[2])
     sorted_ = _increase(remainder[:m]) and _increase(remainder[m : m + n])
     return bool(m * n <= MOST_LEVELS and len(remainder) == m + n + m * n and sorted_)
@@ -279,7 +307,7 @@ def _is_surface(numbers: Array, inputs: int) -> bool:
 
 def _inputs(model: mujoco.MjModel, effect: str, at: str) -> tuple[tuple[str, int], ...]:
     """What a law depends on beyond its place, as `<text>` of `<custom>` names it."""
-    if effect not in (RESIDUAL, RECENT):
+    if effect not in (RESIDUAL, RECENT, SAG):
         return ()
     texts = mjcf.texts(model)
     joints = {model.joint(j).name: j for j in range(model.njnt)}

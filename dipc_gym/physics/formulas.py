@@ -130,6 +130,14 @@ def friction_under_load(data: Array, now: Moment) -> Array:
     return data[..., 0] + data[..., 1] * np.abs(now.drive) + data[..., 2] * np.abs(now.weight)
 
 
+def friction_under_load_at_rest(data: Array, now: Moment) -> Array:
+    """Friction under load, and more of it at rest; data: level, by_drive, by_weight, excess, velocity.
+
+    It is 1 + excess exp(-(v / velocity)^2) times that under load.
+    """
+    return friction_under_load(data, now) * (1.0 + data[..., 3] * np.exp(-((now.speed / data[..., 4]) ** 2)))
+
+
 def periodic_force(data: Array, now: Moment) -> Array:
     """Amplitude sin(2 pi frequency t + phase); data: amplitude, frequency, phase."""
     return data[..., 0] * np.sin(2 * np.pi * data[..., 1] * now.time + data[..., 2])
@@ -214,6 +222,19 @@ def force_of_recent(data: Array, now: Moment) -> Array:
 def recent(data: Array, now: Moment) -> Array:
     """How fast that follows the size of the input: a mean over the past, which fades with the time constant."""
     return (np.abs(now.inputs[0]) - now.memory) / data[..., 0]
+
+
+def sagging_force(data: Array, now: Moment) -> Array:
+    """What a supply that sags takes off its drive, gain u min(per m, 1); data: gain, back, per, time constant.
+
+    It remembers m, how large the current was of late, as the command that would drive it at rest.
+    """
+    return -data[..., 0] * now.inputs[0] * np.minimum(np.maximum(data[..., 2] * now.memory, 0.0), 1.0)
+
+
+def sagging(data: Array, now: Moment) -> Array:
+    """How fast that follows |u - back v|: a mean over the past, which fades with the time constant."""
+    return (np.abs(now.inputs[0] - data[..., 1] * now.speed) - now.memory) / data[..., 3]
 
 
 def _surface(data: Array, rows: Array, columns: Array, x: Array, y: Array) -> Array:

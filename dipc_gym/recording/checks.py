@@ -66,10 +66,9 @@ def _differences(time: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 def _difference(time: NDArray[np.float64], order: int) -> NDArray[np.float64]:
     stamps = np.lib.stride_tricks.sliding_window_view(time, order + 1)
-    gaps = stamps[:, :, None] - stamps[:, None, :]
-    gaps /= (stamps[:, -1] - stamps[:, 0])[:, None, None]
-    gaps[:, range(order + 1), range(order + 1)] = 1.0
-    weights = 1.0 / gaps.prod(axis=2)
+    span, weights = stamps[:, -1] - stamps[:, 0], np.ones(stamps.shape)
+    for one, other in itertools.permutations(range(order + 1), 2):  # all at once, a long recording fills the memory
+        weights[:, one] *= span / (stamps[:, one] - stamps[:, other])
     return np.asarray(weights / np.linalg.norm(weights, axis=1, keepdims=True))
 
 

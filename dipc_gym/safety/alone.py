@@ -50,7 +50,7 @@ def alone(folder: str | Path) -> Iterator[None]:
             print(f"{folder}: cannot be locked ({error.strerror}); let no second run write here", file=sys.stderr)
         yield
     finally:
-        os.close(handle)
-        if new:
+        if new:  # while it is held: a second run would hold a folder that is none any more
             with suppress(OSError):
                 folder.rmdir()
+        os.close(handle)

@@ -298,21 +298,26 @@ def _sized(rig: _Rig, recordings: Sequence[Recording], time: Array, seed: int) -
     fade = np.minimum(np.minimum(time, time[-1] - time) / DESIGN.fade, 1.0)  # begins and ends gently
     tried = []
     for k in range(len(recordings[0].actuator_names)):
-        most = _largest(rig, recordings, k)
+        least, middle, most = _range(rig, recordings, k)
         for words, (shape, share) in SHAPES.items():
-            wave = shape(time, np.random.default_rng(seed)) * fade
-            tried += [_Candidate(words, k, share * most * size, share * most * size * wave) for size in DESIGN.sizes]
+            wave = (middle - least + share * most * shape(time, np.random.default_rng(seed))) * fade
+            tried += [_Candidate(words, k, share * most * size, least + size * wave) for size in DESIGN.sizes]
     stays = rig.stays(np.stack([rig.commands(candidate) for candidate in tried])).reshape(-1, len(DESIGN.sizes))
     return [tried[i * len(DESIGN.sizes) + int(np.argmax(row))] for i, row in enumerate(stays) if row.any()]
 
 
-def _largest(rig: _Rig, recordings: Sequence[Recording], actuator: int) -> float:
-    """The largest command: the control range's, or twice what was sent where there is none."""
+def _range(rig: _Rig, recordings: Sequence[Recording], actuator: int) -> tuple[float, float, float]:
+    """The smallest command, the one to swing about, and how far: as the control range has it, about no command where
+    that lies within, or twice what was sent where there is none.
+    """
     model = rig.physics.model
-    if model.actuator_ctrllimited[actuator]:
-        low, high = (float(x) for x in model.actuator_ctrlrange[actuator])
-        return min(-low, high) if low < 0 < high else max(abs(low), abs(high))
-    return DESIGN.sent * max(float(np.abs(r.commands[:, actuator]).max()) for r in recordings) or 1.0
+    if not model.actuator_ctrllimited[actuator]:
+        sent = max(float(np.abs(r.commands[:, actuator]).max()) for r in recordings)
+        return 0.0, 0.0, DESIGN.sent * sent or 1.0
+    low, high = (float(x) for x in model.actuator_ctrlrange[actuator])
+    if low < 0 < high:
+        return 0.0, 0.0, min(-low, high)
+    return min(max(0.0, low), high), (low + high) / 2, (high - low) / 2
 
 
 def _worth(

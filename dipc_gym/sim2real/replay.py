@@ -112,23 +112,24 @@ class Replay:
         errors = self.errors
         return {
             "schema": SCHEMA,
-            "error": self.error,
-            "median_error": float(np.median(errors)),
+            "error": _or_none(self.error),
+            "median_error": _or_none(float(np.median(errors))),
             "window": self.window,
             "sensors": {
                 s.name: {
                     "unit": s.unit,
-                    "error": s.error,
+                    "error": _or_none(s.error),
                     "noise": _or_none(s.noise),
                     "ratio": _or_none(s.ratio),
-                    "median": s.median,
-                    "high": s.high,
+                    "median": _or_none(s.median),
+                    "high": _or_none(s.high),
                     "worst": list(s.worst),
                 }
                 for s in self.sensors
             },
             "windows": [
-                {"start": float(t), "error": float(e)} for t, e in zip(self.windows.start, errors, strict=True)
+                {"start": float(t), "error": _or_none(float(e))}
+                for t, e in zip(self.windows.start, errors, strict=True)
             ],
             "notes": list(self.recording.notes),
             "provenance": made_with("mujoco", "numpy", timestep=self.step, inputs=self.inputs),
@@ -289,7 +290,7 @@ def _sensor_errors(
     square = np.where(w.valid[..., None], w.observed - predicted, 0.0) ** 2
     count = w.valid.sum(axis=1)
     each = np.sqrt(square.sum(axis=1) / count[:, None])
-    worst = np.argsort(-each, axis=0, kind="stable")[:WORST]
+    worst = np.argsort(-np.nan_to_num(each, nan=np.inf), axis=0, kind="stable")[:WORST]  # what diverges is worst
     return tuple(
         SensorError(
             name,

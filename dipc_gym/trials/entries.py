@@ -18,6 +18,8 @@ GLOBAL = (
     "law", "bump1", "centre1", "width1", "bump2", "centre2", "width2", "bump3", "centre3", "width3",  # of any shape
     "fall", "fall_speed", "fall_power", "rise", "rise_speed", "rise_power",
     "hysteresis", "hysteresis_width", "hysteresis_power",
+    "carried",  # friction under load that weakens with speed
+    "sag", "sag_current", "sag_time", "sag_power",  # a supply that gives way under what was drawn from it
     "thin", "thin_time", "thin_shear",  # drag that thins with motion; in no catalogue
 )  # fmt: skip
 

@@ -28,7 +28,8 @@ from dipc_gym.trials.entries import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_J
     CREEP_STIFFNESS, CREEP_TIME, CREEP_WIDTH, LEAK, ENCODER_SIZE, ENCODER_WAVE, ENCODER_PHASE,
     LAW, BUMP1, CENTRE1, WIDTH1, BUMP2, CENTRE2, WIDTH2, BUMP3, CENTRE3, WIDTH3,
     FALL, FALL_SPEED, FALL_POWER, RISE, RISE_SPEED, RISE_POWER,
-    HYSTERESIS, HYSTERESIS_WIDTH, HYSTERESIS_POWER, THIN, THIN_TIME, THIN_SHEAR,
+    HYSTERESIS, HYSTERESIS_WIDTH, HYSTERESIS_POWER, CARRIED, SAG, SAG_CURRENT, SAG_TIME, SAG_POWER,
+    THIN, THIN_TIME, THIN_SHEAR,
 ) = range(len(GLOBAL))  # fmt: skip
 (
     DAMPING, QUADRATIC, COULOMB, ASYMMETRY, EXCESS, STRIBECK_SPEED, BRISTLE, BRISTLE_DAMPING,
@@ -37,8 +38,8 @@ from dipc_gym.trials.entries import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_J
     BIAS, GAIN, LAG, FILTER,
 ) = range(len(JOINT))  # fmt: skip
 # The state: joint positions, joint velocities, rotor angle and speed, current, bristle, winding heat,
-# sloshing mass and its speed, creeping spring, hysteresis, how fast it moved of late.
-V, ROTOR_Q, ROTOR_V, CURRENT, BRISTLE_Z, HEAT, SLOSH_Q, SLOSH_V, CREEP, BENT, SHEARED = (
+# sloshing mass and its speed, creeping spring, hysteresis, how fast it moved and what it drew of late.
+V, ROTOR_Q, ROTOR_V, CURRENT, BRISTLE_Z, HEAT, SLOSH_Q, SLOSH_V, CREEP, BENT, SHEARED, DRAWN = (
     3,
     6,
     7,
@@ -50,13 +51,14 @@ V, ROTOR_Q, ROTOR_V, CURRENT, BRISTLE_Z, HEAT, SLOSH_Q, SLOSH_V, CREEP, BENT, SH
     13,
     14,
     15,
+    16,
 )
-STATE_SIZE = 16  # numbers of a state
+STATE_SIZE = 17  # numbers of a state
 # What a law of any shape is: of the driven joint, but for the last, which acts on the first pole.
 (
     NO_LAW, LEVEL_OF_PLACE, LEVEL_OF_SPEED, FORCE_OF_PLACE, AMPLIFIER, DRAG_OF_PLACE, GAIN_OF_PLACE, PULL_OF_CART,
-    SCALE,
-) = range(9)  # fmt: skip
+    SCALE, LEVEL_UNDER_LOAD,
+) = range(10)  # fmt: skip
 FREE = 2  # mode of a joint without dry friction; -1 and 1: sliding; 0: held
 
 NO_FEEDBACK = np.zeros(2 * MAX_JOINTS + 2)
@@ -101,6 +103,9 @@ def _level(p, j, position, speed, direction, time, load):  # type: ignore[no-unt
     if j == 0 and p[LAW] == LEVEL_OF_SPEED:
         level += p[FALL] * np.exp(-((abs(speed) / p[FALL_SPEED]) ** p[FALL_POWER]))
         level += p[RISE] * (abs(speed) / p[RISE_SPEED]) ** p[RISE_POWER]
+    if j == 0 and p[LAW] == LEVEL_UNDER_LOAD:
+        sticks = p[FALL] * np.exp(-((abs(speed) / p[FALL_SPEED]) ** p[FALL_POWER]))
+        level += p[CARRIED] * abs(load) * (1.0 + sticks)
     if j == 0 and p[DRIFT] != 0.0:
         level += p[DRIFT] * (1.0 - np.exp(-time / p[DRIFT_TIME]))
     return max(level, 0.0)
@@ -113,7 +118,7 @@ def _dry(p, j):  # type: ignore[no-untyped-def]
     if p[b + BRISTLE] > 0.0:
         return False
     there = p[b + COULOMB] > 0.0 or p[b + PER_LOAD] > 0.0 or p[b + EXCESS] > 0.0
-    law = p[LAW] == LEVEL_OF_PLACE or p[LAW] == LEVEL_OF_SPEED
+    law = p[LAW] == LEVEL_OF_PLACE or p[LAW] == LEVEL_OF_SPEED or p[LAW] == LEVEL_UNDER_LOAD
     return there or (j == 0 and (p[DRIFT] > 0.0 or p[DWELL] > 0.0 or law))
 
 
@@ -143,13 +148,17 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
     motor_q = s[ROTOR_Q] if has_rotor else s[0]
     motor_v = s[ROTOR_V] if has_rotor else s[V]
 
-    # Motor: winding, heat, limit, cogging.
+    # Motor: supply, winding, heat, limit, cogging.
+    if p[SAG] > 0.0:
+        u = u * (1.0 - min(p[SAG] * s[DRAWN], 0.9))
     resistance = p[RESISTANCE] * (1.0 + p[HEAT_COEFFICIENT] * s[HEAT])
     if p[INDUCTANCE] > 0.0:
         current = s[CURRENT]
         out[CURRENT] = (u - p[KE] * motor_v - resistance * current) / p[INDUCTANCE]
     else:
         current = (u - p[KE] * motor_v) / resistance
+    if p[SAG] > 0.0:
+        out[DRAWN] = ((abs(current) / p[SAG_CURRENT]) ** p[SAG_POWER] - s[DRAWN]) / p[SAG_TIME]
     if p[HEAT_COEFFICIENT] > 0.0:
         out[HEAT] = (resistance * current * current * p[HEAT_RESISTANCE] - s[HEAT]) / p[HEAT_TIME]
     force = p[KT] * current

@@ -94,6 +94,21 @@ def named(rig: Rig) -> list[Effect]:
             Parameter("creep_width", m, index("creep_width"), 0.05 * span, 0.5 * span),
             kind="spring that creeps the faster the more it is bent",
         ),
+        _law(
+            "friction.load",
+            at,
+            integrator.LEVEL_UNDER_LOAD,
+            (
+                Parameter("carried", "", index("carried"), 0.03, 0.3),
+                Parameter("fall", "", index("fall"), 0.2, 1.5),
+                Parameter("fall_speed", f"{m}/s", index("fall_speed"), 0.05 * speed, 0.5 * speed),
+                Parameter("fall_power", "", index("fall_power"), 0.5, 1.6),
+                level,
+            ),
+            alike=("friction.load",),
+            kind="friction under load that weakens with speed",
+        ),
+        _sagging(rig),
         warming(rig),
         resting(
             rig,
@@ -150,6 +165,24 @@ def nameless(rig: Rig) -> list[Effect]:
             )
         )
     return found
+
+
+def _sagging(rig: Rig) -> Effect:
+    """A supply that gives way with a power of the current that was drawn of late."""
+    usual = rig.command / rig.parameters[index("resistance")]
+    return Effect(
+        "motor.sag",
+        "motor",
+        (
+            Parameter("sag", "", index("sag"), 0.03, 0.3),
+            Parameter("sag_time", "s", index("sag_time"), 0.2, 5.0),
+            Parameter("sag_power", "", index("sag_power"), 0.6, 2.0),
+        ),
+        fixed=((index("sag_current"), usual),),
+        also_at=(rig.joints[0],),
+        kind="supply that sags with past current",
+        alike=("motor.sag",),
+    )
 
 
 def _law(

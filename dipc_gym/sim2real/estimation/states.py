@@ -235,9 +235,9 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     Returns:
         The unexplained force (n, nb), N or N m, and the load that each base joint transmits (n, nb).
     """
-    model, out = physics.model, mjcf.spread_out(physics.model)
+    model, out = copy.copy(physics.model), mjcf.spread_out(physics.model)  # others simulate the model as well
     data = mujoco.MjData(model)
-    level, delay, stiffness = model.dof_frictionloss.copy(), model.actuator_delay.copy(), model.tendon_stiffness.copy()
+    level, stiffness = model.dof_frictionloss.copy(), model.tendon_stiffness.copy()
     n = len(motion.time)
     commands = physics.command(_delayed(model, recording), recording.time)
     model.actuator_delay[:] = 0
@@ -283,7 +283,6 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
         model.dof_frictionloss[:] = levels[k]
         mujoco.mj_inverse(model, data)
         needed[k] = inverse
-    model.dof_frictionloss[:], model.actuator_delay[:], model.tendon_stiffness[:] = level, delay, stiffness
     return (needed - driven - pushed) @ out, (driven + biased) @ out
 
 

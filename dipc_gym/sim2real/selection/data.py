@@ -25,15 +25,16 @@ def check_apart(recordings: Sequence[Recording], held_out: Sequence[Recording]) 
     """Refuse to judge by what is fitted.
 
     Raises:
-        RecordingError: a recording is held out that is fitted as well, whatever its name.
+        RecordingError: a recording is held out that is fitted as well, whatever its name, or a part of it. Of the parts
+            of one recording that do not overlap, some may be held out.
     """
-    fitted = {r.sha256: str(r.path or r.name) for r in recordings}
     for r in held_out:
-        if r.sha256 in fitted:
-            raise RecordingError(
-                f"{r.path or r.name}: held out, but the same as {fitted[r.sha256]}, which is fitted; hold out another "
-                "recording, or none: then the last quarter of each is"
-            )
+        for other in recordings:
+            if r.sha256 == other.sha256 and r.time[0] <= other.time[-1] and other.time[0] <= r.time[-1]:
+                raise RecordingError(
+                    f"{r.path or r.name}: held out, but the same as {other.path or other.name}, which is fitted; hold "
+                    "out another recording, or none: then the last quarter of each is"
+                )
 
 
 def from_zero(recordings: Sequence[Recording]) -> list[Recording]:

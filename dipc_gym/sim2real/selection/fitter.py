@@ -27,7 +27,8 @@ from dipc_gym.sim2real.side_by_side import side_by_side
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-_Asked = tuple[int, str, tuple[str, ...], bytes]  # a sketch: what it begins at, as text, what is free, the windows
+# A sketch: what it begins at, as text, what is free, steps and run-up, the windows, and whether it is a rival's.
+_Asked = tuple[int, str, tuple[str, ...], tuple[float, float], bytes, bool]
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,11 @@ class Fitter:
         # A search that begins anew lays the same hypotheses over the same fit without effects. What is written tells
         # two shapes of a law apart: both begin with the same parameters, at their guesses.
         free = tuple(slot.key for slot in structure.slots)
-        asked = (id(base), structure.write(z).text(), free, self._windows() + self.subset.tobytes())
-        if asked in self._begun:
-            return self._begun[asked][1]
+        steps, windows = (structure.finest, structure.warm), self._windows() + self.subset.tobytes()
+        asked = (id(base), structure.write(z).text(), free, steps, windows, rival)
+        for known in (asked, (*asked[:-1], False)):  # a rival's may be one that was given up
+            if known in self._begun:
+                return self._begun[known][1]
         try:
             hopeless = mean_loss(base.mse[self.subset], 1.0) + SEARCH.hopeless if rival else math.inf
             sketch = self._rough(structure, z, initial, hopeless)

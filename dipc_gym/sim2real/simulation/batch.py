@@ -237,7 +237,8 @@ class _Runs:
         """
         sims, physics, dry = self.sims, self.physics, self.dry
         ctrl = per_step(held_mean, self.windows, self.delays, self.step, first, nstep).reshape(sims.nsim, nstep, -1)
-        ctrl = physics.command(ctrl.swapaxes(0, 1)).swapaxes(0, 1)
+        time = sims.time.reshape(1, -1) + self.step * np.arange(nstep)[:, None]
+        ctrl = physics.command(ctrl.swapaxes(0, 1), time).swapaxes(0, 1)
         late = self._late_changes(first, nstep) if self._exact else None
         if dry is None and late is None and not physics.acts:
             out = sims.rollout(nstep, ctrl, record=("sensordata",) if record else ())

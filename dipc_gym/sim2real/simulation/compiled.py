@@ -96,7 +96,7 @@ class Compiled:
             key = _of_commands(variant)
             if key not in made:
                 made[key] = np.zeros_like(whole)
-                made[key][asked] = variant.command(whole[asked])
+                made[key][asked] = variant.command(whole[asked], time[asked])
         return Commands(time, np.stack([made[_of_commands(variant)] for variant in self.variants]))
 
     def jobs(self, at: float, length: Array, times: Array, initial: Array, commands: Commands) -> Jobs:

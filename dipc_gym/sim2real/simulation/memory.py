@@ -108,7 +108,7 @@ def memories(
     for kind, k in laws[0].inputs:
         if kind == "command":
             held = np.searchsorted(recording.time, motion.time + 1e-9, side="right") - 1
-            follows = variants[0].command(recording.commands)[np.maximum(held, 0), k]
+            follows = variants[0].command(recording.commands, recording.time)[np.maximum(held, 0), k]
         else:
             model = variants[0].model
             at = [model.joint(name).dofadr[0] if kind == "velocity" else model.joint(name).qposadr[0] for name in base]

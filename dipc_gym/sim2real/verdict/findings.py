@@ -173,7 +173,7 @@ def missing_effects(
     some = test.pick(evenly(len(test.windows), VERDICT.windows))
     as_given = judge.error_on(some, nominal) if any(found.rivals.values()) else 1.0
     terms = [term for term in final.structure.terms if term.key not in found.unnamed]
-    rivals = [[one for one in found.rivals[term.key] if _name(one.term) != _name(term)] for term in terms]
+    rivals = [[one for one in found.rivals.get(term.key, ()) if _name(one.term) != _name(term)] for term in terms]
 
     def told(k: int) -> tuple[float, list[dict[str, Any]]]:
         key = terms[k].key

@@ -403,7 +403,7 @@ def best_on_validation(search: Searched, found: Conclusion, others: Sequence[Fit
 
 def files_of(source: mjcf.Source, text: str) -> dict[str, bytes]:
     """What a text made from this source asks for; what was included stands in the text itself."""
-    return {name: source.files[name] for name in mjcf.from_text(text, source.folder).files}
+    return source.asked_by(text)
 
 
 def _force_errors(

@@ -1,0 +1,103 @@
+"""The supply of a motor gives way under what was drawn from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.physics import SAG
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, joint_of, rms
+from dipc_gym.sim2real.effects.law import recalled
+from dipc_gym.sim2real.effects.sought import Sought, apart
+
+TIMES = np.geomspace(0.02, 20.0, 16)  # s, tried against the unexplained force
+APART = 3.0  # times, by which two that are proposed differ at least
+LEAST, MOST = 0.02, 0.5  # share of the supply that a first guess takes off
+USUAL, PACE = 0.1, 1.0  # the same, and s, where forces tell neither
+
+
+class Sag(Effect):
+    """A supply that sags with past current: commands act with less of it the more was drawn of late.
+
+    What it remembers is the mean current of the past, which fades with a time constant: a battery that tires, a
+    capacitor that empties. Current is told by the voltage across the winding, the command less the back-EMF; of an
+    actuator that takes a force, by the command.
+    """
+
+    id = "motor.sag"
+    place = "actuator"
+    linear = ("drop",)
+    parameters = (
+        Parameter("drop", "", 0.0, 10.0),
+        Parameter("time_constant", "s", 5e-3, 600.0, log=True),
+        Parameter("current", "command", 0.0, fixed=True),
+        Parameter("gain", "", fixed=True),
+        Parameter("back", "", fixed=True),
+    )
+    valleys = ("time_constant",)
+    needs_loader = True
+    of_the_past = True
+    rivals = ("motor.thermal", "motor.map", "motor.saturation", "motor.back_emf")
+    shown_by = "hard work for some seconds, and the same motion once more after a rest"
+
+    def fits(self, model: mujoco.MjModel, at: str) -> bool:
+        """On a joint that no other actuator with a command drives, and in which a command makes a force at once."""
+        joint = joint_of(model, at)
+        if joint is None or not _forces(model, at)[0]:
+            return False
+        i = model.actuator(at).id
+        drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (
+            model.actuator_trnid[:, 0] == model.actuator_trnid[i, 0]
+        )
+        return int(np.sum(drives & (model.actuator_ctrlnum > 0))) == 1
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """The share and the time constants with which it takes most of the unexplained force."""
+        gain, back = _forces(evidence.model, evidence.at)
+        if not len(evidence.command) or not np.any(evidence.command):
+            return []
+        current = rms(evidence.command - back * evidence.velocity)
+        tries = np.stack(np.broadcast_arrays(gain, back, 0.0, TIMES), axis=1)
+        pasts = recalled(evidence, SAG, tries, evidence.command)
+        sought = Sought(evidence, [evidence.velocity, evidence.command, evidence.direction])
+        told = [sought.explained(-gain * evidence.command * past / current) for past in pasts]
+        best = apart([one.left_by_pulling for one in told], TIMES.tolist(), count=2, ratio=APART)
+        found = [(float(np.clip(told[k].weight, LEAST, MOST)), float(TIMES[k])) for k in best] or [(USUAL, PACE)]
+        held = {"current": current, "gain": gain, "back": back}
+        return [{"drop": drop, "time_constant": time, **held} for drop, time in found]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A force against the drive for the loader, which keeps the past in mind; stock MuJoCo leaves it out."""
+        joint = document.effective(document.actuator(at), "joint")
+        per = values["drop"] / values["current"]
+        document.remembering(SAG, joint, [values["gain"], values["back"], per, values["time_constant"]])
+        document.depends(SAG, joint, [f"command {at}"])
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        size = f"{values['current']:.3g} {unit['current']}".strip()
+        across = f"{size} across its winding" if values["back"] else f"a command of {size}"
+        return (
+            f"The supply of {at} sags with past current: under {across} it comes to lose {100 * values['drop']:.3g} % "
+            f"of its force, with a time constant of {values['time_constant']:.2g} s."
+        )
+
+
+def _forces(model: mujoco.MjModel, actuator: str) -> tuple[float, float]:
+    """Force at the joint for each unit of command at rest, and the command that each unit of velocity is worth."""
+    joint, data = joint_of(model, actuator), mujoco.MjData(model)
+    if joint is None:
+        return 0.0, 0.0
+    at, control = dof(model, joint), int(model.actuator_ctrladr[model.actuator(actuator).id])
+    forces = []
+    for command, velocity in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
+        data.ctrl[:], data.qvel[:] = 0.0, 0.0
+        data.ctrl[control], data.qvel[at] = command, velocity
+        mujoco.mj_forward(model, data)
+        forces.append(float(data.qfrc_actuator[at]))
+    none, driven, moved = forces
+    gain = driven - none
+    return gain, (none - moved) / gain if gain else 0.0
