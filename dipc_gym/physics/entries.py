@@ -32,7 +32,8 @@ HEAD = 16  # numbers of an entry that say more than one level of a table
 
 _TABLES = frozenset({"motor.map", "sensor.map"})
 _EVEN = frozenset({"friction.position", "friction.time"})  # tables of equal distances between two ends
-_COUNTS = {  # of numbers, where a law has no table
+# How many numbers an entry has, where its law has no table.
+_COUNTS = {
     "motor.deadzone": 1,
     "sensor.gain": 1,
     "sensor.bias": 1,

@@ -128,6 +128,7 @@ class VerdictSettings:
         negligible: share of itself; a parameter that moves by less was right: few are known to three digits
         shorter: parts of the model's own step that are tried in turn where that is too coarse: the longest that does
             costs least
+        worst: share of the windows, the worst at the model's own step, which alone tell that a shorter one will not do
         refit: windows that tell whether other parameters make up for the model's own step: half of those that are used
             at most
         refit_steps: steps of that fit: it begins where the parameters are that fine steps ask for
@@ -166,6 +167,7 @@ class VerdictSettings:
     free: float = 1.0
     negligible: float = 2e-3
     shorter: tuple[int, ...] = (2, 4, 8, 16, 32)
+    worst: float = 0.2
     refit: int = 36
     refit_steps: int = 4
     others: int = 4

@@ -10,6 +10,7 @@ it keeps what was found from being written, the file asks for Runge-Kutta at the
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -66,17 +67,23 @@ class Predictor:
     _begun: dict[tuple[int, bytes], tuple[Structure, tuple[Array, Array]]] = field(default_factory=dict, repr=False)
 
     def error(self, structure: Structure, z: Array) -> float:
-        """Root mean square error of a structure, in units of noise; infinite where it does not compile.
+        """Root mean square error of a structure, in units of noise; infinite where it does not compile."""
+        return float(np.sqrt(np.mean(self.mse(structure, z))))
+
+    def mse(self, structure: Structure, z: Array, which: NDArray[np.intp] | None = None) -> Array:
+        """Mean square error of each window, or of some, in units of noise; infinite where it does not compile.
 
         Where a window begins is told by fine steps, once for all others.
         """
-        key = id(structure), z.tobytes()
+        key, some = (id(structure), z.tobytes()), np.arange(len(self.own.windows)) if which is None else which
         try:
             if key not in self._begun:
                 self._begun[key] = structure, begun(self.fine, structure, z)
-            return float(np.sqrt(np.mean(simulated(self.own, structure, z, self._begun[key][1]))))
+            initial, sensitivity = self._begun[key][1]
+            problem = self.own if which is None else self.own.pick(which)
+            return simulated(problem, structure, z, (initial[some], sensitivity[some]))
         except (mjcf.MjcfError, np.linalg.LinAlgError):
-            return float("inf")
+            return np.full(len(some), np.inf)
 
     def at(self, step: float) -> Predictor:
         """The same windows in other steps of the model's own integrator, s."""
@@ -294,13 +301,20 @@ def _finer(
         exact = next((one for one in tried if one.z is option.z), None) or _exactly(option, validation)
         if exact.error <= enough:
             return FinerSteps(own, EXACT, held_out.error(exact.structure, exact.z))
+    # Steps that are tried cost the more the shorter they are, and most of them do not do: the windows that are worst at
+    # the model's own step tell that alone.
+    before = validation.mse(option.structure, option.z)
+    worst = np.argsort(-before)[: math.ceil(len(before) * VERDICT.worst)]
     for shorter in VERDICT.shorter:
         if shorter < least:
             continue
-        after = validation.at(own / shorter).error(option.structure, option.z)
+        predictor = validation.at(own / shorter)
+        after = math.sqrt(float(np.sum(predictor.mse(option.structure, option.z, worst))) / len(before))
+        if after <= enough:
+            after = predictor.error(option.structure, option.z)
         if after <= enough:
             step = own / shorter
             return FinerSteps(step, _integrator(option.structure), held_out.at(step).error(option.structure, option.z))
         floor = enough / SCORE.at_floor
-        least = shorter * np.sqrt((after - floor) / (enough - floor))
+        least = shorter * math.sqrt((after - floor) / (enough - floor))
     return None
