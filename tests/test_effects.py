@@ -320,6 +320,24 @@ def test_the_sentence_says_what_where_and_how_much(rig: str, effect: str, at: st
     assert not own or any(unit in said for unit in own | {"ms", "degrees"})
 
 
+@pytest.mark.parametrize(
+    ("drive", "sags"),
+    [
+        ('<dcmotor name="drive" joint="cart" motorconst="0.06" resistance="1.2"/>', True),
+        ('<motor name="drive" joint="cart" gear="4"/>', True),
+        ('<general name="drive" joint="cart" gainprm="4" biastype="affine" biasprm="0 0 -2"/>', True),
+        ('<position name="drive" joint="cart" kp="50"/>', False),  # what is sent is a place
+        ('<motor name="drive" joint="cart"/><motor name="other" joint="cart"/>', False),  # whose supply?
+    ],
+)
+def test_a_supply_sags_where_a_command_is_a_voltage_or_a_force(drive: str, sags: bool) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><body><joint name="cart" type="slide"/><geom size="0.1"/></body></worldbody>
+        <actuator>{drive}</actuator></mujoco>"""
+    )
+    assert catalogue()["motor.sag"].fits(model, "drive") == sags
+
+
 # Rotors of their own
 
 

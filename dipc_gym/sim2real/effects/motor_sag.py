@@ -9,7 +9,7 @@ import numpy as np
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import SAG
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, joint_of, rms
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, is_dcmotor, joint_of, rms
 from dipc_gym.sim2real.effects.law import recalled
 from dipc_gym.sim2real.effects.sought import Sought, apart
 
@@ -44,11 +44,14 @@ class Sag(Effect):
     shown_by = "hard work for some seconds, and the same motion once more after a rest"
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
-        """On a joint that no other actuator with a command drives, and in which a command makes a force at once."""
-        joint = joint_of(model, at)
-        if joint is None or not _forces(model, at)[0]:
+        """On a joint that no other actuator with a command drives; what is sent is a voltage or a force, no target."""
+        joint, i = joint_of(model, at), model.actuator(at).id
+        if is_dcmotor(model, at):
+            powers = bool(model.actuator_ctrlspec[i] == mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
+        else:
+            powers = bool(model.actuator_biasprm[i, 1] == 0)
+        if joint is None or not powers or not _forces(model, at)[0]:
             return False
-        i = model.actuator(at).id
         drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (
             model.actuator_trnid[:, 0] == model.actuator_trnid[i, 0]
         )
