@@ -204,6 +204,14 @@ class Compensator(ABC):
     def __post_init__(self) -> None:
         if self.supply is not None and not 0 < self.supply < math.inf:
             raise ValueError(f"supply is {self.supply}; it must be a positive, finite number of volts, or None")
+        for column in number_fields(type(self)):
+            value = getattr(self, column.name)
+            if column.metadata.get("shape") != ():
+                continue
+            if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+                raise ValueError(f"{column.name} is {value!r}; it must be a finite number")
+            if column.metadata["positive"] and not value > 0:
+                raise ValueError(f"{column.name} is {value!r}; it must be above 0")
         self._watch_range()
 
     @classmethod

@@ -165,9 +165,9 @@ def _torch() -> Any:
     try:
         import torch
     except ImportError as missing:
-        raise ImportError("training the history network needs torch: pip install -e '.[rl]' in the checkout") from (
-            missing
-        )
+        raise ImportError(
+            "training the history network needs torch: add its extra: pip install '.[rl]' in a clone"
+        ) from (missing)
     return torch
 
 

@@ -92,7 +92,7 @@ def _train(inputs: Array, outputs: Array, train: np.ndarray, seed: int) -> tuple
     try:
         import torch
     except ImportError as missing:
-        raise ImportError("training the mlp needs torch: pip install -e '.[mlp]' in the checkout") from missing
+        raise ImportError("training the mlp needs torch: add its extra: pip install '.[mlp]' in a clone") from missing
 
     x, y = torch.from_numpy(inputs), torch.from_numpy(outputs)
     learn = torch.from_numpy(train)

@@ -146,9 +146,13 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             raise ValueError(unknown_engine(engine))
         self.render_mode, self.engine = render_mode, engine
         self.exact_state = exact_state
+        for name, size in (("width", width), ("height", height)):
+            if not isinstance(size, (int, np.integer)) or isinstance(size, bool) or size < 1:
+                raise ValueError(f"{name} is {size!r}; it is a whole number of pixels, 1 or more")
         self._picture = (width, height, camera)
         self._viewer: Any = None
         self._source = _own_rig() if model is None else _checked_model(model)
+        _check_camera(self._source, camera)
         try:
             base = Plant.from_mjcf(self._source.text)
         except PlantError as error:
@@ -484,6 +488,17 @@ def _compiled(rig: Rig) -> Any:
 @functools.cache
 def _own_rig() -> mjcf.Source:
     return mjcf.Source(None, Path(), resources.files("dipc_gym").joinpath("rig.xml").read_text(encoding="utf-8"))
+
+
+def _check_camera(source: mjcf.Source, camera: str | None) -> None:
+    """Refuse a camera that was asked for and that the model does not have; one's own model need not have ours."""
+    if camera is None or camera == "side":
+        return
+    model = mjcf.compile(source)
+    cameras = [model.camera(k).name for k in range(model.ncam)]
+    if camera not in cameras:
+        known = f"has {', '.join(cameras)}{suggestion(str(camera), cameras)}" if cameras else "has none"
+        raise ValueError(f"camera is {camera!r}; {source.name} {known}; None is MuJoCo's free camera")
 
 
 def _checked_model(path: str | Path) -> mjcf.Source:

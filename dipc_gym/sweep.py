@@ -287,7 +287,7 @@ def _ray() -> Any:
     try:
         import ray
     except ImportError as missing:
-        raise ImportError("the backend 'ray' needs Ray: pip install -e '.[ray]' in the checkout") from missing
+        raise ImportError("the backend 'ray' needs Ray: add its extra: pip install '.[ray]' in a clone") from missing
     if not ray.is_initialized():
         ray.init(log_to_driver=False)
     return ray

@@ -126,6 +126,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         self._rigs: Rigs = ENGINES[engine](rig, self._encoders, exact_state=exact_state, threads=threads)
         self._ended, self.began = np.zeros((2, n), dtype=bool)
         self._steps = np.zeros(n, dtype=np.int64)
+        self._was_reset = False
 
     # ------------------------------------------------------------------------------------------------ Gymnasium
 
@@ -158,7 +159,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             key: np.zeros(self.num_envs, dtype=kind) for key, kind in {**self._terms, **SHARED}.items()
         }
         self._begin(rows, options, infos)
-        self.began = mask
+        self.began, self._was_reset = mask, True
         return self._observations(), _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
@@ -170,7 +171,10 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         Raises:
             ValueError: the actions have another shape or are not finite.
             RuntimeError: autoreset is disabled and an ended episode was not reset.
+            gymnasium.error.ResetNeeded: nothing was reset yet.
         """
+        if not self._was_reset:
+            raise gymnasium.error.ResetNeeded("call reset() before the first step()")
         asked = many(actions, "voltage", self.num_envs)
         waiting = self._ended.copy()
         if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():

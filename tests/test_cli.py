@@ -137,6 +137,16 @@ def test_a_run_is_recorded_through_an_estimator(controller: str, tmp_path: Path)
         (["train-policy", "--out", "new", "--resume"], "no training to go on with"),
         (["train", "--out", "new.txt"], "new.txt: this is written as .json"),
         (["render", "--out", "new.gif", "--map", "x=cart"], "--recording"),
+        (["render", "--out", "new.gif", "--recording", "r.csv", "--controller", "x"], "whatever --controller says"),
+        (["train", "--out", "new.json", "--map", "x=cart"], "of a --recording are; name one"),
+        (["train", "--out", "new.json", "--seed", "-1"], "--seed -1: it must be a whole number from 0 on"),
+        (
+            ["record", "--out", "new.csv", "--experiment=identification", "--seconds=5", "--controller", "x"],
+            "whatever --controller and --seconds say; leave it out",
+        ),
+        (["trial", "--out", "new", "--limit=-1"], "--limit is -1.0; it is a number of seconds above 0"),
+        (["trial", "--out", "new", "--limit", "nan"], "--limit is nan"),
+        (["trial", "--out", "new", "--rivals", "--limit", "60"], "leave one of them out"),
         (["trial", "--out", "new", "--count", "two"], "--count two: it must be a whole number"),
         (["trial", "--out", "new", "--limit=long"], "--limit long: it must be a number"),
         (["compare", "--out", "new", "--seeds", "0"], "--seeds is 0; it must be 1 or more"),
@@ -175,6 +185,14 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert "Traceback" not in said
     assert (tmp_path / "full" / "file").read_text() == "precious"
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS.keys() - {"render"}))  # which opens a window
+def test_a_command_without_arguments_says_which_it_needs(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([name])
+    assert stop.value.code == 2
+    assert "required" in capsys.readouterr().err.lower()
 
 
 def test_arguments_are_checked_before_what_has_to_be_installed(

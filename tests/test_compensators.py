@@ -134,6 +134,13 @@ def test_feedforward_after_a_coulomb_plant_is_the_identity(coulomb, viscous, loa
     assert compensator.voltage(force, velocity) == pytest.approx(voltage, abs=1e-7)
 
 
+@pytest.mark.parametrize("gain", [0.0, -4.0, math.nan, math.inf, "4", None])
+@pytest.mark.parametrize("kind", [compensators.StaticGain, compensators.Ideal])
+def test_a_motor_gain_that_is_none_is_refused_when_a_compensator_is_made(kind, gain):
+    with pytest.raises(ValueError, match="newtons_per_volt is"):
+        kind(newtons_per_volt=gain)
+
+
 def test_none_divides_by_the_motor_gain(fitted):
     assert fitted["none"].voltage(10.0, 0.5) == 2.5
 
@@ -730,7 +737,10 @@ def test_mutated_bytes_are_refused_or_work(fitted, tmp_path, data):
 
 def test_without_torch_the_mlp_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(ImportError, match=r"pip install -e '\.\[mlp\]' in the checkout"):
+    with pytest.raises(
+        ImportError,
+        match=r"add its extra: pip install '\.\[mlp\]' in a clone",
+    ):
         fit("mlp", run_with(stribeck, n=400), RIG)
 
 

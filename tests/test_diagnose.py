@@ -656,6 +656,18 @@ def test_what_is_fitted_is_no_judge() -> None:
         diagnose(mjcf.from_text(NOMINAL), [fitted], [replace(fitted, name="copy")])
 
 
+def test_what_is_given_twice_is_refused() -> None:
+    """Counted twice, it would narrow the intervals."""
+    fitted = run(5, 10, 0.0)
+    with pytest.raises(RecordingError, match="copy: the same as run5; give it once"):
+        diagnose(mjcf.from_text(NOMINAL), [fitted, replace(fitted, name="copy")])
+
+
+def test_a_seed_below_none_is_refused_before_anything_is_fitted() -> None:
+    with pytest.raises(ValueError, match="seed is -1; it must be a whole number from 0 on"):
+        diagnose(mjcf.from_text(NOMINAL), [run(5, 10, 0.0)], seed=-1, design=True)
+
+
 def test_parts_of_a_recording_may_be_held_out_where_they_do_not_overlap() -> None:
     fitted, rest = run(5, 10, 0.0).split(0.6)
     data.check_apart([fitted], [rest])

@@ -553,3 +553,18 @@ def test_a_plant_is_written_into_a_model_of_several_parts(part: str, tmp_path: P
         rig.reset(seed=0)
     for _ in range(10):
         np.testing.assert_array_equal(rigs[1].step([5.0])[0], rigs[0].step([5.0])[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"camera": "folow"}, "camera is 'folow'.*did you mean 'follow'"),
+        ({"camera": 1}, "camera is 1.*has side, follow"),
+        ({"width": 0}, "width is 0; it is a whole number of pixels"),
+        ({"height": "a"}, "height is 'a'"),
+        ({"width": -3}, "width is -3"),
+    ],
+)
+def test_a_picture_that_cannot_be_drawn_is_refused_at_once(options: dict[str, object], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        gymnasium.make("DIPC-Friction-v0", render_mode="rgb_array", **options)

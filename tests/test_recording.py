@@ -190,6 +190,11 @@ def test_columns_are_mapped_and_units_converted(tmp_path: Path, model: mujoco.Mj
     assert "both mean 'sensor:cart'" in refused(path, model, mapping={**mapping, "u": "cart"})
     assert "unknown unit 'furlong'" in refused(path, model, mapping=mapping, units={"x": "furlong"})
     assert "given for 'y'" in refused(path, model, mapping=mapping, units={"y": "mm"})
+    assert "unit of 'pole': it is measured in rad: use rad" in refused(
+        path, model, mapping=mapping, units={"pole": "mm"}
+    )
+    assert "measured in m: use m, cm" in refused(path, model, mapping=mapping, units={"x": "deg"})
+    assert "measured in s: use s, ms" in refused(path, model, mapping=mapping, units={"time": "rad"})
 
 
 def test_units_are_si() -> None:
@@ -393,7 +398,7 @@ def test_without_pyarrow_parquet_says_what_to_install(
 ) -> None:
     (tmp_path / "r.parquet").write_bytes(b"PAR1")
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    assert "pip install -e '.[parquet]'" in refused(tmp_path / "r.parquet", model)
+    assert "pip install '.[parquet]'" in refused(tmp_path / "r.parquet", model)
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

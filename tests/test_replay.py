@@ -149,6 +149,12 @@ def test_the_worst_window_is_where_the_model_was_wrong(tmp_path: Path) -> None:
     assert np.median(done.errors) < 1.1
 
 
+def test_a_step_that_would_take_for_ever_is_refused(tmp_path: Path) -> None:
+    model, path = files(tmp_path, hanging(), Run().of(hanging()))
+    with pytest.raises(ValueError, match="a step of 1e-09 s would take for ever; give 1e-06 s or more"):
+        replay(model, path, step=1e-9)
+
+
 def test_windows_that_diverge_are_the_worst_and_are_written_as_none(tmp_path: Path) -> None:
     text = hanging().replace('damping="5.0"', 'damping="5.0" stiffness="-1e7"')
     assert "stiffness" in text

@@ -140,7 +140,10 @@ def test_unknown_backend_and_shared_names_are_refused(tmp_path: Path) -> None:
 
 def test_without_ray_the_mend_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ImportError, match=r"pip install -e '\.\[ray\]' in the checkout"):
+    with pytest.raises(
+        ImportError,
+        match=r"add its extra: pip install '\.\[ray\]' in a clone",
+    ):
         sweep.run([Halve(1)], tmp_path, backend="ray")
 
 

@@ -210,7 +210,10 @@ def test_without_its_packages_training_says_how_to_install_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "dipc_gym.training.learner", None)
-    with pytest.raises(ImportError, match=r"pip install -e '\.\[rl\]' in the checkout"):
+    with pytest.raises(
+        ImportError,
+        match=r"add its extra: pip install '\.\[rl\]' in a clone",
+    ):
         train.run(short(), tmp_path / "run")
 
 

@@ -53,6 +53,14 @@ def batched(num_envs: int = N, **kwargs: Any) -> DIPCFrictionVectorEnv:
     return env
 
 
+def test_a_batch_wants_a_reset_before_its_first_step() -> None:
+    ours = batched()
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        ours.step(np.zeros((N, 1), dtype=np.float32))
+    ours.reset(seed=1)
+    ours.step(np.zeros((N, 1), dtype=np.float32))
+
+
 def one_by_one(
     autoreset_mode: str = "NextStep", wrap: Any = lambda env: env, n: int = N, **kwargs: Any
 ) -> SyncVectorEnv:

@@ -32,11 +32,12 @@ class Compare:
     out: Path
     """folder for the results: new, empty, or begun by the same command"""
     controller: str = "lqr"
-    """names with commas between: lqr, or policies: our own (.json), or stable-baselines3's (.zip)"""
+    """names with commas between: lqr, lqr_cart, lqr_sampled, lqr_quiet, dither, or policies: our own (.json), or
+    stable-baselines3's (.zip)"""
     compensator: str = "none,feedforward,mlp,llnf,ideal"
-    """names with commas between; or saved compensators (.json)"""
+    """names with commas between; or saved compensators (.json); an unknown name lists them all"""
     estimator: str = "differences"
-    """names with commas between, such as kalman,disturbance,ekf; or saved estimators (.json)"""
+    """names with commas between, such as kalman,disturbance,ekf; or saved (.json); an unknown name lists them all"""
     seeds: int = 10
     """number of rigs; friction, encoder noise and initial state differ"""
     seconds: float = 80.0

@@ -39,16 +39,18 @@ def check_choices(command: type, arguments: Sequence[str]) -> None:
         arguments: of the command line, after the subcommand.
 
     Raises:
-        ValueError: it is none of them.
+        ValueError: it is none of them, no number where one has to be, or a seed below 0.
     """
     hints = {f"--{name.replace('_', '-')}": hint for name, hint in get_type_hints(command).items()}
     choices = {option: tuple(_choices(hint)) for option, hint in hints.items()}
-    for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
+    for argument, following in zip(arguments, [*arguments, ""][1:], strict=True):
         option, equals, value = argument.partition("=")
         named = choices.get(option.replace("_", "-"), ())
         value = value if equals else following
         if named and value and not value.startswith("-") and value not in named:
             raise ValueError(f"{option} {value}: it can be {' or '.join(named)}{suggestion(value, named)}")
+        if option == "--seed" and value.startswith("-") and value[1:].isdigit():
+            raise ValueError(f"--seed {value}: it must be a whole number from 0 on")
         _check_number(option, hints.get(option.replace("_", "-")), value)
 
 

@@ -12,7 +12,7 @@ from dipc_gym.cli.options import ending, free
 class Plan:
     """Plan a motion from one equilibrium to another, and the feedback that keeps the rig near it.
 
-    Trajectory optimisation by CasADi and IPOPT (pip install -e '.[plan]'), a time-varying LQR around the best motion
+    Trajectory optimisation by CasADi and IPOPT (the extra plan), a time-varying LQR around the best motion
     that was found, and the LQR that holds the goal. Of the rig it takes what the LQR knows: the linear model about
     upright, the motor's force and the rail. It then tries the plan, from so many resets, seen through the estimator
     rigid_body and with the friction that this observes fed forward. Postures are down-down, down-up, up-down and up-up,

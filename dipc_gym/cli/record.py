@@ -34,9 +34,9 @@ class Record:
     experiment: Literal["balance", "identification"] = "balance"
     """balance the poles, or sweep the voltage with the poles locked"""
     controller: str = "lqr"
-    """lqr, or a policy: our own (.json), or one of stable-baselines3 (.zip)"""
+    """lqr, lqr_cart, lqr_sampled, lqr_quiet, dither, or a policy: our own (.json), or stable-baselines3's (.zip)"""
     compensator: str = "none"
-    """a name, trained for this on a simulated run, or a saved compensator (.json)"""
+    """a name, trained for this on a simulated run, or a saved compensator (.json); an unknown name lists them all"""
     estimator: str | None = None
     """what the rig is seen through: a name, fitted for this, or a saved estimator (.json); without it that which a
     policy was trained with, else the environment's own observation"""
@@ -59,6 +59,7 @@ class Record:
         check_format(self.out)
         free(self.out, self.overwrite)
         if self.experiment == "identification":
+            _idle(self, ("controller", "compensator", "estimator", "seconds"), "an identification run sweeps for 60 s")
             run = runs.identify(self.plant, model=self.model, seed=self.seed).run
         else:
             brain = controllers.balancing(self.controller)
@@ -103,9 +104,10 @@ class Render:
     unit: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """name=unit: unit of a column, such as deg, mm or ms; may be repeated"""
     controller: str = "lqr"
-    """lqr, or a policy, our own (.json) or of stable-baselines3 (.zip); tvlqr, or a plan (.json), which swings up"""
+    """lqr, lqr_cart or another, or a policy, our own (.json) or of stable-baselines3 (.zip); tvlqr, or a plan (.json),
+    which swings up; an unknown name lists them all"""
     compensator: str = "none"
-    """a name, trained for this on a simulated run, or a saved compensator (.json)"""
+    """a name, trained for this on a simulated run, or a saved compensator (.json); an unknown name lists them all"""
     estimator: str | None = None
     """what the rig is seen through: a name, fitted for this, or a saved estimator (.json); without it that which a
     policy was trained with, else the environment's own observation"""
@@ -131,6 +133,7 @@ class Render:
             free(ending(self.out, *film.FORMATS), self.overwrite)
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         if self.recording is not None:
+            _idle(self, ("controller", "compensator", "estimator", "plant"), "what a recording holds has run already")
             course = runs.recorded(self.recording, model=self.model, mapping=mapping, units=units)
         elif mapping or units:
             raise ValueError("--map and --unit tell what the columns of a --recording are; name one")
@@ -176,6 +179,13 @@ class Render:
             model=self.model,
             estimator=None if sees is None else found.fit_estimator(sees, seed=self.seed),
         )
+
+
+def _idle(command: Record | Render, names: tuple[str, ...], why: str) -> None:
+    """Refuse options that would do nothing."""
+    given = [f"--{name}" for name in names if getattr(command, name) != getattr(type(command), name)]
+    if given:
+        raise ValueError(f"{why}, whatever {' and '.join(given)} {'say' if len(given) > 1 else 'says'}; leave it out")
 
 
 def _parts(

@@ -59,6 +59,8 @@ class Train:
 
         free(self.out, self.overwrite)
         ending(self.out, ".json")
+        if self.recording is None and (self.map or self.unit):
+            raise ValueError("--map and --unit tell what the columns of a --recording are; name one")
         compensators.registry.kind(self.compensator)  # refuse an unknown name before anything is simulated
         beside = self.out.with_name(f"{self.out.stem}_{self.estimator}.json")
         if self.estimator is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -49,6 +50,10 @@ class Trial:
             raise ValueError("--full and --laws are two different trials: choose one")
         if self.count is not None and self.count < 1:  # before imports, which may ask to install something
             raise ValueError(f"--count is {self.count}; it is the number of trials, 1 or more")
+        if not 0 < self.limit < math.inf:
+            raise ValueError(f"--limit is {self.limit}; it is a number of seconds above 0")
+        if self.rivals and self.limit != type(self).limit:
+            raise ValueError("--limit stops diagnoses; --rivals asks for none: leave one of them out")
         which: dict[str, Any] = {"count": self.count, "full": self.full, "laws": self.laws}
         if self.rivals:
             from dipc_gym.trials.generate import plans

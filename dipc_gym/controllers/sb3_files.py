@@ -156,7 +156,9 @@ def _tensors(path: Path, data: bytes) -> dict[str, Array]:
     try:
         import torch
     except ImportError as missing:
-        raise ImportError("reading a saved policy needs torch: pip install -e '.[rl]' in the checkout") from missing
+        raise ImportError(
+            "reading a saved policy needs torch: add its extra: pip install '.[rl]' in a clone"
+        ) from missing
     try:
         loaded = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
         return {str(key): value.double().numpy() for key, value in loaded.items()}

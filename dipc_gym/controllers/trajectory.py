@@ -150,7 +150,9 @@ def _solver(motion: Motion, length: float, pieces: int) -> tuple[Any, Any]:
     try:
         import casadi as ca
     except ImportError as missing:
-        raise ImportError("planning a motion needs casadi: pip install -e '.[plan]' in the checkout") from missing
+        raise ImportError(
+            "planning a motion needs casadi: add its extra: pip install '.[plan]' in a clone"
+        ) from missing
     d1, d2, d3, d4, d5, d6 = motion.d
     state, pull, time = ca.SX.sym("state", 6), ca.SX.sym("acceleration"), ca.SX.sym("time")
     a, b, v, p, r = (state[k] for k in range(1, 6))

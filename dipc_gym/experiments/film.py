@@ -88,7 +88,7 @@ def shoot(
         if path.suffix.lower() not in FORMATS:
             raise ValueError(f"{path}: films are written as {' or '.join(FORMATS)}")
         if path.suffix.lower() == ".mp4" and not ffmpeg():
-            mend = "pip install -e '.[film]' in the checkout, or write a .gif"
+            mend = "add its extra: pip install '.[film]' in a clone, or write a .gif"
             raise ImportError(f"{path}: films as .mp4 need imageio-ffmpeg: {mend}")
     factor = magnification(courses, seconds) if magnify is None else magnify
     if not (math.isfinite(factor) and factor > 0):

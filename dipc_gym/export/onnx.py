@@ -34,7 +34,7 @@ def graph(program: Program, *, about: str) -> bytes:
         import onnx
         from onnx import TensorProto, helper, numpy_helper
     except ImportError as missing:
-        raise ImportError("writing ONNX needs onnx: pip install -e '.[onnx]' in the checkout") from missing
+        raise ImportError("writing ONNX needs onnx: add its extra: pip install '.[onnx]' in a clone") from missing
 
     writer = _Writer(program, helper, numpy_helper, TensorProto)
     states = [program.steps[place] for place in program.states.values()]

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Mapping, Sequence
 
 from dipc_gym.recording.tables import RecordingError
-from dipc_gym.recording.units import factor
+from dipc_gym.recording.units import check_kind, factor
 from dipc_gym.safety.naming import suggestion
 
 COMMAND, SENSOR = "ctrl:", "sensor:"  # prefixes that tell an actuator and a sensor of one name apart
@@ -67,8 +67,17 @@ def _near(missing: Sequence[str], left: Sequence[str]) -> str:
     return ""
 
 
-def unit_factors(where: str, wanted: Mapping[str, str], units: Mapping[str, str]) -> dict[str, float]:
-    """Factor to SI of each channel that a unit is given for."""
+def unit_factors(
+    where: str, wanted: Mapping[str, str], units: Mapping[str, str], measured: Mapping[str, str]
+) -> dict[str, float]:
+    """Factor to SI of each channel that a unit is given for.
+
+    Args:
+        where: the file.
+        wanted: its column for each channel.
+        units: by a column or a name of the model.
+        measured: SI unit of each channel, where that is known.
+    """
     factors: dict[str, float] = {}
     for key, unit in units.items():
         meant = [c for c, column in wanted.items() if key in (column, c)] or [
@@ -83,6 +92,7 @@ def unit_factors(where: str, wanted: Mapping[str, str], units: Mapping[str, str]
             raise RecordingError(f"{where}: the unit of {key!r} may mean {meant[0]!r} or {meant[1]!r}; say which")
         try:
             factors[meant[0]] = factor(unit)
+            check_kind(unit, measured.get(meant[0], ""))
         except ValueError as error:
             raise RecordingError(f"{where}: unit of {key!r}: {error}") from None
     return factors

@@ -44,7 +44,7 @@ def read(
 
     Raises:
         RecordingError: a missing or ambiguous column, a cell that is not a finite number, time that does not
-            increase, fewer than 20 samples, or a file that cannot be read.
+            increase, fewer than 20 samples, a unit that measures something else, or a file that cannot be read.
     """
     path = Path(path)
     mapping, units = dict(mapping or {}), dict(units or {})
@@ -56,13 +56,14 @@ def read(
         return list(wanted.values())
 
     table = read_table(path, choose)
-    factors = unit_factors(str(path), wanted, units)
+    measured = {"time": "s"} | {SENSOR + name: of_sensor(model, name) for name in sensor}
+    factors = unit_factors(str(path), wanted, units, measured)
     columns = {channel: table.columns[name] * factors.get(channel, 1.0) for channel, name in wanted.items()}
     if len(columns["time"]) < MIN_SAMPLES:
         raise RecordingError(f"{path}: {len(columns['time'])} samples are too few; at least {MIN_SAMPLES} are needed")
     check_numbers(str(path), table.lines, {wanted[channel]: values for channel, values in columns.items()})
     ignored = tuple(name for name in table.names if name not in wanted.values())
-    angles = [SENSOR + name for name in sensor if of_sensor(model, name) == "rad"]
+    angles = [channel for channel, unit in measured.items() if unit == "rad"]
     turned = {channel: checks.counted_on(columns[channel]) for channel in angles}
     notes = [
         f"sensor {channel.removeprefix(SENSOR)!r} starts again after a turn, {jumps} times; turns are counted on"

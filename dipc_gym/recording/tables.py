@@ -265,7 +265,7 @@ def _arrow(path: Path) -> Any:
         import pyarrow.parquet
     except ImportError:
         raise RecordingError(
-            f"{path}: Parquet needs pyarrow; install it with: pip install -e '.[parquet]' in the checkout"
+            f"{path}: Parquet needs pyarrow; install it with: add its extra: pip install '.[parquet]' in a clone"
         ) from None
     return pyarrow
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import mujoco
 
@@ -11,18 +12,42 @@ from dipc_gym.safety.naming import suggestion
 
 _TURN = 2 * math.pi  # rad
 
-# To SI.
-FACTORS: dict[str, float] = {
-    **{"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    **{"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": _TURN},
-    **{"rad/s": 1.0, "deg/s": math.pi / 180, "rev/s": _TURN, "rpm": _TURN / 60},
-    **{"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
-    **{"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
-    **{"m/s2": 1.0, "g0": 9.80665, "rad/s2": 1.0, "deg/s2": math.pi / 180},
-    **{"V": 1.0, "mV": 1e-3, "A": 1.0, "mA": 1e-3},
-    **{"N": 1.0, "mN": 1e-3, "kN": 1e3, "Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2},
-    "%": 1e-2,
+# By the SI unit of what they measure.
+KINDS: Mapping[str, Mapping[str, float]] = {
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": _TURN},
+    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180, "rev/s": _TURN, "rpm": _TURN / 60},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
+    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "m/s^2": {"m/s2": 1.0, "g0": 9.80665},
+    "rad/s^2": {"rad/s2": 1.0, "deg/s2": math.pi / 180},
+    "V": {"V": 1.0, "mV": 1e-3},
+    "A": {"A": 1.0, "mA": 1e-3},
+    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "N m": {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2},
+    "": {"%": 1e-2},
 }
+# To SI.
+FACTORS: dict[str, float] = {unit: number for kind in KINDS.values() for unit, number in kind.items()}
+
+
+def check_kind(unit: str, si: str) -> None:
+    """Refuse a unit that measures something else; factors as numbers measure anything.
+
+    Args:
+        unit: as `factor` takes it.
+        si: SI unit of what it is given for; empty where nobody knows.
+
+    Raises:
+        ValueError: naming the units that would do.
+
+    Example:
+        >>> check_kind("mm", "rad")
+        Traceback (most recent call last):
+        ValueError: it is measured in rad: use rad, mrad, deg, rev or a number (the factor to rad)
+    """
+    if si in KINDS and unit in FACTORS and unit not in KINDS[si]:
+        raise ValueError(f"it is measured in {si}: use {', '.join(KINDS[si])} or a number (the factor to {si})")
 
 
 def factor(unit: str) -> float:

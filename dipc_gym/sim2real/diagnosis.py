@@ -67,7 +67,8 @@ def diagnose(
         mjcf.MjcfError: the model cannot be treated.
         RecordingError: the recordings hold no window, what is held out is fitted as well, or angles look like degrees
             and no unit was told.
-        ValueError: a wish names no parameter of the model, or a design is asked for and there is no actuator.
+        ValueError: a wish names no parameter of the model, a design is asked for and there is no actuator, or the seed
+            is below 0.
 
     Example:
         >>> from dipc_gym import recording
@@ -75,6 +76,8 @@ def diagnose(
         >>> found = diagnose("cart.xml", [recording.read("run.csv", model)])    # doctest: +SKIP
         >>> print(found.sentence)                                               # doctest: +SKIP
     """
+    if seed < 0:
+        raise ValueError(f"seed is {seed}; it must be a whole number from 0 on")
     began = time.monotonic()
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given, withheld = gather(source, recordings, held_out, wishes or Wishes())

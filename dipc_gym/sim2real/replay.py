@@ -38,6 +38,7 @@ __all__ = ["Replay", "SensorError", "replay"]
 Array = NDArray[np.float64]
 
 SCHEMA = "dipc-gym/replay/1"
+FINEST = 1e-6  # s, of a step that is asked for: windows of a quarter of a second then take as many steps
 WORST = 3  # windows that are named for each sensor
 NARROWEST, WIDEST = 2.0, 30.0  # inches of a picture
 
@@ -241,7 +242,7 @@ def replay(
         threads: of the simulation, 0 for all cores.
 
     Raises:
-        ValueError: a step or window that is not positive.
+        ValueError: a step or window that is not positive, or a step below a microsecond.
         mjcf.MjcfError: the model does not compile, or cannot be treated.
         RecordingError: the recording cannot be used, or holds no such window.
         states.Undetermined: the sensors do not say where the joints are.
@@ -268,6 +269,8 @@ def replay(
     if step is not None:
         if not (math.isfinite(step) and step > 0):
             raise ValueError(f"a step of {step} s is no step; give a positive number of seconds")
+        if step < FINEST:
+            raise ValueError(f"a step of {step:g} s would take for ever; give {FINEST:g} s or more")
         stepping = Stepping(step, mujoco.mjtIntegrator.mjINT_RK4)
     prepared = prepare(source, physics, [read], stepping, length=window, threads=threads)
     problem = prepared.problem

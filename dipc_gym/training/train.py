@@ -63,7 +63,7 @@ def run(
         import dipc_gym.training.learner  # noqa: F401  what it needs may not be installed
     except ImportError as missing:
         raise ImportError(
-            f"training a policy needs {missing.name}: pip install -e '.[rl]' in the checkout"
+            f"training a policy needs {missing.name}: add its extra: pip install '.[rl]' in a clone"
         ) from missing
     rig = Rig.of(training)
     with alone(out):

@@ -18,6 +18,6 @@ if _SETTINGS.exists():
 try:
     import numba
 except ImportError as missing:
-    raise ImportError("the blind trial needs numba: pip install -e '.[trial]' in the checkout") from missing
+    raise ImportError("the blind trial needs numba: add its extra: pip install '.[trial]' in a clone") from missing
 
 __all__ = ["numba"]

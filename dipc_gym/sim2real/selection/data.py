@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -22,19 +23,29 @@ Array = NDArray[np.float64]
 
 
 def check_apart(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> None:
-    """Refuse to judge by what is fitted.
+    """Refuse to judge by what is fitted, and to count anything twice.
 
     Raises:
-        RecordingError: a recording is held out that is fitted as well, whatever its name, or a part of it. Of the parts
-            of one recording that do not overlap, some may be held out.
+        RecordingError: a recording is held out that is fitted as well, whatever its name, or a part of it, or one is
+            given twice. Of the parts of one recording that do not overlap, some may be held out.
     """
-    for r in held_out:
-        for other in recordings:
-            if r.sha256 == other.sha256 and r.time[0] <= other.time[-1] and other.time[0] <= r.time[-1]:
-                raise RecordingError(
-                    f"{r.path or r.name}: held out, but the same as {other.path or other.name}, which is fitted; hold "
-                    "out another recording, or none: then the last quarter of each is"
-                )
+    for one, other in itertools.product(held_out, recordings):
+        if _overlap(one, other):
+            raise RecordingError(
+                f"{one.path or one.name}: held out, but the same as {other.path or other.name}, which is fitted; hold "
+                "out another recording, or none: then the last quarter of each is"
+            )
+    for one, other in (*itertools.combinations(recordings, 2), *itertools.combinations(held_out, 2)):
+        if _overlap(one, other):
+            raise RecordingError(
+                f"{other.path or other.name}: the same as {one.path or one.name}; give it once, for what is counted "
+                "twice looks surer than it is"
+            )
+
+
+def _overlap(one: Recording, other: Recording) -> bool:
+    """Whether two recordings are the same, or parts of the same that have samples in common."""
+    return one.sha256 == other.sha256 and bool(one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1])
 
 
 def from_zero(recordings: Sequence[Recording]) -> list[Recording]:
