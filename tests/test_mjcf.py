@@ -414,11 +414,11 @@ def test_dry_friction_that_is_switched_off_is_refused(flag: str, mend: str) -> N
         mjcf.check_supported(mjcf.compile(text), "rig.xml")
 
 
-def test_geoms_by_the_ten_thousand_are_paired_by_what_they_may_touch() -> None:
+def test_geoms_by_the_thousand_are_paired_by_what_they_may_touch() -> None:
     """Of a body's geoms that may touch the same, one tells for all."""
-    text = rig(inside="<replicate count='20000' offset='0 0 1'><geom size='0.1' mass='1'/></replicate>")
+    text = rig(inside="<replicate count='2000' offset='0 0 1'><geom size='0.1' mass='1'/></replicate>")
     model = mjcf.compile(text)
-    assert model.ngeom >= 20_000
+    assert model.ngeom >= 2_000
     assert mjcf.touching_pair(model) is None
     touched = rig(
         inside="<replicate count='500' offset='0 0 1'><geom size='0.1' mass='1'/></replicate>",

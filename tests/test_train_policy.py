@@ -251,7 +251,7 @@ def test_nothing_in_a_checkpoint_is_executed(tmp_path: Path, monkeypatch: pytest
     [
         (["--steps", "0"], "steps is 0"),
         (["--num-envs", "-4"], "num_envs is -4"),
-        (["--seed", "-1"], "the seed is -1"),
+        (["--seed", "-1"], "--seed -1: it must be a whole number from 0 on"),
         (["--limit", "0"], "the limit is 0"),
         (["--limit", "nan"], "the limit is nan"),
         (["--compensator", "magic"], "there is no compensator 'magic'; there are none"),

@@ -112,7 +112,7 @@ def test_a_changed_file_is_a_changed_parameter(tmp_path: Path) -> None:
     [
         (["--seeds", "0"], "--seeds 0: give the number"),
         (["--seeds", "2", "--jobs", "0"], "jobs is 0"),
-        (["--seeds", "2", "--seed", "-1"], "the seed is -1"),
+        (["--seeds", "2", "--seed", "-1"], "--seed -1: it must be a whole number from 0 on"),
         (["--seeds", "2", "--plant", "gone.json"], "gone.json: cannot be read"),
         (["--seeds", "2", "--compensator", "gone.json"], "gone.json: cannot be read"),
         (["--jobs", "2"], "say --seeds too"),
