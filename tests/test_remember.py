@@ -42,6 +42,8 @@ BENDS = (4.0, 950.0, 930.0, 900.0, 500.0, 0.0)  # N, and N/m at equal forces fro
 RESTS = (1.5, 2.0, 0.12, 3e-4)  # N, N, s and m/s
 SEEDS = {"load.creeping": 3, "friction.hysteresis": 3, "friction.resting": 5}
 ENTRIES = {"load.creeping": CREEPS, "friction.hysteresis": BENDS, "friction.resting": RESTS}
+SAGS = {"drop": 0.3, "time_constant": 0.3, "current": 3.0, "gain": 3.94, "back": 4.72}  # of the cart's own motor
+REMEMBER = [*ENTRIES, "motor.sag"]  # which goes with the command as well
 
 
 def with_entry(effect: str, numbers: tuple[float, ...] | None = None, text: str = CART) -> physics.Physics:
@@ -52,7 +54,7 @@ def text_with(effect: str, numbers: tuple[float, ...] | None = None, text: str =
     document = Document(mjcf.from_text(text))
     if numbers is None:
         one = term(effect)
-        one.effect.edit(document, "cart", one.guess)
+        one.effect.edit(document, one.at, one.guess)
     else:
         document.remembering(effect, "cart", numbers)
     return document.text()
@@ -60,6 +62,8 @@ def text_with(effect: str, numbers: tuple[float, ...] | None = None, text: str =
 
 def term(effect: str) -> Term:
     """The effect with the numbers of its entry."""
+    if effect == "motor.sag":
+        return Term(catalogue()[effect], "motor", SAGS)
     if effect == "friction.resting":
         return Term(catalogue()[effect], "cart", dict(zip(("level", "rise", "time", "slow"), RESTS, strict=True)))
     if effect == "load.creeping":
@@ -120,7 +124,7 @@ def test_over_any_motion_they_take_energy_and_give_none(
         assert np.abs(memory).max() <= size * (1 + 1e-3)
 
 
-@pytest.mark.parametrize("effect", ENTRIES)
+@pytest.mark.parametrize("effect", REMEMBER)
 def test_the_engine_says_what_mujoco_says(effect: str) -> None:
     """Rates at random states; and a second that MuJoCo simulates, at ever finer steps."""
     rig = with_entry(effect)
@@ -146,7 +150,7 @@ def test_the_engine_says_what_mujoco_says(effect: str) -> None:
     assert off[1] < max(off[0], 2e-4)
 
 
-@pytest.mark.parametrize("effect", ENTRIES)
+@pytest.mark.parametrize("effect", REMEMBER)
 def test_sensitivities_are_limits_of_differences(effect: str) -> None:
     ready = prepared(CART, [record(with_entry(effect), sweep(4.0), 2.0, noise=(1e-5,))])
     problem, structure = ready.problem, ready.structure.with_term(term(effect))
@@ -163,7 +167,7 @@ def test_sensitivities_are_limits_of_differences(effect: str) -> None:
             assert np.median(off) < 1e-3
 
 
-@pytest.mark.parametrize("effect", ENTRIES)
+@pytest.mark.parametrize("effect", REMEMBER)
 def test_windows_begin_with_what_the_motion_before_left(effect: str) -> None:
     ready = prepared(CART, [record(with_entry(effect), sweep(4.0), noise=(1e-5,), step=1e-4)])
     right = fit(ready.problem, ready.structure.with_term(term(effect)), most=0)
