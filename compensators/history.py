@@ -167,7 +167,7 @@ def _torch() -> Any:
     except ImportError as missing:
         raise ImportError(
             "training the history network needs torch: add its extra: pip install '.[rl]' in a clone"
-        ) from (missing)
+        ) from missing
     return torch
 
 

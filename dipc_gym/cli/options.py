@@ -31,6 +31,19 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
     return found
 
 
+def columns(
+    recording: str | None, mapping: Sequence[str], units: Sequence[str]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """What --map and --unit say of the columns of a recording.
+
+    Raises:
+        ValueError: as `pairs`, or they say something and there is no recording.
+    """
+    if recording is None and (mapping or units):
+        raise ValueError("--map and --unit tell what the columns of a --recording are; name one")
+    return pairs("map", mapping), pairs("unit", units)
+
+
 def check_choices(command: type, arguments: Sequence[str]) -> None:
     """Refuse a value that is none of an option's choices, with the one that was meant, and a word for a number.
 

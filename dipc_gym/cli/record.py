@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from dipc_gym.cli.options import ending, free, pairs
+from dipc_gym.cli.options import columns, ending, free
 
 if TYPE_CHECKING:
     from dipc_gym.compensators import Compensator
@@ -131,12 +131,10 @@ class Render:
 
         if self.out is not None:
             free(ending(self.out, *film.FORMATS), self.overwrite)
-        mapping, units = pairs("map", self.map), pairs("unit", self.unit)
+        mapping, units = columns(self.recording, self.map, self.unit)
         if self.recording is not None:
             _idle(self, ("controller", "compensator", "estimator", "plant"), "what a recording holds has run already")
             course = runs.recorded(self.recording, model=self.model, mapping=mapping, units=units)
-        elif mapping or units:
-            raise ValueError("--map and --unit tell what the columns of a --recording are; name one")
         else:
             course = self._simulated()
         if course.fell:

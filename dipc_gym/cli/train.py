@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from dipc_gym.cli.options import ending, free, pairs
+from dipc_gym.cli.options import columns, ending, free
 
 if TYPE_CHECKING:
     from dipc_gym.training.task import Training
@@ -59,8 +59,7 @@ class Train:
 
         free(self.out, self.overwrite)
         ending(self.out, ".json")
-        if self.recording is None and (self.map or self.unit):
-            raise ValueError("--map and --unit tell what the columns of a --recording are; name one")
+        mapping, units = columns(self.recording, self.map, self.unit)
         compensators.registry.kind(self.compensator)  # refuse an unknown name before anything is simulated
         beside = self.out.with_name(f"{self.out.stem}_{self.estimator}.json")
         if self.estimator is not None:
@@ -70,8 +69,8 @@ class Train:
             self.plant,
             model=self.model,
             from_recording=self.recording,
-            mapping=pairs("map", self.map),
-            units=pairs("unit", self.unit),
+            mapping=mapping,
+            units=units,
             seed=self.seed,
         )
         trained = found.fit(self.compensator, seed=self.seed)

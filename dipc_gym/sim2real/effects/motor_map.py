@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import mujoco
 import numpy as np
 
-from dipc_gym.sim2real.effects.base import Evidence, Values, dof, joint_of
+from dipc_gym.sim2real.effects.base import Evidence, Values
+from dipc_gym.sim2real.effects.drives import drive_of
 from dipc_gym.sim2real.effects.law import Array, Map
 from dipc_gym.sim2real.effects.tables import grow
 
@@ -25,7 +25,7 @@ class CommandMap(Map):
 
     def table(self, evidence: Evidence) -> tuple[Array, Array] | None:
         """The unexplained force by command, in commands."""
-        gain = _gain(evidence.model, evidence.at)
+        gain, _ = drive_of(evidence.model, evidence.at)
         if not gain or not len(evidence.command) or np.ptp(evidence.command) == 0:
             return None
         beside = [evidence.velocity, evidence.direction]
@@ -41,16 +41,3 @@ class CommandMap(Map):
         name = unit[self.parameters[0].name]
         acts = f"{self.knots[k]:.3g} acts as {self.knots[k] + off[k]:.3g} {name}".strip()
         return f"{at} does not act in proportion to its command: {acts}."
-
-
-def _gain(model: mujoco.MjModel, actuator: str) -> float:
-    """Force at the joint for each unit of command, at rest."""
-    joint, data = joint_of(model, actuator), mujoco.MjData(model)
-    if joint is None:
-        return 0.0
-    data.ctrl[int(model.actuator_ctrladr[model.actuator(actuator).id])] = 1.0
-    mujoco.mj_forward(model, data)
-    with_command = float(data.qfrc_actuator[dof(model, joint)])
-    data.ctrl[:] = 0
-    mujoco.mj_forward(model, data)
-    return with_command - float(data.qfrc_actuator[dof(model, joint)])

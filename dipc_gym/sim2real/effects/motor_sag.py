@@ -9,7 +9,8 @@ import numpy as np
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import SAG
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, is_dcmotor, joint_of, rms
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor, joint_of, rms
+from dipc_gym.sim2real.effects.drives import drive_of
 from dipc_gym.sim2real.effects.law import recalled
 from dipc_gym.sim2real.effects.sought import Sought, apart
 
@@ -50,16 +51,15 @@ class Sag(Effect):
             powers = bool(model.actuator_ctrlspec[i] == mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
         else:
             powers = bool(model.actuator_biasprm[i, 1] == 0)
-        if joint is None or not powers or not _forces(model, at)[0]:
-            return False
         drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (
             model.actuator_trnid[:, 0] == model.actuator_trnid[i, 0]
         )
-        return int(np.sum(drives & (model.actuator_ctrlnum > 0))) == 1
+        alone = int(np.sum(drives & (model.actuator_ctrlnum > 0))) == 1
+        return joint is not None and powers and alone and bool(drive_of(model, at)[0])
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The share and the time constants with which it takes most of the unexplained force."""
-        gain, back = _forces(evidence.model, evidence.at)
+        gain, back = drive_of(evidence.model, evidence.at)
         if not len(evidence.command) or not np.any(evidence.command):
             return []
         current = rms(evidence.command - back * evidence.velocity)
@@ -87,20 +87,3 @@ class Sag(Effect):
             f"The supply of {at} sags with past current: under {across} it comes to lose {100 * values['drop']:.3g} % "
             f"of its force, with a time constant of {values['time_constant']:.2g} s."
         )
-
-
-def _forces(model: mujoco.MjModel, actuator: str) -> tuple[float, float]:
-    """Force at the joint for each unit of command at rest, and the command that each unit of velocity is worth."""
-    joint, data = joint_of(model, actuator), mujoco.MjData(model)
-    if joint is None:
-        return 0.0, 0.0
-    at, control = dof(model, joint), int(model.actuator_ctrladr[model.actuator(actuator).id])
-    forces = []
-    for command, velocity in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
-        data.ctrl[:], data.qvel[:] = 0.0, 0.0
-        data.ctrl[control], data.qvel[at] = command, velocity
-        mujoco.mj_forward(model, data)
-        forces.append(float(data.qfrc_actuator[at]))
-    none, driven, moved = forces
-    gain = driven - none
-    return gain, (none - moved) / gain if gain else 0.0
