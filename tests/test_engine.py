@@ -26,11 +26,12 @@ from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import Uncovered, check, machine, program
 from dipc_gym.engine import run as engine_run
-from dipc_gym.engine.layout import CONTROLS, Head
+from dipc_gym.engine.layout import CONTROLS, Element, Head, Kind
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import entries
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects.base import passive_ramp
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 from dipc_gym.sim2real.estimation import slopes
@@ -115,6 +116,24 @@ def test_accelerations_of_random_trees_are_mujocos(seed: int, joints: int) -> No
     """`check` compares at random states and raises where anything differs by more than 1e-9 of the largest."""
     source = loaded(random_tree(np.random.default_rng(seed), joints, yields=True))
     what, parameters = program.read([source])
+    check.check(what, parameters[0], source)
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 5))
+def test_ramps_of_a_joint_are_one_element_and_mujocos(seed: int, joints: int) -> None:
+    rng = np.random.default_rng(seed)
+    document, several = Document(mjcf.from_text(random_tree(rng, joints))), rng.integers(0, 6, joints)
+    for k, count in enumerate(several):
+        for i in range(count):
+            low, high = np.sort(rng.normal(size=2)).tolist()
+            passive_ramp(document, f"ramp_{k}_{i}", f"j{k}", tuple(rng.normal(size=3).tolist()), (low, high))
+    source = loaded(document.text())
+    what, parameters = program.read([source])
+    first, size = what.codes[Head.ELEMENT_AT], int(Element.SIZE)
+    elements = what.codes[first : first + what.codes[Head.ELEMENTS] * size].reshape(-1, size)
+    ramps = elements[elements[:, Element.KIND] == Kind.RAMPS]
+    assert sorted(ramps[:, Element.FEATURES]) == sorted(several[several > 0])
     check.check(what, parameters[0], source)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from llvmlite import ir
 
 from dipc_gym.engine.code import Code, Numbers, integer
-from dipc_gym.engine.layout import JOINTS, Element, Feature, Force, Head, Joint, Kind, Spring
+from dipc_gym.engine.layout import JOINTS, Element, Feature, Force, Head, Joint, Kind, Ramp, Spring
 from dipc_gym.engine.values import INT, Value, exp, maximum, minimum, sin, where
 
 
@@ -77,6 +77,22 @@ class Attached:
                 self.push(element, own.since(Spring.SIZE), -pull, forces)
             with code.when(code.equal(kind, int(Kind.YIELDING))):
                 self._yield(element, own, forces, rates)
+            with code.when(code.equal(kind, int(Kind.RAMPS))):
+                force = self._ramps(element, own)
+                for into in (drives, forces, *([] if passive is None else [passive])):
+                    self.push(element, own, force, into)
+
+    def _ramps(self, element: ir.Value, own: Numbers) -> Value:
+        """Sum of forces that rise along a stretch: a law over position or speed has one for each of its stretches."""
+        code, total = self.code, self.code.scratch(1)
+        length, speed = self.reach(element, own)
+        ramps = own.since(1)
+        total[0] = 0.0
+        with code.count(code.whole(element, Element.FEATURES)) as k:
+            ramp = ramps.since(code.product(k, int(Ramp.SIZE)))
+            rises = ramp[Ramp.BIAS] + ramp[Ramp.BIAS + 1] * length + ramp[Ramp.BIAS + 2] * speed
+            total[0] = total[0] + minimum(maximum(rises, ramp[Ramp.LOWEST]), ramp[Ramp.HIGHEST])
+        return total[0]
 
     def _yield(self, element: ir.Value, own: Numbers, forces: Numbers, rates: Numbers) -> None:
         """A spring bends so far and no further: where it is unbent then goes along, and stays where it was left.

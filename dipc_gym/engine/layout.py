@@ -56,6 +56,7 @@ class Kind(IntEnum):
     SPRING = 4
     STOP = 5
     YIELDING = 6  # a spring whose unbent position goes along where it is bent further than it bears
+    RAMPS = 7  # actuators of one joint that take no command: forces that rise along a stretch and are held beyond
 
 
 class Element(IntEnum):
@@ -67,7 +68,7 @@ class Element(IntEnum):
     CONTROL = 3  # -1 for none
     STATE = 4  # -1 for none
     NUMBERS = 5  # index of its first parameter
-    FEATURES = 6
+    FEATURES = 6  # of ramps how many there are
     SIZE = 7
 
 
@@ -106,6 +107,15 @@ class Spring(IntEnum):
     WEIGHT = 8  # of a stop: what its compliance adds to what it pushes on
     YIELD = 9  # of a spring that yields: how far it bends
     SIZE = 10
+
+
+class Ramp(IntEnum):
+    """Parameters of a ramp; those of an element stand one after the other, behind its term's coefficient."""
+
+    BIAS = 0  # and by length and speed
+    LOWEST = 3
+    HIGHEST = 4
+    SIZE = 5
 
 
 class Sensor(IntEnum):

@@ -221,7 +221,43 @@ class _Writer:
         return self._element(Kind.STOP, dofs, coefficients, numbers)
 
     def _actuators(self) -> list[list[int]]:
-        return [self._actuator(i) for i in range(self.model.nactuator)]
+        ramps = self._ramps()
+        others = sorted(set(range(self.model.nactuator)).difference(*ramps.values()))
+        alone = [self._actuator(i) for i in others]
+        return alone + [self._as_one(dof, which, gear) for (dof, gear), which in ramps.items()]
+
+    def _ramps(self) -> dict[tuple[int, float], list[int]]:
+        """Actuators that are a force of a joint's position and speed between limits, by joint and gear.
+
+        Laws over position and speed have one for each stretch. They are one element, for most of what an actuator costs
+        is what it might be.
+        """
+        model = self.model
+        gears, joints = model.actuator_gear[model.actuator_outadr, 0], model.actuator_trnid[:, 0]
+        are = (
+            (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+            & ((model.actuator_ctrlnum == 0) | (model.actuator_ctrladr >= self.controls))
+            & (model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE)
+            & (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED)
+            & (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE)
+            & (model.actuator_forcelimited != 0)
+            & (model.actuator_actlimited == 0)
+            & (model.actuator_plugin < 0)
+        )
+        which = np.flatnonzero(are)
+        found = dict[tuple[int, float], list[int]]()
+        dofs = model.jnt_dofadr[joints[which]].tolist()
+        for i, dof, gear in zip(which.tolist(), dofs, gears[which].tolist(), strict=True):
+            found.setdefault((dof, gear), []).append(i)
+        return found
+
+    def _as_one(self, dof: int, which: list[int], gear: float) -> list[int]:
+        """An element of ramps."""
+        model = self.model
+        ramps = np.concatenate([model.actuator_biasprm[which, :3], model.actuator_forcerange[which]], axis=1)
+        element = self._element(Kind.RAMPS, [dof], [gear], [], features=len(which))
+        self.numbers += ramps.ravel().tolist()
+        return element
 
     def _actuator(self, i: int) -> list[int]:
         model, kinds = self.model, mujoco.mjtDyn
