@@ -1,4 +1,4 @@
-"""The rivals of the blind trial: the windows they are judged by, the refit and the network."""
+"""The rivals of the blind trial: the windows they are judged by, the refit, the network and PySINDy."""
 
 import json
 import math
@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from dipc_gym.trials import catalogue, generate, network, prediction, replayed, rigs, rivals
+from dipc_gym.trials import catalogue, generate, network, prediction, replayed, rigs, rivals, sparse
 from dipc_gym.trials.generate import write_csv
 
 CART = "cart"
@@ -82,6 +82,23 @@ def test_the_network_learns_a_missing_force_and_leaves_a_complete_model_alone(tm
     assert network.learn(model, motions[:2], made.noise) is None
 
 
+def test_pysindy_finds_a_force_of_its_own_shape_and_leaves_a_complete_model_alone(tmp_path):
+    pytest.importorskip("pysindy")
+    made, model, motions, _ = rig_with(tmp_path, "drag.quadratic", (30.0,))
+    before = replayed.error(model, motions[2], made.noise)
+    force = sparse.discover(model, motions[:2], made.noise)
+    assert force is not None
+    assert replayed.error(model, motions[2], made.noise, force) < 0.05 * before
+    assert 0 < np.count_nonzero(force.coefficients) < force.coefficients.size / 2
+    still, moving = np.zeros((2, 1)), np.array([[-0.4], [0.4]])
+    backwards, forwards = force(still, moving, still)[:, 0]
+    assert backwards > 2 > -2 > forwards  # of a drag of 30 N s^2/m^2, 4.8 N; the command's terms share some of it
+    other = tmp_path / "complete"
+    other.mkdir()
+    made, model, motions, _ = rig_with(other)
+    assert sparse.discover(model, motions[:2], made.noise) is None
+
+
 def test_sysid_finds_wrong_parameters(tmp_path):
     sysid = pytest.importorskip("mujoco.sysid")
     if not hasattr(sysid, "optimize"):
@@ -127,7 +144,8 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
         for contest in contests:
             asked.append(contest.name)
             assert contest.noise == (1e-5,)
-            yield contest.name, {"sysid": {"error": 20.0, "seconds": 9.0}, "network": {"error": 4.0, "seconds": 3.0}}
+            errors = {"sysid": 20.0, "network": 4.0, "sparse": 0.5}
+            yield contest.name, {rival: {"error": error, "seconds": 3.0} for rival, error in errors.items()}
 
     monkeypatch.setattr(rivals, "generate", lambda out, **_: plans)
     monkeypatch.setattr(rivals, "swept", swept)
@@ -137,11 +155,12 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
     rows = rivals.compare(tmp_path, seed=1)
     assert asked == [plan.name for plan in plans]  # nobody is asked twice
     assert rows[1]["error"] == {
-        "nominal": 40.0, "sysid": 20.0, "network": 4.0, "diagnose": pytest.approx(1.1), "truth": 1.0
+        "nominal": 40.0, "sysid": 20.0, "network": 4.0, "sparse": 0.5, "diagnose": pytest.approx(1.1), "truth": 1.0
     }  # fmt: skip
     text = (tmp_path / "rivals.md").read_text()
     assert "nothing missing (1)" in text
     assert "| residual network | 4 (4 to 4) | 4 (4 to 4) |" in text
+    assert "below `mujoco.sysid` refit in 1, residual network in 1, PySINDy on estimated forces in 0 of 1." in text
     assert json.loads((tmp_path / "rivals.json").read_text())["seed"] == 1
 
 

@@ -42,7 +42,7 @@ class Trial:
     limit: float = 1800.0
     """seconds after which a diagnosis is stopped and counts as failed"""
     rivals: bool = False
-    """give the same trials to mujoco.sysid and to a residual network instead, and add their table"""
+    """give the same trials to mujoco.sysid, to a residual network and to PySINDy instead, and add their table"""
 
     def run(self) -> int:
         """Generate, diagnose, score, print the table."""

@@ -14,14 +14,12 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from dipc_gym.trials.replayed import SMOOTH, Array, Motion, error
+from dipc_gym.trials.replayed import Array, Motion, early_and_late, kept, lacking
 
 HIDDEN = 32  # units of each of two layers
 EPOCHS = 400  # at most
 PATIENCE = 60
 """Epochs without a better validation error after which training ends."""
-HELD_BACK = 0.2
-"""Last share of each training recording, for validation."""
 
 
 @dataclass(frozen=True)
@@ -50,31 +48,6 @@ class ResidualForce:
         return np.asarray(x * self.scale)
 
 
-def unexplained(model: mujoco.MjModel, motion: Motion) -> Array:
-    """Force that the model lacks at each sample, (samples, nv).
-
-    Differentiating a noisy reading smears accelerations; the model's own are smeared by the very same filter.
-    """
-    from scipy.signal import savgol_filter
-
-    data = mujoco.MjData(model)
-    modelled = np.empty_like(motion.a)
-    for k in range(len(modelled)):
-        data.qpos[:], data.qvel[:], data.ctrl[:] = motion.q[k], motion.v[k], motion.command[k]
-        mujoco.mj_forward(model, data)
-        modelled[k] = data.qacc
-    speed = np.concatenate([np.zeros((1, model.nv)), np.cumsum(modelled, axis=0)[:-1]]) * motion.step
-    way = np.cumsum(speed + 0.5 * motion.step * modelled, axis=0)
-    way = np.concatenate([np.zeros((1, model.nv)), way[:-1]]) * motion.step
-    missed = motion.a - savgol_filter(way, SMOOTH, 3, deriv=2, delta=motion.step, axis=0)
-    out = np.empty_like(missed)
-    for k in range(len(out)):
-        data.qpos[:] = motion.q[k]
-        mujoco.mj_forward(model, data)
-        mujoco.mj_mulM(model, data, out[k], missed[k])
-    return out
-
-
 def learn(
     model: mujoco.MjModel, motions: Sequence[Motion], noise: Array, *, seed: int = 0
 ) -> ResidualForce | None:  # fmt: skip
@@ -87,8 +60,7 @@ def learn(
         seed: of the weights.
     """
     force = regress(model, motions, seed=seed)
-    with_it, without = (np.mean([error(model, m, noise, f) ** 2 for m in motions]) for f in (force, None))
-    return force if with_it < without else None
+    return force if kept(model, motions, noise, force) else None
 
 
 def regress(model: mujoco.MjModel, motions: Sequence[Motion], *, seed: int = 0) -> ResidualForce:
@@ -101,22 +73,13 @@ def regress(model: mujoco.MjModel, motions: Sequence[Motion], *, seed: int = 0) 
     """
     import torch
 
-    ends = slice(SMOOTH, -SMOOTH)  # where a cubic cannot be centred, derivatives are poor
-    inputs = [np.concatenate([m.q, m.v, m.command], axis=1)[ends] for m in motions]
-    forces = [unexplained(model, m)[ends] for m in motions]
+    inputs, forces = lacking(model, motions)
     everything = np.concatenate(inputs)
     centre, spread = everything.mean(axis=0), everything.std(axis=0) + 1e-12
     scale = np.concatenate(forces).std(axis=0) + 1e-12
 
-    def part(arrays: Sequence[Array], last: bool) -> Array:
-        cut = [int((1 - HELD_BACK) * len(a)) for a in arrays]
-        return np.concatenate([a[c:] if last else a[:c] for a, c in zip(arrays, cut, strict=True)])
-
-    def tensors(last: bool) -> tuple[torch.Tensor, torch.Tensor]:
-        x, y = (part(inputs, last) - centre) / spread, part(forces, last) / scale
-        return torch.as_tensor(x, dtype=torch.float32), torch.as_tensor(y, dtype=torch.float32)
-
-    (x, y), (x_late, y_late) = tensors(False), tensors(True)
+    x, x_late = (torch.as_tensor((part - centre) / spread, dtype=torch.float32) for part in early_and_late(inputs))
+    y, y_late = (torch.as_tensor(part / scale, dtype=torch.float32) for part in early_and_late(forces))
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
@@ -128,7 +91,7 @@ def regress(model: mujoco.MjModel, motions: Sequence[Motion], *, seed: int = 0) 
         net[-1].weight.zero_()  # without evidence nothing is added
         net[-1].bias.zero_()
     optimizer = torch.optim.Adam(net.parameters(), lr=3e-3, weight_decay=1e-5)
-    best, kept, waited = float(torch.mean(y_late**2)), [p.detach().clone() for p in net.parameters()], 0
+    best, found, waited = float(torch.mean(y_late**2)), [p.detach().clone() for p in net.parameters()], 0
     for _ in range(EPOCHS):
         for rows in torch.randperm(len(x), generator=generator).split(512):
             optimizer.zero_grad()
@@ -137,11 +100,11 @@ def regress(model: mujoco.MjModel, motions: Sequence[Motion], *, seed: int = 0) 
         with torch.no_grad():
             late = float(torch.mean((net(x_late) - y_late) ** 2))
         if late < best:
-            best, kept, waited = late, [p.detach().clone() for p in net.parameters()], 0
+            best, found, waited = late, [p.detach().clone() for p in net.parameters()], 0
         else:
             waited += 1
             if waited >= PATIENCE:
                 break
-    arrays = [p.numpy().astype(float) for p in kept]
+    arrays = [p.numpy().astype(float) for p in found]
     layers = tuple(zip(arrays[::2], arrays[1::2], strict=True))
     return ResidualForce(centre, spread, scale, layers)

@@ -7,7 +7,7 @@ better initial states would remove.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +25,8 @@ STEPS = 4
 """Runge-Kutta steps a sample."""
 SMOOTH = 31
 """Samples over which a cubic is laid to differentiate a reading."""
+HELD_BACK = 0.2
+"""Last share of each training recording, by which those rivals that learn a force choose."""
 
 
 @dataclass(frozen=True)
@@ -143,3 +145,50 @@ def error(model: mujoco.MjModel, motion: Motion, noise: Array, force: Force | No
         return math.inf
     measured = (motion.cut(motion.measured) / noise).reshape(plain.shape)
     return float(np.sqrt(np.mean(without_initial(plain - measured, basis) ** 2)))
+
+
+def unexplained(model: mujoco.MjModel, motion: Motion) -> Array:
+    """Force that the model lacks at each sample, (samples, nv).
+
+    Differentiating a noisy reading smears accelerations; the model's own are smeared by the very same filter.
+    """
+    from scipy.signal import savgol_filter
+
+    data = mujoco.MjData(model)
+    modelled = np.empty_like(motion.a)
+    for k in range(len(modelled)):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = motion.q[k], motion.v[k], motion.command[k]
+        mujoco.mj_forward(model, data)
+        modelled[k] = data.qacc
+    speed = np.concatenate([np.zeros((1, model.nv)), np.cumsum(modelled, axis=0)[:-1]]) * motion.step
+    way = np.cumsum(speed + 0.5 * motion.step * modelled, axis=0)
+    way = np.concatenate([np.zeros((1, model.nv)), way[:-1]]) * motion.step
+    missed = motion.a - savgol_filter(way, SMOOTH, 3, deriv=2, delta=motion.step, axis=0)
+    out = np.empty_like(missed)
+    for k in range(len(out)):
+        data.qpos[:] = motion.q[k]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_mulM(model, data, out[k], missed[k])
+    return out
+
+
+def lacking(model: mujoco.MjModel, motions: Sequence[Motion]) -> tuple[list[Array], list[Array]]:
+    """Positions, velocities and command of each recording, (samples, 2 nv + 1), and the force that the model lacks
+    there, (samples, nv); without the ends, where a cubic cannot be centred and derivatives are poor.
+    """
+    ends = slice(SMOOTH, -SMOOTH)
+    inputs = [np.concatenate([m.q, m.v, m.command], axis=1)[ends] for m in motions]
+    return inputs, [unexplained(model, m)[ends] for m in motions]
+
+
+def early_and_late(arrays: Sequence[Array]) -> tuple[Array, Array]:
+    """The first part of each recording, to fit, and the last, to choose by."""
+    cuts = [int((1 - HELD_BACK) * len(a)) for a in arrays]
+    early = np.concatenate([a[:c] for a, c in zip(arrays, cuts, strict=True)])
+    return early, np.concatenate([a[c:] for a, c in zip(arrays, cuts, strict=True)])
+
+
+def kept(model: mujoco.MjModel, motions: Sequence[Motion], noise: Array, force: Force) -> bool:
+    """Whether recordings are simulated better with a force than without."""
+    with_it, without = (np.mean([error(model, m, noise, f) ** 2 for m in motions]) for f in (force, None))
+    return bool(with_it < without)

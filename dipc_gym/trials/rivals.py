@@ -1,6 +1,6 @@
-"""The same trials given to rivals: a refit by `mujoco.sysid`, and a network that learns the residual force.
+"""The same trials given to rivals: a refit by `mujoco.sysid`, a network that learns the residual force, and PySINDy.
 
-Neither can name what is missing; what they can be compared by is the held-out error.
+None can name what is missing; what they can be compared by is the held-out error.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from dipc_gym.trials.generate import generate
 from dipc_gym.trials.grade import CLEAR, in_noise
 from dipc_gym.trials.run import processes, swept
 
-NAMES = {"sysid": "`mujoco.sysid` refit", "network": "residual network"}
+NAMES = {"sysid": "`mujoco.sysid` refit", "network": "residual network", "sparse": "PySINDy on estimated forces"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contest:
-    """Fit both rivals to one trial, and measure their held-out errors.
+    """Fit the rivals to one trial, and measure their held-out errors.
 
     Attributes:
         folder: of the trial; other nodes need it under the same path.
@@ -53,6 +53,7 @@ class Contest:
         from dipc_gym.trials.network import learn
         from dipc_gym.trials.refit import refit
         from dipc_gym.trials.replayed import Motion, error
+        from dipc_gym.trials.sparse import discover
 
         quiet_mujoco()
         folder, noise = Path(self.folder), np.array(self.noise)
@@ -63,10 +64,11 @@ class Contest:
         note: dict[str, Any] = {"sysid": {"seconds": time.perf_counter() - begun, "factors": factors}}
         note["sysid"]["error"] = error(model, test, noise)
         nominal = mujoco.MjModel.from_xml_path(str(folder / "nominal.xml"))
-        begun = time.perf_counter()
-        force = learn(nominal, motions, noise)
-        note["network"] = {"seconds": time.perf_counter() - begun, "kept": force is not None}
-        note["network"]["error"] = error(nominal, test, noise, force)
+        for rival, learns in (("network", learn), ("sparse", discover)):
+            begun = time.perf_counter()
+            force = learns(nominal, motions, noise)
+            note[rival] = {"seconds": time.perf_counter() - begun, "kept": force is not None}
+            note[rival]["error"] = error(nominal, test, noise, force)
         return note
 
     def check(self, result: Any) -> None:
@@ -177,6 +179,7 @@ def markdown(rows: Sequence[Mapping[str, Any]], *, seed: int) -> str:
         "nominal": "nothing",
         "sysid": "its parameters; no structure",
         "network": "nothing",
+        "sparse": "a formula",
         "diagnose": "what, where, how much",
         "truth": "",
     }
@@ -193,8 +196,10 @@ def markdown(rows: Sequence[Mapping[str, Any]], *, seed: int) -> str:
         spent = ", ".join(f"{NAMES[k]} {np.median([r['seconds'][k] for r in rows]):.0f}" for k in NAMES)
         lines += ["", f"Median seconds a trial: {spent}."]
         both = [r["error"] for r in rows if r["kind"] != "null" and r["error"]["diagnose"] is not None]
-        ahead = sum(error["diagnose"] <= error["network"] for error in both)
-        lines += ["", f"Where something is hidden, `diagnose` is at or below the network in {ahead} of {len(both)}."]
+        ahead = [
+            f"{name} in {sum(error['diagnose'] <= error[rival] for error in both)}" for rival, name in NAMES.items()
+        ]
+        lines += ["", f"Where something is hidden, `diagnose` is at or below {', '.join(ahead)} of {len(both)}."]
     return "\n".join(lines) + "\n"
 
 

@@ -189,7 +189,7 @@ def _trial_files() -> dict[str, bytes]:
         "trial": "t001_cart", "tool": "t", "seconds": 5.0, "failure": None, "timed_out": False,
         "sensor_errors": {"cart": 1.9e-5}, "sensor_errors_own_step": {"cart": 2e-5},
     }  # fmt: skip
-    contest = {name: {"error": 2.0, "seconds": 3.0} for name in ("sysid", "network")}
+    contest = {name: {"error": 2.0, "seconds": 3.0} for name in ("sysid", "network", "sparse")}
     identity = {"schema": "dipc-gym/trial/1", "seed": 1, "full": False, "plans": 1}
     return {
         **{f"trials/t001_cart/{name}": text for name, text in given.items()},
