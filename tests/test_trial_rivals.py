@@ -118,6 +118,23 @@ def test_sysid_finds_wrong_parameters(tmp_path):
     assert set(factors) == {"cart.damping", "motor.gear", "cart.mass"}
 
 
+def test_a_rival_that_diverges_is_a_result(tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    pytest.importorskip("pysindy")
+    rig_with(tmp_path)
+    explodes = lambda q, *_: np.full_like(q, np.inf)  # noqa: E731
+    monkeypatch.setattr("dipc_gym.trials.network.learn", lambda *_: explodes)
+    monkeypatch.setattr("dipc_gym.trials.sparse.discover", lambda *_: None)
+    monkeypatch.setattr("dipc_gym.trials.refit.refit", lambda path, *_: (mujoco.MjModel.from_xml_path(str(path)), {}))
+    contest = rivals.Contest(folder=str(tmp_path), noise=(1e-5,))
+    note = json.loads(json.dumps(contest.run(), allow_nan=False))
+    contest.check(note)
+    assert note["network"]["error"] is None
+    assert note["network"]["kept"]
+    assert not note["sparse"]["kept"]
+    assert note["sparse"]["error"] == note["sysid"]["error"] > 0
+
+
 def test_the_table_of_rivals(tmp_path, monkeypatch):
     plans = [generate.Plan(1, "null", CART, "", False), generate.Plan(2, "single", CART, "load.spring", False)]
     (tmp_path / "sealed").mkdir()
@@ -144,7 +161,7 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
         for contest in contests:
             asked.append(contest.name)
             assert contest.noise == (1e-5,)
-            errors = {"sysid": 20.0, "network": 4.0, "sparse": 0.5}
+            errors = {"sysid": 20.0, "network": None if contest.name == plans[0].name else 4.0, "sparse": 0.5}
             yield contest.name, {rival: {"error": error, "seconds": 3.0} for rival, error in errors.items()}
 
     monkeypatch.setattr(rivals, "generate", lambda out, **_: plans)
@@ -159,7 +176,8 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
     }  # fmt: skip
     text = (tmp_path / "rivals.md").read_text()
     assert "nothing missing (1)" in text
-    assert "| residual network | 4 (4 to 4) | 4 (4 to 4) |" in text
+    assert "| residual network |  | 4 (4 to 4) |" in text
+    assert "residual network diverges on the held-out recording in 1, which its medians leave out." in text
     assert "below `mujoco.sysid` refit in 1, residual network in 1, PySINDy on estimated forces in 0 of 1." in text
     assert json.loads((tmp_path / "rivals.json").read_text())["seed"] == 1
 

@@ -42,7 +42,7 @@ ATTEMPT_MAY = {
     "files": {str: str},
 }
 DIAGNOSIS = {"verdict": str, "missing": [NAMED], "recalibrated": [object]}
-CONTEST = {name: {"error": float, "seconds": float} for name in ("sysid", "network", "sparse")}
+CONTEST = {name: {"error": (None, float), "seconds": float} for name in ("sysid", "network", "sparse")}
 PLAIN = re.compile(r"[\w.:+@/ -]{1,100}")
 """Names of effects and places; a table and a figure show them."""
 

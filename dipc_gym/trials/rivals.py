@@ -5,6 +5,7 @@ None can name what is missing; what they can be compared by is the held-out erro
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -46,7 +47,7 @@ class Contest:
         return Path(self.folder).name
 
     def run(self) -> dict[str, Any]:
-        """Fit; `seconds` and `error` (in units of noise) of each rival, and sysid's `factors`."""
+        """Fit; of each rival `seconds` and `error` (in units of noise, None if it diverges), and sysid's `factors`."""
         import mujoco
 
         from dipc_gym.mjcf import quiet_mujoco
@@ -62,13 +63,13 @@ class Contest:
         begun = time.perf_counter()
         model, factors = refit(folder / "nominal.xml", motions, noise)
         note: dict[str, Any] = {"sysid": {"seconds": time.perf_counter() - begun, "factors": factors}}
-        note["sysid"]["error"] = error(model, test, noise)
+        note["sysid"]["error"] = _finite(error(model, test, noise))
         nominal = mujoco.MjModel.from_xml_path(str(folder / "nominal.xml"))
         for rival, learns in (("network", learn), ("sparse", discover)):
             begun = time.perf_counter()
             force = learns(nominal, motions, noise)
             note[rival] = {"seconds": time.perf_counter() - begun, "kept": force is not None}
-            note[rival]["error"] = error(nominal, test, noise, force)
+            note[rival]["error"] = _finite(error(nominal, test, noise, force))
         return note
 
     def check(self, result: Any) -> None:
@@ -197,10 +198,20 @@ def markdown(rows: Sequence[Mapping[str, Any]], *, seed: int) -> str:
         lines += ["", f"Median seconds a trial: {spent}."]
         both = [r["error"] for r in rows if r["kind"] != "null" and r["error"]["diagnose"] is not None]
         ahead = [
-            f"{name} in {sum(error['diagnose'] <= error[rival] for error in both)}" for rival, name in NAMES.items()
+            f"{name} in {sum(e[rival] is None or e['diagnose'] <= e[rival] for e in both)}"
+            for rival, name in NAMES.items()
         ]
         lines += ["", f"Where something is hidden, `diagnose` is at or below {', '.join(ahead)} of {len(both)}."]
+        for rival, name in NAMES.items():
+            gone = sum(r["error"][rival] is None for r in rows)
+            if gone:
+                lines += ["", f"{name} diverges on the held-out recording in {gone}, which its medians leave out."]
     return "\n".join(lines) + "\n"
+
+
+def _finite(error: float) -> float | None:
+    """An error as a record holds it."""
+    return error if math.isfinite(error) else None
 
 
 def _cell(errors: Sequence[float | None]) -> str:
