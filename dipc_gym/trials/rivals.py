@@ -175,6 +175,7 @@ def markdown(rows: Sequence[Mapping[str, Any]], *, seed: int) -> str:
         "unknown physics": [r for r in rows if r["kind"] == "unknown"],
         "wrong parameters": [r for r in rows if r["kind"] == "wrong"],
     }
+    classes = {name: some for name, some in classes.items() if some}
     titles = {"nominal": "model as given", **NAMES, "diagnose": "`dipc-gym diagnose`", "truth": "true structure"}
     says = {
         "nominal": "nothing",
