@@ -236,6 +236,25 @@ class Document:
         """Say that an unseen joint starts where another one is."""
         self.add("custom", "text", name=FOLLOWS + joint, data=leader)
 
+    def in_keyframes(self, own: ET.Element, other: ET.Element) -> None:
+        """Let a joint that was added be where another one is in the file's keyframes, which list joints in order."""
+        keys = [key for key in self.root.iterfind("keyframe/key") if key.get("qpos") or key.get("qvel")]
+        if not keys:
+            return
+        joints = [joint for world in self.root.iterfind("worldbody") for joint in _in_order(world)]
+        own_at = joints.index(own)
+        joints.remove(own)
+        other_at = joints.index(other)
+        for attribute, free, ball in (("qpos", 7, 4), ("qvel", 6, 3)):
+            sizes = {"free": free, "ball": ball}
+            wide = [free if e.tag == "freejoint" else sizes.get(self.effective(e, "type", "hinge"), 1) for e in joints]
+            for key in keys:
+                values = key.get(attribute, "").split()
+                if len(values) != sum(wide):  # MuJoCo says what is wrong with it
+                    continue
+                values.insert(sum(wide[:own_at]), values[sum(wide[:other_at])])
+                self.set(key, **{attribute: " ".join(values)})
+
     def comment(self, *lines: str) -> None:
         """Put a comment at the top of the file."""
         words = "\n       ".join(re.sub("-(?=-)", "- ", line) for line in lines)
@@ -269,6 +288,24 @@ class Document:
     def _indent_last(parent: ET.Element, space: str) -> None:
         if len(parent):
             parent[-1].tail = "\n" + space
+
+
+def _in_order(body: ET.Element) -> Iterator[ET.Element]:
+    """Joints of a body and what it carries, as MuJoCo lists them: a body's own first, wherever they stand in it."""
+    inside = [*_directly(body)]
+    yield from (e for e in inside if e.tag != "body")
+    for child in inside:
+        if child.tag == "body":
+            yield from _in_order(child)
+
+
+def _directly(body: ET.Element) -> Iterator[ET.Element]:
+    """Joints and bodies in a body, those in its frames too."""
+    for e in body:
+        if e.tag == "frame":
+            yield from _directly(e)
+        elif e.tag in ("joint", "freejoint", "body"):
+            yield e
 
 
 def text(value: str | float | Sequence[float]) -> str:

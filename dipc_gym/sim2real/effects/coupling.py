@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 # Of a contact: the smallest that MuJoCo allows. Whatever presses on the contact keeps all but this share of its effect,
 # so the limit is a spring and a damper that only push. A large one holds a load without giving way.
 IMPEDANCE = 1e-4
+LIGHT = 1e-9  # kg and kg m^2, of a body whose inertia is its joint's armature: MuJoCo wants some of both
 
 
 def can_split(model: mujoco.MjModel, actuator: str) -> bool:
@@ -75,7 +76,8 @@ def beside(document: Document, name: str, at: str, inertia: float) -> str:
     """Take a part of what a joint moves out of it, as a body of its own that moves along the same axis.
 
     The model held both as one, as an armature or as part of the body: what the two weigh together stays, so that a
-    refit has nothing to make up for. Where the joint has no armature, a negative one takes the part out of the body.
+    refit has nothing to make up for. The part is an armature of its own joint, for what carries that joint carries the
+    body still, with all of its mass. Where the joint has no armature, a negative one takes the part out of the body.
 
     Args:
         document: to edit.
@@ -87,9 +89,8 @@ def beside(document: Document, name: str, at: str, inertia: float) -> str:
         Name of the part's joint.
     """
     joint = document.joint(at)
-    hinge = document.is_hinge(joint)
-    turned = inertia if hinge else 1e-6
-    own = _alongside(document, document.fresh(name), at, 1e-3 if hinge else inertia, turned)
+    own = _alongside(document, document.fresh(name), at)
+    document.set(own, armature=inertia - LIGHT)
     document.set(joint, armature=float(document.effective(joint, "armature", "0")) - inertia)
     return str(own.get("name"))
 
@@ -107,27 +108,45 @@ def node(document: Document, name: str, at: str, *, armature: float, damping: fl
     Returns:
         Name of the node's joint.
     """
-    own = _alongside(document, document.fresh(name), at, 1e-9, 1e-9)
+    own = _alongside(document, document.fresh(name), at)
     document.set(own, armature=armature, damping=damping)
     return str(own.get("name"))
 
 
-def _alongside(document: Document, name: str, at: str, mass: float, inertia: float) -> ET.Element:
-    """The joint of a body that moves along another joint's axis, carried by what carries that one's body."""
-    joint = document.joint(at)
+def _alongside(document: Document, name: str, at: str) -> ET.Element:
+    """The joint of a body of next to no mass that moves along another joint's axis, carried by what carries that one's
+    body; it begins, also in the file's keyframes, where the other one is.
+    """
+    joint, frames = document.joint(at), list[ET.Element]()
     body = document.parent(joint)
+    while body.tag == "frame":
+        frames.append(body)
+        body = document.parent(body)
     part = document.add(document.parent(body), "body", name=name, gravcomp=1)
-    for attribute in ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"):
-        if body.get(attribute):
-            document.set(part, **{attribute: body.get(attribute, "")})
+    _as_placed(document, part, body)
     place = document.effective(joint, "pos", "0 0 0")
-    document.add(part, "inertial", pos=place, mass=mass, diaginertia=(inertia,) * 3)
+    document.add(part, "inertial", pos=place, mass=LIGHT, diaginertia=(LIGHT,) * 3)
+    holder = part
+    for frame in reversed(frames):
+        holder = document.add(holder, "frame")
+        _as_placed(document, holder, frame)
     kind, axis = document.effective(joint, "type", "hinge"), document.effective(joint, "axis", "0 0 1")
-    own = document.add(part, "joint", name=name, type=kind, axis=axis, pos=place)
+    own = document.add(holder, "joint", name=name, type=kind, axis=axis, pos=place)
     document.plain(own, damping="0 0 0", stiffness="0 0 0", frictionloss="0", armature="0", springdamper="0 0")
     document.plain(own, limited="auto", range="0 0")
+    reference = document.effective(joint, "ref", "0")
+    if document.effective(own, "ref", "0") != reference:
+        document.set(own, ref=reference)
     document.follows(name, at)
+    document.in_keyframes(own, joint)
     return own
+
+
+def _as_placed(document: Document, element: ET.Element, other: ET.Element) -> None:
+    """Give a body or a frame the pose of another."""
+    for attribute in ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"):
+        if other.get(attribute):
+            document.set(element, **{attribute: other.get(attribute, "")})
 
 
 def couple(document: Document, name: str, rotor: str, load: str, stiffness: float, damping: float) -> None:

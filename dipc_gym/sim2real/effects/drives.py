@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import mujoco
 
 from dipc_gym.sim2real.effects.base import dof, joint_of
@@ -10,15 +12,25 @@ from dipc_gym.sim2real.effects.base import dof, joint_of
 def drive_of(model: mujoco.MjModel, actuator: str) -> tuple[float, float]:
     """Force at the joint for each unit of command at rest, and the command that each unit of velocity is worth; none
     for an actuator of something else.
+
+    A unit may be more than the actuator takes or gives, and may come later: limits and delays are left out.
     """
-    joint, data = joint_of(model, actuator), mujoco.MjData(model)
+    joint = joint_of(model, actuator)
     if joint is None:
         return 0.0, 0.0
-    at, control = dof(model, joint), int(model.actuator_ctrladr[model.actuator(actuator).id])
+    model = copy.copy(model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    model.actuator_forcelimited[:], model.jnt_actfrclimited[:], model.actuator_delay[:] = 0, 0, 0.0
+    data = mujoco.MjData(model)
+    at, i = dof(model, joint), model.actuator(actuator).id
+    control = int(model.actuator_ctrladr[i])
+    filtered = model.actuator_dyntype[i] in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
     forces = []
     for command, velocity in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
         data.ctrl[:], data.qvel[:] = 0.0, 0.0
         data.ctrl[control], data.qvel[at] = command, velocity
+        if filtered:
+            data.act[model.actuator_actadr[i]] = command
         mujoco.mj_forward(model, data)
         forces.append(float(data.qfrc_actuator[at]))
     none, driven, moved = forces

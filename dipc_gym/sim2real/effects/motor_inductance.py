@@ -31,13 +31,13 @@ class Inductance(Effect):
         return [{"time_constant": 0.002}, {"time_constant": 0.01}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
-        """The motor's time constant; a plain motor becomes a filtered one."""
+        """The motor's time constant; a plain motor is filtered, exactly, for the constant may be below the step."""
         actuator = document.actuator(at)
         if actuator.tag == "dcmotor":
             document.set(actuator, inductance=(0, values["time_constant"]))
         else:
             actuator.tag = "general"
-            document.set(actuator, dyntype="filter", dynprm=values["time_constant"])
+            document.set(actuator, dyntype="filterexact", dynprm=values["time_constant"])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

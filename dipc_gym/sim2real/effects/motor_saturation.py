@@ -34,9 +34,16 @@ class Saturation(Effect):
         return [{"limit": share * most} for share in (0.95, 0.8, 0.6, 0.4)] if most > 0 else []
 
     def edit(self, document: Document, at: str, values: Values) -> None:
-        """The actuator's control range."""
-        limit = max(values["limit"], 1e-9)  # MuJoCo refuses an empty range, and a fit may pass through one
-        document.set(document.actuator(at), ctrllimited="true", ctrlrange=(-limit, limit))
+        """The actuator's control range, within the one that it has."""
+        actuator, limit = document.actuator(at), values["limit"]
+        low, high = -limit, limit
+        given = document.effective(actuator, "ctrlrange").split()
+        if len(given) == 2 and document.effective(actuator, "ctrllimited", "auto") != "false":
+            least, most = map(float, given)
+            if least < most:
+                low, high = float(np.clip(low, least, most)), float(np.clip(high, least, most))
+        # MuJoCo refuses an empty range, and a fit may pass through one.
+        document.set(actuator, ctrllimited="true", ctrlrange=(low, max(high, low + 1e-9)))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -242,7 +242,8 @@ class Structure:
         document, values = self.document.copy(), self.values(z)
         for parameter in self.model_parameters:
             parameter.write(document, values[parameter.key])
-        for term in self.terms:
+        # A rotor of its own first: what acts on the drive acts on that, whichever of both was found before.
+        for term in sorted(self.terms, key=lambda term: term.effect.law != "rotor"):
             term.effect.edit(document, term.at, self._values_of(term, values))
         return document
 

@@ -89,7 +89,7 @@ def improved_model(
 def _at_rest(given: Document, improved: Document) -> list[str]:
     """A sentence on what dry friction sets beside its level, where it sets any of it."""
     option, attribute = "noslip_iterations", "solreffriction"
-    soft, stiff = ([joint.get(attribute) for joint in d.root.iter("joint")] for d in (given, improved))
+    soft, stiff = ({name: d.joint(name).get(attribute) for name in given.joint_names()} for d in (given, improved))
     names = [option] if given.get_option(option) != improved.get_option(option) else []
     names += [attribute] if soft != stiff else []
     if not names:
