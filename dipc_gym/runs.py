@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dipc_gym import ENV_ID, SWING_UP_ID, compensators, estimators, recording
 from dipc_gym.compensators import Compensator, Samples
 from dipc_gym.controllers import Controller, lqr
+from dipc_gym.controllers.designs import Dither
 from dipc_gym.controllers.tracking import Tracking, equilibrium
 from dipc_gym.estimators import Estimator, RigModel
 from dipc_gym.identification.excitation import Excitation
@@ -119,12 +120,12 @@ def identify(
         run = recording.read(from_recording, fixed, mapping=mapping, units=units)
     encoders, period = env.plant.encoders, env.plant.control_period
     data = samples(run, linear, encoders, period, block=sweep.block, smoothed=from_recording is not None)
-    found = excitation(run, linear, encoders, period, block=sweep.block)
+    late = env.plant.delay or delay(data, linear.constants)
+    found = excitation(run, linear, encoders, period, block=sweep.block, late=late)
     if from_recording is not None:
         _check_locked(run, env, from_recording, mapping, units)
         if found.refusal is not None:
             raise ValueError(f"{from_recording}: no compensator can be trained from this: {found.refusal}")
-    late = env.plant.delay or delay(data, linear.constants)
     if late:
         data = dataclasses.replace(data, voltage=delayed(data.voltage, period, late))
     rig = RigModel.of(*lqr.linear_model(env.model), env.plant, linear.constants.newtons_per_volt, late)
@@ -238,7 +239,8 @@ class Course:
             return 0.0
         off = np.abs(np.remainder(self.state[:, 1:3] - equilibrium(goal)[1:3] + math.pi, 2 * math.pi) - math.pi)
         away = np.flatnonzero((off > FALL).any(axis=1))
-        return self.lasted - (float(self.time[away[-1]] + self.time[1]) if len(away) else 0.0)
+        since = int(away[-1]) + 1 if len(away) else 0
+        return self.lasted - float(self.time[since]) if since < len(self.time) else 0.0
 
     @property
     def lasted(self) -> float:
@@ -278,8 +280,9 @@ def balance(
         fault: what the motor does to the voltages.
 
     Raises:
-        ValueError: `seconds` is not finite, or shorter than a control period; or the compensator needs an estimator
-            that observes friction, and this is none.
+        ValueError: `seconds` is not finite, or shorter than a control period; a blow falls outside them; the policy was
+            trained to see through another estimator; or the compensator needs one that observes friction, and this does
+            not.
     """
     env: gymnasium.Env[Any, Any] = gymnasium.make(
         ENV_ID, plant=plant, model=model, exact_state=exact_state, max_episode_steps=2**31
@@ -332,9 +335,6 @@ def swing_up(
     )
     if isinstance(controller, Tracking):
         controller.require(start, goal, _unwrapped(env).plant.control_period)
-        controller.reset()
-    if isinstance(controller, Policy):
-        controller.require_estimator(None if estimator is None else estimator.name)
     return _course(env, controller, compensator, seconds, seed, (), estimator, None)
 
 
@@ -365,7 +365,16 @@ def _course(
     state, readings = np.zeros((steps, 6)), np.zeros((steps, 3))
     force, voltage, action = np.zeros(steps), np.zeros(steps), np.zeros(1)
     done, clipped, fell = 0, 0, False
-    blows = {round(blow.time / period): blow.size for blow in given}
+    blows = dict[int, float]()
+    for blow in given:
+        k = round(blow.time / period)
+        if not 0 <= k < steps:
+            raise ValueError(f"a blow at {blow.time:g} s, in a run of {seconds:g} s; it must fall within")
+        blows[k] = blows.get(k, 0.0) + blow.size
+    if isinstance(controller, Dither | Tracking):
+        controller.reset()
+    if isinstance(controller, Policy):
+        controller.require_estimator(None if estimator is None else estimator.name)
     for k in range(steps):
         if k in blows:
             inner.strike(blows[k])

@@ -164,6 +164,15 @@ def test_state_option_sets_exactly_this_state() -> None:
     np.testing.assert_allclose(env.state, wanted, atol=1e-15)
 
 
+@pytest.mark.parametrize("plant", [{"supply": 48.0}, {"control_period": 0.01}])
+def test_spaces_and_rhythm_stay_for_all_episodes(plant: dict[str, float]) -> None:
+    env = make()
+    with pytest.raises(PlantError, match="cannot change supply or control_period"):
+        env.reset(seed=0, options={"plant": plant})
+    env.reset(seed=0)
+    assert env.plant == Plant()
+
+
 def test_plant_option_holds_for_one_episode() -> None:
     env = make()
     env.reset(seed=0, options={"plant": {"friction": {"coulomb": 1.0, "static": 2.0}}})
@@ -436,7 +445,7 @@ for camera in ("side", "follow"):
     env = gymnasium.make("DIPC-Friction-v0", render_mode="rgb_array", width=96, height=72, camera=camera)
     env.reset(options={"state": [0.2, 0.3, -0.3, 0, 0, 0]})
     pictures.append(env.render())
-    env.reset(options={"state": [-0.2, -0.3, 0.3, 0, 0, 0], "plant": {"supply": 12.0}})
+    env.reset(options={"state": [-0.2, -0.3, 0.3, 0, 0, 0], "plant": {"delay": 0.004}})
     pictures.append(env.render())
     env.close()
 for picture in pictures:

@@ -296,6 +296,20 @@ def test_the_vector_environment_is_the_single_one(made, name, compensator):
         alone = [env.step([force])[0] for env, force in zip(singles, forces.tolist(), strict=True)]
 
 
+@pytest.mark.parametrize("make", [gymnasium.make, lambda _, **kwargs: vector(1, **kwargs)])
+def test_a_voltage_that_the_rig_does_not_have_was_never_sent(made, make):
+    """An estimator fitted at 24 V, on a rig of 6 V that is asked for 20."""
+    friction = []
+    for volts in (6.0, 20.0):
+        env = make("DIPC-Friction-v0", plant={"supply": 6.0})
+        env = (EstimateState if isinstance(env, gymnasium.Env) else VectorEstimateState)(env, made["disturbance"])
+        env.reset(seed=2)
+        for _ in range(40):
+            env.step(np.full(np.shape(env.action_space.sample()), volts))
+        friction.append(np.ravel(env.friction_estimate).tolist())
+    assert friction[0] == friction[1]
+
+
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_estimates_begin_anew_with_the_episode(made, mode):
     envs = VectorEstimateState(vector(2, max_episode_steps=5, autoreset_mode=mode), made["disturbance"])

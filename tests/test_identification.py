@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.identification.run import Sweep, cart, cart_model, delay, delayed, locked, record, samples
 from dipc_gym.plant import Encoders, Friction, Plant
 from dipc_gym.recording import Recording
+from dipc_gym.runs import identify
 
 SOURCE = DoublePendulumEnv().source
 SHORT = Sweep(duration=12.0, high=4.0)
@@ -182,6 +185,17 @@ def test_a_run_that_diverges_is_not_started_again() -> None:
     model = cart_model(SOURCE.edited(text), Plant())
     with pytest.raises(ValueError, match=r"diverges at 0\.\d+ s; give the model a smaller <option timestep>"):
         record(model, Plant(), Sweep(duration=1.0))
+
+
+@pytest.mark.parametrize("late", [0.0, 0.04, 0.05])
+def test_a_recording_whose_motor_is_late_is_taken(late: float, tmp_path: Path) -> None:
+    plant = Plant(delay=late)
+    run = record(cart_model(SOURCE, plant), plant, Sweep(), seed=0)
+    path = tmp_path / "sweep.csv"
+    columns = np.column_stack([run.time, run.commands, run.sensors])
+    np.savetxt(path, columns, delimiter=",", header="time,motor,cart", comments="", fmt="%.9g")
+    found = identify(from_recording=str(path))
+    assert found.rig.delay == pytest.approx(late, abs=0.0013)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.004, 0.01, 0.03])

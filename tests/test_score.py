@@ -114,6 +114,32 @@ def test_several_blows_add_up():
     assert runs[1].state[3, 3] > runs[1].state[2, 3] * 0.5
 
 
+def test_blows_of_one_moment_add_up_and_none_is_lost():
+    brain, plain = lqr.LQR(np.zeros(6)), compensators.StaticGain(4.0)
+    whole, halves = (
+        balance(brain, plain, seconds=0.02, seed=1, exact_state=True, impulse=blows)
+        for blows in ([Impulse(0.25, 0.01)], [Impulse(0.125, 0.01), Impulse(0.125, 0.0101)])
+    )
+    np.testing.assert_array_equal(whole.state, halves.state)
+    for moment in (0.5, -0.01):
+        with pytest.raises(ValueError, match="must fall within"):
+            balance(brain, plain, seconds=0.02, seed=1, impulse=Impulse(0.1, moment))
+
+
+def test_a_dither_begins_anew_with_each_run():
+    shaking, plain = designs.Dither(amplitude=5.0, half=3), compensators.StaticGain(4.0)
+    runs = [balance(shaking, plain, seconds=0.05, seed=1) for _ in range(2)]
+    np.testing.assert_array_equal(runs[0].force, runs[1].force)
+
+
+def test_a_run_of_one_period_holds_or_does_not():
+    one = balance(lqr.LQR(np.zeros(6)), compensators.StaticGain(4.0), seconds=0.005, seed=1)
+    assert one.held("up-up") == one.lasted == 0.0
+    longer = balance(lqr.LQR(np.zeros(6)), compensators.StaticGain(4.0), seconds=0.05, seed=1)
+    assert longer.held("up-up") == pytest.approx(0.05)
+    assert longer.held("down-down") == 0.0
+
+
 # Designs of the controller
 
 

@@ -83,6 +83,7 @@ class EstimateState(
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Reset environment and estimator; at first, the environment's own observation is believed."""
         _, info = self.env.reset(seed=seed, options=options)
+        check_period(self.estimator, self._inner.plant.control_period)
         self._state, self._wanted = self.estimator.initial_state(self._inner.measured_state[None]), None
         return self._observation(), self._noted(info)
 
@@ -90,7 +91,8 @@ class EstimateState(
         """Hold a voltage, read the encoders, and estimate."""
         _, reward, terminated, truncated, info = self.env.step(action)
         rig = self.estimator.rig
-        voltage = np.clip(np.array([float(action[0])]), -rig.supply, rig.supply)
+        supply = min(rig.supply, self._inner.plant.supply)
+        voltage = np.clip(np.array([float(action[0])]), -supply, supply)
         force, friction = self._wanted or (rig.newtons_per_volt * voltage, None)
         self._wanted = None
         x, theta1, relative = self._inner.encoders

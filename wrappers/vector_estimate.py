@@ -80,7 +80,8 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         """Hold voltages, read the encoders, and estimate."""
         _, rewards, terminated, truncated, infos = self.env.step(actions)
         rig = self.estimator.rig
-        voltage = np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -rig.supply, rig.supply)
+        supply = min(rig.supply, self._inner.plant.supply)
+        voltage = np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -supply, supply)
         force, friction = self._wanted or (rig.newtons_per_volt * voltage, None)
         self._wanted = None
         readings = self._inner.encoders

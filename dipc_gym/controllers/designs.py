@@ -115,6 +115,10 @@ class Dither:
     name: str = "dither"
     _calls: list[int] = field(default_factory=lambda: [0], init=False, repr=False, compare=False)
 
+    def reset(self) -> None:
+        """Begin the wave anew."""
+        self._calls[0] = 0
+
     def force(self, observation: Array) -> float:
         """Minus gain times state, plus the wave, which goes on from call to call."""
         side = self._calls[0] // self.half % 2

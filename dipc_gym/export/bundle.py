@@ -101,6 +101,8 @@ def bundle(
     if not 0 < force_limit < np.inf:
         raise ValueError(f"--force-limit {force_limit:g}: give a positive number of newtons")
     filtered = FilteredDifference(plant.encoders.velocity_filter, plant.control_period)
+    if isinstance(brain, Policy):
+        brain.require_estimator(None if estimator is None else estimators.load(estimator).name)
     seeing: Estimator = filtered
     sight = f"differences of the readings through a low-pass of {1000 * filtered.time_constant:g} ms"
     if estimator is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -229,13 +229,15 @@ def samples(
 
 
 def excitation(
-    recording: Recording, cart: Cart, encoders: Encoders, period: float, *, block: float = 1.0
+    recording: Recording, cart: Cart, encoders: Encoders, period: float, *, block: float = 1.0, late: float = 0.0
 ) -> Excitation:
     """What the run covers, what it leaves out, and whether a compensator can be trained from it.
 
-    Arguments and errors are those of `samples`.
+    Arguments and errors are those of `samples`; voltages act `late` seconds late.
     """
     data = samples(recording, cart, encoders, period, block=block, smoothed=True)
+    if late:
+        data = replace(data, voltage=delayed(data.voltage, period, late))
     smoothed = smooth(_on_grid(recording, period)[2])
     frequency = np.linspace(0, math.pi, 2001)
     noise = force_noise(
@@ -279,6 +281,8 @@ def delay(data: Samples, constants: RigConstants) -> float:
         return 0.0
     period, speed = constants.period, np.gradient(data.position, constants.period)
     moving = np.abs(speed) > RUN.fast * np.abs(speed).max()
+    if not moving.any():
+        return 0.0
     columns = np.column_stack([np.sign(speed), speed])[moving]
     tried = np.arange(0.0, RUN.longest_delay, 0.25 * period)
     left = np.empty(len(tried))

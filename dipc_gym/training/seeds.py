@@ -99,7 +99,7 @@ def run(
     """
     sweep.check(jobs, backend)
     wanted = [PolicyTraining.of(training) for training in trainings]
-    for training in {(t.compensator, t.plant, t.model): t for t in trainings}.values():
+    for training in {(t.compensator, t.estimator, t.plan, t.plant, t.model): t for t in trainings}.values():
         Rig.of(training)  # a rig that cannot be is refused before anything is written
     done = {}
     with alone(out):
