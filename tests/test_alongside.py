@@ -109,6 +109,29 @@ def test_a_supply_weakens_the_motor_whichever_was_found_first() -> None:
         assert [said.model.joint(e.index).name for e in said.extras if e.effect == "motor.sag"] == ["m_rotor"]
 
 
+@pytest.mark.parametrize("kind", ["motor", "dcmotor"])
+@pytest.mark.parametrize(("effect", "at"), [("load.constant", "b"), ("transmission.compliance", "m")])
+def test_the_limit_of_a_joint_is_its_drives_and_no_other_forces(kind: str, effect: str, at: str) -> None:
+    low = -1 if kind == "motor" else -3  # a DC motor's torque has one limit for both ways
+    document = arm(more=f'actuatorfrcrange="{low} 3"', drive='gear="2"')
+    if kind == "dcmotor":
+        motor = document.actuator("m")
+        motor.tag = "dcmotor"
+        document.set(motor, resistance=1, motorconst=1)
+    forces = []
+    for edited in (False, True):
+        model = with_effect(document, effect, at, force=0.5) if edited else mjcf.compile(document.text())
+        data = mujoco.MjData(model)
+        pushed = [k for k in range(model.nv) if model.joint(int(model.dof_jntid[k])).name in ("b", "m_rotor")]
+        for command in (-50.0, -0.1, 0.1, 50.0):
+            data.ctrl[0] = command
+            mujoco.mj_forward(model, data)
+            forces.append(float(data.qfrc_actuator[pushed].sum()))
+    given, after = np.array(forces[:4]), np.array(forces[4:])
+    assert given == pytest.approx([low, -0.2, 0.2, 3])
+    assert after == pytest.approx(given + (0.5 if effect == "load.constant" else 0.0))
+
+
 def test_a_lag_shorter_than_the_step_is_stable() -> None:
     model = with_effect(arm(), "motor.inductance", "m", time_constant=2e-4)
     data = mujoco.MjData(model)

@@ -377,6 +377,7 @@ def passive_wave(document: Document, name: str, joint: str, size: float, per_uni
 
 def passive_motor(document: Document, name: str, joint: str, **physics: Sequence[float]) -> None:
     """A DC motor without winding or command, for what MuJoCo's motors have beside them: `cogging` or `lugre`."""
+    limit_the_drive(document, joint)
     element = document.add(
         "actuator",
         "dcmotor",
@@ -408,6 +409,7 @@ def passive_ramp(
 
     MuJoCo drops the last two where the gain is zero, and takes no empty range.
     """
+    limit_the_drive(document, joint)
     name = document.fresh(name)
     element = document.add(
         "actuator",
@@ -423,6 +425,37 @@ def passive_ramp(
     document.plain(element, dyntype="none", gaintype="fixed")
     shield(document, element)
     document.passive(name)
+
+
+def limit_the_drive(document: Document, joint: str) -> None:
+    """Give the one actuator of a joint the limit that the joint sets on all of its actuators' forces.
+
+    With an actuator that stands for a force beside it, the sum would be held within the limit, and not the drive. Where
+    several drive it, none of them has the limit alone, and it stays; as it does where a DC motor, whose torque has one
+    limit for both ways, would need two.
+    """
+    element = document.joint(joint)
+    limits = document.effective(element, "actuatorfrcrange").split()
+    drives = [e for e in document.root.iterfind("actuator/*") if e.get("joint") == joint]
+    if len(limits) != 2 or document.effective(element, "actuatorfrclimited", "auto") == "false" or len(drives) != 1:
+        return
+    (drive,) = drives
+    gear = float((document.effective(drive, "gear", "1").split() or ["1"])[0])
+    if not gear:
+        return
+    low, high = sorted(float(limit) / gear for limit in limits)
+    if drive.tag == "dcmotor":
+        numbers = [float(x) for x in document.effective(drive, "saturation", "0 0 0").split()]
+        if low == -high:
+            document.set(drive, saturation=[min(high, numbers[0] or high), *numbers[1:]])
+            document.set(element, actuatorfrclimited="false")
+        return
+    own = document.effective(drive, "forcerange").split()
+    if len(own) == 2 and document.effective(drive, "forcelimited", "auto") != "false":
+        low, high = max(low, float(own[0])), min(high, float(own[1]))
+    if low < high:
+        document.set(drive, forcelimited="true", forcerange=(low, high))
+        document.set(element, actuatorfrclimited="false")
 
 
 def shield(document: Document, element: ET.Element) -> None:

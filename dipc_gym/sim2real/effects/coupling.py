@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Evidence, dof, joint_of
+from dipc_gym.sim2real.effects.base import Evidence, dof, joint_of, limit_the_drive
 
 Array = NDArray[np.float64]
 
@@ -67,6 +67,7 @@ def split(document: Document, actuator: str, inertia: float) -> tuple[str, str]:
     """
     element = document.actuator(actuator)
     joint = element.get("joint", "")
+    limit_the_drive(document, joint)
     name = beside(document, f"{actuator}_rotor", joint, inertia)
     document.set(element, joint=name)
     return name, joint
