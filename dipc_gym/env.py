@@ -184,8 +184,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         if start is not None and state is not None:
             raise ValueError("give either options['start'] or options['state'], not both")
         family = self._family if plant is None else PlantFamily.of(plant, base=self._home)
-        if (family.base.supply, family.base.control_period) != (self._home.supply, self._home.control_period):
-            raise PlantError("options['plant'] cannot change supply or control_period; make another environment")
+        family.check_fixed(self._home)
         self._set_plant(family.draw(self.np_random))
         self._begin(self._start_state(start, state))
         if self.render_mode == "human":

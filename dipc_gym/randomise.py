@@ -118,6 +118,18 @@ class PlantFamily:
                 "give it these centres"
             )
 
+    def check_fixed(self, plant: Plant) -> None:
+        """Refuse plants that would change the action space and the rhythm of an environment made with another.
+
+        Args:
+            plant: what it was made with.
+
+        Raises:
+            PlantError: supply or control period are others.
+        """
+        if any(getattr(self.base, name) != getattr(plant, name) for name in FIXED):
+            raise PlantError(f"options['plant'] cannot change {' or '.join(FIXED)}; make another environment")
+
     @classmethod
     def of(
         cls, value: PlantFamily | Plant | Mapping[str, Any] | str | Path | None, base: Plant | None = None

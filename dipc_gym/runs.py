@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dipc_gym import ENV_ID, SWING_UP_ID, compensators, estimators, recording
 from dipc_gym.compensators import Compensator, Samples
 from dipc_gym.controllers import Controller, lqr
-from dipc_gym.controllers.designs import Dither
+from dipc_gym.controllers.base import Remembers
 from dipc_gym.controllers.tracking import Tracking, equilibrium
 from dipc_gym.estimators import Estimator, RigModel
 from dipc_gym.identification.excitation import Excitation
@@ -371,7 +371,7 @@ def _course(
         if not 0 <= k < steps:
             raise ValueError(f"a blow at {blow.time:g} s, in a run of {seconds:g} s; it must fall within")
         blows[k] = blows.get(k, 0.0) + blow.size
-    if isinstance(controller, Dither | Tracking):
+    if isinstance(controller, Remembers):
         controller.reset()
     if isinstance(controller, Policy):
         controller.require_estimator(None if estimator is None else estimator.name)

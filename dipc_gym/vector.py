@@ -336,8 +336,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     def _fitting(self, family: PlantFamily) -> PlantFamily:
         """The family, if all its plants have the layout of this batch."""
         mine, theirs = self._family.base, family.base
-        if (theirs.supply, theirs.control_period) != (mine.supply, mine.control_period):
-            raise PlantError("options['plant'] cannot change supply or control_period; make another environment")
+        family.check_fixed(mine)
         if family.longest_delay > self._family.longest_delay:
             raise PlantError(
                 f"options['plant'] has a delay of up to {family.longest_delay:g} s; this environment was made for "

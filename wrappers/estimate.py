@@ -83,7 +83,6 @@ class EstimateState(
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Reset environment and estimator; at first, the environment's own observation is believed."""
         _, info = self.env.reset(seed=seed, options=options)
-        check_period(self.estimator, self._inner.plant.control_period)
         self._state, self._wanted = self.estimator.initial_state(self._inner.measured_state[None]), None
         return self._observation(), self._noted(info)
 

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+@runtime_checkable
+class Remembers(Protocol):
+    """What else a controller has that keeps something in mind from call to call."""
+
+    def reset(self) -> None:
+        """Forget it: a run begins."""
 
 
 class Controller(Protocol):

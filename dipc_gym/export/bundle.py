@@ -101,12 +101,14 @@ def bundle(
     if not 0 < force_limit < np.inf:
         raise ValueError(f"--force-limit {force_limit:g}: give a positive number of newtons")
     filtered = FilteredDifference(plant.encoders.velocity_filter, plant.control_period)
-    if isinstance(brain, Policy):
-        brain.require_estimator(None if estimator is None else estimators.load(estimator).name)
     seeing: Estimator = filtered
     sight = f"differences of the readings through a low-pass of {1000 * filtered.time_constant:g} ms"
+    named: str | None = None
     if estimator is not None:
-        seeing, sight = _seeing(estimator, plant)
+        seeing, named = _seeing(estimator, plant)
+        sight = f"{named} of {estimator}"
+    if isinstance(brain, Policy):
+        brain.require_estimator(named)
     about = (
         f"Call it every {1000 * plant.control_period:g} ms.",
         "",
@@ -208,14 +210,14 @@ def vectors(program: Program, plant: Plant, model: str | None = None) -> Array:
 
 
 def _seeing(file: str, plant: Plant) -> tuple[Estimator, str]:
-    """An estimator from its file, for a loop of this period, and what it is called."""
+    """An estimator from its file, for a loop of this period, and its name."""
     estimator = estimators.load(file)
     if not np.isclose(estimator.rig.period, plant.control_period, rtol=1e-9, atol=0.0):
         raise ValueError(
             f"{file}: the estimator is for a control period of {1000 * estimator.rig.period:g} ms, and the plant's is "
             f"{1000 * plant.control_period:g} ms; fit it again with --plant"
         )
-    return cast(Estimator, estimator), f"{estimator.name} of {file}"  # `Loop` refuses those that have no form
+    return cast(Estimator, estimator), estimator.name  # `Loop` refuses those that have no form
 
 
 def _behind(policy: Policy, compensator: str | None) -> tuple[Compensator, str]:

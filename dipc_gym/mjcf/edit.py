@@ -125,6 +125,14 @@ class Document:
         """An attribute of an element: its own, or what the file's default classes give it."""
         return effective(self.root, element, attribute, default)
 
+    def limits(self, element: ET.Element, of: str) -> tuple[float, float] | None:
+        """The range that holds for what an element limits, such as `ctrl` or `force`; None without one."""
+        found = self.effective(element, f"{of}range").split()
+        if len(found) != 2 or self.effective(element, f"{of}limited", "auto") == "false":
+            return None
+        low, high = map(float, found)
+        return low, high
+
     def fresh(self, name: str) -> str:
         """The name, or one like it if something in the file has it already."""
         taken, candidate = {element.get("name") for element in self.root.iter()}, name

@@ -435,24 +435,24 @@ def limit_the_drive(document: Document, joint: str) -> None:
     limit for both ways, would need two.
     """
     element = document.joint(joint)
-    limits = document.effective(element, "actuatorfrcrange").split()
+    limits = document.limits(element, "actuatorfrc")
     drives = [e for e in document.root.iterfind("actuator/*") if e.get("joint") == joint]
-    if len(limits) != 2 or document.effective(element, "actuatorfrclimited", "auto") == "false" or len(drives) != 1:
+    if limits is None or len(drives) != 1:
         return
     (drive,) = drives
     gear = float((document.effective(drive, "gear", "1").split() or ["1"])[0])
     if not gear:
         return
-    low, high = sorted(float(limit) / gear for limit in limits)
+    low, high = sorted(limit / gear for limit in limits)
     if drive.tag == "dcmotor":
         numbers = [float(x) for x in document.effective(drive, "saturation", "0 0 0").split()]
         if low == -high:
             document.set(drive, saturation=[min(high, numbers[0] or high), *numbers[1:]])
             document.set(element, actuatorfrclimited="false")
         return
-    own = document.effective(drive, "forcerange").split()
-    if len(own) == 2 and document.effective(drive, "forcelimited", "auto") != "false":
-        low, high = max(low, float(own[0])), min(high, float(own[1]))
+    own = document.limits(drive, "force")
+    if own is not None:
+        low, high = max(low, own[0]), min(high, own[1])
     if low < high:
         document.set(drive, forcelimited="true", forcerange=(low, high))
         document.set(element, actuatorfrclimited="false")

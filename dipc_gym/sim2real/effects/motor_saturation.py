@@ -37,11 +37,9 @@ class Saturation(Effect):
         """The actuator's control range, within the one that it has."""
         actuator, limit = document.actuator(at), values["limit"]
         low, high = -limit, limit
-        given = document.effective(actuator, "ctrlrange").split()
-        if len(given) == 2 and document.effective(actuator, "ctrllimited", "auto") != "false":
-            least, most = map(float, given)
-            if least < most:
-                low, high = float(np.clip(low, least, most)), float(np.clip(high, least, most))
+        given = document.limits(actuator, "ctrl")
+        if given is not None and given[0] < given[1]:
+            low, high = (float(np.clip(end, *given)) for end in (low, high))
         # MuJoCo refuses an empty range, and a fit may pass through one.
         document.set(actuator, ctrllimited="true", ctrlrange=(low, max(high, low + 1e-9)))
 
