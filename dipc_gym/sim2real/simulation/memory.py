@@ -95,7 +95,7 @@ def memories(
     Args:
         variants: one model with different parameters.
         which: of the laws that remember.
-        base: names of the base joints; it acts on one of them.
+        base: names of the base joints; it acts on one of them, or on what follows one behind a gap or a spring.
         recording: its commands may be followed.
         motion: of the base joints.
         time: s, (n,).
@@ -103,16 +103,18 @@ def memories(
     Returns:
         (variants, n).
     """
-    laws = [variant.remembering[which] for variant in variants]
-    joint, follows = base.index(laws[0].at), None
+    model, laws = variants[0].model, [variant.remembering[which] for variant in variants]
+    moves = {name: name for name in base} | mjcf.followers(model)  # no recording has a rotor of its own
+    columns = {joint: base.index(leader) for joint, leader in moves.items()}
+    joint, follows = columns[laws[0].at], None
     for kind, k in laws[0].inputs:
         if kind == "command":
             held = np.searchsorted(recording.time, motion.time + 1e-9, side="right") - 1
             follows = variants[0].command(recording.commands, recording.time)[np.maximum(held, 0), k]
         else:
-            model = variants[0].model
-            at = [model.joint(name).dofadr[0] if kind == "velocity" else model.joint(name).qposadr[0] for name in base]
-            follows = (motion.velocity if kind == "velocity" else motion.position)[:, at.index(k)]
+            address = "dofadr" if kind == "velocity" else "qposadr"
+            at = {getattr(model.joint(name), address)[0]: column for name, column in columns.items()}
+            follows = (motion.velocity if kind == "velocity" else motion.position)[:, at[k]]
     numbers, each = np.unique([law.data for law in laws], axis=0, return_inverse=True)
     velocity = motion.velocity[:, joint]
     if laws[0].effect == RESTING:  # the noise of a reading would wake a joint that rests
