@@ -176,6 +176,24 @@ def test_windows_begin_with_what_the_motion_before_left(effect: str) -> None:
     assert np.sqrt(np.median(right.mse)) < 2
 
 
+@pytest.mark.parametrize("coupling", ["transmission.backlash", "transmission.compliance"])
+@pytest.mark.parametrize("effect", REMEMBER)
+def test_windows_begin_with_it_also_behind_a_coupling(effect: str, coupling: str) -> None:
+    """A supply that sags drives the rotor, of which no recording has a motion: it goes with the joint that it leads."""
+    play = catalogue()[coupling]
+    ready = prepared(CART, [record(with_entry(effect), sweep(4.0), 3.0, noise=(1e-5,))])
+    stiff = {"gap": 1e-5, "contact_rate": 900.0, "stiffness": 4e5, "damping": 50.0}
+    hidden = Term(play, "motor", {p.name: stiff.get(p.name, 0.3) for p in play.parameters})
+    errors = []
+    for terms in ([term(effect), hidden], [hidden, term(effect)], [hidden]):
+        structure = ready.structure
+        for one in terms:
+            structure = structure.with_term(one)
+        errors.append(np.median(fit(ready.problem, structure, most=0).mse))
+    assert errors[0] == pytest.approx(errors[1])
+    assert 4 * errors[0] < errors[2]
+
+
 @pytest.mark.parametrize("effect", ENTRIES)
 def test_a_diagnosis_finds_it_and_the_file_holds_it(effect: str, tmp_path: Path) -> None:
     """Hidden by a simulator that is written apart, and told from what it is easily mistaken for."""

@@ -487,7 +487,7 @@ def sealed(kind="single", missing=(("friction.coulomb", "cart"),), **other):
 
 
 def said(*effects_, verdict="explained", recalibrated=()):
-    return {"verdict": verdict, "missing": list(effects_), "recalibrated": list(recalibrated)}
+    return {"verdict": verdict, "missing": list(effects_), "recalibrated": list(recalibrated), "notes": []}
 
 
 def one(effect, at="cart", same=(), **parameters):
@@ -871,7 +871,10 @@ def test_ctrl_c_scores_what_is_done_nulls_first(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "swept", swept)
     with pytest.raises(KeyboardInterrupt):
         run.trial(tmp_path, seed=1)
-    assert "1 trials, 0 failed (0 of them out of time), 1 open" in (tmp_path / "report.md").read_text()
+    assert (
+        "1 trials, 0 failed (0 of them out of time), 0 with a stage that failed inside, 1 open"
+        in (tmp_path / "report.md").read_text()
+    )
 
 
 def test_a_run_that_was_stopped_goes_on_and_tries_failures_again(tmp_path, monkeypatch):

@@ -28,6 +28,8 @@ import numpy as np
 CLEAR = 2.0
 """From this size on, in noise standard deviations, an effect is expected to be found."""
 STRUCTURE_LEFT = ("unexplained", "partly explained")
+BROKEN = "Please report this with the files"
+"""Ends the note on a stage that failed inside; the diagnosis goes on without it."""
 
 
 @dataclass
@@ -65,6 +67,7 @@ class Grade:
         seconds: taken by the tool.
         failure: the tool's last words.
         timed_out: stopped because its time was up.
+        broken: a stage of the diagnosis failed inside, and what it would have found is lacking.
     """
 
     trial: str
@@ -95,6 +98,7 @@ class Grade:
     seconds: float = math.nan
     failure: str | None = None
     timed_out: bool = False
+    broken: bool = False
 
     @property
     def clear(self) -> bool:
@@ -131,6 +135,7 @@ def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attemp
         seconds=attempt.get("seconds", math.nan),
         failure=attempt.get("failure"),
         timed_out=attempt.get("timed_out", False),
+        broken=any(BROKEN in note for note in (diagnosis or {}).get("notes", ())),
     )
     if answer["kind"] in ("null", "wrong"):
         # A tool that failed raised no alarm, but it gave no all-clear either.

@@ -70,7 +70,8 @@ def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
     )
     lines = [
         f"Blind trial, seed {seed}: {s['trials']} trials, {len(s['failed'])} failed "
-        f"({len(s['timed_out'])} of them out of time), {scores['open']} open; "
+        f"({len(s['timed_out'])} of them out of time), {len(s['broken'])} with a stage that failed inside, "
+        f"{scores['open']} open; "
         f"{s['seconds_total'] / 3600:.2f} h of diagnosis in all.",
         "",
         f"| {s['clear']} trials in which the hidden moves the held-out prediction by twice the noise or more | |",
@@ -118,7 +119,7 @@ def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
 def _amiss(trial: Mapping[str, Any]) -> bool:
     """Whether a trial is worth a look: a wrong name, an alarm, an unknown that was missed or misnamed, a failure."""
     wrong = trial["name"] is False or trial["alarm"] or trial["unknown"] is False or trial["misnamed"]
-    return bool(wrong) or trial["verdict"] == "failed"
+    return bool(wrong or trial["broken"]) or trial["verdict"] == "failed"
 
 
 def _sizes(title: str, rows: Sequence[Mapping[str, Any]], scale: float, unit: str) -> list[str]:

@@ -69,6 +69,7 @@ def summarise(judged: Sequence[Grade]) -> dict[str, Any]:
         "trials": len(judged),
         "failed": [j.trial for j in judged if j.verdict == "failed"],
         "timed_out": [j.trial for j in judged if j.timed_out],
+        "broken": [j.trial for j in judged if j.broken],
         "clear": len(clear),
         "name": _rate([j.name for j in clear]),
         "routes": {route: sum(j.route == route for j in clear) for route in ("truth", "same", "part", "refit")},

@@ -216,8 +216,10 @@ class Shooting:
             if elsewhere:
                 residual = self.residuals([z], initial[None])[0]
         told = self.problem.windows.valid[..., None] & np.isfinite(readings) & (np.abs(residual) < ESTIMATION.blown_up)
-        slopes = np.where(told, np.concatenate([by_parameters, by_initial]), 0.0) / self.problem.windows.noise
-        change = np.moveaxis(np.nan_to_num(slopes).reshape(len(slopes), n, -1), 0, -1)
+        slopes = np.concatenate([by_parameters, by_initial]) / self.problem.windows.noise
+        # Slopes may come apart where the motion itself does not, and squares of them overflow.
+        slopes = np.where(told & (np.abs(slopes) < ESTIMATION.blown_up**2), slopes, 0.0)
+        change = np.moveaxis(slopes.reshape(len(slopes), n, -1), 0, -1)
         count = len(steps)
         prior = np.broadcast_to(np.diag(self.nudge / self.spread), (n, self.nb2, self.nb2))
         columns = np.concatenate([change[..., :count], np.zeros((n, self.nb2, count))], axis=1)
