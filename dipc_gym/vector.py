@@ -231,6 +231,11 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         return self._rigs.state
 
     @property
+    def waiting(self) -> Mask:
+        """Rows whose episode is over, and which the next step begins anew, whatever it is told, (num_envs,)."""
+        return self._ended.copy()
+
+    @property
     def measured_state(self) -> Array:
         """States as last observed, (num_envs, 6): cart, absolute angles, which count turns, and their rates."""
         return self._rigs.observations()

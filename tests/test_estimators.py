@@ -322,6 +322,7 @@ def test_estimates_begin_anew_with_the_episode(made, mode):
         if mode == "SameStep" and truncated.any():
             last = np.stack(list(infos["final_obs"]))
             assert (last[:, 3] != 0).all()  # the estimate, and not what the encoders' filter says
+            assert (infos["final_info"]["friction_estimate"] != 0).all()
 
 
 # In the loop

@@ -13,7 +13,7 @@ from dipc_gym.experiments import compare, score, tables
 from dipc_gym.experiments.compare import Comparison
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.runs import Impulse, balance
-from dipc_gym.wrappers import FaultyMotor
+from dipc_gym.wrappers import FaultyMotor, VectorFaultyMotor
 
 MASSES = {"cart": 0.56, "pole1": 0.57, "pole2": 0.128}
 
@@ -95,6 +95,26 @@ def test_a_motor_lags_or_overshoots(response, applied):
     assert [env.step([4.0])[4]["voltage"] for _ in range(3)] == applied
     env.reset(seed=1)
     assert env.step([4.0])[4]["voltage"] == applied[0]
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_motors_misbehave_in_a_row_as_they_do_alone_also_after_an_episode(mode):
+    many = {"vectorization_mode": "vector_entry_point", "autoreset_mode": mode}
+    rows = VectorFaultyMotor(gymnasium.make_vec("DIPC-Friction-v0", 2, max_episode_steps=4, **many), noise=0.5)
+    alone = FaultyMotor(gymnasium.make("DIPC-Friction-v0", max_episode_steps=4), noise=0.5)
+    rows.reset(seed=5)
+    alone.reset(seed=5)
+    episodes = 0
+    while episodes < 3:
+        said = rows.step(np.ones((2, 1)))[4]
+        if rows.unwrapped.began[0] and mode == "NextStep":
+            continue  # this step began the episode
+        *_, over, info = alone.step([1.0])
+        said = said.get("final_info", said) if over else said
+        assert said["voltage"][0] == info["voltage"]
+        if over:
+            alone.reset()
+            episodes += 1
 
 
 @pytest.mark.parametrize(("name", "value"), [("noise", -1.0), ("noise", np.nan), ("response", 0.0)])

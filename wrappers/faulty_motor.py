@@ -110,7 +110,8 @@ class VectorFaultyMotor(VectorWrapper[Any, Any, Any, Any, Any]):
         asked = np.asarray(actions, dtype=np.float64)[:, 0]
         self._applied = self.response * asked + (1 - self.response) * self._applied
         volts = self._applied.copy()
-        for i in np.flatnonzero(self.noise):
+        # A row that begins anew hears no command; a draw would leave its generator elsewhere than alone.
+        for i in np.flatnonzero((self.noise > 0) & ~self.env.unwrapped.waiting):  # type: ignore[attr-defined]
             volts[i] += self.noise[i] * self.env.unwrapped.np_random[i].standard_normal()  # type: ignore[index]
         found = self.env.step(volts[:, None])
         self._applied[self.env.unwrapped.began] = 0.0  # type: ignore[attr-defined]

@@ -74,7 +74,8 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         _, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._wanted = None
         self._begin()
-        return self._observations(), self._noted(infos)
+        self._note(infos, np.ones(self.num_envs, dtype=bool))
+        return self._observations(), infos
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Any, Any, Any, dict[str, Any]]:
         """Hold voltages, read the encoders, and estimate."""
@@ -96,8 +97,10 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
             last = self._observations()
             for i in np.flatnonzero(ended):
                 infos["final_obs"][i] = last[i].copy()
+            self._note(infos["final_info"], ended)
         self._begin()
-        return self._observations(), rewards, terminated, truncated, self._noted(infos)
+        self._note(infos, np.ones(self.num_envs, dtype=bool))
+        return self._observations(), rewards, terminated, truncated, infos
 
     def _observations(self) -> Array:
         return self._inner.observation_of(self.estimator.observation(self._state).copy())
@@ -117,8 +120,8 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
             fresh = self.estimator.initial_state(self._inner.measured_state)
             self._state = np.where(began[:, None], fresh, self._state)
 
-    def _noted(self, infos: dict[str, Any]) -> dict[str, Any]:
+    def _note(self, infos: dict[str, Any], rows: NDArray[np.bool_]) -> None:
+        """Add the friction of some rows to what is said of a step, or of the last one of episodes."""
         if self.estimator.observes_friction:
-            infos["friction_estimate"] = self.friction_estimate
-            infos["_friction_estimate"] = np.ones(self.num_envs, dtype=bool)
-        return infos
+            infos["friction_estimate"] = np.where(rows, self.friction_estimate, 0.0)
+            infos["_friction_estimate"] = rows.copy()
