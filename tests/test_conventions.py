@@ -111,6 +111,7 @@ def test_on_a_symmetric_rig_command_and_sensor_are_alike_and_either_is_mended_by
     assert cli.main([*asked, str(tmp_path / "first")]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "count command 'motor' the other way round, or to count sensor 'cart' the other way round" in said
-    assert "Turn its sign round (--unit motor=-1), or turn its sign round (--unit cart=-1), and diagnose again" in said
-    assert cli.main([*asked, str(tmp_path / "second"), "--unit", "motor=-1"]) == 0
+    mend = "urn its sign round (--unit {}=-1, or a minus before the unit given, as in -mm), "
+    assert f"T{mend.format('motor')}or t{mend.format('cart')}and diagnose again" in said
+    assert cli.main([*asked, str(tmp_path / "second"), "--unit", "motor=-V"]) == 0
     assert "Nothing is missing" in capsys.readouterr().out

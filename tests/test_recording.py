@@ -23,7 +23,7 @@ from dipc_gym.recording.checks import counted_on, quantum
 from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
 from dipc_gym.recording.held import ROUNDING
 from dipc_gym.recording.record import LARGEST
-from dipc_gym.recording.units import FACTORS, factor
+from dipc_gym.recording.units import FACTORS, check_kind, factor
 
 SHARED = Path(__file__).parents[1] / "../shared"
 FORMATS = [".csv", ".parquet", ".npz"]
@@ -201,10 +201,17 @@ def test_units_are_si() -> None:
     assert factor("deg") * 180 == math.pi
     assert factor("rpm") * 60 == 2 * math.pi
     assert factor("0.25") == 0.25
+    assert factor("-deg") * 180 == -math.pi
     assert all(value > 0 for value in FACTORS.values())
     for wrong in ("", "nan", "inf", "0", "Deg"):
         with pytest.raises(ValueError, match="unknown unit"):
             factor(wrong)
+
+
+@pytest.mark.parametrize(("unit", "volts"), [("V", 1.0), ("mV", 1e-3), ("-mV", -1e-3), ("%", 1e-2), ("2.5", 2.5)])
+def test_a_command_takes_any_unit_for_a_model_does_not_say_what_it_is_measured_in(unit: str, volts: float) -> None:
+    check_kind(unit, "")
+    assert factor(unit) == volts
 
 
 # What is refused

@@ -46,7 +46,8 @@ def check_kind(unit: str, si: str) -> None:
         Traceback (most recent call last):
         ValueError: it is measured in rad: use rad, mrad, deg, rev or a number (the factor to rad)
     """
-    if si in KINDS and unit in FACTORS and unit not in KINDS[si]:
+    unit = unit.removeprefix("-")
+    if si and unit in FACTORS and unit not in KINDS[si]:
         raise ValueError(f"it is measured in {si}: use {', '.join(KINDS[si])} or a number (the factor to {si})")
 
 
@@ -54,7 +55,8 @@ def factor(unit: str) -> float:
     """What a number in this unit is multiplied with to be in SI.
 
     Args:
-        unit: a name from the list, or the factor itself as a number (for encoder counts, say).
+        unit: a name from the list, with a minus before it where the other way is positive, or the factor itself as a
+            number (for encoder counts, say).
 
     Raises:
         ValueError: neither of the two; the message lists the names.
@@ -62,11 +64,14 @@ def factor(unit: str) -> float:
     Example:
         >>> factor("mm")
         0.001
+        >>> factor("-mm")
+        -0.001
         >>> factor("0.5")
         0.5
     """
-    if unit in FACTORS:
-        return FACTORS[unit]
+    name = unit.removeprefix("-")
+    if name in FACTORS:
+        return -FACTORS[name] if unit != name else FACTORS[name]
     try:
         value = float(unit)
     except ValueError:
@@ -74,7 +79,7 @@ def factor(unit: str) -> float:
     if not math.isfinite(value) or value == 0:
         raise ValueError(
             f"unknown unit {unit!r}; use a number (the factor to SI) or one of {', '.join(FACTORS)}"
-            f"{suggestion(unit, FACTORS)}"
+            f"{suggestion(name, FACTORS)}"
         )
     return value
 

@@ -68,15 +68,14 @@ def possible(physics: Physics, actuators: Sequence[str], sensors: Sequence[str])
     """
     same = Convention("", "", np.ones(len(actuators)), np.eye(len(sensors)), np.zeros(len(sensors)))
     for name, unit in zip(actuators, np.eye(len(actuators)), strict=True):
-        words, mend = f"count command {name!r} the other way round", f"turn its sign round (--unit {name}=-1)"
+        words, mend = f"count command {name!r} the other way round", _turn(name)
         yield replace(same, words=words, mend=mend, commands=1 - 2 * unit)
     read = _read(physics)
     for joint, (places, rates) in read.items():
         names = [sensors[s] for s in (*places, *rates)]
         turned = np.eye(len(sensors))
         turned[[*places, *rates]] *= -1
-        units = " ".join(f"--unit {name}=-1" for name in names)
-        words, mend = f"count {_listed(names)} the other way round", f"turn its sign round ({units})"
+        words, mend = f"count {_listed(names)} the other way round", _turn(*names)
         yield replace(same, words=words, mend=mend, sensors=turned)
         if mjcf.is_hinge(physics.model, joint):
             words = f"count {_listed(names[: len(places)])} from half a turn away"
@@ -160,6 +159,12 @@ def _read(physics: Physics) -> dict[str, tuple[list[int], list[int]]]:
         for j, joint in enumerate(mjcf.base_joints(physics.model))
     }
     return {joint: sensors for joint, sensors in found.items() if sensors[0]}
+
+
+def _turn(*names: str) -> str:
+    """How to turn the sign of columns round."""
+    units = " ".join(f"--unit {name}=-1" for name in names)
+    return f"turn its sign round ({units}, or a minus before the unit given, as in -mm)"
 
 
 def _listed(names: Sequence[str]) -> str:
