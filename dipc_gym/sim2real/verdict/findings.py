@@ -185,7 +185,7 @@ def missing_effects(
     missing = []
     for term, others, (share, tried) in zip(terms, rivals, asked, strict=True):
         units = improve.place_units(final.structure, term)
-        sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
+        sentence = improve.in_words(final.structure, final.z, term)
         law = _law(final, term, units, wide.of_laws)
         effect, formula = term.effect, found.formulas.get(term.key)
         if law is not None and isinstance(effect, Law) and formula is not None:
@@ -215,7 +215,7 @@ def named_alone(final: Fit) -> list[Missing]:
     missing = []
     for term in final.structure.terms:
         units = improve.place_units(final.structure, term)
-        sentence = term.effect.sentence(term.at, final.structure.term_values(final.z, term), units)
+        sentence = improve.in_words(final.structure, final.z, term)
         parameters = _parameters(final, term, units, np.full(len(final.z), np.inf))
         loader = term.effect.needs_loader
         missing.append(Missing(term.effect.name, term.at, sentence, math.nan, parameters, needs_loader=loader))

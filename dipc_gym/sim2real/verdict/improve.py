@@ -19,6 +19,7 @@ from dipc_gym.sim2real.result import AsWritten
 from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.simulation.batch import is_stiff
 from dipc_gym.sim2real.verdict import sentences
+from dipc_gym.sim2real.verdict.in_place import in_place_of
 from dipc_gym.sim2real.verdict.settings import VERDICT
 from dipc_gym.sim2real.verdict.written import written
 
@@ -57,7 +58,7 @@ def improved_model(
     dropped = [t.key for t in final.structure.terms if len(kept) < len(final.structure.terms) and t.key not in kept]
     found_terms = [term for term in final.structure.terms if term.key not in dropped]
     for term, found in zip(structure.terms, found_terms, strict=True):
-        lines.append(found.effect.sentence(found.at, structure.term_values(z, term), place_units(structure, term)))
+        lines.append(in_words(structure, z, term, found))
         if found.key in forms:
             lines[-1] += f" Written as {forms[found.key]}, which predicts best at this file's step."
     loaders = [t.key for t in structure.terms if t.effect.needs_loader]
@@ -100,6 +101,21 @@ def _at_rest(given: Document, improved: Document) -> list[str]:
 def _stiff(structure: Structure, z: Array) -> bool:
     """Whether a model holds dry friction whose constants were chosen with its step in mind."""
     return bool(is_stiff(structure.physics(z).model).any())
+
+
+def in_words(structure: Structure, z: Array, term: Term, found: Term | None = None) -> str:
+    """An effect in a sentence, and what of the model it takes the place of.
+
+    Args:
+        structure: that holds it.
+        z: mapped parameters, (p,).
+        term: the effect.
+        found: as it was fitted, where `term` is another form of it.
+    """
+    values, found = structure.term_values(z, term), found or term
+    said = found.effect.sentence(found.at, values, place_units(structure, term))
+    before = in_place_of(structure.document, term, values)
+    return f"{said} It takes the place of {before}." if before else said
 
 
 def place_units(structure: Structure, term: Term) -> dict[str, str]:

@@ -1,0 +1,54 @@
+"""What a found effect takes the place of: a model may hold a delay already, of another length.
+
+Most effects are asked where the model has nothing of the kind, or its parameter is refitted. These few write over what
+is there, so what is told of them is the whole, and not what was lacking.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.sim2real.model.structure import Term
+
+# Of a joint, an actuator or a sensor; a joint's first damping is a parameter of the model, those of higher powers not.
+WHOLE = {"delay": 0, "cogging": 0, "saturation": 0, "damping": 1}
+
+
+def in_place_of(document: Document, term: Term, values: Mapping[str, float]) -> str:
+    """What an effect writes over, as the text of the model has it; empty where it adds to the model.
+
+    Args:
+        document: of the model without the effect.
+        term: the effect at its place.
+        values: of its parameters.
+    """
+    after = document.copy()
+    term.effect.edit(after, term.at, values)
+    had, has = _entries(document), _entries(after)
+    found = [f'the {name} of <custom>, "{data}"' for name, data in had.items() if has.get(name) != data]
+    found += [
+        f'{attribute}="{before}"'
+        for (tag, name), element in _named(document).items()
+        if name == term.at and (tag, name) in _named(after)
+        for attribute, first in WHOLE.items()
+        for before in [document.effective(element, attribute)]
+        if any(map(float, before.split()[first:])) and before != after.effective(_named(after)[tag, name], attribute)
+    ]
+    return " and ".join(found)
+
+
+def _entries(document: Document) -> dict[str, str]:
+    """Data of the entries of `<custom>` by name."""
+    return {entry.get("name", ""): entry.get("data", "") for entry in document.root.iterfind("custom/numeric")}
+
+
+def _named(document: Document) -> dict[tuple[str, str], ET.Element]:
+    """Elements that effects may stand in, by what they are in and by name."""
+    groups = {
+        "joint": document.root.iterfind(".//worldbody//joint"),
+        "actuator": document.root.iterfind("actuator/*"),
+        "sensor": document.root.iterfind("sensor/*"),
+    }
+    return {(group, element.get("name", "")): element for group, found in groups.items() for element in found}
