@@ -20,7 +20,7 @@ from dipc_gym import mjcf
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.effects import Values, catalogue
-from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term, names
 from dipc_gym.sim2real.selection.baseline import baseline
@@ -33,7 +33,7 @@ from dipc_gym.sim2real.selection.search import Search, Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.verdict import judge, judgement, sparse
-from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
+from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude, without_idle
 from dipc_gym.sim2real.verdict.settings import VERDICT
 from dipc_gym.sim2real.verdict.withheld import gather
 
@@ -180,6 +180,19 @@ def test_what_improves_predictions_by_too_little_has_no_name() -> None:
     assert found(concluded.fitted)[0] == "friction.coulomb"
     named = [name for name in names(concluded.fitted.structure.terms) if name not in concluded.unnamed]
     assert named == ["friction.coulomb@cart"]
+
+
+def test_what_predicts_nothing_elsewhere_goes_and_what_happened_once_stays() -> None:
+    """A coupling so stiff that it does nothing, and a push that no other window shows."""
+    values = {"stiffness": 1e5, "damping": 50.0, "rotor_inertia": 0.1}
+    push = {"force": 4.0, "start": 4.95, "duration": 0.1}
+    search = sticky().accepting("friction.coulomb")
+    structure = search.progress.current.structure
+    structure = structure.with_term(Term(catalogue()["transmission.compliance"], "motor", values))
+    structure = structure.with_term(Term(catalogue()["disturbance.pulse"], "cart", push))
+    every = fit(search.partition.problem, structure, most=2)
+    assert search.scorer.comparison_error(every) < SCORE.at_floor
+    assert found(without_idle(search, every)) == ["friction.coulomb", "disturbance.pulse"]
 
 
 def test_ctrl_c_while_effects_are_judged_keeps_them(monkeypatch: pytest.MonkeyPatch) -> None:
