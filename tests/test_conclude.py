@@ -143,7 +143,8 @@ def test_effects_that_validation_data_strike_off_altogether() -> None:
 def test_a_name_that_needs_nothing_beside_it_goes_before_two() -> None:
     """Beside a spring a steady force is a sensor's bias. The friction that was accepted with the force is idle.
 
-    As one of a pair, neither was ever compared with what would do alone.
+    As one of a pair, neither was ever compared with what would do alone. Which of the two that do is named, is chance;
+    the other is told beside it.
     """
     sprung = NOMINAL.replace('damping="40"', 'damping="40" stiffness="200"')
     seen = run(3, 20, 0.0, spring=200.0)
@@ -153,7 +154,9 @@ def test_a_name_that_needs_nothing_beside_it_goes_before_two() -> None:
     pair = both.accepting("load.constant", "friction.coulomb", friction_coulomb={"level": 1e-3})
     assert found(pair.progress.current) == ["load.constant", "friction.coulomb"]
     concluded = conclude(pair)[1]
-    assert found(concluded.fitted) == ["sensor.bias"]
+    (one,) = found(concluded.fitted)
+    other = {"sensor.bias": "load.constant", "load.constant": "sensor.bias"}[one]
+    assert other in {rival.term.effect.id for group in concluded.rivals.values() for rival in group if rival.same}
     assert concluded.fitted.error < 1.2
 
 

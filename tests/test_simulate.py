@@ -379,6 +379,22 @@ def test_a_lagging_sensor_remembers_the_motion_before_its_window() -> None:
     np.testing.assert_allclose(readings, windows.observed[0, :, 0], atol=5e-3 * bend)
 
 
+@pytest.mark.parametrize("stepping", [Stepping(2e-4, RK4), Stepping(5e-5, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)])
+def test_windows_of_a_fast_axis_begin_with_what_its_late_sensor_read(stepping: Stepping) -> None:
+    """The motion that it tells is late itself, so that what follows from it is far from the reading."""
+    axis = """<mujoco><option timestep="5e-4" integrator="implicitfast"/><worldbody><body>
+      <inertial pos="0 0 0" mass="0.1" diaginertia="2e-4 2e-4 2e-4"/>
+      <joint name="axis" type="hinge" axis="0 0 1" damping="2e-4"/></body></worldbody>
+      <actuator><motor name="motor" joint="axis"/></actuator>
+      <sensor><jointpos name="axis" joint="axis"/></sensor></mujoco>"""
+    late, noise = {"time_constant": 0.011}, 2.4e-4
+    run = record(rig(axis, "timing.sensor_lag", "axis", **late), sweep(0.06), noise=noise, step=1e-4, integrator=RK4)
+    ready = prepared(axis, [run], stepping=stepping)
+    there = ready.structure.with_term(Term(catalogue()["timing.sensor_lag"], "axis", late))
+    assert fit(ready.problem, ready.structure, most=0).error > 50
+    assert fit(ready.problem, there, most=0).error < 1.1
+
+
 def test_currents_follow_voltages_with_their_time_constant() -> None:
     """A locked motor's torque, integrated by a flywheel that hardly moves, against the closed form."""
     text = CART.replace('mass="1.26"', 'mass="1e4"').replace('damping="21.4"', 'damping="0"')

@@ -20,6 +20,7 @@ class SensorLag(Effect):
     finest = EFFECTS.fast  # between steps what it follows goes straight
     needs_loader = True
     moves_readings = True
+    linear = ("time_constant",)  # the reading stays behind in proportion to it
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """A short and a long one."""

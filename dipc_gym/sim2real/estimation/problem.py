@@ -109,8 +109,10 @@ def predict(problem: Problem, structure: Structure, Z: Sequence[Array], initial:
     return predict_with(problem, structure, variants, initial)
 
 
-def predict_with(problem: Problem, structure: Structure, variants: Sequence[Physics], initial: Array) -> Array:
-    """Readings (variants, n, m, ns) of models that have this structure."""
+def predict_with(
+    problem: Problem, structure: Structure, variants: Sequence[Physics], initial: Array, *, as_read: bool = True
+) -> Array:
+    """Readings (variants, n, m, ns) of models that have this structure; for `as_read` see `batch.simulate`."""
     warm, found = structure.warm, list[Array]()
     for which, part, halved in problem.by_step():
         windows = part.windows
@@ -124,6 +126,7 @@ def predict_with(problem: Problem, structure: Structure, variants: Sequence[Phys
                 warm=warm,
                 approach=_approach(windows, warm),
                 threads=cores(problem.threads),
+                as_read=as_read,
             )
         )
     return _in_order(problem, found)

@@ -131,7 +131,9 @@ def _best(fitted: _Fitted, group: Sequence[Term]) -> Tried | None:
         possible.append(term)
     if not possible:
         return None
-    all_readings = predict_with(problem, current.structure.with_term(possible[0]), variants, current.initial[None])
+    with_it = current.structure.with_term(possible[0])
+    # The initial states of the fit so far are those of a sensor in time; they and a late one's readings do not agree.
+    all_readings = predict_with(problem, with_it, variants, current.initial[None], as_read=False)
     tried = []
     for term, readings in zip(possible, all_readings, strict=True):
         response = _response(fitted, readings)

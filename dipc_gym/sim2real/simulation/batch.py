@@ -10,7 +10,7 @@ import contextlib
 import copy
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -91,6 +91,7 @@ def simulate(
     warm: float = 0.0,
     approach: Array | None = None,
     threads: int = 0,
+    as_read: bool = True,
 ) -> Array:
     """Predict the sensors of every window with every variant.
 
@@ -104,6 +105,8 @@ def simulate(
         approach: as `initial`, where each of so many equal stretches of that begins, (k, n, 2 nb); needed if `warm` is
             positive. There joints are put back, for a rig that has to be balanced would fall meanwhile.
         threads: for MuJoCo's batch; 0 means all cores.
+        as_read: whether lagging sensors begin near what they read, see `Windows.as_read`, and not as far behind as the
+            motion before has left them.
 
     Returns:
         Readings (variants, n, m, ns); huge or not a number from where a simulation diverged.
@@ -115,8 +118,16 @@ def simulate(
         which = np.array([next(i for i, one in enumerate(distinct) if one is variant) for variant in variants])
         with contextlib.suppress(Uncovered):
             of = compiled(distinct, windows, base, grid_step(windows, stepping))
-            return predicted(of, initial, which, warm, approach, threads)
+            return predicted(of, initial, which, warm, approach, threads, as_read=as_read)
     runs, track = _Runs(variants, windows, stepping, base, threads), None
+    addresses = mjcf.sensor_addresses(runs.sims.model).tolist()
+    near = as_read and not runs.late.any()
+
+    def begins(address: int, remembered: Array) -> Array:
+        if not near:
+            return remembered
+        return windows.as_read(addresses.index(address), remembered.reshape(count, n)).ravel()
+
     if warm > 0:
         assert approach is not None
         before = math.ceil(warm / runs.step - 1e-9)
@@ -144,7 +155,7 @@ def simulate(
     nstep = max(math.floor((windows.times.max() + ahead.max(initial=0.0)) / runs.step + 1e-6) + 2, 4)  # of a cubic
     readings = runs.run(0, nstep, record=True)
     assert readings is not None
-    readings = _sense(runs.physics, readings, track, runs.step)
+    readings = _sense(runs.physics, readings, track, runs.step, begins)
     readings = readings[..., mjcf.sensor_addresses(runs.sims.model)].reshape(count, n, nstep, -1)
     out = _at_samples(readings, windows.times, runs.step)
     for k, sensor in np.argwhere(ahead > 0):
@@ -367,7 +378,13 @@ def _spread(sims: mjbatch.Batch, models: Sequence[mujoco.MjModel], which: NDArra
         sims.expand(name)[...] = np.stack(values)[which].reshape(sims.expand(name).shape)
 
 
-def _sense(physics: Physics, readings: Array, track: Array | None, step: float) -> Array:
+def _sense(
+    physics: Physics,
+    readings: Array,
+    track: Array | None,
+    step: float,
+    begins: Callable[[int, Array], Array],
+) -> Array:
     """Apply what the sensors do to the model's readings (sims, nstep, nsensordata).
 
     Args:
@@ -375,6 +392,7 @@ def _sense(physics: Physics, readings: Array, track: Array | None, step: float) 
         readings: of the model, from each window's start on.
         track: readings before that, where sensors remember them; the last are of the start, as it was approached.
         step: between readings, s.
+        begins: what a sensor at an address remembers where windows begin, (sims,), from what it would without them.
     """
     if not physics.stage("lag"):
         return physics.sense(readings.swapaxes(0, 1)).swapaxes(0, 1)
@@ -387,6 +405,10 @@ def _sense(physics: Physics, readings: Array, track: Array | None, step: float) 
     memory = physics.sensor_memory(whole[:, 0])
     for k in range(whole.shape[1]):
         out[:, k] = physics.sense(whole[:, k], memory, step if k else 0.0)
+        if track is not None and k == whole.shape[1] - readings.shape[1] and not physics.stage("sensor"):
+            assert memory is not None
+            for lag in physics.stage("lag"):
+                memory[1][:, lag.index] = out[:, k, lag.index] = begins(lag.index, out[:, k, lag.index])
     return out[:, -readings.shape[1] :]
 
 

@@ -61,16 +61,17 @@ class Compiled:
         return self.variants[0].model
 
     @property
-    def _lags(self) -> list[tuple[int, list[int], Array]]:
-        """State of each lag, the states whose sum its sensor reads, and their weights, which no variant changes."""
+    def _lags(self) -> list[tuple[int, int, list[int], Array]]:
+        """Sensor and state of each lag, the states whose sum it reads, and their weights, which no variant changes."""
         codes = self.program.codes
         first = int(codes[Head.SENSOR_AT])
         sensors = codes[first : first + int(codes[Head.SENSORS]) * int(Sensor.SIZE)].reshape(-1, int(Sensor.SIZE))
         lags = []
-        for one in sensors[sensors[:, Sensor.LAG] >= 0]:
+        for k in np.flatnonzero(sensors[:, Sensor.LAG] >= 0):
+            one = sensors[k]
             at, terms, weights = int(one[Sensor.TERM_AT]), int(one[Sensor.TERMS]), int(one[Sensor.NUMBERS])
             states = codes[at : at + terms].tolist()
-            lags.append((int(one[Sensor.LAG]), states, self.parameters[0, weights : weights + terms]))
+            lags.append((int(k), int(one[Sensor.LAG]), states, self.parameters[0, weights : weights + terms]))
         return lags
 
     @property
@@ -170,7 +171,7 @@ class Compiled:
         states = np.zeros((len(self.variants), len(self.windows), self.program.nx))
         time = self.windows.start + at - self.parameters[0, self.program.codes[Head.LATE]]
         begin(self._places(states), initial, self.variants, self.windows, self.base, self._delays, time)
-        for lag, read, weights in self._lags:
+        for _, lag, read, weights in self._lags:
             states[..., lag] = states[..., read] @ weights
         return states
 
@@ -190,8 +191,16 @@ class Compiled:
             out[..., seen] = initial[..., part * nb : (part + 1) * nb]
             out[..., behind] = out[..., lead] + np.where(kept, states[..., behind] - states[..., lead], 0.0)
         self._places(out).stay_bent(self.model, out[..., :n] - states[..., :n])
-        for lag, read, weights in self._lags:
+        for _, lag, read, weights in self._lags:
             out[..., lag] += (out[..., read] - states[..., read]) @ weights
+        return out
+
+    def as_read(self, states: Array) -> Array:
+        """States (..., windows, nx) where windows begin, with lagging sensors near what they read there."""
+        out = states.copy()
+        if not self.variants[0].stage("sensor") and not self.parameters[:, self.program.codes[Head.LATE]].any():
+            for sensor, lag, _, _ in self._lags:
+                out[..., lag] = self.windows.as_read(sensor, states[..., lag])
         return out
 
     def sampled(self) -> tuple[Array, Array]:
@@ -253,7 +262,14 @@ def left_to_mujoco(source: Physics) -> list[str]:
 
 
 def predicted(
-    of: Compiled, initial: Array, which: NDArray[np.intp], warm: float, approach: Array | None, threads: int
+    of: Compiled,
+    initial: Array,
+    which: NDArray[np.intp],
+    warm: float,
+    approach: Array | None,
+    threads: int,
+    *,
+    as_read: bool,
 ) -> Array:
     """Readings (rows, windows, samples, sensors) of several rows.
 
@@ -264,6 +280,7 @@ def predicted(
         warm: s simulated before each window.
         approach: as `initial`, at the first of so many equal stretches of these, and of all others, (k, windows, 2 nb).
         threads: 0 for all cores.
+        as_read: see `batch.simulate`.
     """
     commands = of.commands(warm)
     if warm > 0:
@@ -278,6 +295,7 @@ def predicted(
             jobs = of.jobs(at, np.full(len(of.windows), stretch), nothing, states, commands)
             _, states = run(of.program, jobs, of.step, threads=threads)
         states = of.put_back(states[which], initial)
+        states = of.as_read(states) if as_read else states
     else:
         rows = replace(of, variants=tuple(of.variants[k] for k in which), parameters=of.parameters[which])
         states = rows.begun(0.0, initial)
@@ -386,7 +404,9 @@ def derivatives(
             before = replace(along_commands, parameters=change, initial=tangents)
             _, _, states, tangents = differentiate(of.program, jobs, before, of.step, threads=threads)
         tangents = np.concatenate([tangents, np.zeros((nb2, *tangents.shape[1:]))])
-        states, tangents = of.put_back(states, initial), of.put_back(tangents, unit)
+        moved, tangents = of.put_back(states, initial), of.put_back(tangents, unit)
+        states = of.as_read(moved)
+        tangents = np.where(states == moved, tangents, 0.0)
     else:
         begun = of.begun(0.0, np.broadcast_to(initial, (len(of.variants), *initial.shape)))
         states, tangents = begun[0], begin_changes(begun)

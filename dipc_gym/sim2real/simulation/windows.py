@@ -70,6 +70,17 @@ class Windows:
         first = np.array([recording.time[0] for recording in self.recordings])
         return np.asarray(self.start + at > first[self.source] + JUST)
 
+    def as_read(self, sensor: int, remembered: Array) -> Array:
+        """What a lagging sensor remembers where windows begin, (..., n): what it reads there, but for the noise.
+
+        The motion that leads there was told by that sensor, and is late itself: where a rig is fast, what follows from
+        it is far from the reading. Where that is within the noise, it knows better than one noisy sample.
+        """
+        if not self.recordings[0].sensors.shape[1]:  # of a run that is only planned
+            return remembered
+        read, noise = self.observed[:, 0, sensor], self.noise[sensor]
+        return np.clip(remembered, read - noise, read + noise)
+
     @property
     def period(self) -> float:
         """Shortest median sample period among the recordings, s."""
