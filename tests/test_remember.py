@@ -31,6 +31,7 @@ from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection.baseline import baseline
+from dipc_gym.sim2real.selection.beginnings import foretold
 from dipc_gym.sim2real.selection.case import Given, part
 from dipc_gym.sim2real.simulation.memory import memories
 from dipc_gym.sim2real.simulation.motion import Motion
@@ -300,6 +301,16 @@ def test_a_law_of_the_past_is_told_by_how_recordings_begin() -> None:
     far, near = (past.slots[0].value(fit(problem, past, begin).z[0]) + 20.0 for problem in (whole, more))
     assert abs(near) < 0.2
     assert abs(near) < 0.2 * abs(far)
+
+
+def test_a_load_that_may_swing_already_is_foretold_by_no_rest() -> None:
+    ready = prepared(CART, [record(physics.load(CART), sweep(4.0), 2.0, noise=(1e-5,))])
+    assert foretold(fit(ready.problem, ready.structure, most=0))
+    swinging = catalogue()["load.swinging"]
+    guess = {
+        p.name: {"mass": 0.1, "frequency": 3.0, "damping_ratio": 0.1}.get(p.name, 0.1) for p in swinging.parameters
+    }
+    assert not foretold(fit(ready.problem, ready.structure.with_term(Term(swinging, "cart", guess)), most=0))
 
 
 def test_what_only_beginnings_show_is_found_or_told() -> None:

@@ -9,12 +9,17 @@ from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import common_error, typical
 from dipc_gym.sim2real.selection.settings import SEARCH
+from dipc_gym.sim2real.unseen.parts import loads
 
 
 def foretold(fitted: Fit) -> bool:
-    """Whether a model foretells from rest what follows, with no command or swing of before."""
+    """Whether a model foretells from rest what follows, with no command or swing of before.
+
+    A load that hangs may swing though the joint that carries it rests.
+    """
     model = fitted.structure.physics(fitted.z).model
-    return not (fitted.structure.warm or np.any(model.actuator_delay > 0) or np.any(model.sensor_delay > 0))
+    late = np.any(model.actuator_delay > 0) or np.any(model.sensor_delay > 0)
+    return not (fitted.structure.warm or late or loads(model))
 
 
 def have_a_law(fitted: Fit) -> bool:
