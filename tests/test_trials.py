@@ -487,7 +487,7 @@ def sealed(kind="single", missing=(("friction.coulomb", "cart"),), **other):
 
 
 def said(*effects_, verdict="explained", recalibrated=()):
-    return {"verdict": verdict, "missing": list(effects_), "recalibrated": list(recalibrated), "notes": []}
+    return {"verdict": verdict, "missing": list(effects_), "recalibrated": list(recalibrated)}
 
 
 def one(effect, at="cart", same=(), **parameters):
@@ -704,6 +704,9 @@ def test_a_failed_diagnosis_is_a_wrong_one():
     assert (judged.verdict, judged.name, judged.set, judged.reached) == ("failed", False, False, None)
     assert grade.grade(sealed("wrong", []), None, broken).name is False
     # Failing on a null is no way to keep the false alarms down.
+    lamed = {**said(one("friction.coulomb")), "notes": [f"More could not be worked out. {grade.BROKEN}."]}
+    assert grade.grade(sealed(), lamed, FINE).broken
+    assert not grade.grade(sealed(), said(one("friction.coulomb")), FINE).broken
     null = grade.grade(sealed("null", []), None, broken)
     assert null.alarm is None
     assert score.summarise([null])["summary"]["nulls"] == 0

@@ -135,7 +135,7 @@ def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, attemp
         seconds=attempt.get("seconds", math.nan),
         failure=attempt.get("failure"),
         timed_out=attempt.get("timed_out", False),
-        broken=any(BROKEN in note for note in (diagnosis or {}).get("notes", ())),
+        broken=BROKEN in str((diagnosis or {}).get("notes", "")),
     )
     if answer["kind"] in ("null", "wrong"):
         # A tool that failed raised no alarm, but it gave no all-clear either.

@@ -41,7 +41,7 @@ ATTEMPT_MAY = {
     "timed_out": bool,
     "files": {str: str},
 }
-DIAGNOSIS = {"verdict": str, "missing": [NAMED], "recalibrated": [object], "notes": [str]}
+DIAGNOSIS = {"verdict": str, "missing": [NAMED], "recalibrated": [object]}
 CONTEST = {name: {"error": (None, float), "seconds": float} for name in ("sysid", "network", "sparse")}
 PLAIN = re.compile(r"[\w.:+@/ -]{1,100}")
 """Names of effects and places; a table and a figure show them."""

@@ -11,9 +11,7 @@ from collections.abc import Mapping
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.model.structure import Term
-
-# Of a joint, an actuator or a sensor; a joint's first damping is a parameter of the model, those of higher powers not.
-WHOLE = {"delay": 0, "cogging": 0, "saturation": 0, "damping": 1}
+from dipc_gym.sim2real.verdict.settings import VERDICT
 
 
 def in_place_of(document: Document, term: Term, values: Mapping[str, float]) -> str:
@@ -32,7 +30,7 @@ def in_place_of(document: Document, term: Term, values: Mapping[str, float]) -> 
         f'{attribute}="{before}"'
         for (tag, name), element in _named(document).items()
         if name == term.at and (tag, name) in _named(after)
-        for attribute, first in WHOLE.items()
+        for attribute, first in VERDICT.whole
         for before in [document.effective(element, attribute)]
         if any(map(float, before.split()[first:])) and before != after.effective(_named(after)[tag, name], attribute)
     ]

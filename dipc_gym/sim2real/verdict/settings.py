@@ -102,6 +102,8 @@ class VerdictSettings:
             much chance as its own
         named: fall of the mean log square error by which an effect must improve predictions to be named: an error a
             twentieth smaller; what brings less may stand for much else
+        whole: attributes of a joint, an actuator or a sensor that an effect writes over, and the first of their numbers
+            that counts: a joint's first damping is a parameter of the model, those of higher powers are not
         refitted: share of what the model as given leaves beyond the noise, that refitted parameters must take for them
             to have been wrong: they take up a little of whatever is missing
         modelled: share of the error beyond the noise that a law without a name may leave to have modelled it: else most
@@ -151,6 +153,7 @@ class VerdictSettings:
     worse: float = 1.005
     coarse: float = 1.5
     named: float = 0.1
+    whole: tuple[tuple[str, int], ...] = (("delay", 0), ("cogging", 0), ("saturation", 0), ("damping", 1))
     refitted: float = 0.2
     modelled: float = 0.5
     elsewhere: float = 2.0
