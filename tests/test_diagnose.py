@@ -32,6 +32,7 @@ from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict import judge, judgement, sentences
 from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.withheld import gather
+from dipc_gym.trials.grade import BROKEN
 
 MASS, DRAG, FORCE = 1.26, 40.0, 4.0  # kg, N s/m of bearing and back-EMF together, N/V
 NOMINAL = """<mujoco model="cart">
@@ -686,6 +687,7 @@ def test_an_error_at_the_end_of_a_search_leaves_shares_and_intervals(
     found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], effects=few)  # type: ignore[arg-type]
     assert [m.effect for m in found.missing] == ["friction.coulomb"]
     assert {"low", "high"} <= found.missing[0].parameters["level"].keys()
+    assert any(BROKEN in note for note in found.notes)  # by which a blind trial counts it
     assert [note for note in found.notes if "could not be worked out" in note] == [
         note for note in found.notes if "something odd" in note
     ]

@@ -120,13 +120,10 @@ def simulate(
             of = compiled(distinct, windows, base, grid_step(windows, stepping))
             return predicted(of, initial, which, warm, approach, threads, as_read=as_read)
     runs, track = _Runs(variants, windows, stepping, base, threads), None
-    addresses = mjcf.sensor_addresses(runs.sims.model).tolist()
-    near = as_read and not runs.late.any()
+    addresses = mjcf.sensor_addresses(runs.sims.model)
 
     def begins(address: int, remembered: Array) -> Array:
-        if not near:
-            return remembered
-        return windows.as_read(addresses.index(address), remembered.reshape(count, n)).ravel()
+        return windows.as_read(addresses.tolist().index(address), remembered.reshape(count, n)).ravel()
 
     if warm > 0:
         assert approach is not None
@@ -155,8 +152,9 @@ def simulate(
     nstep = max(math.floor((windows.times.max() + ahead.max(initial=0.0)) / runs.step + 1e-6) + 2, 4)  # of a cubic
     readings = runs.run(0, nstep, record=True)
     assert readings is not None
-    readings = _sense(runs.physics, readings, track, runs.step, begins)
-    readings = readings[..., mjcf.sensor_addresses(runs.sims.model)].reshape(count, n, nstep, -1)
+    near = as_read and track is not None and not (runs.late.any() or runs.physics.stage("sensor"))
+    readings = _sense(runs.physics, readings, track, runs.step, begins if near else None)
+    readings = readings[..., addresses].reshape(count, n, nstep, -1)
     out = _at_samples(readings, windows.times, runs.step)
     for k, sensor in np.argwhere(ahead > 0):
         one = readings[k, None, :, :, sensor, None]
@@ -383,7 +381,7 @@ def _sense(
     readings: Array,
     track: Array | None,
     step: float,
-    begins: Callable[[int, Array], Array],
+    begins: Callable[[int, Array], Array] | None,
 ) -> Array:
     """Apply what the sensors do to the model's readings (sims, nstep, nsensordata).
 
@@ -392,7 +390,7 @@ def _sense(
         readings: of the model, from each window's start on.
         track: readings before that, where sensors remember them; the last are of the start, as it was approached.
         step: between readings, s.
-        begins: what a sensor at an address remembers where windows begin, (sims,), from what it would without them.
+        begins: what a sensor at an address remembers where windows begin, (sims,), from what it would; None for that.
     """
     if not physics.stage("lag"):
         return physics.sense(readings.swapaxes(0, 1)).swapaxes(0, 1)
@@ -405,8 +403,7 @@ def _sense(
     memory = physics.sensor_memory(whole[:, 0])
     for k in range(whole.shape[1]):
         out[:, k] = physics.sense(whole[:, k], memory, step if k else 0.0)
-        if track is not None and k == whole.shape[1] - readings.shape[1] and not physics.stage("sensor"):
-            assert memory is not None
+        if begins is not None and memory is not None and k == whole.shape[1] - readings.shape[1]:
             for lag in physics.stage("lag"):
                 memory[1][:, lag.index] = out[:, k, lag.index] = begins(lag.index, out[:, k, lag.index])
     return out[:, -readings.shape[1] :]

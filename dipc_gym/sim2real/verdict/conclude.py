@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -147,8 +147,7 @@ def without_idle(search: Searched, upheld: Fit) -> Fit:
     """
     while len(upheld.structure.terms) > 1 and search.scorer.comparison_error(upheld) <= SCORE.at_floor:
         asked = [term for term in upheld.structure.named if not term.effect.once]
-        with search.fitter.side_by_side([partial(_gained, search, upheld, one) for one in asked], [upheld]) as result:
-            lost = {term.key: result(k).gain for k, term in enumerate(asked)}
+        lost = {key: gained.gain for key, gained in _gains(search, upheld, asked).items()}
         least = min(lost, key=lambda key: lost[key], default="")
         if not least or lost[least] >= SCORE.worth:
             break
@@ -188,14 +187,19 @@ def _believable(
         notes.append(sentences.refutation(upheld.structure.terms, recalibrated, left))
         return search.progress.path[0], notes, frozenset()
     named = upheld.structure.named
-    with search.fitter.side_by_side([partial(_gained, search, upheld, term) for term in named], [upheld]) as result:
-        gained = {term.key: result(k) for k, term in enumerate(named)}
+    gained = _gains(search, upheld, named)
     missed = [term for term in named if not _believed(gained[term.key])]
     alone = beside.names_alone(search.fitter, upheld, search.progress.path[0]) if missed else None
     if alone is not None:
         missed = [term for term in missed if not _believed(_gained(search, alone, term))]
     notes += [sentences.no_name(term, gained[term.key].gain) for term in missed]
     return upheld, notes, frozenset(term.key for term in missed)
+
+
+def _gains(search: Searched, fitted: Fit, terms: Sequence[Term]) -> dict[str, Improvement]:
+    """`_gained` of several effects, by key."""
+    with search.fitter.side_by_side([partial(_gained, search, fitted, term) for term in terms], [fitted]) as result:
+        return {term.key: result(k) for k, term in enumerate(terms)}
 
 
 def _gained(search: Searched, fitted: Fit, term: Term) -> Improvement:

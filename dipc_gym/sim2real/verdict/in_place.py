@@ -6,7 +6,6 @@ is there, so what is told of them is the whole, and not what was lacking.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 
 from dipc_gym.mjcf.edit import Document
@@ -26,27 +25,13 @@ def in_place_of(document: Document, term: Term, values: Mapping[str, float]) -> 
     term.effect.edit(after, term.at, values)
     had, has = _entries(document), _entries(after)
     found = [f'the {name} of <custom>, "{data}"' for name, data in had.items() if has.get(name) != data]
-    found += [
-        f'{attribute}="{before}"'
-        for (tag, name), element in _named(document).items()
-        if name == term.at and (tag, name) in _named(after)
-        for attribute, first in VERDICT.whole
-        for before in [document.effective(element, attribute)]
-        if any(map(float, before.split()[first:])) and before != after.effective(_named(after)[tag, name], attribute)
-    ]
+    for attribute, first in VERDICT.whole if term.effect.place != "world" else ():
+        before, now = (one.effective(getattr(one, term.effect.place)(term.at), attribute) for one in (document, after))
+        if before != now and any(map(float, before.split()[first:])):
+            found.append(f'{attribute}="{before}"')
     return " and ".join(found)
 
 
 def _entries(document: Document) -> dict[str, str]:
     """Data of the entries of `<custom>` by name."""
     return {entry.get("name", ""): entry.get("data", "") for entry in document.root.iterfind("custom/numeric")}
-
-
-def _named(document: Document) -> dict[tuple[str, str], ET.Element]:
-    """Elements that effects may stand in, by what they are in and by name."""
-    groups = {
-        "joint": document.root.iterfind(".//worldbody//joint"),
-        "actuator": document.root.iterfind("actuator/*"),
-        "sensor": document.root.iterfind("sensor/*"),
-    }
-    return {(group, element.get("name", "")): element for group, found in groups.items() for element in found}
