@@ -5,6 +5,7 @@ Whole diagnoses are in test_diagnose.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -28,10 +29,11 @@ from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term, names
-from dipc_gym.sim2real.selection import choice, kinds, sketches
+from dipc_gym.sim2real.selection import beside, choice, kinds, sketches
 from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.hypotheses import Question
 from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.scorer import earned, settled
@@ -533,6 +535,28 @@ def test_an_error_among_laws_leaves_what_formulas_explain() -> None:
     with pytest.raises(ValueError, match="math domain"):
         search.run()
     assert added(search) == ["friction.coulomb"]
+
+
+def test_what_is_modelled_may_have_asked_for_more_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fit without effects, against which laws of a kind are counted in its place, knows them as well."""
+    search = begun([run(9, 12, 4.0, uneven=(0.4, 0.05))], ("friction.coulomb", "residual.force"))
+    few = len(search.partition.problem.windows)
+    counted: list[int] = []
+
+    def modelled(ends: Sequence[Sequence[Fit]]) -> Fit:
+        search._go_on(search.progress.with_first())
+        return search._add(1)
+
+    def least(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: object) -> Fit:
+        counted.extend(len(fitted.mse) for fitted in (current, begin))
+        return current
+
+    monkeypatch.setattr(search, "_modelled", modelled)
+    monkeypatch.setattr(kinds, "named", least)
+    monkeypatch.setattr(beside, "least", least)
+    search.run()
+    assert counted[-4:] == [len(search.partition.problem.windows)] * 4
+    assert counted[-1] > few
 
 
 @pytest.mark.parametrize(("hidden", "level", "kept"), [(0.0, 1e-6, False), (3.0, 3.0, True)])

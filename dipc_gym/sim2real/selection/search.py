@@ -202,19 +202,23 @@ class Search:
             self.tell("laws predict no better than formulas; asking for laws beside these")
             self._back_to(formulas)
             found, ends = self._add(most), []
-        begin = self.progress.path[0]
         if self._done(found):
             if not self.stop.asked:  # a law of no kind that came with another effect, or was coarse, may have one now
-                self.journal.correct(kinds.named(self.question, self.fitter, found, begin, self.tell))
+                self.journal.correct(self._named(found))
             return self.progress.current
         self.tell("no law of a kind comes down to the noise; modelling what is left")
         self.phase = Phase.NO_KIND
         found = self._modelled([self.progress.path, *ends])
         if self.stop.asked:
             return found
-        found = kinds.named(self.question, self.fitter, found, begin, self.tell)
+        found = self._named(found)
+        begin = self.progress.path[0]  # not an earlier one: what is left asked for more windows
         self.journal.correct(beside.least(self.question, self.fitter, found, begin, self.tell))
         return self.progress.current
+
+    def _named(self, found: Fit) -> Fit:
+        """A fit in which laws of a kind, where these do as well, stand in the place of one of no kind."""
+        return kinds.named(self.question, self.fitter, found, self.progress.path[0], self.tell)
 
     def _modelled(self, ends: Sequence[Sequence[Fit]]) -> Fit:
         """What is left beside the ends of several paths, modelled; of these one, see `choice.of_ends`.
