@@ -69,6 +69,17 @@ def test_what_differs_is_found(hanging: Recording, convention: Convention) -> No
     assert error < 1.2
 
 
+def test_a_rig_that_rests_at_first_is_asked_where_it_moves(hanging: Recording) -> None:
+    """At rest every convention predicts all, and whoever reads whole counts sees nothing change."""
+    late, still = 15.0, np.repeat(hanging.sensors[:1], 7500, axis=0)
+    time = np.append(hanging.time[0] + 0.002 * np.arange(7500), hanging.time + late)
+    commands = np.append(np.zeros((7500, 1)), hanging.commands, 0)
+    resting = replace(hanging, time=time, commands=commands, sensors=np.append(still, hanging.sensors, 0))
+    convention = next(one for one in EVERY if one.words == "count command 'motor' the other way round")
+    others, _ = found(RATED, otherwise(resting, convention))
+    assert [one.words for one in others] == [convention.words]
+
+
 @pytest.mark.parametrize("way", ["absolute", "from 'pole1'"])
 def test_absolute_and_relative_angles_are_told_apart(hanging: Recording, way: str) -> None:
     plain = replace(hanging, sensors=hanging.sensors[:, :3], sensor_names=SENSORS[:3])

@@ -18,6 +18,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.estimation import shooting as shooting_module
 from dipc_gym.sim2real.estimation.fit import Fit, _stepped, correct_initial, evaluate, fit, holding, weights
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
@@ -28,6 +29,7 @@ from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection.screen import LaidOver, pairs
 from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.simulation.windows import cut
 from dipc_gym.sim2real.verdict import findings, judge
 
 NOISY = 1e-5
@@ -469,6 +471,45 @@ def test_what_the_length_of_a_step_does_to_a_number() -> None:
     assert findings.step_shift(coarse, P.problem) == pytest.approx(2 * np.abs(halved.z - coarse.z), rel=0.1)
     exact = ready(run())
     assert findings.step_shift(fit(exact.problem, coarse.structure), exact.problem).max() < 1e-6
+
+
+def test_another_choice_of_parameters_tells_nothing_of_a_law_that_was_reshaped() -> None:
+    """Its third value is of another place then."""
+    P = ready(run())
+    law = FrictionOfPosition([-0.2, 0.0, 0.2], [1.0, 2.0, 3.0])
+    one, other = (
+        free(P, key).with_term(Term(law, "cart", law.guess)).with_term(Term(catalogue()["drag.quadratic"], "cart", at))
+        for key, at in (("cart.damping", {"coefficient": 1.0}), ("cart.mass", {"coefficient": 2.0}))
+    )
+    fitted, instead = fit(P.problem, one, most=0), fit(P.problem, other, most=0)
+    instead = replace(instead, z=instead.z + 0.5)
+    same = findings.choice_shift(fitted, [instead])
+    np.testing.assert_allclose(same[1:4], 0.5)
+    again = FrictionOfPosition([-0.2, 0.0, 0.3], [1.0, 2.0, 3.0])
+    reshaped = replace(other, terms=(Term(again, "cart", again.guess), other.terms[1]))
+    moved = findings.choice_shift(fitted, [replace(instead, structure=reshaped)])
+    np.testing.assert_allclose(moved[1:4], 0.0)
+    np.testing.assert_allclose(moved[[0, 4]], same[[0, 4]])
+
+
+@given(st.lists(st.integers(0, 2**31), min_size=2, max_size=2), st.floats(0.0, 0.6))
+@settings(max_examples=20, deadline=None)
+def test_windows_of_irregular_samples_are_joined(seeds: list[int], uneven: float) -> None:
+    """The most samples in a window differ then, and what stands in for those that do not exist says nothing."""
+    plain = run(seconds=3.0)
+    parts = []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        time = np.cumsum(0.002 * (1 + uneven * rng.uniform(-1.0, 1.0, len(plain))))
+        parts.append(cut([replace(plain, time=time)], np.ones(1), 0.25, (0.0, 1.0)))
+    both = parts[0].join(parts[1])
+    assert len(both) == len(parts[0]) + len(parts[1])
+    for which, alone in ((slice(0, len(parts[0])), parts[0]), (slice(len(parts[0]), None), parts[1])):
+        there, wanted = both.valid[which], alone.valid
+        np.testing.assert_array_equal(both.times[which][there], alone.times[wanted])
+        np.testing.assert_array_equal(both.observed[which][there], alone.observed[wanted])
+        assert (np.diff(both.times[which], axis=1) >= 0).all()
+        assert not both.observed[which][~there].any()
 
 
 def test_what_no_reading_depends_on_has_no_interval() -> None:

@@ -180,6 +180,16 @@ def test_a_pole_that_stays_free_is_refused() -> None:
         cart_model(SOURCE.edited(text), Plant())
 
 
+def test_a_run_that_reaches_an_end_of_the_rail_is_refused() -> None:
+    """Its blow would be learned as friction; a gentler sweep of the same rig is taken."""
+    slippery = Plant(friction=Friction(coulomb=0.0, static=0.0, viscous=0.0))
+    model = cart_model(SOURCE, slippery)
+    with pytest.raises(ValueError, match=r"end of its rail at 0\.\d+ s.*less than 8 V"):
+        record(model, slippery, Sweep(duration=2.0))
+    gentle = record(model, slippery, Sweep(duration=2.0, amplitude=4.0))
+    assert np.abs(gentle.sensors).max() < 0.45
+
+
 def test_a_run_that_diverges_is_not_started_again() -> None:
     text = SOURCE.text.replace(' autoreset="disable"', "").replace('type="slide"', 'type="slide" stiffness="-1e8"')
     model = cart_model(SOURCE.edited(text), Plant())

@@ -30,7 +30,7 @@ from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.stop import Stop
-from dipc_gym.sim2real.verdict import details, findings, improve, judge, judgement
+from dipc_gym.sim2real.verdict import details, findings, improve, judge, judgement, sentences
 from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.withheld import gather
 
@@ -56,6 +56,7 @@ STAGES: dict[str, list[tuple[Any, str]]] = {
     ],
     "no fine fit, no errors, no numbers": [
         (Searched, "refined"),
+        (judge, "error_on"),
         (judgement, "_force_errors"),
         (judge, "intervals"),
         (findings, "changed_parameters"),
@@ -83,6 +84,7 @@ def test_late_stages_that_fail_lose_nothing_that_was_found(
     assert said["missing"][0]["parameters"]["level"]["value"] == pytest.approx(3.0, rel=0.05)
     assert "OverflowError: math range error" in str(said["notes"])
     assert "OverflowError" in (tmp_path / "out" / "report.html").read_text()
+    assert (sentences.NOT_HELD_OUT in said["notes"]) == ((judge, "error_on") in STAGES[stages])
     assert mjcf.compile(tmp_path / "out" / "improved.xml").dof_frictionloss[0] == pytest.approx(3.0, rel=0.1)
 
 

@@ -277,6 +277,16 @@ def thinning(values: list[float]) -> UnknownRecent:
     return UnknownRecent(knots, values, ("velocity cart",) * 2, 1.0, 2.0, ("m/s", "m/s"), 0.5)
 
 
+def test_a_law_of_the_past_that_ends_with_its_data_remembers_as_long() -> None:
+    law = thinning([-20.0, -18.0, -12.0, -8.0, -5.0, -3.0])
+    values = {**law.guess, "time_constant": 1.7}
+    told = np.array([False, True, True, True, False, False, True])
+    shorter = law.shortened(values, told)
+    assert shorter is not None
+    assert shorter[0].parameters[-1].name == "time_constant"
+    assert shorter[1] == {"value_1": -20.0, "value_2": -18.0, "value_3": -12.0, "value_4": -8.0, "time_constant": 1.7}
+
+
 def test_a_law_of_the_past_is_told_by_how_recordings_begin() -> None:
     """At rest: later nothing says what it is near nothing, and a recording that begins in motion never does."""
     law = thinning([-20.0, -18.0, -12.0, -8.0, -5.0, -3.0])

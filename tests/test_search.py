@@ -33,7 +33,7 @@ from dipc_gym.sim2real.selection import beside, choice, kinds, sketches
 from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.fitter import Fitter
-from dipc_gym.sim2real.selection.hypotheses import Question
+from dipc_gym.sim2real.selection.hypotheses import Phase, Question
 from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.scorer import earned, settled
@@ -145,6 +145,7 @@ def test_windows_beside_an_outlier_are_taken_in_and_its_echoes_left_aside(knocke
 
     assert near(partition.problem.windows) == [0, 0, 0]
     assert near(partition.comparison.windows) == []
+    assert near(partition.aside.windows) == []  # some of them validate, and would speak against the knock
 
 
 @pytest.mark.parametrize("rig", ["dry", "knocked", "stronger_at_rest", "sprung"])
@@ -342,10 +343,10 @@ def test_what_a_law_leaves_is_no_second_effects(
         """A fit with these effects that leaves so much, times the noise."""
         return replace(bare, structure=replace(bare.structure, terms=terms), mse=np.full_like(bare.mse, error**2))
 
-    law = Term(catalogue()["friction.hysteresis"], "cart", {})
     drag = Term(catalogue()["drag.quadratic"], "cart", {"coefficient": 1.0})
-    current, fitted = leaving(before, law), leaving(after, law, drag)
-    assert choice.tells(drag, fitted, current, leaving(begin)) == tells
+    for law in (Term(catalogue()["friction.hysteresis"], "cart", {}), Term(catalogue()["motor.map"], "motor", {})):
+        current, fitted = leaving(before, law), leaving(after, law, drag)
+        assert choice.tells(drag, fitted, current, leaving(begin)) == tells
     assert choice.tells(drag, fitted, leaving(before), leaving(begin))  # beside formulas, any of it may be another's
 
 
@@ -557,6 +558,46 @@ def test_what_is_modelled_may_have_asked_for_more_windows(monkeypatch: pytest.Mo
     search.run()
     assert counted[-4:] == [len(search.partition.problem.windows)] * 4
     assert counted[-1] > few
+
+
+@pytest.mark.parametrize("where", ["within a round", "between rounds"])
+def test_an_interrupt_among_laws_leaves_what_formulas_explain(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Laws begin anew: whoever presses Ctrl-C in their long rounds must not lose what was found before."""
+    search = begun([run(9, 12, 4.0, uneven=(0.4, 0.05))], ("friction.coulomb", "friction.position:law"))
+    step, back = search._step, search.journal.go_back
+
+    def interrupted() -> bool:
+        if search.phase > Phase.FORMULAS and where == "within a round":
+            raise KeyboardInterrupt
+        return step()
+
+    def go_back(path: tuple[Fit, ...]) -> None:
+        back(path)
+        if search.phase == Phase.SHAPES and where == "between rounds" and len(path) == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(search, "_step", interrupted)
+    monkeypatch.setattr(search.journal, "go_back", go_back)
+    if where == "within a round":
+        search.run()
+        assert search.stop.asked
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            search.run()
+    assert added(search) == ["friction.coulomb"]
+
+
+def test_as_many_windows_are_not_the_same_windows(dry: Search) -> None:
+    """Nor are the same windows in other steps: a fit to others is worked out on these."""
+    progress, current = dry.progress, dry.progress.current
+    assert progress.informed([current]) == (current,)
+    problem = progress.partition.problem
+    one_less, other = np.arange(1, len(problem.windows)), np.arange(len(problem.windows) - 1)
+    moved = replace(progress, partition=replace(progress.partition, problem=problem.pick(one_less)))
+    again = moved.informed([current.pick(other)])[0]
+    np.testing.assert_allclose(again.mse, current.mse[1:], rtol=1e-3)
+    finer = replace(progress, partition=replace(progress.partition, problem=problem.halved_by(1)))
+    assert finer.informed([current])[0].of(finer.partition.problem)
 
 
 @pytest.mark.parametrize(("hidden", "level", "kept"), [(0.0, 1e-6, False), (3.0, 3.0, True)])

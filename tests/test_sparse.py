@@ -18,6 +18,7 @@ from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.verdict import sparse
+from dipc_gym.sim2real.verdict.settings import VERDICT
 from dipc_gym.sim2real.verdict.withheld import gather
 
 
@@ -54,3 +55,18 @@ def test_what_the_owner_knows_is_not_put_back_to_nominal(heavy: tuple[Searched, 
     assert fewest.error < 1.05
     for other in sparse.other_parameters(*heavy, fewest):
         assert "cart.mass" in other.structure.values(other.z)
+
+
+@pytest.mark.parametrize("chosen", [(1,), (0, 2), (0, 1, 2, 4)])
+def test_every_other_choice_of_as_many_is_thought_of(chosen: tuple[int, ...]) -> None:
+    thought_of = list(sparse._exchanged([i in chosen for i in range(6)]))
+    assert sorted(thought_of) == [free for free in itertools.combinations(range(6), len(chosen)) if free != chosen]
+
+
+@pytest.mark.parametrize(("count", "chosen"), [(24, 12), (60, 20), (400, 100)])
+def test_where_choices_are_millions_those_that_share_most_are_taken(count: int, chosen: int) -> None:
+    """A table of them would take hours."""
+    thought_of = list(sparse._exchanged([i < chosen for i in range(count)]))
+    assert all(len(free) == chosen for free in thought_of)
+    assert len(set(thought_of)) == len(thought_of) >= chosen * (count - chosen)
+    assert len(thought_of) <= max(VERDICT.choices, chosen * (count - chosen))

@@ -150,7 +150,7 @@ def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) 
         A recording with the command `motor` (V) and the sensor `cart` (m).
 
     Raises:
-        ValueError: the simulation diverges.
+        ValueError: the simulation diverges, or the cart runs into an end of its rail.
     """
     rng = np.random.default_rng(seed)
     period, encoders = plant.control_period, plant.encoders
@@ -161,9 +161,9 @@ def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) 
     data, physics = mujoco.MjData(model), from_model(model)
     sensed = bool(physics.stage("sensor") or physics.stage("lag") or np.any(model.sensor_delay > 0))
     memory, command = physics.sensor_memory(data.sensordata), np.zeros(model.nu)
-    position, cart = np.empty(len(time)), int(model.jnt_qposadr[model.sensor("cart").objid[0]])
+    position, where, joint = np.empty(len(time)), np.empty(len(time)), int(model.sensor("cart").objid[0])
     for k, u in enumerate(volts.tolist()):
-        position[k] = data.qpos[cart]
+        position[k] = where[k] = data.qpos[model.jnt_qposadr[joint]]
         if sensed:
             mujoco.mj_forward(model, data)
             position[k] = physics.sense(data.sensordata, memory, period)[model.sensor("cart").adr[0]]
@@ -173,6 +173,13 @@ def record(model: mujoco.MjModel, plant: Plant, sweep: Sweep, *, seed: int = 0) 
         at = time[np.argmin(np.isfinite(position))]
         raise ValueError(
             f"the simulated identification run diverges at {at:g} s; give the model a smaller <option timestep>"
+        )
+    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.inf, math.inf)
+    if (where < low).any() or (where > high).any():
+        at = time[np.argmax((where < low) | (where > high))]
+        raise ValueError(
+            f"the simulated identification run drives the cart into an end of its rail at {at:g} s, and what a blow "
+            f"does would be learned as friction; give a sweep of less than {sweep.amplitude:g} V, or a recording"
         )
     position += encoders.noise * encoders.cart * rng.standard_normal(len(time))
     reading = kernels.quantise(position, encoders.cart)

@@ -150,12 +150,13 @@ class Imitator:
             found = teacher.cost < LOST
             self._remember(observations[found], wanted[found])
             shares = wanted if stage == 0 else self._shares(observations)
-            observations, _, fell, _, _ = envs.step(self.rig.limit * shares[:, None])
-            lost = ~(found | fell)
+            observations, _, fell, timed_out, _ = envs.step(self.rig.limit * shares[:, None])
+            ended = fell | timed_out
+            lost = ~(found | ended)
             if lost.any():
                 observations, _ = envs.reset(options={"reset_mask": lost})
-            if (fell | lost).any():
-                teacher.begin(fell | lost, state_of(observations))
+            if (ended | lost).any():
+                teacher.begin(ended | lost, state_of(observations))
         self.steps += periods * envs.num_envs
 
     def _remember(self, observations: Array, wanted: Array) -> None:

@@ -145,7 +145,8 @@ class UnknownRecent(UnknownProduct):
 
     def shortened(self, values: Values, told: NDArray[np.bool_]) -> tuple[Effect, Values] | None:
         """The same law without sizes that no data tell; it begins at rest, whether they do or not."""
-        return super().shortened(values, np.append(True, told[1:]))
+        found = super().shortened(values, np.append(True, told[1:]))
+        return found and (found[0], {**found[1], "time_constant": values["time_constant"]})
 
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         shape = (knots.tolist(), values.tolist(), self.names, self.most, self.speed, self.units, self.time)

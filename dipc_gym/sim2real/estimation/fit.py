@@ -53,6 +53,7 @@ class Fit:
         sensitivity: of the readings to the initial states, in units of noise, (n, m ns + 2 nb, 2 nb).
         quadratics: local model of the squared errors.
         jacobian: change of `left` per unit of each mapped parameter, with opposite sign, (n, M, p).
+        windows: to which it was fitted, `Problem.labels`, (n, 3).
         steps: accepted steps.
         converged: whether the last step changed next to nothing.
     """
@@ -66,6 +67,7 @@ class Fit:
     sensitivity: Array
     quadratics: Quadratics
     jacobian: Array = field(repr=False)
+    windows: Array = field(repr=False)
     steps: int = 0
     converged: bool = True
 
@@ -79,6 +81,10 @@ class Fit:
         """What data and priors say of the parameters together, (p, p); see `Prior.in_covariance`."""
         weight = weights(self.mse)
         return self.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, self.quadratics.A), weight)
+
+    def of(self, problem: Problem) -> bool:
+        """Whether it was fitted to these windows, in these steps."""
+        return np.array_equal(self.windows, problem.labels)
 
     @property
     def whole(self) -> bool:
@@ -107,6 +113,7 @@ class Fit:
             sensitivity=self.sensitivity[which],
             quadratics=Quadratics(q.A[which], q.b[which], q.c[which]),
             jacobian=self.jacobian[which],
+            windows=self.windows[which],
         )
 
     def join(self, other: Fit) -> Fit:
@@ -121,6 +128,7 @@ class Fit:
             sensitivity=np.append(self.sensitivity, other.sensitivity, 0),
             quadratics=Quadratics(np.append(q.A, o.A, 0), np.append(q.b, o.b, 0), np.append(q.c, o.c)),
             jacobian=np.append(self.jacobian, other.jacobian, 0),
+            windows=np.append(self.windows, other.windows, 0),
         )
 
 
@@ -234,7 +242,7 @@ def fit(
         exact = not converged and (small or astray)
         if exact:
             _, columns, S = shooting.derivatives(z, s, residual)
-    return Fit(structure, z, s, residual, r, mse, S, quadratics, J, steps, converged)
+    return Fit(structure, z, s, residual, r, mse, S, quadratics, J, problem.labels, steps, converged)
 
 
 def _stepped(structure: Structure, z: Array, curvature: Array, slope: Array, reach: Array) -> Array:

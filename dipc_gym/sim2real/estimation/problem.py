@@ -72,6 +72,11 @@ class Problem:
         """How often the steps of each window are halved, (n,)."""
         return np.zeros(len(self.windows), dtype=np.intp) if self.halved is None else self.halved
 
+    @property
+    def labels(self) -> Array:
+        """What tells windows, and the steps that they take, from others: recording, start and halvings, (n, 3)."""
+        return np.column_stack([self.windows.source, self.windows.start, self.halvings])
+
     def by_step(self) -> list[tuple[NDArray[np.intp], Problem, int]]:
         """The windows of each length of step: which, these alone, and how often it is halved."""
         if self.halved is None:

@@ -106,19 +106,13 @@ def _borders(given: Given, prepared: Prepared) -> Array:
     """
     borders = np.array([r.time[0] + WINDOWS.fit * r.duration for r in given.recordings])
     windows = prepared.problem.windows
-    moves = _moves(prepared)
+    moves = data.moves(prepared)
     for i in np.unique(windows.source[~moves]):
         moving = np.sort(windows.start[moves & (windows.source == i)])
         if len(moving):
             borders[i] = moving[int(WINDOWS.fit * len(moving))]
     scarce = np.sum(windows.start < borders[windows.source]) < WINDOWS.plenty
     return np.full(len(borders), np.inf) if scarce else borders
-
-
-def _moves(prepared: Prepared) -> NDArray[np.bool_]:
-    """Whether any sensor changes in a window by clearly more than its noise, (n,)."""
-    size = np.sqrt(np.max(np.mean(prepared.problem.moved**2, axis=1), axis=1))
-    return np.asarray(size > WINDOWS.still)
 
 
 def _standstill(prepared: Prepared) -> str:

@@ -60,8 +60,10 @@ def tells(term: Term, fitted: Fit, current: Fit, begin: Fit) -> bool:
         begin: the fit without effects.
     """
     close = near(begin, current)
-    laws = [t.at for t in current.structure.terms if t.effect.of_no_kind or (t.effect.free and close)]
-    if term.effect.of_no_kind or joint_at(current.structure.model, term.effect, term.at) not in laws:
+    model = current.structure.model
+    laws = [t for t in current.structure.terms if t.effect.of_no_kind or (t.effect.free and close)]
+    guarded = {joint_at(model, t.effect, t.at) for t in laws}
+    if term.effect.of_no_kind or joint_at(model, term.effect, term.at) not in guarded - {None}:
         return True
     most = SEARCH.far_better if current.error < SEARCH.in_reach else SEARCH.most
     return fitted.error - 1 < most * (current.error - 1)

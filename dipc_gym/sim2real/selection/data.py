@@ -96,6 +96,12 @@ def known_past(prepared: Prepared) -> Prepared:
     return replace(prepared, problem=prepared.problem.pick(_past_is_known(prepared)))
 
 
+def moves(prepared: Prepared) -> NDArray[np.bool_]:
+    """Whether any sensor changes in a window by clearly more than its noise, (n,)."""
+    size = np.sqrt(np.max(np.mean(prepared.problem.moved**2, axis=1), axis=1))
+    return np.asarray(size > WINDOWS.still)
+
+
 def from_rest(prepared: Prepared) -> Problem:
     """Of the windows that `known_past` leaves out those of recordings that begin at rest.
 
@@ -161,26 +167,28 @@ def eventful(windows: Windows, mse: Array, aside: Windows, aside_mse: Array) -> 
     return np.asarray((_beside(aside, start) & (aside.source[:, None] == source)).any(axis=1))
 
 
-def without_echoes(windows: Windows, mse: Array) -> NDArray[np.bool_]:
-    """Which windows to keep, (n,): all but those of other recordings at the time of outliers.
+def echoes(windows: Windows, mse: Array, others: Windows) -> NDArray[np.bool_]:
+    """Which windows are those of another recording at the time of an outlier, (n,).
 
     Each recording has a clock of its own. An event happened in one of them alone, at a time that says nothing of the
     others; they would refute it.
 
     Args:
-        windows: of all recordings.
-        mse: how well they are predicted, (n,); the outliers are told by it.
+        windows: of all recordings, the outliers among them.
+        mse: how well they are predicted, (m,); the outliers are told by it.
+        others: windows that are asked for, (n,), these or others.
     """
     far = mse > ESTIMATION.far_out * typical(mse)
     if far.sum() > WINDOWS.outliers:  # no event
-        return np.ones(len(mse), dtype=bool)
-    elsewhere = windows.source[:, None] != windows.source[far]
-    return far | ~(_beside(windows, windows.start[far]) & elsewhere).any(axis=1)
+        return np.zeros(len(others), dtype=bool)
+    elsewhere = others.source[:, None] != windows.source[far]
+    itself = (others.start[:, None] == windows.start[far]) & ~elsewhere
+    return np.asarray((_beside(others, windows.start[far]) & elsewhere).any(axis=1) & ~itself.any(axis=1))
 
 
 def _beside(windows: Windows, start: Array) -> NDArray[np.bool_]:
     """Which windows are at, or next to, those that begin at `start` (k,) on whichever clock, (n, k)."""
-    return np.asarray(np.abs(windows.start[:, None] - start) < windows.times.max() + WINDOWS.apart)
+    return np.asarray(np.abs(windows.start[:, None] - start) < windows.times.max(initial=0.0) + WINDOWS.apart)
 
 
 def evenly(count: int, most: int) -> NDArray[np.intp]:

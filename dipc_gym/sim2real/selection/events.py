@@ -29,7 +29,8 @@ def attend(progress: Progress, scorer: Scorer) -> Progress:
     partition = progress.partition
     windows = partition.problem.windows.join(partition.comparison.windows)
     mse = scorer.over(partition).mse(progress.current)
-    progress = progress.keeping(data.without_echoes(windows, mse))
+    aside = partition.aside.pick(~data.echoes(windows, mse, partition.aside.windows))  # some of them validate
+    progress = replace(progress, partition=replace(partition, aside=aside)).keeping(~data.echoes(windows, mse, windows))
     if not ranking.mostly_at_noise(progress.current):
         return progress
     partition = progress.partition

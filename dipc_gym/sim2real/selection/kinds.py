@@ -67,7 +67,7 @@ def shaped(question: Question, fitter: Fitter, current: Fit, tell: Callable[[str
     laws = [effect for effect in question.effects if effect.free and not effect.of_no_kind]
     terms = current.structure.terms
     held = {law: sorted({term.at for term in terms if term.effect.id in law.contains}) for law in laws}
-    asked = [term for law in laws for at in held[law] for term in _shapes(question, law, at, current)]
+    asked = [term for law in laws for at in held[law] for term in _shapes(question, fitter, law, at, current)]
     with fitter.sketched([(current, current.structure.with_term(term)) for term in asked]) as sketch_of:
         sketches = [(sketch, term.key) for k, term in enumerate(asked) if (sketch := sketch_of(k)) is not None]
     for sketch, key in sorted(sketches, key=lambda one: one[0].error):
@@ -126,12 +126,12 @@ def _formulas(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> lis
 def _kinds_alone(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
     """Effects with names, and laws of a kind."""
     yield from _formulas(question, fitter, fewer, term)
-    yield from _laws(question, fewer, term)
+    yield from _laws(question, fitter, fewer, term)
 
 
 def _kinds_and_names(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
     """A law of a kind, and an effect with a name beside it: a force over velocity is friction, and a load as well."""
-    for shapes in _laws(question, fewer, term):
+    for shapes in _laws(question, fitter, fewer, term):
         if len(shapes) == 1:
             yield from _beside(question, fitter, fewer, term, *shapes, _formulas)
 
@@ -147,10 +147,10 @@ def _beside(
         yield from ((law, *other) for other in others(question, fitter, fitted, term) if len(other) == 1)
 
 
-def _laws(question: Question, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
+def _laws(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
     """Laws of the kinds that a law of no kind may have by its inputs, one alone or two together."""
     for kinds in _kinds(question, fewer.structure, term):
-        yield from itertools.product(*(_shapes(question, *kind, fewer) for kind in kinds))
+        yield from itertools.product(*(_shapes(question, fitter, *kind, fewer) for kind in kinds))
 
 
 def _products(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
@@ -160,7 +160,7 @@ def _products(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Ite
     for effect in question.effects:
         if not isinstance(effect, UnknownProduct):
             continue
-        for product in _shapes(question, effect, term.at, fewer):
+        for product in _shapes(question, fitter, effect, term.at, fewer):
             if set(product.effect.inputs(term.at)) != set(term.effect.inputs(term.at)):
                 continue
             yield (product,)
@@ -181,7 +181,8 @@ def _kinds(question: Question, structure: Structure, term: Term) -> Iterator[tup
         yield from itertools.product(*each)
 
 
-def _shapes(question: Question, effect: Effect, at: str, fewer: Fit) -> list[Term]:
+def _shapes(question: Question, fitter: Fitter, effect: Effect, at: str, fewer: Fit) -> list[Term]:
     """A law of a kind at one place, in the shapes that the evidence asks for."""
-    asked = hypotheses(replace(question, effects=[effect]), Phase.SHAPES, fewer, question.look(fewer))
+    scene = replace(question.look(fewer), fitted=(fitter.problem.windows, fewer))
+    asked = hypotheses(replace(question, effects=[effect]), Phase.SHAPES, fewer, scene)
     return [term for guesses in asked for term in guesses() if term.at == at]

@@ -129,11 +129,9 @@ class Progress:
         )
 
     def informed(self, path: Sequence[Fit]) -> tuple[Fit, ...]:
-        """Fits that were accepted before, on the present windows: some may have come, or gone."""
+        """Fits that were accepted before, on the present windows and in their steps: some may have come, or gone."""
         problem = self.partition.problem
-        if all(len(fitted.mse) == len(problem.windows) for fitted in path):
-            return tuple(path)
-        return tuple(fit(problem, fitted.structure, fitted.z, most=0) for fitted in path)
+        return tuple(one if one.of(problem) else fit(problem, one.structure, one.z, most=0) for one in path)
 
     def with_spare(self) -> Progress:
         """With all windows to fit that neither compare nor validate: a table of dozens of values needs them."""

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from dipc_gym.sim2real.effects.base import acts_on
+from dipc_gym.sim2real.effects.base import acts_on, joint_at
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.unexplained import places
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
@@ -51,7 +51,8 @@ def _beside_unnamed(current: Fit, term: Term) -> bool:
     """Whether an effect with a name acts where a law of no kind does, which takes over whatever depends on the same: it
     was asked beside the name, not in its place.
     """
-    return not term.effect.of_no_kind and term.at in [law.at for law in current.structure.unnamed]
+    joint = joint_at(current.structure.model, term.effect, term.at)
+    return not term.effect.of_no_kind and joint in [law.at for law in current.structure.unnamed]
 
 
 def _idle(question: Question, fitter: Fitter, current: Fit, term: Term) -> Fit | None:

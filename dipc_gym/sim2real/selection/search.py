@@ -184,11 +184,17 @@ class Search:
         self.tell("no formula comes down to the noise; asking for laws of any shape, from the beginning")
         formulas = self.progress.path
         try:
-            return self._with_laws(formulas, most)
-        except Exception:  # whoever goes on without what failed goes on from what was found
-            ends = [self.progress.informed(path) for path in (formulas, self.progress.path)]
-            self.journal.go_back(choice.of_ends(self.scorer, ends))
+            found = self._with_laws(formulas, most)
+        except BaseException:  # whoever goes on without what failed, or after Ctrl-C, goes on from what was found
+            self._best_of(formulas)
             raise
+        return self._best_of(formulas) if self.stop.asked else found
+
+    def _best_of(self, formulas: tuple[Fit, ...]) -> Fit:
+        """What formulas came to, or laws, which begin anew: where these did not come to their end, the better one."""
+        ends = [self.progress.informed(path) for path in (formulas, self.progress.path)]
+        self.journal.go_back(choice.of_ends(self.scorer, ends))
+        return self.progress.current
 
     def _with_laws(self, formulas: tuple[Fit, ...], most: int) -> Fit:
         """What laws of any shape show, from the beginning on and beside formulas; what is left then is modelled."""
@@ -232,7 +238,7 @@ class Search:
             self._add(len(self.question.joints))
             found.append(self.progress.path)
             if self.stop.asked:
-                return self.progress.current
+                break
         self.journal.go_back(choice.of_ends(self.scorer, [self.progress.informed(path) for path in found]))
         return self.progress.current
 

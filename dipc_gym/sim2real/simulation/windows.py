@@ -55,14 +55,31 @@ class Windows:
         )
 
     def join(self, other: Windows) -> Windows:
-        """These windows and others of the same recordings."""
+        """These windows and others of the same recordings, maybe cut apart from these: where samples come irregularly,
+        those may hold more of them, or fewer.
+        """
+        samples = max(self.times.shape[1], other.times.shape[1])
+        one, two = self._with_room(samples), other._with_room(samples)
         return replace(
             self,
-            source=np.append(self.source, other.source),
-            start=np.append(self.start, other.start),
-            times=np.append(self.times, other.times, 0),
-            observed=np.append(self.observed, other.observed, 0),
-            valid=np.append(self.valid, other.valid, 0),
+            source=np.append(one.source, two.source),
+            start=np.append(one.start, two.start),
+            times=np.append(one.times, two.times, 0),
+            observed=np.append(one.observed, two.observed, 0),
+            valid=np.append(one.valid, two.valid, 0),
+        )
+
+    def _with_room(self, samples: int) -> Windows:
+        """The same with room for so many samples in each; those that do not exist come at the last time."""
+        more = samples - self.times.shape[1]
+        if not more:
+            return self
+        last = self.times[:, -1:] if self.times.size else np.zeros((len(self), 1))
+        return replace(
+            self,
+            times=np.append(self.times, np.repeat(last, more, axis=1), 1),
+            observed=np.pad(self.observed, ((0, 0), (0, more), (0, 0))),
+            valid=np.pad(self.valid, ((0, 0), (0, more))),
         )
 
     def after_the_first(self, at: float) -> NDArray[np.bool_]:

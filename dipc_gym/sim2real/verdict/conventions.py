@@ -104,7 +104,7 @@ def differing(
 ) -> tuple[list[Convention], float]:
     """Conventions with which the model as given predicts far better than it does without, whatever its parameters.
 
-    The first seconds of recordings tell: a wrong convention is wrong throughout.
+    The first seconds in which a recording moves tell: a wrong convention is wrong throughout.
 
     Args:
         source: text of the model.
@@ -116,8 +116,9 @@ def differing(
     Returns:
         Those that predict best, alike, and the error then, in units of noise; none where none decides.
     """
-    first = recordings[0]
-    some = [_begin(recording, CONVENTIONS.seconds / min(len(recordings), 2)) for recording in recordings[:2]]
+    first, some = recordings[0], _in_motion(recordings, prepared)
+    if not some:
+        return [], math.inf
 
     def counted(convention: Convention | None) -> Prepared:
         given = some if convention is None else [convention.applied(recording) for recording in some]
@@ -145,9 +146,16 @@ def differing(
     return [convention for off, convention in tried if off < CONVENTIONS.alike * least], least
 
 
-def _begin(recording: Recording, seconds: float) -> Recording:
-    """The first seconds of a recording that windows may be cut from."""
-    return recording.slice(0, int(np.searchsorted(recording.time, recording.time[0] + WINDOWS.late + seconds)))
+def _in_motion(recordings: Sequence[Recording], prepared: Prepared) -> list[Recording]:
+    """The first seconds in which recordings move, of two of them; at rest every convention predicts all."""
+    windows, moves = prepared.problem.windows, data.moves(prepared)
+    begin = [(k, windows.start[moves & (windows.source == k)].min(initial=math.inf)) for k in range(len(recordings))]
+    moving = [(recordings[k], start) for k, start in begin if math.isfinite(start)][:2]
+    found = []
+    for recording, start in moving:
+        borders = start - WINDOWS.late, start + CONVENTIONS.seconds / len(moving)  # windows begin late enough
+        found.append(recording.slice(*np.searchsorted(recording.time, borders).tolist()))
+    return found
 
 
 def _read(physics: Physics) -> dict[str, tuple[list[int], list[int]]]:

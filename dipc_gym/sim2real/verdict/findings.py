@@ -108,6 +108,8 @@ def step_shift(final: Fit, problem: Problem) -> Array:
 def choice_shift(fitted: Fit, others: Sequence[Fit]) -> Array:
     """How far each mapped parameter moves if other model parameters were wrong than those that changed, (p,).
 
+    Values of a law that has another shape since the others were fitted are of other places, and say nothing here.
+
     Args:
         fitted: with the fewest model parameters changed.
         others: with as many others changed, that predict as well.
@@ -115,10 +117,12 @@ def choice_shift(fitted: Fit, others: Sequence[Fit]) -> Array:
     shift = np.zeros(len(fitted.z))
     for other in others:
         known = {slot.key: z for slot, z in zip(other.structure.slots, other.z, strict=True)}
-        there = np.array(
-            [known.get(slot.key, 0.0) for slot in fitted.structure.slots]
-        )  # nominal parameters map to zero
-        shift = np.maximum(shift, np.abs(there - fitted.z))
+        shapes = {term.key: term.effect for term in other.structure.terms}
+        reshaped = [t.key for t in fitted.structure.terms if t.effect.free and shapes.get(t.key) is not t.effect]
+        for i, slot in enumerate(fitted.structure.slots):
+            if slot.key.rpartition(".")[0] not in reshaped:
+                there = known.get(slot.key, 0.0)  # nominal parameters map to zero
+                shift[i] = max(shift[i], abs(there - fitted.z[i]))
     return shift
 
 

@@ -15,6 +15,10 @@ from dipc_gym.sim2real.selection.settings import SCORE, WINDOWS
 from dipc_gym.sim2real.verdict.conventions import Convention
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
+NOT_HELD_OUT = (
+    "What is given as the error on held-out data is that on data which were fitted: the other was not worked out."
+)
+
 
 def called(attribute: str, at: str) -> str:
     """A parameter of the model in words.

@@ -10,7 +10,8 @@ import bisect
 import functools
 import heapq
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -72,11 +73,7 @@ def other_parameters(search: Searched, fitted: Fit, fewest: Fit) -> list[Fit]:
     # They are told and counted, not written to the model: a third of the windows says that as well.
     reduced = _Reduced(search, fitted, search.partition.subset)
     known = set(_not_nominal(fitted))
-    choices = (
-        free
-        for free in itertools.combinations(range(len(keys)), len(chosen))
-        if {keys[i] for i in free} != chosen and known <= set(free)
-    )
+    choices = (free for free in _exchanged([key in chosen for key in keys]) if known <= set(free))
     likely = heapq.nsmallest(VERDICT.others, choices, key=lambda free: reduced.foretold(free)[0])
 
     def other(free: Sequence[int]) -> Fit | None:
@@ -86,6 +83,24 @@ def other_parameters(search: Searched, fitted: Fit, fewest: Fit) -> list[Fit]:
     with search.fitter.side_by_side([partial(other, free) for free in likely], [fitted]) as result:
         found = [result(k) for k in range(len(likely))]
     return [one for one in found if one is not None]
+
+
+def _exchanged(chosen: Sequence[bool]) -> Iterator[tuple[int, ...]]:
+    """Choices of as many numbers as are chosen, but of others, from those on that share most with it.
+
+    All there are, or if these are too many all in which so few are exchanged that they are not.
+    """
+    inside = [i for i, one in enumerate(chosen) if one]
+    outside = [i for i, one in enumerate(chosen) if not one]
+    count = 0
+    for exchanged in range(1, min(len(inside), len(outside)) + 1):
+        count += math.comb(len(inside), exchanged) * math.comb(len(outside), exchanged)
+        if exchanged > 1 and count > VERDICT.choices:
+            return
+        for gone, new in itertools.product(
+            itertools.combinations(inside, exchanged), itertools.combinations(outside, exchanged)
+        ):
+            yield tuple(sorted({*inside, *new} - {*gone}))
 
 
 def _not_nominal(fitted: Fit) -> list[int]:
