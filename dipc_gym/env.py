@@ -234,6 +234,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             return None
         if self._viewer is None:
             self._viewer = viewer(self.model, self._data, *self._picture)
+        if self._compiled is not None:
+            self._compiled.show(self._data)
         return self._viewer.render(self.render_mode)
 
     def _draw_frame(self) -> None:

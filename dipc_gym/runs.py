@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -117,7 +118,13 @@ def identify(
     if from_recording is None:
         run = record(fixed, env.plant, sweep, seed=seed)
     else:
-        run = recording.read(from_recording, fixed, mapping=mapping, units=units)
+        free = _read(env.model) - _read(fixed)  # poles may have columns as well, and units of their own
+        run = recording.read(
+            from_recording,
+            fixed,
+            mapping={column: name for column, name in (mapping or {}).items() if name not in free},
+            units={name: unit for name, unit in (units or {}).items() if name not in free},
+        )
     encoders, period = env.plant.encoders, env.plant.control_period
     data = samples(run, linear, encoders, period, block=sweep.block, smoothed=from_recording is not None)
     late = env.plant.delay or delay(data, linear.constants)
@@ -130,6 +137,11 @@ def identify(
         data = dataclasses.replace(data, voltage=delayed(data.voltage, period, late))
     rig = RigModel.of(*lqr.linear_model(env.model), env.plant, linear.constants.newtons_per_volt, late)
     return Identification(run, linear, env.plant, data, found, rig)
+
+
+def _read(model: mujoco.MjModel) -> set[str]:
+    """Names of a model's sensors, which columns of a recording go by."""
+    return {model.sensor(i).name for i in range(model.nsensor)}
 
 
 def _check_locked(

@@ -262,6 +262,8 @@ def main(arguments: Arguments) -> None:
     runs = [part(each, arguments.begin, arguments.end) for each in runs]
     arguments.out.mkdir(parents=True, exist_ok=True)
     nominal = arguments.out / "nominal.xml"
+    if nominal.exists() and nominal.read_text() != model and not arguments.overwrite:
+        raise OtherLayout(f"{nominal} is there and another; say --overwrite to replace it, or name another --out")
     nominal.write_text(model)
     files = []
     for each in runs:

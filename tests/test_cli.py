@@ -109,12 +109,23 @@ def test_a_policy_sees_through_a_saved_estimator_of_its_kind(tmp_path: Path) -> 
     assert main(["record", "--out", str(tmp_path / "run.csv"), *seen, "--seconds", "1"]) == 0
 
 
+def test_a_policy_behind_another_compensator_is_said_to_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = ["record", "--out", str(tmp_path / "run.csv"), "--controller", OBSERVED, "--seconds", "0.1"]
+    assert main(run) == 0
+    assert "trained with" not in capsys.readouterr().out
+    assert main([*run, "--overwrite", "--compensator", "none"]) == 0
+    assert "was trained with the compensator 'observed', not with 'none'" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("controller", ["lqr_cart", OBSERVED])
 def test_a_run_is_recorded_through_an_estimator(controller: str, tmp_path: Path) -> None:
-    """A policy brings its own. After 10 s the cart strays as docs/rejection.md has it, by the worst of its rigs."""
+    """A policy brings its own, and its compensator. After 10 s the cart strays as docs/rejection.md has it, by the
+    worst of its rigs.
+    """
     out = tmp_path / "run.csv"
     seen = [] if controller == OBSERVED else ["--estimator", "disturbance"]
-    run = ["--controller", controller, *seen, "--compensator", "observed", "--seconds", "20"]
+    behind = [] if controller == OBSERVED else ["--compensator", "observed"]
+    run = ["--controller", controller, *seen, *behind, "--seconds", "20"]
     assert main(["record", "--out", str(out), *run]) == 0
     cart = np.loadtxt(out, delimiter=",", skiprows=1)[:, 2]
     assert np.abs(cart[len(cart) // 2 :]).max() < (0.0115 if controller == "lqr_cart" else 0.045)
@@ -124,6 +135,9 @@ def test_a_run_is_recorded_through_an_estimator(controller: str, tmp_path: Path)
     ("arguments", "says"),
     [
         (["compare", "--out", "full"], "choose another folder"),
+        (["compare", "--out", "new", "--robustness", "all,scor"], "did you mean 'score'?"),
+        (["train-policy", "--out", "new", "--plan", "over.json"], "say --task swing-up too"),
+        (["render", "--magnify", "10"], "whatever --magnify says"),
         (["compare", "--out", "new", "--controller", "pid"], "there is no controller 'pid'"),
         (["compare", "--out", "new", "--controller", "lqrr"], "did you mean 'lqr'?"),
         (["compare", "--out", "new", "--estimator", "kalmann"], "did you mean 'kalman'?"),

@@ -448,6 +448,16 @@ for camera in ("side", "follow"):
     env.reset(options={"state": [-0.2, -0.3, 0.3, 0, 0, 0], "plant": {"delay": 0.004}})
     pictures.append(env.render())
     env.close()
+for engine in ("mujoco", "compiled"):
+    env = gymnasium.make("DIPC-Friction-v0", render_mode="rgb_array", width=96, height=72, engine=engine)
+    env.reset(options={"state": [-0.3, 0, 0, 0, 0, 0]})
+    frames = [env.render()]
+    for _ in range(60):
+        env.step([12.0])
+    frames.append(env.render())
+    assert (frames[0] != frames[1]).sum() > 100, f"{engine} draws one picture for ever"
+    pictures += frames
+    env.close()
 for picture in pictures:
     assert picture.shape == (72, 96, 3) and picture.dtype == np.uint8 and picture.std() > 5
 assert (pictures[0] != pictures[1]).any() and (pictures[0] != pictures[2]).any()

@@ -96,3 +96,17 @@ def test_every_command_does_what_the_page_says(files: Path, capsys: pytest.Captu
             made.voltage(0.0, way * 0.3)
             pushes = way * 4 * made.voltage(0.0, way * 0.3)
             assert pushes == pytest.approx(8.0, abs=away)
+
+
+def test_columns_of_locked_poles_have_units_and_names_of_their_own(tmp_path: Path) -> None:
+    """One count of an encoder in degrees is a twelfth of one; read as radians, poles would swing."""
+    run = identify(sweep=Sweep(duration=20.0)).run
+    poles = np.degrees(0.0015) * (np.arange(len(run)) % 2)[:, None] * np.ones(2)
+    seen = Recording(
+        "sweep", run.time, run.commands, np.hstack([run.sensors, poles]), ("motor",), ("cart", "th1", "pole2")
+    )
+    path = recording.write(seen, tmp_path / "sweep.csv")
+    known = {"mapping": {"th1": "pole1"}, "units": {"pole1": "deg", "pole2": "deg"}}
+    assert len(identify(from_recording=str(path), **known).run) == len(run)
+    with pytest.raises(ValueError, match=r"pole1 swings by 0\.\d+ rad; identification needs the poles locked"):
+        identify(from_recording=str(path), mapping=known["mapping"])

@@ -1,6 +1,7 @@
 """The score: which troubles it takes, what a motor that misbehaves does, and how rates become a number."""
 
 import dataclasses
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -16,6 +17,19 @@ from dipc_gym.runs import Impulse, balance
 from dipc_gym.wrappers import FaultyMotor, VectorFaultyMotor
 
 MASSES = {"cart": 0.56, "pole1": 0.57, "pole2": 0.128}
+
+
+def test_a_motor_does_not_hear_of_voltages_that_are_refused() -> None:
+    """Else no voltage would be finite any more."""
+    env = FaultyMotor(gymnasium.make("DIPC-Friction-v0"), response=0.5)
+    envs = VectorFaultyMotor(
+        gymnasium.make_vec("DIPC-Friction-v0", 2, vectorization_mode="vector_entry_point"), response=0.5
+    )
+    for rigs, wrong, right in ((env, [np.nan], [4.0]), (envs, [[1.0], [np.nan]], [[4.0], [4.0]])):
+        rigs.reset(seed=1)
+        with pytest.raises(ValueError, match="must be a finite number"):
+            rigs.step(np.array(wrong))
+        assert np.all(np.equal(rigs.step(np.array(right))[4]["voltage"], 2.0))
 
 
 def test_troubles_are_six_tests_that_include_the_rig_as_it_is():
@@ -229,3 +243,12 @@ def test_intervals_are_those_of_the_t_distribution():
 def test_unknown_estimators_are_refused(estimators):
     with pytest.raises(ValueError, match=r"give one or more|no estimator 'kalmann'"):
         Comparison(estimators=estimators).check()
+
+
+def test_a_rig_that_the_score_cannot_change_is_refused_at_once(tmp_path: Path) -> None:
+    """Its masses are those of bodies by name, and of their own elements."""
+    other = tmp_path / "other.xml"
+    other.write_text(DoublePendulumEnv().source.text.replace('body name="pole2"', 'body name="upper"'))
+    asked = Comparison(seeds=1, seconds=1.0, model=str(other), robustness=("score",))
+    with pytest.raises(ValueError, match=r"called cart, pole1, pole2, and there is no 'pole2'; name the bodies so"):
+        asked.check()

@@ -346,6 +346,24 @@ def test_going_on_needs_the_best_policy_so_far_and_says_so_at_once(
     assert (out / "checkpoint.pt").read_bytes() == before
 
 
+@pytest.mark.parametrize("name", ["policy.json", "compensator.json", "tensorboard/other/run"])
+def test_files_of_no_training_are_not_cleared(name: str, tmp_path: Path) -> None:
+    """Such as a compensator that was saved by hand, or the logs of other runs."""
+    mine = tmp_path / name
+    mine.parent.mkdir(parents=True, exist_ok=True)
+    mine.write_text("mine")
+    with pytest.raises(FileExistsError, match=r"is of no training, for there is no training\.json; move it"):
+        folder.prepare(short(), tmp_path, resume=False, overwrite=True)
+    assert mine.read_text() == "mine"
+
+
+def test_friction_cannot_be_observed_where_a_recipe_learns_from_the_exact_state() -> None:
+    training = short(compensator="observed", estimator="disturbance")
+    exact = dataclasses.replace(training, recipe=dataclasses.replace(training.recipe, exact_state=True))
+    with pytest.raises(TrainingError, match=r"'observed' takes friction from an estimator, .* take another"):
+        Rig.of(exact)
+
+
 @pytest.mark.parametrize("name", folder.FILES)
 def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(name: str, tmp_path: Path) -> None:
     out = tmp_path / "run"

@@ -17,11 +17,18 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.wrappers import ClipAction, NormalizeObservation, RescaleAction, vector
 
 import dipc_gym
-from dipc_gym import compensators, mjcf, recording
+from dipc_gym import compensators, mjcf, recording, runs
 from dipc_gym.compensators import Compensator, CompensatorError, Feedforward, Ideal, RigConstants, Samples, StaticGain
 from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.env import DoublePendulumEnv
-from dipc_gym.wrappers import ForceCommand, RecordRun, VectorForceCommand, VectorRecordRun
+from dipc_gym.wrappers import (
+    EstimateState,
+    ForceCommand,
+    RecordRun,
+    VectorEstimateState,
+    VectorForceCommand,
+    VectorRecordRun,
+)
 
 GAIN = StaticGain(newtons_per_volt=4.0)
 
@@ -228,6 +235,13 @@ def test_a_wrapper_that_changes_what_an_action_is_goes_outside() -> None:
     envs = gymnasium.make_vec(dipc_gym.ENV_ID, num_envs=2, vectorization_mode="vector_entry_point")
     with pytest.raises(ValueError, match="around ForceCommand instead"):
         VectorForceCommand(vector.RescaleAction(envs, LOW, HIGH), GAIN)
+    estimator = runs.estimator("kalman")
+    for inside in (RescaleAction(rig(), LOW, HIGH), ForceCommand(rig(), GAIN)):
+        with pytest.raises(ValueError, match="around EstimateState instead"):
+            EstimateState(inside, estimator)
+    for many in (vector.RescaleAction(envs, LOW, HIGH), VectorForceCommand(envs, GAIN)):
+        with pytest.raises(ValueError, match="around EstimateState instead"):
+            VectorEstimateState(many, estimator)
     outside = RescaleAction(ForceCommand(ClipAction(rig()), GAIN), LOW, HIGH)
     outside.reset(seed=1)
     assert outside.step(np.array([0.5]))[4]["force"] == pytest.approx(

@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from dipc_gym import estimators
@@ -35,7 +36,8 @@ class EstimateState(
     Raises:
         TypeError: `env` has no encoders to read.
         estimators.EstimatorError: the estimator's file or dictionary is broken.
-        ValueError: the estimator is for another control period, or knows the rig near upright alone.
+        ValueError: the estimator is for another control period, or knows the rig near upright alone; or a wrapper
+            inside this one changes what an action is, such as `ForceCommand`, which goes around it.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -57,6 +59,7 @@ class EstimateState(
         inner: Any = env.unwrapped
         if not hasattr(inner, "encoders"):
             raise TypeError(f"{inner} has no encoders; EstimateState goes around DIPC-Friction-v0")
+        check_volts("EstimateState", env.action_space, inner.action_space)
         self.estimator = own_estimator(estimator)
         check_period(self.estimator, inner.plant.control_period)
         refuse_near(self.estimator, inner)
@@ -123,6 +126,26 @@ def check_period(estimator: Estimator, period: float) -> None:
         raise ValueError(
             f"the estimator {estimator.name!r} is for a control period of {estimator.rig.period:g} s; the "
             f"environment's is {period:g} s: fit it on this rig"
+        )
+
+
+def check_volts(wrapper: str, outer: spaces.Space[Any], inner: spaces.Space[Any]) -> None:
+    """Refuse an environment whose wrappers want something else than the motor's voltage.
+
+    Args:
+        wrapper: name of the one that is to go around it, and that sends volts or passes them on.
+        outer: action space of the environment, wrappers included.
+        inner: action space without them.
+
+    Raises:
+        ValueError: the two differ, and not only in that one has no bounds.
+    """
+    if isinstance(outer, spaces.Box) and outer.shape == inner.shape and not outer.is_bounded("both"):
+        return  # as `ClipAction` has it, which leaves voltages voltages
+    if outer != inner:
+        raise ValueError(
+            f"{wrapper} sends volts, {inner}, and the environment takes {outer}: put the wrapper that changes actions, "
+            f"such as RescaleAction, around {wrapper} instead of inside"
         )
 
 

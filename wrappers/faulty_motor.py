@@ -11,6 +11,8 @@ import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
+from dipc_gym.safety import actions
+
 Array = NDArray[np.float64]
 
 
@@ -57,8 +59,12 @@ class FaultyMotor(
         return self.env.reset(seed=seed, options=options)
 
     def step(self, action: NDArray[Any]) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
-        """Apply what becomes of the voltage (1,), V."""
-        asked = float(action[0])
+        """Apply what becomes of the voltage (1,), V.
+
+        Raises:
+            ValueError: the action is not one finite number; the motor does not hear of it.
+        """
+        asked = actions.one(action, "voltage")
         self._applied = self.response * asked + (1 - self.response) * self._applied
         volts = self._applied
         if self.noise:
@@ -105,10 +111,14 @@ class VectorFaultyMotor(VectorWrapper[Any, Any, Any, Any, Any]):
         self._applied[self.env.unwrapped.began] = 0.0  # type: ignore[attr-defined]
         return found
 
-    def step(self, actions: NDArray[Any]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Apply what becomes of the voltages (num_envs, 1), V."""
-        asked = np.asarray(actions, dtype=np.float64)[:, 0]
-        self._applied = self.response * asked + (1 - self.response) * self._applied
+    def step(self, asked: NDArray[Any]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Apply what becomes of the voltages (num_envs, 1), V.
+
+        Raises:
+            ValueError: they have another shape or are not finite; no motor hears of them.
+        """
+        voltages = actions.many(asked, "voltage", self.num_envs)
+        self._applied = self.response * voltages + (1 - self.response) * self._applied
         volts = self._applied.copy()
         # A row that begins anew hears no command; a draw would leave its generator elsewhere than alone.
         for i in np.flatnonzero((self.noise > 0) & ~self.env.unwrapped.waiting):  # type: ignore[attr-defined]

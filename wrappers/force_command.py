@@ -19,7 +19,7 @@ from dipc_gym.compensators import Compensator, CompensatorError
 from dipc_gym.plant import Plant
 from dipc_gym.safety import actions
 from dipc_gym.safety.naming import suggestion
-from dipc_gym.wrappers.estimate import EstimateState, refuse_blind
+from dipc_gym.wrappers.estimate import EstimateState, check_volts, refuse_blind
 from dipc_gym.wrappers.vector_estimate import VectorEstimateState
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ class ForceCommand(
         inner: Any = env.unwrapped
         if not hasattr(inner, "measured_velocity"):
             raise TypeError(f"{inner} has no measured_velocity; ForceCommand goes around DIPC-Friction-v0")
-        check_volts(env.action_space, inner.action_space)
+        check_volts("ForceCommand", env.action_space, inner.action_space)
         frozen = frozen_compensator(compensator)
         recorded = compensator.to_dict() if isinstance(compensator, Compensator) else _plain(compensator)
         gymnasium.utils.RecordConstructorArgs.__init__(self, compensator=recorded, force_limit=force_limit)
@@ -125,25 +125,6 @@ def estimating(env: Any) -> Any:
             return None
         env = env.env
     return env
-
-
-def check_volts(outer: spaces.Space[Any], inner: spaces.Space[Any]) -> None:
-    """Refuse an environment whose wrappers want something else than the motor's voltage.
-
-    Args:
-        outer: action space of the environment, wrappers included.
-        inner: action space without them.
-
-    Raises:
-        ValueError: the two differ, and not only in that one has no bounds.
-    """
-    if isinstance(outer, spaces.Box) and outer.shape == inner.shape and not outer.is_bounded("both"):
-        return  # as `ClipAction` has it, which leaves voltages voltages
-    if outer != inner:
-        raise ValueError(
-            f"ForceCommand sends volts, {inner}, and the environment takes {outer}: put the wrapper that changes "
-            "actions, such as RescaleAction, around ForceCommand instead of inside"
-        )
 
 
 def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path) -> Compensator:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from dipc_gym.compensators import Compensator
 from dipc_gym.safety.actions import many
 from dipc_gym.vector import DIPCFrictionVectorEnv
-from dipc_gym.wrappers.estimate import refuse_blind
-from dipc_gym.wrappers.force_command import check_volts, estimating, force_range, frozen_compensator
+from dipc_gym.wrappers.estimate import check_volts, refuse_blind
+from dipc_gym.wrappers.force_command import estimating, force_range, frozen_compensator
 from dipc_gym.wrappers.record import EpisodeFiles, recordings_folder
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
     ) -> None:
         super().__init__(env)
         self._inner = _own(env)
-        check_volts(env.single_action_space, self._inner.single_action_space)
+        check_volts("ForceCommand", env.single_action_space, self._inner.single_action_space)
         self.compensator = frozen_compensator(compensator)
         self.force_limit, self.single_action_space = force_range(self._inner.plant, force_limit)
         self.action_space = batch_space(self.single_action_space, self.num_envs)

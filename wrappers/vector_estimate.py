@@ -14,7 +14,7 @@ from dipc_gym.estimators import Command, Estimator
 from dipc_gym.kernels import TURN
 from dipc_gym.mechanics.motion import state_of
 from dipc_gym.vector import DIPCFrictionVectorEnv
-from dipc_gym.wrappers.estimate import check_period, own_estimator, refuse_near
+from dipc_gym.wrappers.estimate import check_period, check_volts, own_estimator, refuse_near
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,8 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
     Raises:
         TypeError: `env` is another environment.
         estimators.EstimatorError: the estimator's file or dictionary is broken.
-        ValueError: the estimator is for another control period, or knows the rig near upright alone.
+        ValueError: the estimator is for another control period, or knows the rig near upright alone; or a wrapper
+            inside this one changes what actions are.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -46,6 +47,7 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         inner = env.unwrapped
         if not isinstance(inner, DIPCFrictionVectorEnv):
             raise TypeError(f"{inner} is not DIPC-Friction-v0 made with vectorization_mode='vector_entry_point'")
+        check_volts("EstimateState", env.single_action_space, inner.single_action_space)
         self._inner = inner
         self.estimator = own_estimator(estimator)
         check_period(self.estimator, inner.plant.control_period)

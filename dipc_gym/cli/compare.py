@@ -51,7 +51,7 @@ class Compare:
     exact_state: bool = False
     """balance with the exact state: what encoder noise costs is then left out"""
     robustness: str = ""
-    """with commas between: friction, encoder, period, supply, impulse, or all of these; score: one number for all"""
+    """with commas between: friction, encoder, period, supply, impulse, or all; and score: one number for all"""
     jobs: int | None = None
     """experiments at a time; without it 2, or on Ray as many as the cluster has CPUs"""
     backend: Literal["local", "ray"] = "local"
@@ -65,6 +65,7 @@ class Compare:
         from dipc_gym.experiments.robustness import AXES
         from dipc_gym.experiments.tables import table
 
+        every = {"all": tuple(AXES)}
         comparison = compare.Comparison(
             controllers=listed(self.controller),
             compensators=listed(self.compensator),
@@ -75,7 +76,9 @@ class Compare:
             model=self.model,
             recording=self.recording,
             exact_state=self.exact_state,
-            robustness=tuple(AXES) if self.robustness == "all" else listed(self.robustness),
+            robustness=tuple(
+                dict.fromkeys(axis for name in listed(self.robustness) for axis in every.get(name, (name,)))
+            ),
         )
         comparison.check()
         if comparison.recording is not None:

@@ -35,10 +35,11 @@ class Record:
     """balance the poles, or sweep the voltage with the poles locked"""
     controller: str = "lqr"
     """lqr, lqr_cart, lqr_sampled, lqr_quiet, dither, or a policy: our own (.json), or stable-baselines3's (.zip)"""
-    compensator: str = "none"
-    """a name, trained for this on a simulated run, or a saved compensator (.json); an unknown name lists them all"""
+    compensator: str | None = None
+    """a name, trained for this on a simulated run, or a saved compensator (.json); an unknown name lists them all.
+    Without it that which a policy was trained with, else none"""
     estimator: str | None = None
-    """what the rig is seen through: a name, fitted for this, or a saved estimator (.json); without it that which a
+    """what the rig is seen through: a name, fitted for this, or a saved estimator (.json). Without it that which a
     policy was trained with, else the environment's own observation"""
     seconds: float = 80.0
     """length of a balancing run, s"""
@@ -106,10 +107,11 @@ class Render:
     controller: str = "lqr"
     """lqr, lqr_cart or another, or a policy, our own (.json) or of stable-baselines3 (.zip); tvlqr, or a plan (.json),
     which swings up; an unknown name lists them all"""
-    compensator: str = "none"
-    """a name, trained for this on a simulated run, or a saved compensator (.json); an unknown name lists them all"""
+    compensator: str | None = None
+    """a name, trained for this on a simulated run, or a saved compensator (.json); an unknown name lists them all.
+    Without it that which a policy was trained with, else none"""
     estimator: str | None = None
-    """what the rig is seen through: a name, fitted for this, or a saved estimator (.json); without it that which a
+    """what the rig is seen through: a name, fitted for this, or a saved estimator (.json). Without it that which a
     policy was trained with, else the environment's own observation"""
     seconds: float = 10.0
     """length, s"""
@@ -131,23 +133,27 @@ class Render:
 
         if self.out is not None:
             free(ending(self.out, *film.FORMATS), self.overwrite)
+        else:
+            _idle(self, ("magnify",), "the window shows the rig as it is")
         mapping, units = columns(self.recording, self.map, self.unit)
         if self.recording is not None:
             _idle(self, ("controller", "compensator", "estimator", "plant"), "what a recording holds has run already")
             course = runs.recorded(self.recording, model=self.model, mapping=mapping, units=units)
+            caption = Path(self.recording).stem
         else:
-            course = self._simulated()
+            course, behind = self._simulated()
+            caption = f"{self.controller}, {behind.name}"
         if course.fell:
             print(f"fell after {course.lasted:.2f} s")
         if self.out is None:
             film.show(course, model=self.model, seconds=self.seconds)
         else:
-            caption = Path(self.recording).stem if self.recording else f"{self.controller}, {self.compensator}"
             film.shoot({caption: course}, self.out, model=self.model, seconds=self.seconds, magnify=self.magnify)
             print(f"{self.out}: {min(self.seconds, course.time[-1]):.1f} s")
         return 0
 
-    def _simulated(self) -> Course:
+    def _simulated(self) -> tuple[Course, Compensator]:
+        """A run, and what made voltages of forces in it."""
         from dipc_gym import controllers, runs
         from dipc_gym.controllers import Tracking
         from dipc_gym.policy import Policy
@@ -155,7 +161,7 @@ class Render:
         brain = controllers.load(self.controller)
         if not (isinstance(brain, Tracking) or (isinstance(brain, Policy) and brain.swings_up)):
             compensator, estimator = _parts(brain, self.compensator, self.estimator, self.plant, self.model, self.seed)
-            return runs.balance(
+            course = runs.balance(
                 controllers.balancing(self.controller),
                 compensator,
                 seconds=self.seconds,
@@ -164,11 +170,13 @@ class Render:
                 model=self.model,
                 estimator=estimator,
             )
+            return course, compensator
         found = runs.identify(self.plant, model=self.model, seed=self.seed)
         sees = self.estimator or ("rigid_body" if isinstance(brain, Tracking) else brain.estimator)
-        return runs.swing_up(
+        behind = _told(brain, found.fit(_chosen(brain, self.compensator), seed=self.seed))
+        course = runs.swing_up(
             brain,
-            found.fit(self.compensator, seed=self.seed),
+            behind,
             seconds=self.seconds,
             seed=self.seed,
             start=brain.start or "down-down",
@@ -177,6 +185,7 @@ class Render:
             model=self.model,
             estimator=None if sees is None else found.fit_estimator(sees, seed=self.seed),
         )
+        return course, behind
 
 
 def _idle(command: Record | Render, names: tuple[str, ...], why: str) -> None:
@@ -186,8 +195,26 @@ def _idle(command: Record | Render, names: tuple[str, ...], why: str) -> None:
         raise ValueError(f"{why}, whatever {' and '.join(given)} {'say' if len(given) > 1 else 'says'}; leave it out")
 
 
+def _chosen(brain: object, compensator: str | None) -> str:
+    """The compensator that is asked for; else that which a policy was trained with, or none."""
+    from dipc_gym.policy import Policy
+
+    if compensator is None:
+        return brain.compensator if isinstance(brain, Policy) else "none"
+    return compensator
+
+
+def _told(brain: object, behind: Compensator) -> Compensator:
+    """A compensator; whoever runs a policy with another than its own is told so, as in tables of `compare`."""
+    from dipc_gym.policy import Policy
+
+    if isinstance(brain, Policy) and behind.name != brain.compensator:
+        print(f"note: the policy was trained with the compensator {brain.compensator!r}, not with {behind.name!r}")
+    return behind
+
+
 def _parts(
-    brain: object, compensator: str, estimator: str | None, plant: str | None, model: str | None, seed: int
+    brain: object, compensator: str | None, estimator: str | None, plant: str | None, model: str | None, seed: int
 ) -> tuple[Compensator, Estimator | None]:
     """What makes a controller's force a voltage, and what it sees the rig through; None is the environment's own
     observation. What is learned is learned from one run.
@@ -195,13 +222,13 @@ def _parts(
     from dipc_gym import runs
     from dipc_gym.policy import Policy
 
-    policy = brain if isinstance(brain, Policy) else None
+    policy, chosen = brain if isinstance(brain, Policy) else None, _chosen(brain, compensator)
     if estimator is None and policy:
         estimator = policy.estimator
     if estimator is None:
-        return runs.compensator(compensator, plant, model=model, seed=seed), None
+        return _told(brain, runs.compensator(chosen, plant, model=model, seed=seed)), None
     found = runs.identify(plant, model=model, seed=seed)
     seen_through = found.fit_estimator(estimator, seed=seed)
     if policy:
         policy.require_estimator(seen_through.name)
-    return found.fit(compensator, seed=seed), seen_through
+    return _told(brain, found.fit(chosen, seed=seed)), seen_through

@@ -162,6 +162,8 @@ class TrainPolicy:
         given = {"steps": self.steps, "num_envs": self.num_envs, "engine": self.engine}
         changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         imitates = self.algo == "dagger"
+        if self.task == "balance" and self.plan != type(self).plan:
+            raise ValueError("a plan is of a swing-up; say --task swing-up too, or leave --plan out")
         training = train.Training(
             algorithm=self.algo,
             task=self.task,

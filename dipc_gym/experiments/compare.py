@@ -39,6 +39,7 @@ from dipc_gym.safety.naming import suggestion
 from dipc_gym.safety.places import inside
 from dipc_gym.sweep import Backend, Cell, Outcome
 
+BODIES = ("cart", "pole1", "pole2")  # whose masses the score changes
 SCORE = "score"  # what asks for one number, among the axes of robustness
 FOLDERS = ("cells", "compensators", "recordings", "figures")
 FIGURES = ("fig07_identification", "fig08_mlp", "fig09_lolimot", "fig10_llnf", "fig12_balance", "robustness")
@@ -166,9 +167,19 @@ class Comparison:
             )
         robustness.check((name for name in self.robustness if name != SCORE), self.base_plant())
         if SCORE in self.robustness:
-            score.troubles(self.base_plant(), self.masses())
+            self._check_score()
         if self.recording is not None:
             self.trainings()[0].identification()
+
+    def _check_score(self) -> None:
+        """Refuse a rig that cannot be changed in all that the score changes.
+
+        Raises:
+            ValueError: it has no such bodies, or does not say what would have to change.
+        """
+        env: Any = gymnasium.make(ENV_ID, plant=self.plant, model=self.model).unwrapped
+        for trouble in score.troubles(env.plant, self.masses()):
+            trouble.plant.to_mjcf(env.source.text)
 
     def pairs(self) -> list[tuple[str, str]]:
         """Controllers and compensators as tables call them, in the order of the table."""
@@ -201,9 +212,19 @@ class Comparison:
         return env.plant
 
     def masses(self) -> dict[str, float]:
-        """Of cart and poles as the model has them, kg."""
+        """Of cart and poles as the model has them, kg.
+
+        Raises:
+            ValueError: bodies have other names.
+        """
         env: Any = gymnasium.make(ENV_ID, plant=self.plant, model=self.model).unwrapped
-        return {name: float(env.model.body(name).mass[0]) for name in ("cart", "pole1", "pole2")}
+        bodies = {env.model.body(i).name: float(env.model.body(i).mass[0]) for i in range(env.model.nbody)}
+        if missing := [name for name in BODIES if name not in bodies]:
+            raise ValueError(
+                f"{self.model}: the score changes the masses of bodies called {', '.join(BODIES)}, and there is no "
+                f"{missing[0]!r}; name the bodies so"
+            )
+        return {name: bodies[name] for name in BODIES}
 
     def rig(self, seed: int) -> Plant:
         """The rig of a seed."""

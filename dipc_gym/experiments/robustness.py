@@ -151,8 +151,8 @@ def check(names: Iterable[str], plant: Plant) -> None:
     for name in names:
         if name not in AXES:
             raise ValueError(
-                f"there is no robustness axis {name!r}; there are {', '.join(AXES)}, and all for all of them"
-                f"{suggestion(name, AXES)}"
+                f"there is no robustness axis {name!r}; there are {', '.join(AXES)}, all for all of them, and score"
+                f"{suggestion(name, (*AXES, 'all', 'score'))}"
             )
         AXES[name].rig(plant, AXES[name].usual)
 

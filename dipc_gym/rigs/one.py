@@ -53,3 +53,10 @@ class CompiledRig:
         self._volts[0] = volts
         self._rigs.hold(self._volts)
         data.qpos, data.qvel, data.time = motion[:n], motion[n:], self._rigs.time[0]
+
+    def show(self, data: mujoco.MjData) -> None:
+        """Work out where bodies are, for a picture; `advance` needs no more than joints."""
+        model = self._rig.model
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:
+    raise ImportError(
+        "folders are held by locks of Linux and macOS: on Windows, use the Windows Subsystem for Linux"
+    ) from None
 
 
 class BusyError(ValueError):

@@ -31,7 +31,7 @@ def prepare(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
 
     Raises:
         TrainingError: another training is there, or its note cannot be read; or `resume` is set and there is none.
-        FileExistsError: it is not empty, and neither `resume` nor `overwrite` is set.
+        FileExistsError: it is not empty, and neither `resume` nor `overwrite` is set; or what would go is of none.
     """
     note = out / "training.json"
     if out.is_dir():
@@ -68,6 +68,11 @@ def prepare(training: Training, out: Path, *, resume: bool, overwrite: bool) -> 
         if not out.is_dir() or not overwrite:
             raise FileExistsError(
                 f"{out} exists and is not empty; choose another folder, or say --resume or --overwrite"
+            )
+        alien = [name for name in (*FILES, "tensorboard") if (out / name).exists()]
+        if alien and not note.exists():
+            raise FileExistsError(
+                f"{out / alien[0]} is of no training, for there is no {note.name}; move it, or choose another folder"
             )
         for name in FILES:
             (out / name).unlink(missing_ok=True)

@@ -16,7 +16,7 @@ from dipc_gym.estimators import Estimator
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Policy
 from dipc_gym.runs import identify
-from dipc_gym.training.recipe import Recipe
+from dipc_gym.training.recipe import Recipe, TrainingError
 from dipc_gym.training.task import TASKS, Training
 
 Array = NDArray[np.float64]
@@ -53,12 +53,18 @@ class Rig:
         """Identify a rig and fit its compensator.
 
         Raises:
+            TrainingError: the compensator needs an estimator, and the recipe learns without.
             ValueError: plant, model or compensator cannot be used.
         """
         env: Any = gymnasium.make(ENV_ID, plant=training.plant, model=training.model).unwrapped
         plant: Plant = env.plant
         identified = identify(plant, model=training.model, seed=training.seed)
         compensator = identified.fit(training.compensator, seed=training.seed)
+        if compensator.observed_friction and training.recipe.exact_state:
+            raise TrainingError(
+                f"the compensator {compensator.name!r} takes friction from an estimator, and {training.algorithm} "
+                f"learns {training.task} from the exact state, without one; take another compensator, such as llnf"
+            )
         estimator = None
         if training.estimator is not None:
             estimator = identified.fit_estimator(training.estimator, seed=training.seed)
