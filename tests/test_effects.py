@@ -25,6 +25,7 @@ from dipc_gym.sim2real.effects.base import Evidence, Parameter
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.law import Law
+from dipc_gym.sim2real.effects.load_creeping import _stretch
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
 from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
 from dipc_gym.sim2real.effects.motor_map import CommandMap
@@ -235,6 +236,23 @@ def test_nothing_is_offered_twice() -> None:
             continue
         structure = added(rig, effect, at, guesses(effect, rig, at)[0])
         assert not effect.fits(structure.physics(structure.first).model, at), name
+
+
+@pytest.mark.parametrize("effect", ["load.creeping", "load.creeping:law"])
+def test_springs_that_creep_fast_are_asked_for_whatever_forces_say(effect: str) -> None:
+    """A refitted mass and damping do nearly what they do, and may leave a force that seems to push."""
+    scene = unexplained.scene(physics.load(RIGS["cart"]), [recorded("cart")], ready("cart").motions)
+    evidence = scene.at("joint", "cart", {})
+    for time in (0.03, 0.1, 0.3, 1.0):
+        pushes = replace(evidence, force=-10.0 * _stretch(time, evidence))
+        found = catalogue()[effect].proposals(pushes)
+        assert len(found) >= 3
+        for law, guess in found[-3:]:
+            values = dict(guess)
+            stiffness = values.pop("stiffness")
+            fastest = values.get("relaxation_time") or law.furthest / sum(values.values())
+            assert fastest == pytest.approx(0.1, rel=2.5)
+            assert 0 < stiffness * fastest < 50.0  # N s/m, of the damper behind the spring
 
 
 # Every effect at every place of every rig

@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 
 from dipc_gym.engine.swing import swing
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, rms
 from dipc_gym.sim2real.effects.coupling import couple, node
 from dipc_gym.sim2real.effects.sought import Sought, apart
 
 Array = NDArray[np.float64]
 
 TIMES = np.geomspace(0.03, 5.0, 24)  # s, tried by regression
+FAST = (0.03, 0.1, 0.3)  # s, tried whatever forces say, for a refitted mass and damping do nearly what such springs do
+USUAL = 0.3  # of the unexplained force: what a spring pulls with then
 APART = np.exp(0.5)  # ratio of the relaxation times of two first guesses, at least
 SHARPEST = 4e-3  # s: what the node between spring and damper settles in, for it needs some inertia
 
@@ -39,12 +41,14 @@ class CreepingSpring(Effect):
     rivals = ("load.spring", "friction.viscous", "friction.hysteresis", "load.swinging", "timing.sensor_lag")
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """The two relaxation times at which a spring would pull most like the unexplained force."""
+        """The two relaxation times at which a spring would pull most like the unexplained force, and fast ones."""
         sought = Sought(evidence)
         times = TIMES.tolist()
         pulls = [sought.explained(_stretch(time, evidence)) for time in times]
         best = apart([one.left_by_pulling for one in pulls], times, count=2, ratio=APART)
-        return [{"stiffness": pulls[k].weight, "relaxation_time": times[k]} for k in best]
+        fast = [(usual(evidence, _stretch(time, evidence)), time) for time in FAST]
+        told = [(pulls[k].weight, times[k]) for k in best]
+        return [{"stiffness": stiffness, "relaxation_time": time} for stiffness, time in told + fast]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A node beside the joint, a spring between the two, and a damper under the node."""
@@ -58,6 +62,11 @@ class CreepingSpring(Effect):
             f"A spring of {values['stiffness']:.3g} {unit['stiffness']} at {at} creeps: it gives way with a time "
             f"constant of {values['relaxation_time']:.3g} s."
         )
+
+
+def usual(evidence: Evidence, stretch: Array) -> float:
+    """Stiffness with which a spring that is stretched so far, (n,), pulls with a good part of the unexplained force."""
+    return USUAL * evidence.force_scale / max(rms(stretch), 1e-12)
 
 
 def _stretch(time: float, evidence: Evidence) -> Array:

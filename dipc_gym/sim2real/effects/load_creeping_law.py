@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.law import at_joint, described, recalled
-from dipc_gym.sim2real.effects.load_creeping import TIMES
+from dipc_gym.sim2real.effects.load_creeping import FAST, TIMES, usual
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.sought import Sought
 
@@ -71,7 +71,9 @@ class CreepingSpringOfAnyLaw(Effect):
         return np.linspace(0.0, self.furthest, len(self.parameters))
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
-        """A spring that creeps by a hyperbolic sine, whose pace and bend pull most like the unexplained force."""
+        """A spring that creeps by a hyperbolic sine, whose pace and bend pull most like the unexplained force; and fast
+        ones that creep in proportion.
+        """
         span = float(np.ptp(evidence.position))
         if not span > 0:
             return []
@@ -83,8 +85,9 @@ class CreepingSpringOfAnyLaw(Effect):
         found = [sought.explained(-one) for one in stretched]
         best = int(np.argmin([one.left for one in found]))
         furthest = float(np.quantile(np.abs(stretched[best]), FURTHEST))
+        fast = [self._straight(time, span, evidence) for time in FAST]
         if not (furthest > 0 and found[best].weight > 0):
-            return []
+            return fast
 
         def pull(faster: Array) -> Array:
             entry = np.concatenate([[1.0, furthest, 0.0], np.cumsum(faster)])
@@ -95,7 +98,14 @@ class CreepingSpringOfAnyLaw(Effect):
         bounds = [SLOWEST * fastest] * FIRST, [fastest] * FIRST
         faster = sought.nearest(pull, np.diff(begin, prepend=0.0).tolist(), *bounds)
         stiffness = sought.explained(pull(faster)).weight
-        return [self._shaped(furthest, stiffness, np.cumsum(faster))] if stiffness > 0 else []
+        return [self._shaped(furthest, stiffness, np.cumsum(faster)), *fast] if stiffness > 0 else fast
+
+    def _straight(self, time: float, span: float, evidence: Evidence) -> tuple[Effect, Values]:
+        """A law that creeps in proportion, with this time constant."""
+        entry = np.concatenate([[1.0, span, 0.0], span * np.linspace(0.0, 1.0, FIRST + 1)[1:] / time])
+        stretch = recalled(evidence, ENTRY, entry[None])[0]
+        furthest = max(float(np.quantile(np.abs(stretch), FURTHEST)), 1e-12)
+        return self._shaped(furthest, usual(evidence, stretch), furthest * np.linspace(0.0, 1.0, FIRST + 1)[1:] / time)
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Of a law that has its shape, what it begins with."""
