@@ -29,6 +29,7 @@ from dipc_gym.sim2real.effects.load_creeping import _stretch
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
 from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
 from dipc_gym.sim2real.effects.motor_map import CommandMap
+from dipc_gym.sim2real.effects.motor_sag_law import SagOfAnyLaw
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
@@ -177,9 +178,10 @@ def neutral(effect: Effect) -> Mapping[str, float]:
     if isinstance(effect, CommandMap | ScaleMap):
         return dict(zip((p.name for p in effect.parameters), effect.knots, strict=True))
     # A stiffness, a bound or a time constant is never none; what goes by ratios of it is next to nothing.
-    return (
-        {p.name: max(p.low, 1e-9) if p.log else 0.0 for p in effect.parameters} if effect.free else NEUTRAL[effect.id]
-    )
+    if not effect.free:
+        return NEUTRAL[effect.id]
+    held = effect.first if isinstance(effect, SagOfAnyLaw) else {}
+    return {p.name: held[p.name] if p.fixed else max(p.low, 1e-9) if p.log else 0.0 for p in effect.parameters}
 
 
 def added(rig: str, effect: Effect, at: str, values: Mapping[str, float]) -> Structure:
@@ -592,6 +594,9 @@ def test_hostile_names_survive_every_effect(name: str) -> None:
             effect = SwingingLoadOfAnyLaw((0.0, 0.01, 0.03), first)
         if isinstance(known, HysteresisOfAnyLaw):
             effect = HysteresisOfAnyLaw({"bound": 1.0, "fall_1": 0.1, "fall_2": 0.2})
+        if isinstance(known, SagOfAnyLaw):
+            held = {"current": 1.0, "gain": 1.0, "back": 0.0}
+            effect = SagOfAnyLaw({"time_constant": 1.0, "more_1": 0.1, "more_2": 0.2, **held})
         values = {p.name: max(p.low, 0.01) if p.name != "first" else -1.0 for p in effect.parameters}
         structure = base.with_term(Term(effect, at, values))
         written = structure.write(structure.first).text()

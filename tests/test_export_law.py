@@ -32,6 +32,7 @@ from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
 from dipc_gym.sim2real.effects.motor_map import CommandMap
+from dipc_gym.sim2real.effects.motor_sag_law import SagOfAnyLaw
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
@@ -60,6 +61,9 @@ FOUND = {
     "load.creeping@cart": CreepingSpringOfAnyLaw(0.05, {"stiffness": 40.0, "faster_1": 0.02, "faster_2": 0.08}),
     "load.swinging@cart": SwingingLoadOfAnyLaw(
         (0.0, 0.02, 0.05), {"mass": 0.1, "small_swing_frequency": 2.0, "damping_ratio": 0.1, "slope_2": 0.4}
+    ),
+    "motor.sag@motor": SagOfAnyLaw(
+        {"time_constant": 1.0, "more_1": 0.02, "more_2": 0.1, "current": 4.0, "gain": 2.0, "back": 0.0}
     ),
     "load.position@cart": ForceOfPosition([-0.2, 0.2], [1.0, -1.0]),
     "motor.map@motor": CommandMap([-10.0, 0.0, 10.0], [-7.0, 0.5, 9.0]),

@@ -179,8 +179,36 @@ def test_back_emf_spares_the_supply() -> None:
 @given(st.floats(-1e3, 1e3), st.floats(-1e6, 1e6))
 def test_a_supply_never_gives_less_than_nothing_nor_more_than_it_has(command: float, memory: float) -> None:
     now = replace(formulas.moment(0.0), inputs=(np.asarray(command),), memory=np.asarray(memory))
-    left = command + float(formulas.sagging_force(np.array([1.0, 0.0, 0.1, 1.0]), now))
-    assert min(0.0, command) <= left <= max(0.0, command)
+    for rule, numbers in (
+        (formulas.sagging_force, [1.0, 0.0, 0.1, 1.0]),
+        (formulas.sagging_force_by_law, [1.0, 0.0, 1.0, 10.0, 0.0, 0.3, 5.0]),
+    ):
+        left = command + float(rule(np.array(numbers), now))
+        assert min(0.0, command) <= left <= max(0.0, command)
+
+
+def test_a_supply_that_sags_in_proportion_is_a_law_of_two_knots() -> None:
+    for memory in (0.0, 1.0, 3.0):
+        now = replace(formulas.moment(0.0), inputs=(np.asarray(4.0),), memory=np.asarray(memory))
+        plain = formulas.sagging_force(np.array([2.0, 0.5, 0.1, 0.7]), now)
+        assert formulas.sagging_force_by_law(np.array([2.0, 0.5, 0.7, 5.0, 0.0, 0.5]), now) == pytest.approx(plain)
+        rates = formulas.sagging(np.array([2.0, 0.5, 0.1, 0.7]), now)
+        assert formulas.sagging_by_law(np.array([2.0, 0.5, 0.7, 5.0, 0.0, 0.5]), now) == pytest.approx(rates)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        (1.0, 0.0, 0.0, 5.0, 0.0, 0.5),  # no time at all
+        (1.0, 0.0, 1.0, 0.0, 0.0, 0.5),  # a table of no length
+        (1.0, 0.0, 1.0, 5.0, 0.0, -0.5),  # it would add to the drive
+        (1.0, 0.0, 1.0, 5.0, 0.5),  # one level
+    ],
+)
+def test_a_supply_that_gives_more_than_it_has_is_refused(numbers: tuple[float, ...]) -> None:
+    text = SAGS.replace("motor.sag", "motor.sag_by_law") + entry("motor.sag_by_law", "cart", *numbers)
+    with pytest.raises(mjcf.MjcfError, match=r"motor\.sag_by_law:cart.*out of range"):
+        cart(text + '</custom><size nuserdata="1"/><custom>')
 
 
 @pytest.mark.parametrize("timestep", [1e-4, 2e-3])

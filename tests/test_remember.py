@@ -26,6 +26,7 @@ from dipc_gym.physics import entries
 from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
+from dipc_gym.sim2real.effects.motor_sag_law import SagOfAnyLaw
 from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
@@ -44,7 +45,8 @@ RESTS = (1.5, 2.0, 0.12, 3e-4)  # N, N, s and m/s
 SEEDS = {"load.creeping": 3, "friction.hysteresis": 3, "friction.resting": 5}
 ENTRIES = {"load.creeping": CREEPS, "friction.hysteresis": BENDS, "friction.resting": RESTS}
 SAGS = {"drop": 0.3, "time_constant": 0.3, "current": 3.0, "gain": 3.94, "back": 4.72}  # of the cart's own motor
-REMEMBER = [*ENTRIES, "motor.sag"]  # which goes with the command as well
+SAGS_BY_LAW = {"time_constant": 0.3, "more_1": 0.05, "more_2": 0.2, "current": 5.0, "gain": 3.94, "back": 4.72}
+REMEMBER = [*ENTRIES, "motor.sag", "motor.sag_by_law"]  # these two go with the command as well
 
 
 def with_entry(effect: str, numbers: tuple[float, ...] | None = None, text: str = CART) -> physics.Physics:
@@ -65,6 +67,8 @@ def term(effect: str) -> Term:
     """The effect with the numbers of its entry."""
     if effect == "motor.sag":
         return Term(catalogue()[effect], "motor", SAGS)
+    if effect == "motor.sag_by_law":
+        return Term(SagOfAnyLaw(SAGS_BY_LAW), "motor", SAGS_BY_LAW)
     if effect == "friction.resting":
         return Term(catalogue()[effect], "cart", dict(zip(("level", "rise", "time", "slow"), RESTS, strict=True)))
     if effect == "load.creeping":

@@ -24,13 +24,14 @@ file has to make room (`<size nuserdata="1"/>`), so that resets, copies and save
 """
 
 from dipc_gym.physics.applied import Physics, from_model, load, stack
-from dipc_gym.physics.entries import RECENT, RESIDUAL, SAG, Extra, Rule, Stage, memory_of, register, rules
+from dipc_gym.physics.entries import RECENT, RESIDUAL, SAG, SAG_BY_LAW, Extra, Rule, Stage, memory_of, register, rules
 from dipc_gym.physics.formulas import Moment
 
 __all__ = [
     "RECENT",
     "RESIDUAL",
     "SAG",
+    "SAG_BY_LAW",
     "Extra",
     "Moment",
     "Physics",

@@ -50,7 +50,7 @@ _COUNTS = {
 _NEVER_NEGATIVE = {"motor.deadzone": 0, "disturbance.pulse": 2}  # which number: a width, a duration
 _PLACED = (formulas.friction_along, formulas.friction_over_time, formulas.friction_wave, formulas.friction_rested)
 CREEPING, RESTING, HYSTERESIS = "load.creeping", "friction.resting", "friction.hysteresis"
-SAG = "motor.sag"
+SAG, SAG_BY_LAW = "motor.sag", "motor.sag_by_law"
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
 RECENT = "residual.recent"  # the same of what went before
 
@@ -73,6 +73,7 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     RESTING: ("friction", formulas.friction_rested),
     HYSTERESIS: ("force", formulas.hysteresis_force),
     SAG: ("force", formulas.sagging_force),
+    SAG_BY_LAW: ("force", formulas.sagging_force_by_law),
     RESIDUAL: ("force", formulas.force_of),
     RECENT: ("force", formulas.force_of_recent),
 }
@@ -81,6 +82,7 @@ _memories: dict[str, Rule] = {
     RESTING: formulas.resting,
     HYSTERESIS: formulas.bending,
     SAG: formulas.sagging,
+    SAG_BY_LAW: formulas.sagging_by_law,
     RECENT: formulas.recent,
 }
 
@@ -266,8 +268,10 @@ def usable(extra: Extra) -> bool:
     if extra.effect == RECENT:  # its table has two inputs: what it remembers of the one that is named, and that one
         return bool(numbers[0] >= formulas.SOONEST) and len(extra.inputs) == 1 and _is_surface(numbers[1:], 2)
     if extra.effect == SAG:  # one that gives more the more was drawn would drive its joint for ever
-        commanded = [kind for kind, _ in extra.inputs] == ["command"]
-        return bool(numbers[2] >= 0 and numbers[3] >= formulas.SOONEST) and commanded
+        return bool(numbers[2] >= 0 and numbers[3] >= formulas.SOONEST) and _commanded(extra)
+    if extra.effect == SAG_BY_LAW:
+        lasts = len(numbers) >= 2 + FEWEST_EVEN and bool(numbers[2] >= formulas.SOONEST and numbers[3] > CLOSEST)
+        return lasts and bool(np.all(numbers[4:] >= 0)) and _commanded(extra)
     if extra.effect == CREEPING:  # one that pushes, or stretches of its own, would drive its joint for ever
         return len(numbers) >= FEWEST_EVEN and bool(np.all(numbers >= 0)) and bool(numbers[1] > CLOSEST)
     if extra.effect == HYSTERESIS:  # a loop that is stiffer loading than unloading would give energy away
@@ -283,6 +287,11 @@ def usable(extra: Extra) -> bool:
         return bool(np.all(np.abs(near) <= LARGEST**2) and np.all(np.isfinite(far)))
     except (IndexError, ValueError):
         return False
+
+
+def _commanded(extra: Extra) -> bool:
+    """Whether an entry depends on one command, and says so."""
+    return [kind for kind, _ in extra.inputs] == ["command"]
 
 
 def _alike(extra: Extra, x: Array) -> Array:
@@ -308,7 +317,7 @@ def _is_surface(numbers: Array, inputs: int) -> bool:
 
 def _inputs(model: mujoco.MjModel, effect: str, at: str) -> tuple[tuple[str, int], ...]:
     """What a law depends on beyond its place, as `<text>` of `<custom>` names it."""
-    if effect not in (RESIDUAL, RECENT, SAG):
+    if effect not in (RESIDUAL, RECENT, SAG, SAG_BY_LAW):
         return ()
     texts = mjcf.texts(model)
     joints = {model.joint(j).name: j for j in range(model.njnt)}

@@ -237,6 +237,20 @@ def sagging(data: Array, now: Moment) -> Array:
     return (np.abs(now.inputs[0] - data[..., 1] * now.speed) - now.memory) / data[..., 3]
 
 
+def sagging_force_by_law(data: Array, now: Moment) -> Array:
+    """The same by a table; data: gain, back, time constant, largest m, then shares of the drive lost.
+
+    They are lost at equal distances of m from 0.
+    """
+    lost = _tabulated(data[..., 4:], now.memory / data[..., 3])
+    return -data[..., 0] * now.inputs[0] * np.minimum(np.maximum(lost, 0.0), 1.0)
+
+
+def sagging_by_law(data: Array, now: Moment) -> Array:
+    """How fast that follows |u - back v|, as `sagging`."""
+    return (np.abs(now.inputs[0] - data[..., 1] * now.speed) - now.memory) / data[..., 2]
+
+
 def _surface(data: Array, rows: Array, columns: Array, x: Array, y: Array) -> Array:
     """A table with rows of columns, straight lines between: its knots along both, then its levels.
 

@@ -46,16 +46,7 @@ class Sag(Effect):
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """On a joint that no other actuator with a command drives; what is sent is a voltage or a force, no target."""
-        joint, i = joint_of(model, at), model.actuator(at).id
-        if is_dcmotor(model, at):
-            powers = bool(model.actuator_ctrlspec[i] == mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
-        else:
-            powers = bool(model.actuator_biasprm[i, 1] == 0)
-        drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (
-            model.actuator_trnid[:, 0] == model.actuator_trnid[i, 0]
-        )
-        alone = int(np.sum(drives & (model.actuator_ctrlnum > 0))) == 1
-        return joint is not None and powers and alone and bool(drive_of(model, at)[0])
+        return drains(model, at)
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The share and the time constants with which it takes most of the unexplained force."""
@@ -63,14 +54,9 @@ class Sag(Effect):
         if not len(evidence.command) or not np.any(evidence.command):
             return []
         current = rms(evidence.command - back * evidence.velocity)
-        tries = np.stack(np.broadcast_arrays(gain, back, 0.0, TIMES), axis=1)
-        pasts = recalled(evidence, SAG, tries, evidence.command)
-        sought = Sought(evidence, [evidence.velocity, evidence.command, evidence.direction])
-        told = [sought.explained(-gain * evidence.command * past / current) for past in pasts]
-        best = apart([one.left_by_pulling for one in told], TIMES.tolist(), count=2, ratio=APART)
-        found = [(float(np.clip(told[k].weight, LEAST, MOST)), float(TIMES[k])) for k in best] or [(USUAL, PACE)]
         held = {"current": current, "gain": gain, "back": back}
-        return [{"drop": drop, "time_constant": time, **held} for drop, time in found]
+        found = most_alike(evidence) or [(USUAL / current, PACE)]
+        return [{"drop": per * current, "time_constant": time, **held} for per, time in found]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A force against the drive for the loader, which keeps the past in mind; stock MuJoCo leaves it out."""
@@ -87,3 +73,33 @@ class Sag(Effect):
             f"The supply of {at} sags with past current: under {across} it comes to lose {100 * values['drop']:.3g} % "
             f"of its force, with a time constant of {values['time_constant']:.2g} s."
         )
+
+
+def drains(model: mujoco.MjModel, at: str) -> bool:
+    """Whether a supply that sags shows at an actuator: one with a command that drives a joint alone, and whose command
+    is a voltage or a force, no target.
+    """
+    joint, i = joint_of(model, at), model.actuator(at).id
+    if is_dcmotor(model, at):
+        powers = bool(model.actuator_ctrlspec[i] == mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
+    else:
+        powers = bool(model.actuator_biasprm[i, 1] == 0)
+    drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (
+        model.actuator_trnid[:, 0] == model.actuator_trnid[i, 0]
+    )
+    alone = int(np.sum(drives & (model.actuator_ctrlnum > 0))) == 1
+    return joint is not None and powers and alone and bool(drive_of(model, at)[0])
+
+
+def most_alike(evidence: Evidence) -> list[tuple[float, float]]:
+    """Shares of the drive that are lost for each unit of current, and time constants in s, with which most of the
+    unexplained force is; none where all would have to add to the drive.
+    """
+    gain, back = drive_of(evidence.model, evidence.at)
+    current = rms(evidence.command - back * evidence.velocity)
+    tries = np.stack(np.broadcast_arrays(gain, back, 0.0, TIMES), axis=1)
+    pasts = recalled(evidence, SAG, tries, evidence.command)
+    sought = Sought(evidence, [evidence.velocity, evidence.command, evidence.direction])
+    told = [sought.explained(-gain * evidence.command * past / current) for past in pasts]
+    best = apart([one.left_by_pulling for one in told], TIMES.tolist(), count=2, ratio=APART)
+    return [(float(np.clip(told[k].weight, LEAST, MOST)) / current, float(TIMES[k])) for k in best]

@@ -1,0 +1,135 @@
+"""The supply of a motor gives way under what was drawn from it, by a law of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.physics import SAG_BY_LAW
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.drives import drive_of
+from dipc_gym.sim2real.effects.law import described, recalled
+from dipc_gym.sim2real.effects.motor_sag import PACE, USUAL, drains, most_alike
+from dipc_gym.sim2real.effects.settings import LAWS
+
+Array = NDArray[np.float64]
+
+FIRST, MOST = 4, 16  # stretches between the knots of the law
+FURTHEST = 0.995  # quantile of how much was drawn of late, which the table goes up to
+LEAST = 1e-2  # of all that it takes off, by which it takes off more from one knot to the next, to begin with
+
+
+class SagOfAnyLaw(Effect):
+    """A supply that sags with past current as any function that grows with it; `motor.sag` in proportion.
+
+    A battery's chemistry gives way at once under little and then hardly any more, a regulator not at all up to its
+    limit. It takes off all of the drive at most, so that it never drives.
+
+    Parameters say how much more of the drive is lost with each stretch of the table, which is never less.
+
+    Args:
+        first: guess of the time constant, of these shares, and what the table goes up to; none in the catalogue.
+    """
+
+    id = "motor.sag:law"
+    place = "actuator"
+    free = True
+    valleys = ("time_constant",)
+    needs_loader = True
+    of_the_past = True
+    contains = ("motor.sag",)
+    rivals = ("motor.thermal", "motor.map", "motor.saturation", "residual.force")
+    shown_by = "hard work for some seconds, and the same motion once more after a rest"
+
+    def __init__(self, first: Values | None = None) -> None:
+        self.first = dict(first or {})
+        shares = [name for name in self.first if name.startswith("more_")]
+        size = sum(self.first[name] for name in shares) or 1.0
+        self.parameters = (
+            ()
+            if not self.first
+            else (
+                Parameter("time_constant", "s", 5e-3, 600.0, log=True),
+                *(
+                    Parameter(name, "", 0.0, 1.0, step=LAWS.step * size, sigma=LAWS.loose / LAWS.step)
+                    for name in shares
+                ),
+                Parameter("current", "command", 0.0, fixed=True),
+                Parameter("gain", "", fixed=True),
+                Parameter("back", "", fixed=True),
+            )
+        )
+
+    def fits(self, model: mujoco.MjModel, at: str) -> bool:
+        """Where `motor.sag` does."""
+        return drains(model, at)
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """In proportion, with the time constants at which that takes most of the unexplained force."""
+        gain, back = drive_of(evidence.model, evidence.at)
+        if not len(evidence.command) or not np.any(evidence.command):
+            return []
+        found = []
+        for per, time in most_alike(evidence) or [(0.0, PACE)]:
+            tries = np.array([[gain, back, time, 1.0, 0.0, 0.0]])
+            drawn = float(np.quantile(recalled(evidence, SAG_BY_LAW, tries, evidence.command)[0], FURTHEST))
+            if drawn > 0:
+                shares = np.full(FIRST, (per * drawn or USUAL) / FIRST)
+                found.append(self._shaped({"current": drawn, "gain": gain, "back": back}, time, shares))
+        return found
+
+    def guesses(self, evidence: Evidence) -> Sequence[Values]:
+        """Of a law that has its shape, what it begins with."""
+        return [self.first] if self.first else []
+
+    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
+        """A share more in each stretch of the table."""
+        levels = self._levels(values)
+        count = 2 * (len(levels) - 1)
+        if count > MOST:
+            return []
+        finer = np.interp(np.linspace(0.0, 1.0, count + 1), np.linspace(0.0, 1.0, len(levels)), levels)
+        held = {name: values[name] for name in ("current", "gain", "back")}
+        return [self._shaped(held, values["time_constant"], np.diff(finer))]
+
+    def edit(self, document: Document, at: str, values: Values) -> None:
+        """A table for the loader, which keeps the past in mind; stock MuJoCo leaves it out."""
+        joint = document.effective(document.actuator(at), "joint")
+        numbers = [values[name] for name in ("gain", "back", "time_constant", "current")]
+        document.remembering(SAG_BY_LAW, joint, [*numbers, *self._levels(values)])
+        document.depends(SAG_BY_LAW, joint, [f"command {at}"])
+
+    def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
+        """Which share of the drive is lost, by what was drawn of late."""
+        levels = self._levels(values)
+        knots = np.linspace(0.0, values["current"], len(levels)).tolist()
+        inputs = [{"name": "drawn of late", "unit": unit["current"], "knots": knots}]
+        return described("share of the drive that is lost", inputs, levels.tolist(), "", passive=True)
+
+    def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
+        """In words."""
+        levels = self._levels(values)
+        half = len(levels) // 2
+        what = "across its winding" if values["back"] else "of command"
+        little, much = (
+            f"{values['current'] * k / (len(levels) - 1):.3g} {unit['current']}".strip()
+            for k in (half, len(levels) - 1)
+        )
+        return (
+            f"The supply of {at} sags with past current by a law of its own: under {little} {what} it comes to lose "
+            f"{100 * levels[half]:.3g} % of its force, under {much} {100 * levels[-1]:.3g} %, with a time constant of "
+            f"{values['time_constant']:.2g} s."
+        )
+
+    def _shaped(self, held: Values, time: float, shares: Array) -> tuple[Effect, Values]:
+        shares = np.clip(shares, LEAST * max(float(np.sum(shares)), LEAST), 1.0)
+        begin = {"time_constant": time, **{f"more_{k + 1}": float(v) for k, v in enumerate(shares)}, **held}
+        return type(self)(begin), begin
+
+    def _levels(self, values: Values) -> Array:
+        return np.cumsum([0.0, *(values[p.name] for p in self.parameters if p.name.startswith("more_"))])
