@@ -181,28 +181,29 @@ def test_a_supply_never_gives_less_than_nothing_nor_more_than_it_has(command: fl
     now = replace(formulas.moment(0.0), inputs=(np.asarray(command),), memory=np.asarray(memory))
     for rule, numbers in (
         (formulas.sagging_force, [1.0, 0.0, 0.1, 1.0]),
-        (formulas.sagging_force_by_law, [1.0, 0.0, 1.0, 10.0, 0.0, 0.3, 5.0]),
+        (formulas.sagging_force_by_law, [1.0, 0.0, 1.0, 10.0, 0.4, 0.0, 0.3, 0.7]),
     ):
         left = command + float(rule(np.array(numbers), now))
         assert min(0.0, command) <= left <= max(0.0, command)
 
 
 def test_a_supply_that_sags_in_proportion_is_a_law_of_two_knots() -> None:
-    for memory in (0.0, 1.0, 3.0):
+    for memory in (0.0, 1.0, 3.0, 7.0, 30.0):
         now = replace(formulas.moment(0.0), inputs=(np.asarray(4.0),), memory=np.asarray(memory))
         plain = formulas.sagging_force(np.array([2.0, 0.5, 0.1, 0.7]), now)
-        assert formulas.sagging_force_by_law(np.array([2.0, 0.5, 0.7, 5.0, 0.0, 0.5]), now) == pytest.approx(plain)
+        assert formulas.sagging_force_by_law(np.array([2.0, 0.5, 0.7, 5.0, 0.1, 0.0, 0.5]), now) == pytest.approx(plain)
         rates = formulas.sagging(np.array([2.0, 0.5, 0.1, 0.7]), now)
-        assert formulas.sagging_by_law(np.array([2.0, 0.5, 0.7, 5.0, 0.0, 0.5]), now) == pytest.approx(rates)
+        assert formulas.sagging_by_law(np.array([2.0, 0.5, 0.7, 5.0, 0.1, 0.0, 0.5]), now) == pytest.approx(rates)
 
 
 @pytest.mark.parametrize(
     "numbers",
     [
-        (1.0, 0.0, 0.0, 5.0, 0.0, 0.5),  # no time at all
-        (1.0, 0.0, 1.0, 0.0, 0.0, 0.5),  # a table of no length
-        (1.0, 0.0, 1.0, 5.0, 0.0, -0.5),  # it would add to the drive
-        (1.0, 0.0, 1.0, 5.0, 0.5),  # one level
+        (1.0, 0.0, 0.0, 5.0, 0.1, 0.0, 0.5),  # no time at all
+        (1.0, 0.0, 1.0, 0.0, 0.1, 0.0, 0.5),  # a table of no length
+        (1.0, 0.0, 1.0, 5.0, 0.1, 0.0, -0.5),  # it would add to the drive
+        (1.0, 0.0, 1.0, 5.0, -0.1, 0.0, 0.5),  # or would beyond
+        (1.0, 0.0, 1.0, 5.0, 0.1, 0.5),  # one level
     ],
 )
 def test_a_supply_that_gives_more_than_it_has_is_refused(numbers: tuple[float, ...]) -> None:

@@ -270,7 +270,7 @@ def usable(extra: Extra) -> bool:
     if extra.effect == SAG:  # one that gives more the more was drawn would drive its joint for ever
         return bool(numbers[2] >= 0 and numbers[3] >= formulas.SOONEST) and _commanded(extra)
     if extra.effect == SAG_BY_LAW:
-        lasts = len(numbers) >= 2 + FEWEST_EVEN and bool(numbers[2] >= formulas.SOONEST and numbers[3] > CLOSEST)
+        lasts = len(numbers) >= 3 + FEWEST_EVEN and bool(numbers[2] >= formulas.SOONEST and numbers[3] > CLOSEST)
         return lasts and bool(np.all(numbers[4:] >= 0)) and _commanded(extra)
     if extra.effect == CREEPING:  # one that pushes, or stretches of its own, would drive its joint for ever
         return len(numbers) >= FEWEST_EVEN and bool(np.all(numbers >= 0)) and bool(numbers[1] > CLOSEST)

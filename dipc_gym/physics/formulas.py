@@ -238,11 +238,13 @@ def sagging(data: Array, now: Moment) -> Array:
 
 
 def sagging_force_by_law(data: Array, now: Moment) -> Array:
-    """The same by a table; data: gain, back, time constant, largest m, then shares of the drive lost.
+    """The same by a table; data: gain, back, time constant, largest m, what is lost for each m beyond, then shares.
 
-    They are lost at equal distances of m from 0.
+    They are lost at equal distances of m from 0. Beyond the largest more is lost, up to all of it: what is drawn adds
+    up, and soon after the data end it is more than they held.
     """
-    lost = _tabulated(data[..., 4:], now.memory / data[..., 3])
+    most = data[..., 3]
+    lost = _tabulated(data[..., 5:], now.memory / most) + data[..., 4] * np.maximum(now.memory - most, 0.0)
     return -data[..., 0] * now.inputs[0] * np.minimum(np.maximum(lost, 0.0), 1.0)
 
 

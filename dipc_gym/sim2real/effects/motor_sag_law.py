@@ -76,7 +76,7 @@ class SagOfAnyLaw(Effect):
             return []
         found = []
         for per, time in most_alike(evidence) or [(0.0, PACE)]:
-            tries = np.array([[gain, back, time, 1.0, 0.0, 0.0]])
+            tries = np.array([[gain, back, time, 1.0, 0.0, 0.0, 0.0]])
             drawn = float(np.quantile(recalled(evidence, SAG_BY_LAW, tries, evidence.command)[0], FURTHEST))
             if drawn > 0:
                 shares = np.full(FIRST, (per * drawn or USUAL) / FIRST)
@@ -101,15 +101,18 @@ class SagOfAnyLaw(Effect):
         """A table for the loader, which keeps the past in mind; stock MuJoCo leaves it out."""
         joint = document.effective(document.actuator(at), "joint")
         numbers = [values[name] for name in ("gain", "back", "time_constant", "current")]
-        document.remembering(SAG_BY_LAW, joint, [*numbers, *self._levels(values)])
+        document.remembering(SAG_BY_LAW, joint, [*numbers, self._beyond(values), *self._levels(values)])
         document.depends(SAG_BY_LAW, joint, [f"command {at}"])
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """Which share of the drive is lost, by what was drawn of late."""
-        levels = self._levels(values)
-        knots = np.linspace(0.0, values["current"], len(levels)).tolist()
+        levels, most = self._levels(values).tolist(), values["current"]
+        knots = np.linspace(0.0, most, len(levels)).tolist()
+        if levels[-1] < 1.0 and self._beyond(values) > 0:  # beyond the data it goes on so, until all is lost
+            knots, levels = [*knots, most + (1.0 - levels[-1]) / self._beyond(values)], [*levels, 1.0]
         inputs = [{"name": "drawn of late", "unit": unit["current"], "knots": knots}]
-        return described("share of the drive that is lost", inputs, levels.tolist(), "", passive=True)
+        law = described("share of the drive that is lost", inputs, levels, "", passive=True)
+        return {**law, "supported": [[0.0, most]]}
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
@@ -130,6 +133,11 @@ class SagOfAnyLaw(Effect):
         shares = np.clip(shares, LEAST * max(float(np.sum(shares)), LEAST), 1.0)
         begin = {"time_constant": time, **{f"more_{k + 1}": float(v) for k, v in enumerate(shares)}, **held}
         return type(self)(begin), begin
+
+    def _beyond(self, values: Values) -> float:
+        """Share that is lost for each unit of current beyond the table: as much as in its last stretch."""
+        levels = self._levels(values)
+        return float((levels[-1] - levels[-2]) * (len(levels) - 1) / values["current"])
 
     def _levels(self, values: Values) -> Array:
         return np.cumsum([0.0, *(values[p.name] for p in self.parameters if p.name.startswith("more_"))])
