@@ -28,12 +28,14 @@ from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
 from dipc_gym.sim2real.effects.motor_sag_law import SagOfAnyLaw
 from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
+from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.beginnings import foretold
 from dipc_gym.sim2real.selection.case import Given, part
+from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.simulation.memory import memories
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.trials import generate
@@ -376,6 +378,25 @@ def test_a_force_of_what_was_of_late_names_one_input() -> None:
     entry = f'<custom><numeric name="dipc_gym:residual.recent:cart" data="{table}"/></custom><size nuserdata="1"/>'
     with pytest.raises(mjcf.MjcfError, match="out of range"):
         physics.load(CART.replace("</mujoco>", f"{entry}</mujoco>"))
+
+
+def test_a_supply_may_sag_by_another_law_than_in_proportion() -> None:
+    """Hardly under little, and much under much: a law from its first guess says so, and a share for each ampere not."""
+    run = record(with_entry("motor.sag_by_law"), sweep(9.0), 12.0, noise=(1e-5,), step=2e-4, integrator=RK4)
+    ready = prepared(CART, [run], stepping=Stepping(0.002, RK4))
+    evidence = unexplained.scene(physics.load(CART), [run], ready.motions).at("actuator", "motor", {})
+    left = {}
+    for effect in ("motor.sag", "motor.sag:law"):
+        guesses = [Term(shaped, "motor", begin) for shaped, begin in catalogue()[effect].proposals(evidence)]
+        left[effect] = min(
+            (fit(ready.problem, ready.structure.with_term(one)) for one in guesses), key=lambda x: x.error
+        )
+    law, plain = left["motor.sag:law"], left["motor.sag"]
+    (finer, begin), *_ = law.structure.terms[-1].effect.finer(law.structure.term_values(law.z, law.structure.terms[-1]))
+    again = fit(ready.problem, ready.structure.with_term(Term(finer, "motor", begin)))
+    assert law.error < 0.05 * plain.error  # its knots lie elsewhere than those of the law that is hidden
+    assert again.error < 0.7 * law.error
+    assert again.structure.values(again.z)["motor.sag:law@motor.time_constant"] == pytest.approx(0.3, rel=0.05)
 
 
 def test_what_is_remembered_goes_along_with_the_state() -> None:
