@@ -65,7 +65,6 @@ class Compare:
         from dipc_gym.experiments.robustness import AXES
         from dipc_gym.experiments.tables import table
 
-        every = {"all": tuple(AXES)}
         comparison = compare.Comparison(
             controllers=listed(self.controller),
             compensators=listed(self.compensator),
@@ -77,7 +76,7 @@ class Compare:
             recording=self.recording,
             exact_state=self.exact_state,
             robustness=tuple(
-                dict.fromkeys(axis for name in listed(self.robustness) for axis in every.get(name, (name,)))
+                dict.fromkeys(axis for name in listed(self.robustness) for axis in (AXES if name == "all" else (name,)))
             ),
         )
         comparison.check()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -173,7 +175,7 @@ class Render:
             return course, compensator
         found = runs.identify(self.plant, model=self.model, seed=self.seed)
         sees = self.estimator or ("rigid_body" if isinstance(brain, Tracking) else brain.estimator)
-        behind = _told(brain, found.fit(_chosen(brain, self.compensator), seed=self.seed))
+        behind = _behind(brain, self.compensator, partial(found.fit, seed=self.seed))
         course = runs.swing_up(
             brain,
             behind,
@@ -195,22 +197,17 @@ def _idle(command: Record | Render, names: tuple[str, ...], why: str) -> None:
         raise ValueError(f"{why}, whatever {' and '.join(given)} {'say' if len(given) > 1 else 'says'}; leave it out")
 
 
-def _chosen(brain: object, compensator: str | None) -> str:
-    """The compensator that is asked for; else that which a policy was trained with, or none."""
+def _behind(brain: object, asked: str | None, fit: Callable[[str], Compensator]) -> Compensator:
+    """The compensator that is asked for; else that which a policy was trained with, or none. Whoever runs a policy with
+    another than its own is told so, as in tables of `compare`.
+    """
     from dipc_gym.policy import Policy
 
-    if compensator is None:
-        return brain.compensator if isinstance(brain, Policy) else "none"
-    return compensator
-
-
-def _told(brain: object, behind: Compensator) -> Compensator:
-    """A compensator; whoever runs a policy with another than its own is told so, as in tables of `compare`."""
-    from dipc_gym.policy import Policy
-
-    if isinstance(brain, Policy) and behind.name != brain.compensator:
-        print(f"note: the policy was trained with the compensator {brain.compensator!r}, not with {behind.name!r}")
-    return behind
+    own = brain.compensator if isinstance(brain, Policy) else None
+    found = fit(asked if asked is not None else own or "none")
+    if own not in (None, found.name):
+        print(f"note: the policy was trained with the compensator {own!r}, not with {found.name!r}")
+    return found
 
 
 def _parts(
@@ -222,13 +219,14 @@ def _parts(
     from dipc_gym import runs
     from dipc_gym.policy import Policy
 
-    policy, chosen = brain if isinstance(brain, Policy) else None, _chosen(brain, compensator)
+    policy = brain if isinstance(brain, Policy) else None
     if estimator is None and policy:
         estimator = policy.estimator
     if estimator is None:
-        return _told(brain, runs.compensator(chosen, plant, model=model, seed=seed)), None
+        fit = partial(runs.compensator, plant=plant, model=model, seed=seed)
+        return _behind(brain, compensator, fit), None
     found = runs.identify(plant, model=model, seed=seed)
     seen_through = found.fit_estimator(estimator, seed=seed)
     if policy:
         policy.require_estimator(seen_through.name)
-    return _told(brain, found.fit(chosen, seed=seed)), seen_through
+    return _behind(brain, compensator, partial(found.fit, seed=seed)), seen_through

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import at_joint, described, recalled
+from dipc_gym.sim2real.effects.law import at_joint, described, halved, recalled
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.sought import Sought
 
@@ -87,12 +87,8 @@ class HysteresisOfAnyLaw(Effect):
 
     def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
         """A knot more in each stretch of the table."""
-        old = self._stiffness(values)
-        count = 2 * (len(old) - 1)
-        if count > MOST:
-            return []
-        knots = np.linspace(0.0, 1.0, count + 1)
-        return [self._shaped(values["bound"], np.interp(knots, knots[::2], old))]
+        stiffness = halved(self._stiffness(values))
+        return [self._shaped(values["bound"], stiffness)] if len(stiffness) - 1 <= MOST else []
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader, which keeps the force in mind."""

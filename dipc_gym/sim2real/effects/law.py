@@ -102,6 +102,12 @@ def recalled(evidence: Evidence, effect: str, tries: Array, follows: Array | Non
     return np.concatenate(parts, axis=1)
 
 
+def halved(table: Array) -> Array:
+    """A table of equal distances (k,) with a value more in the middle of each stretch, (2 k - 1,)."""
+    places = np.arange(2 * len(table) - 1)
+    return np.asarray(np.interp(places, places[::2], table))
+
+
 def at_joint(slide: str, force: str) -> str:
     """The unit of a length as it is at a joint, by that of a force there: about an axis m is rad."""
     return slide.replace("m", "rad") if force.startswith("N m") else slide

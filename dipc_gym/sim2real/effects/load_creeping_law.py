@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import at_joint, described, recalled
+from dipc_gym.sim2real.effects.law import at_joint, described, halved, recalled
 from dipc_gym.sim2real.effects.load_creeping import FAST, TIMES, usual
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.sought import Sought
@@ -113,11 +113,8 @@ class CreepingSpringOfAnyLaw(Effect):
 
     def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
         """A speed more in each stretch of the table."""
-        count = 2 * (len(self.parameters) - 1)
-        if count > MOST:
-            return []
-        knots = np.linspace(0.0, self.furthest, count + 1)[1:]
-        return [self._shaped(self.furthest, values["stiffness"], np.interp(knots, self.knots, self._speeds(values)))]
+        speeds = halved(self._speeds(values))[1:]
+        return [self._shaped(self.furthest, values["stiffness"], speeds)] if len(speeds) <= MOST else []
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader, which keeps the stretch in mind."""

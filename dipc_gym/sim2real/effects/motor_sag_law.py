@@ -13,7 +13,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import SAG_BY_LAW
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.drives import drive_of
-from dipc_gym.sim2real.effects.law import described, recalled
+from dipc_gym.sim2real.effects.law import described, halved, recalled
 from dipc_gym.sim2real.effects.motor_sag import PACE, USUAL, drains, most_alike
 from dipc_gym.sim2real.effects.settings import LAWS
 
@@ -89,13 +89,11 @@ class SagOfAnyLaw(Effect):
 
     def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
         """A share more in each stretch of the table."""
-        levels = self._levels(values)
-        count = 2 * (len(levels) - 1)
-        if count > MOST:
+        levels = halved(self._levels(values))
+        if len(levels) - 1 > MOST:
             return []
-        finer = np.interp(np.linspace(0.0, 1.0, count + 1), np.linspace(0.0, 1.0, len(levels)), levels)
         held = {name: values[name] for name in ("current", "gain", "back")}
-        return [self._shaped(held, values["time_constant"], np.diff(finer))]
+        return [self._shaped(held, values["time_constant"], np.diff(levels))]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader, which keeps the past in mind; stock MuJoCo leaves it out."""
