@@ -97,15 +97,15 @@ class Attached:
     def _yield(self, element: ir.Value, own: Numbers, forces: Numbers, rates: Numbers) -> None:
         """A spring bends so far and no further: where it is unbent then goes along, and stays where it was left.
 
-        What a step takes it too far is put right as fast as the step can follow.
+        It follows as fast as the step can, so that it is bent a little too far for as long as it is dragged, which no
+        force shows; a rate that jumped where it yields would chatter there.
         """
         code = self.code
         place = code.sum(self.hidden, code.whole(element, Element.STATE))
         length, speed = self.reach(element, own.since(Spring.SIZE))
         bend, most = length - self.states[place], own[Spring.YIELD]
         held = minimum(maximum(bend, -most), most)
-        along = where(bend > 0, maximum(speed, 0.0), minimum(speed, 0.0))
-        rates[place] = where(abs(bend) < most, code.value(0.0), along + (bend - held) / self.shortest)
+        rates[place] = (bend - held) / self.shortest
         pull = _pull(own, Spring.STIFFNESS, held) + _drag(own, Spring.DAMPING, speed)
         self.push(element, own.since(Spring.SIZE), -pull, forces)
 
@@ -199,8 +199,10 @@ class Attached:
             slots[2] = slots[2] + own[Force.COGS] * sin(own[Force.COGS + 1] * length + own[Force.COGS + 2])
         with code.when(_has(code, features, Feature.BRISTLES)):
             coulomb, static, stribeck, stiffness, damping = (own[Force.BRISTLES + k] for k in range(5))
-            bend, ratio = self.states[bends.get()], speed / stribeck
-            level = coulomb + (static - coulomb) * exp(-(ratio * ratio))
+            bend = self.states[bends.get()]
+            falls = stribeck > 0  # MuJoCo's compiler puts 0 where a file gives no Stribeck speed
+            ratio = speed / where(falls, stribeck, code.value(1.0))
+            level = coulomb + where(falls, (static - coulomb) * exp(-(ratio * ratio)), code.value(0.0))
             fade = stiffness * abs(speed) / level
             settled = where(speed < 0, -level, level) / stiffness
             slow = fade * self.shortest < 1

@@ -119,8 +119,8 @@ def _key(text: str) -> str:
 
 def _read(key: str) -> bytes | None:
     """The code of a key, if the cache has it and nobody else could have put it there."""
-    folder = cache_folder()
     try:
+        folder = cache_folder()
         if not _ours(os.lstat(folder)):
             return None
         number = os.open(folder / key, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
@@ -128,7 +128,7 @@ def _read(key: str) -> bytes | None:
             if not _ours(os.fstat(number)):
                 return None
             content = file.read()
-    except OSError:
+    except (OSError, RuntimeError):  # the latter without a home folder
         return None
     head = len(_MAGIC) + 32
     code = content[head:]
@@ -139,8 +139,8 @@ def _read(key: str) -> bytes | None:
 
 def _write(key: str, code: bytes) -> None:
     """Keep the code; a reader finds all of it or nothing."""
-    folder = cache_folder()
     try:
+        folder = cache_folder()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _ours(os.lstat(folder)):
             return
@@ -154,7 +154,7 @@ def _write(key: str, code: bytes) -> None:
                 path.unlink(missing_ok=True)
         except OSError:
             Path(name).unlink(missing_ok=True)
-    except OSError:
+    except (OSError, RuntimeError):
         return
 
 

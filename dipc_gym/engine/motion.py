@@ -203,8 +203,12 @@ class _Rates:
         with code.count(STOPS) as k:
             pushes[k] = 0.0
         stops = code.whole(self.program, Head.STOPS)
-        # What stops push on each other is small, for each keeps a ten thousandth of what presses on it.
-        sweeps = code.at.select(code.below(ir.Constant(INT, 1), stops), integer(3), integer(1))
+        # What stops push on each other is small, for each keeps a ten thousandth of what presses on it. Once pushes no
+        # longer change, how much a stop gives has no part in them: one more sweep makes their tangents exact without
+        # derivatives of that.
+        several = code.below(ir.Constant(INT, 1), stops)
+        more = 1 if code.tangents else 0
+        sweeps = code.at.select(several, integer(3 + more), integer(1 + more))
         number = code.counter()
         with code.count(sweeps):
             number.set(0)

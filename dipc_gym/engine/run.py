@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.engine import machine
 from dipc_gym.engine.kernel import write_kernel
+from dipc_gym.engine.laws import Rule
 from dipc_gym.engine.layout import JOINTS, STOPS, At, Head, Row
 from dipc_gym.engine.loop import write_loop
 from dipc_gym.engine.program import Program, Uncovered, rules
@@ -294,10 +295,19 @@ def pool(workers: int, process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, thread_name_prefix="engine")
 
 
-@functools.lru_cache(maxsize=256)
 def _function(tree: Tree, tangents: bool) -> Any:
-    """The compiled function; calls of it let other threads run."""
-    return machine.load([_loop(tangents), write_kernel(tree)], ["run", "probe"]).function("run", pointers=1, counts=2)
+    """The compiled function; calls of it let other threads run.
+
+    A law may be registered at any time, and is in none that was compiled before.
+    """
+    return _compiled(tree, tangents, tuple(rules()))
+
+
+@functools.lru_cache(maxsize=256)
+def _compiled(tree: Tree, tangents: bool, rules: tuple[Rule, ...]) -> Any:
+    return machine.load([_loop(tangents, rules), write_kernel(tree)], ["run", "probe"]).function(
+        "run", pointers=1, counts=2
+    )
 
 
 def rates(
@@ -326,6 +336,6 @@ def rates(
     return out
 
 
-@functools.lru_cache(maxsize=2)
-def _loop(tangents: bool) -> str:
-    return str(write_loop(rules(), tangents=tangents))
+@functools.lru_cache(maxsize=4)
+def _loop(tangents: bool, rules: tuple[Rule, ...]) -> str:
+    return str(write_loop(rules, tangents=tangents))

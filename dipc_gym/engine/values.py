@@ -174,6 +174,14 @@ class Value:
         """Whether the numbers are equal."""
         return self._compare("==", other)
 
+    def __eq__(self, other: object) -> ir.Value:  # type: ignore[override]  # as arrays have it
+        return self.equals(other)
+
+    def __ne__(self, other: object) -> ir.Value:  # type: ignore[override]
+        return self.code.at.not_(self.equals(other))
+
+    __hash__ = object.__hash__
+
     def _compare(self, how: str, other: Number) -> ir.Value:
         return self.code.at.fcmp_ordered(how, self.primal, self.code.value(other).primal)
 

@@ -16,9 +16,10 @@ the control, the sensor or the degree of freedom, so that one environment and a 
     friction   sets the dry friction of a joint at each step
     sensor     changes a sensor's reading
 
-and `timing.sensor_lag`, a sensor that follows its reading with a time constant. A force or friction may remember one
-number, as how far a spring has crept or how long a joint has rested: it is kept in MuJoCo's `userdata`, for which the
-file has to make room (`<size nuserdata="1"/>`), so that resets, copies and saved states carry it.
+and `timing.sensor_lag`, a sensor that follows its reading with a time constant, before its scale is bent. A force or
+friction may remember one number, as how far a spring has crept or how long a joint has rested: it is kept in MuJoCo's
+`userdata`, for which the file has to make room (`<size nuserdata="1"/>`), so that resets, copies and saved states
+carry it.
 
 `formulas` has the functions, `entries` reads and refuses what stands in a file, `applied` puts both around a model.
 """

@@ -70,15 +70,15 @@ class Physics:
     def sense(self, sensordata: Array, memory: Array | None = None, dt: float = 0.0) -> Array:
         """What the rig's sensors say where the model's say `sensordata` (..., nsensordata).
 
+        In whatever order a file has them, a sensor lags before its scale is bent, as in the engine.
+
         Args:
             sensordata: the model's readings.
             memory: what `sensor_memory` returned, updated in place; None where no sensor lags.
             dt: time since the last call with this memory, s.
         """
         read = sensordata
-        for extra in self.extras:
-            if extra.stage not in ("sensor", "lag"):
-                continue
+        for extra in (*self.stage("lag"), *self.stage("sensor")):
             if read is sensordata:
                 read = np.array(sensordata, dtype=float)
             i = extra.index

@@ -27,7 +27,7 @@ from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, names
 from dipc_gym.sim2real.result import Design
 from dipc_gym.sim2real.simulation.batch import simulate
-from dipc_gym.sim2real.simulation.motion import Motion, initial_states
+from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows, cut
 
 Array = NDArray[np.float64]
@@ -287,9 +287,9 @@ class _Rig:
         noise = self.problem.windows.noise
         motion = states.estimate(run, self.physics, DESIGN.exact * noise)
         length = float(self.problem.windows.times.max()) + run.period
-        windows = replace(cut([run], noise, length, (0.0, 1.0)), motions=(motion,))
-        initial = initial_states([motion], windows.source, windows.start)
-        whole = replace(self.problem, windows=windows, initial=initial)
+        late = float(mjcf.sensor_delays(self.physics.model).max(initial=0.0))
+        windows = replace(cut([run], noise, length, (0.0, 1.0)), motions=(motion,), late=late)
+        whole = replace(self.problem, windows=windows, initial=windows.begun())
         return whole.pick(np.unique(np.linspace(1, len(windows) - 1, DESIGN.enough).round().astype(np.intp)))
 
 

@@ -24,6 +24,8 @@ class EffectSettings:
         warm: s that bristles, currents, lags and delays need to reach their state: they take milliseconds, and the
             slowest of them a few tens
         fast: s, longest step for what moves within milliseconds, which a longer one would step over
+        fastest: s, shortest step that a model's own time constants ask for: what follows faster has come to rest within
+            it, and is simulated as if it were as slow
         fine: relative change of a wavelength that is a sizeable one: it shifts the tenth wave by half of one
         faint: of what a joint transmits, below which an unexplained force gives no scale: it may be all noise
         uncertain: of the usual speed, over which the direction of motion is smoothed: an estimated velocity is off by
@@ -39,6 +41,7 @@ class EffectSettings:
     swing: float = 1.2
     warm: float = 0.06
     fast: float = 5e-4
+    fastest: float = 2e-5
     fine: float = 0.05
     faint: float = 0.01
     uncertain: float = 0.05

@@ -20,7 +20,6 @@ from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.side_by_side import cores
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
 from dipc_gym.sim2real.simulation.compiled import Compiled, begins_alike, changes, compiled, derivatives
-from dipc_gym.sim2real.simulation.motion import initial_states
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -179,7 +178,7 @@ def _approach(windows: Windows, warm: float) -> Array | None:
     if not warm:
         return None
     before = np.linspace(warm, 0.0, math.ceil(warm / ESTIMATION.stretch - 1e-9), endpoint=False)
-    return np.stack([initial_states(windows.motions, windows.source, windows.start - one) for one in before])
+    return np.stack([windows.begun(one) for one in before])
 
 
 def _in_order(problem: Problem, parts: Sequence[Array]) -> Array:

@@ -24,7 +24,7 @@ from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.simulation.batch import Stepping
-from dipc_gym.sim2real.simulation.motion import Motion, initial_states
+from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows, cut
 
 Array = NDArray[np.float64]
@@ -79,12 +79,11 @@ def prepare(
     noise = common_noise(recordings)
     structure = Structure(Document(source), physics.model, mjcf.base_joints(physics.model))
     motions = tuple(states.estimate(r, physics, noise) for r in recordings)
-    spread = uncertainty(physics, motions, noise)
+    spread, late = uncertainty(physics, motions, noise), float(mjcf.sensor_delays(physics.model).max(initial=0.0))
 
     def windows(length: float) -> Problem:
-        cuts = replace(_cut(recordings, noise, length, span), motions=motions)
-        begin = initial_states(motions, cuts.source, cuts.start)
-        return Problem(cuts, begin, spread, stepping, threads)
+        cuts = replace(_cut(recordings, noise, length, span), motions=motions, late=late)
+        return Problem(cuts, cuts.begun(), spread, stepping, threads)
 
     if length is not None:
         return Prepared(windows(length), structure, motions, length)
@@ -161,7 +160,7 @@ def growth(problem: Problem, structure: Structure, longest: float) -> Array:
     readings = predict(problem, structure, [structure.first] * len(tries), tries)[..., alive] / windows.noise[alive]
     moved = np.linalg.norm(readings[1:] - readings[0], axis=0)  # (n, m, sensors)
     grown = (moved / np.maximum(moved[:, :1], 1.0)).max(axis=2, initial=0.0)
-    return np.where(windows.valid, grown, 0.0)
+    return np.where(windows.valid, np.where(np.isnan(grown), np.inf, grown), 0.0)  # NaN: a simulation that ended
 
 
 def _cut(recordings: Sequence[Recording], noise: Array, length: float, span: tuple[float, float]) -> Windows:

@@ -147,8 +147,9 @@ def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
     smooth = recording.sensors.copy()
     for s in positional:
         smooth[:, s] = smoothed(recording.time, recording.sensors[:, s], noise[s])
+    smooth = straightened(physics, smooth)
     _undo_lateness(physics, recording.time, smooth)
-    smooth = straightened(physics, smooth)[:, positional]
+    smooth = smooth[:, positional]
     inverse = inverse_map(P[positional], noise[positional])
     position = (smooth - c[positional]) @ inverse.T
     velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
@@ -172,7 +173,9 @@ def _undo_lateness(physics: Physics, time: Array, smooth: Array) -> None:
     address = mjcf.sensor_addresses(physics.model)
     delays = mjcf.sensor_delays(physics.model)
     for k in np.flatnonzero(delays > 0):
-        smooth[:, k] = CubicSpline(time, smooth[:, k])(np.minimum(time + delays[k], time[-1]))
+        read = CubicSpline(time, smooth[:, k])
+        beyond = np.maximum(time + delays[k] - time[-1], 0.0)  # not read any more: it goes on as it went
+        smooth[:, k] = read(np.minimum(time + delays[k], time[-1])) + read(time[-1], 1) * beyond
     for extra in physics.stage("lag"):
         for k in np.flatnonzero(address == extra.index):
             smooth[:, k] += extra.data[0] * np.gradient(smooth[:, k], time, edge_order=2)

@@ -146,14 +146,15 @@ class Structure:
         """What is known of the mapped parameters before any data."""
         precision = np.diag([1 / slot.sigma**2 for slot in self.slots])
         prior = Prior(precision, np.array([slot.centre for slot in self.slots]))
+        first = len(self.model_parameters)
         for term in self.terms:
-            bends = term.effect.bends
+            bends, count = term.effect.bends, len(_free(term.effect))
             if len(bends):
-                own = [i for i, slot in enumerate(self.slots) if slot.key.startswith(f"{term.key}.")]
-                own = own[: bends.shape[1]]
+                own = list(range(first, first + count))[: bends.shape[1]]
                 rows = np.zeros((len(bends), len(self.slots)))
                 rows[:, own] = bends
                 prior = product(prior, rows, bends @ [self.slots[i].mapped(0.0) for i in own])
+            first += count
         return prior
 
     @functools.cached_property
@@ -320,9 +321,9 @@ class Structure:
                 finest = min(finest, EFFECTS.fast, numbers[0])
             if dynamics == kind.mjDYN_DCMOTOR and numbers[5] > 0:  # bristles
                 finest = min(finest, EFFECTS.fast)
-            if dynamics == kind.mjDYN_FILTER:
+            if dynamics == kind.mjDYN_FILTER and numbers[0] > 0:
                 finest = min(finest, numbers[0])
-        return float(finest)
+        return max(float(finest), EFFECTS.fastest)
 
 
 def _unmapped(

@@ -8,7 +8,7 @@ does for the heat of a winding. A recording is taken to begin with springs unben
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -106,22 +106,41 @@ def memories(
     model, laws = variants[0].model, [variant.remembering[which] for variant in variants]
     moves = {name: name for name in base} | mjcf.followers(model)  # no recording has a rotor of its own
     columns = {joint: base.index(leader) for joint, leader in moves.items()}
-    joint, follows = columns[laws[0].at], None
-    for kind, k in laws[0].inputs:
+    position = motion.position[:, columns[laws[0].at]]
+    sees = [_sees(variant, which, recording, motion, columns) for variant in variants]
+    out, alike = np.empty((len(variants), len(time))), dict[bytes, list[int]]()
+    for k, one in enumerate(sees):
+        alike.setdefault(one.tobytes(), []).append(k)
+    for rows in alike.values():
+        numbers, each = np.unique([laws[k].data for k in rows], axis=0, return_inverse=True)
+        along = recall(laws[0].effect, numbers, motion.time, position, *sees[rows[0]])
+        out[rows] = np.stack([np.interp(time, motion.time, one) for one in along])[each]
+    return out
+
+
+def _sees(variant: Physics, which: int, recording: Recording, motion: Motion, columns: Mapping[str, int]) -> Array:
+    """Velocity of the joint of a law that remembers, and what else it depends on, at each sample of a motion, (2, n).
+
+    Args:
+        variant: a model.
+        which: of its laws that remember.
+        recording: its commands may be followed.
+        motion: of the base joints.
+        columns: of the motion, by name of the joint.
+    """
+    law, model, follows = variant.remembering[which], variant.model, np.zeros(len(motion.time))
+    velocity = motion.velocity[:, columns[law.at]]
+    if law.effect == RESTING:  # the noise of a reading would wake a joint that rests
+        velocity = told_rests(law.data, velocity)
+    for kind, k in law.inputs:
         if kind == "command":
             held = np.searchsorted(recording.time, motion.time + 1e-9, side="right") - 1
-            follows = variants[0].command(recording.commands, recording.time)[np.maximum(held, 0), k]
+            follows = variant.command(recording.commands, recording.time)[np.maximum(held, 0), k]
         else:
             address = "dofadr" if kind == "velocity" else "qposadr"
             at = {getattr(model.joint(name), address)[0]: column for name, column in columns.items()}
             follows = (motion.velocity if kind == "velocity" else motion.position)[:, at[k]]
-    numbers, each = np.unique([law.data for law in laws], axis=0, return_inverse=True)
-    velocity = motion.velocity[:, joint]
-    if laws[0].effect == RESTING:  # the noise of a reading would wake a joint that rests
-        velocity = told_rests(numbers[0], velocity)
-    moved = motion.time, motion.position[:, joint], velocity
-    along = recall(laws[0].effect, numbers, *moved, follows)
-    return np.stack([np.interp(time, motion.time, one) for one in along])[each]
+    return np.stack([velocity, follows])
 
 
 # ------------------------------------------------------------------------------------------- how windows begin

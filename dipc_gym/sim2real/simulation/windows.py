@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.recording import Recording
-from dipc_gym.sim2real.simulation.motion import Motion
+from dipc_gym.sim2real.simulation.motion import Motion, initial_states
 
 Array = NDArray[np.float64]
 JUST = 1e-9  # s: less than stamps are told apart by
@@ -29,6 +29,8 @@ class Windows:
         noise: standard deviation of each sensor's noise, (ns,).
         motions: of the base joints in each recording; needed where what a window begins with depends on the motion
             before, as the heat of a motor does.
+        late: delay of the latest sensor of the model that told the motions, s: so long before its first sample a
+            window begins, in these motions as in simulations.
     """
 
     recordings: tuple[Recording, ...]
@@ -39,6 +41,7 @@ class Windows:
     valid: NDArray[np.bool_]
     noise: Array
     motions: tuple[Motion, ...] = ()
+    late: float = 0.0
 
     def __len__(self) -> int:
         return len(self.start)
@@ -81,6 +84,10 @@ class Windows:
             observed=np.pad(self.observed, ((0, 0), (0, more), (0, 0))),
             valid=np.pad(self.valid, ((0, 0), (0, more))),
         )
+
+    def begun(self, before: float = 0.0) -> Array:
+        """Positions and velocities of the base joints, (n, 2 nb), where windows begin, or so many seconds before."""
+        return initial_states(self.motions, self.source, self.start - self.late - before)
 
     def after_the_first(self, at: float) -> NDArray[np.bool_]:
         """Whether `at` seconds after each window's start its recording has begun, (n,): before, nothing is known."""
