@@ -13,6 +13,20 @@ from dipc_gym.compensators.base import GARBAGE, HUGE, Array, Compensator, RigCon
 from dipc_gym.plant import RANGES
 
 
+def check_period(compensator: Compensator, period: float) -> None:
+    """Refuse a compensator that would be called at another control period, s, than its memory is for.
+
+    Raises:
+        ValueError: naming both, and what to do.
+    """
+    own = getattr(compensator, "period", period)
+    if not math.isclose(own, period, rel_tol=1e-9):
+        raise ValueError(
+            f"the compensator {compensator.name!r} remembers from one call to the next {1000 * own:g} ms later, and the "
+            f"control period is {1000 * period:g} ms; fit it to a rig with this one"
+        )
+
+
 @dataclass(frozen=True)
 class Remembering(Compensator):
     """A compensator whose voltage depends on more of the past than the last velocity.

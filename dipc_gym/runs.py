@@ -25,6 +25,7 @@ from dipc_gym.kernels import FALL
 from dipc_gym.plant import Plant
 from dipc_gym.policy import Policy
 from dipc_gym.recording import Recording
+from dipc_gym.recording.columns import SENSOR
 
 __all__ = [
     "Course",
@@ -119,11 +120,13 @@ def identify(
         run = record(fixed, env.plant, sweep, seed=seed)
     else:
         free = _read(env.model) - _read(fixed)  # poles may have columns as well, and units of their own
+        mapped = {column: name.removeprefix(SENSOR) for column, name in (mapping or {}).items()}
+        columns = {column for column, name in mapped.items() if name in free}
         run = recording.read(
             from_recording,
             fixed,
-            mapping={column: name for column, name in (mapping or {}).items() if name not in free},
-            units={name: unit for name, unit in (units or {}).items() if name not in free},
+            mapping={column: name for column, name in (mapping or {}).items() if column not in columns},
+            units={key: unit for key, unit in (units or {}).items() if key.removeprefix(SENSOR) not in free | columns},
         )
     encoders, period = env.plant.encoders, env.plant.control_period
     data = samples(run, linear, encoders, period, block=sweep.block, smoothed=from_recording is not None)
@@ -156,7 +159,7 @@ def _check_locked(
     Raises:
         ValueError: they did.
     """
-    known = {*run.ignored, *(mapping or {}).values()}
+    known = {*run.ignored, *(name.removeprefix(SENSOR) for name in (mapping or {}).values())}
     if not {"pole1", "pole2"} <= known:
         return
     whole = recording.read(path, env.model, mapping=mapping, units=units)

@@ -89,8 +89,8 @@ def test_friction_with_memory_builds_up_as_its_elements_slip() -> None:
     found = FOUND["friction.hysteresis@cart"]
     law = found.law_of(found.guess, {p.name: "N" for p in found.parameters})
     (along,) = law["table"]["inputs"]
-    assert along["knots"] == [0.0, 0.001, 0.004]
-    assert law["table"]["levels"] == pytest.approx([0.0, 2.25, 3.0])
+    assert along["knots"] == [-0.004, -0.001, 0.0, 0.001, 0.004]
+    assert law["table"]["levels"] == pytest.approx([-3.0, -2.25, 0.0, 2.25, 3.0])
 
 
 def diagnosis(folder: Path, *keys: str) -> Path:

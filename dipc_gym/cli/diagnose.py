@@ -79,9 +79,13 @@ class Diagnose:
         if not self.recordings:
             raise ValueError("name at least one recording after the model")
         folder.check_free(self.out, self.overwrite)
+        given = [self.model, *self.recordings, *self.held_out]
+        folder.check_given(self.out, given)
         if self.design is not None:
             check_format(self.design)
             free(self.design, self.overwrite)
+            if self.design.resolve() in [Path(one).resolve() for one in given]:
+                raise ValueError(f"--design {self.design}: that file is read; name another one")
         source = mjcf.read(self.model)
         folder.check_names(source.files)
         model = mjcf.compile(source)

@@ -115,4 +115,10 @@ class Export:
         takes = [*(one.name for one in law.inputs), *(["speed"] if law.driven_up_to is not None else [])]
         called = "a table" if self.to == "csv" else f"{name}({', '.join(takes)})"
         print(f"{self.out}: {called}, {law.kind} of {law.key}{f' in {law.unit}' if law.unit else ''}")
+        if self.to == "csv" and law.driven_up_to is not None:
+            print(f"along the motion it fades from a speed of {law.driven_up_to:g} on, to nothing at twice of it")
+        if self.to == "csv":
+            print(f"beyond the table it {'stays as it ends' if law.outside == 'constant' else 'goes on in parallel'}")
+        if law.remembers is not None:
+            print(law.remembers)
         return 0

@@ -139,7 +139,8 @@ class Render:
             _idle(self, ("magnify",), "the window shows the rig as it is")
         mapping, units = columns(self.recording, self.map, self.unit)
         if self.recording is not None:
-            _idle(self, ("controller", "compensator", "estimator", "plant"), "what a recording holds has run already")
+            idle = ("controller", "compensator", "estimator", "plant", "seed")
+            _idle(self, idle, "what a recording holds has run already")
             course = runs.recorded(self.recording, model=self.model, mapping=mapping, units=units)
             caption = Path(self.recording).stem
         else:

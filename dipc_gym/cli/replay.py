@@ -54,7 +54,7 @@ class Replay:
     def run(self) -> int:
         """Replay, print the table, write what was asked for."""
         from dipc_gym.safety.files import write_json
-        from dipc_gym.sim2real.replay import replay
+        from dipc_gym.sim2real.replay import check_width, replay
 
         for path in (self.json, self.plot):
             if path is not None:
@@ -63,6 +63,9 @@ class Replay:
             ending(self.json, ".json")
         if self.plot is not None:
             ending(self.plot, ".png", ".pdf", ".svg")
+            check_width(self.width)
+        elif self.width != type(self).width:
+            raise ValueError(f"--width {self.width:g}: it is that of the picture; add --plot FILE or leave it out")
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         done = replay(self.model, self.recording, window=self.window, step=self.step, mapping=mapping, units=units)
         if self.json is not None:

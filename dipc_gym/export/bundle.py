@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 import dipc_gym
 from dipc_gym import compensators, controllers, estimators
 from dipc_gym.compensators import Compensator, StaticGain
+from dipc_gym.compensators.memory import check_period
 from dipc_gym.controllers import Controller
 from dipc_gym.dataflow import Program
 from dipc_gym.env import DoublePendulumEnv
@@ -109,20 +110,22 @@ def bundle(
         sight = f"{named} of {estimator}"
     if isinstance(brain, Policy):
         brain.require_estimator(named)
+    check_period(part, plant.control_period)
+    supply = plant.supply if part.supply is None else min(plant.supply, part.supply)
     about = (
         f"Call it every {1000 * plant.control_period:g} ms.",
         "",
         f"Estimator: {sight}.",
         f"Controller: {_brain(brain)}.",
         f"Compensator: {part.name}{f' of {source}' if source else ''}{_trained(part)}.",
-        f"Limits: {force_limit:g} N, {plant.supply:g} V.",
+        f"Limits: {force_limit:g} N, {supply:g} V.",
         "",
         "A reading that is not a number, or larger than 1000 m or rad, makes the voltage 0 for that period and leaves",
         "the state as it was. A state that is no longer finite is reset. No input gives more than the supply.",
         "",
         f"Written by dipc-gym {dipc_gym.__version__}.",
     )
-    return Bundle(Loop(seeing, brain, part, force_limit, plant.supply), plant, about, model)
+    return Bundle(Loop(seeing, brain, part, force_limit, supply), plant, about, model)
 
 
 def write_c(found: Bundle, path: Path) -> tuple[Program, Path]:

@@ -13,6 +13,7 @@ from dipc_gym.dataflow import ELEMENTWISE, REDUCTIONS, Floats, NoForm, Program, 
 
 DEEPEST = 5
 """Operations that may stand in one expression; more are hard to read."""
+_SAID = "\0_"  # stands for `@_` in words, where no name of this text is meant
 LARGEST = 1e37
 """Of a number in single precision; what is closer to zero than its inverse is zero."""
 
@@ -233,7 +234,7 @@ def header(program: Program, words: Header) -> str:
         parameters=", ".join(f"@_real {key}" for key in program.inputs),
         body=body,
     )
-    return text.replace("@_", f"{name}_")
+    return named(text, name)
 
 
 def check(
@@ -272,7 +273,7 @@ def check(
         single=repr(max(tolerance * 2.0**29, gathered)),
         double=repr(max(tolerance, gathered / 2.0**29)),
     )
-    return text.replace("@_", f"{name}_")
+    return named(text, name)
 
 
 def _gathered(program: Program, vectors: Floats) -> float:
@@ -513,5 +514,11 @@ def _described(program: Program, words: Header) -> str:
 
 def plain(text: str) -> str:
     """Words that cannot end a comment, in ASCII on one line."""
-    ascii_text = text.encode("ascii", "replace").decode().replace("?", ".").replace("*/", "* /").replace("/*", "/ *")
-    return " ".join(ascii_text.replace("\\", "/").split())
+    ascii_text = text.encode("ascii", "replace").decode().replace("?", ".").replace("\\", "/")
+    apart = re.sub(r"\*(?=/)|/(?=\*)", r"\g<0> ", ascii_text)
+    return " ".join(apart.split()).replace("@_", _SAID)
+
+
+def named(text: str, name: str) -> str:
+    """C text with a name before all of its own names, `@_`."""
+    return text.replace("@_", f"{name}_").replace(_SAID, "@_")

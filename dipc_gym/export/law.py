@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import dipc_gym
-from dipc_gym.export.c import literal, plain
+from dipc_gym.export.c import literal, named, plain
 from dipc_gym.safety.naming import suggestion
 from dipc_gym.safety.untrusted import Format, first_line, shown
 
@@ -32,7 +33,12 @@ class LawError(ValueError):
 FORMAT = Format("diagnosis", "dipc-gym diagnose", "diagnose again", 50_000_000, LawError)
 SCHEMAS = ("dipc-gym/diagnosis/2", "dipc-gym/diagnosis/3")
 MOST = 4096  # levels of a table
-KEY, LABEL = 200, 300  # characters of an effect's or a place's name, and of what speaks of such
+RESERVED = frozenset(
+    """auto break case char const continue default do double else enum extern float for goto if inline int long main
+    register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
+    """.split()  # noqa: SIM905  # as a list it is forty lines
+)
+KEY, LABEL, SENTENCE = 200, 300, 1000  # characters of an effect's or a place's name, and of what speaks of such
 
 
 @dataclass(frozen=True)
@@ -43,11 +49,18 @@ class Input:
         name: `position`, or `velocity pole1` of a law that may depend on other joints.
         unit: SI.
         knots: where it has its values, increasing, (k,).
+        data: from where to where data told these; None where that is from the first knot to the last.
     """
 
     name: str
     unit: str
     knots: Array
+    data: tuple[float, float] | None = None
+
+    @property
+    def told(self) -> tuple[float, float]:
+        """From where to where data told its values."""
+        return self.data or (float(self.knots[0]), float(self.knots[-1]))
 
 
 @dataclass(frozen=True)
@@ -63,6 +76,7 @@ class Law:
         outside: beyond its knots it goes on as it ends, or parallel to its input.
         driven_up_to: speed of the joint from which a force along the motion fades, to nothing at twice of it; None for
             a law that is not limited so. Such a law takes the joint's speed as one more input.
+        remembers: of an input that no sensor reads, how it comes about; None where there is none.
 
     Example:
         >>> spring = Law("load.position@cart", "force", "N", (Input("position", "m", np.array([-1.0, 1.0])),),
@@ -78,6 +92,7 @@ class Law:
     levels: Array
     outside: Literal["constant", "parallel"] = "constant"
     driven_up_to: float | None = None
+    remembers: str | None = None
 
     def __post_init__(self) -> None:
         shape = tuple(len(one.knots) for one in self.inputs)
@@ -151,17 +166,21 @@ class Law:
         """
         if not re.fullmatch(r"[a-z_][a-z0-9_]{0,40}", name):
             raise ValueError(f"{name!r} cannot name a C function: small letters, digits and _")
+        if name in RESERVED:
+            raise ValueError(f"{name!r} is a word of C and cannot name a function; name the file otherwise")
         names = ["x", "y"][: len(self.inputs)]
         words = [
-            f"{letter}: {plain(one.name)}, {plain(one.unit) or 'as commanded'}; data from {one.knots[0]:g} to "
-            f"{one.knots[-1]:g}."
+            f"{letter}: {plain(one.name)}, {plain(one.unit) or 'as commanded'}; data from {one.told[0]:g} to "
+            f"{one.told[1]:g}."
             for letter, one in zip(names, self.inputs, strict=True)
         ]
         beyond = "stays as it ends" if self.outside == "constant" else "goes on in parallel with x"
-        words.append(f"Between its knots it goes straight; beyond the data it {beyond}.")
+        words.append(f"Between its knots it goes straight; beyond them it {beyond}.")
         if self.driven_up_to is not None:
             names.append("speed")
             words.append(f"speed: of the joint, SI; from {self.driven_up_to:g} on, a force along it fades.")
+        if self.remembers is not None:
+            words += textwrap.wrap(plain(self.remembers), 110)
         words.append(f"{' or '.join(names[: len(self.inputs)])} that is not a number gives what is not a number.")
         text = _HEADER.substitute(
             title=plain(f"{self.key}: {self.kind}{f', {self.unit}' if self.unit else ''}."),
@@ -173,7 +192,7 @@ class Law:
             tables="\n".join(_tables(self)),
             body="\n".join(_body(self)),
         )
-        return text.replace("@_", f"{name}_")
+        return named(text, name)
 
 
 def read(path: str | Path, key: str | None = None) -> Law:
@@ -226,7 +245,8 @@ def is_diagnosis(path: str | Path) -> bool:
 def _law(key: str, said: dict[str, Any]) -> Law:
     table = said["table"]
     inputs = tuple(
-        Input(_words(one["name"]), _words(one["unit"]), np.array(one["knots"], dtype=float)) for one in table["inputs"]
+        Input(_words(one["name"]), _words(one["unit"]), np.array(one["knots"], dtype=float), (float(low), float(high)))
+        for one, (low, high) in zip(table["inputs"], said["supported"][: len(table["inputs"])], strict=True)
     )
     limit = said.get("driven_up_to")
     return Law(
@@ -237,6 +257,7 @@ def _law(key: str, said: dict[str, Any]) -> Law:
         np.array(table["levels"], dtype=float),
         said["outside"],
         None if limit is None else float(limit),
+        None if said.get("remembers") is None else _words(said["remembers"], SENTENCE),
     )
 
 

@@ -20,6 +20,7 @@ MAX_TEXT = 20_000_000  # bytes of XML, everything that is included counted as of
 MAX_FILES = 400_000_000  # bytes of all files that a model pulls in
 MAX_DEPTH = 50  # files that include one another
 MAX_NAME = 200  # characters; messages and reports say names in full
+MAX_NESTED = 300  # elements in each other; chains of a hundred links have fewer
 NAMING = ("name", "prefix", "suffix", "sep", "model")  # attributes that names are made of
 MAX_PATH = 1_000  # characters of a file's name with its folders
 MAX_ELEMENTS = 100_000  # XML elements after replicate, composite and flexcomp are multiplied out
@@ -102,9 +103,16 @@ class _Scan:
             self.document(inner, f"{name} -> {path}", posixpath.dirname(path), (*ancestors, path))
 
     def xml(
-        self, text: str, name: str, document: _Document, ancestors: tuple[str, ...], factor: float, outermost: bool
+        self,
+        text: str,
+        name: str,
+        document: _Document,
+        ancestors: tuple[str, ...],
+        factor: float,
+        outermost: bool,
+        depth: int = 0,
     ) -> None:
-        """Walk through one XML text; `factor` says how often its place is replicated."""
+        """Walk through one XML text; `factor` says how often its place is replicated, `depth` how deep it stands."""
         self.text_bytes += len(text)
         if self.text_bytes > MAX_TEXT:
             raise MjcfError(f"{name}: the model has more than {MAX_TEXT:,} characters with its includes")
@@ -120,6 +128,8 @@ class _Scan:
             for key in NAMING:
                 if not attributes.get(key, "").isprintable():  # a terminal may take orders from such characters
                     raise MjcfError(f"{where}: its {key} has characters that cannot be printed; remove them")
+            if depth + len(factors) > MAX_NESTED:
+                raise MjcfError(f"{where}: elements stand {MAX_NESTED} deep in each other; put them beside each other")
             own = factors[-1] * _multiple(element, attributes, where)
             factors.append(own if element == "replicate" else factors[-1])
             self.elements += own
@@ -131,7 +141,8 @@ class _Scan:
             for file in (value.replace("\\", "/") for value in files):
                 if element == "include":
                     path, inner = self.fetch_xml(posixpath.join(document.base, file), where, ancestors)
-                    self.xml(inner, f"{name} -> {path}", document, (*ancestors, path), factors[-1], False)
+                    within, deeper = (*ancestors, path), depth + len(factors)
+                    self.xml(inner, f"{name} -> {path}", document, within, factors[-1], False, deeper)
                 elif element == "model":
                     document.models.append((file, where))
                 else:

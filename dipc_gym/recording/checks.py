@@ -152,7 +152,7 @@ def _sampling(time: NDArray[np.float64]) -> list[str]:
     if steps[longest] > CHECKS.gap * middle:
         found.append(
             f"{np.sum(steps > CHECKS.gap * middle)} gaps in time, the longest {steps[longest]:.3g} s after "
-            f"{time[longest]:.6g} s where {middle:.3g} s are usual: samples are missing there"
+            f"{time[longest] - time[0]:.6g} s of recording where {middle:.3g} s are usual: samples are missing there"
         )
     low, high = np.quantile(steps, [0.05, 0.95])
     if high - low > CHECKS.spread * middle:

@@ -29,7 +29,7 @@ MAX_BYTES = 1_000_000_000  # of a file
 MAX_VALUES = 100_000_000  # rows times columns that are loaded
 MAX_LINES = 20_000_000  # of a CSV file, empty ones included
 MAX_LINE = 1_000_000  # characters of one of them
-MAX_NAME = 200  # characters of a column's name
+MAX_NAME = 210  # characters of a column's name, which may be a model's, of 200, with a prefix
 BLOCK = 50_000  # lines that are parsed at a time; all at once would take ten times the file's size in memory
 FORMATS = (".csv", ".parquet", ".npz")
 

@@ -92,8 +92,13 @@ class _Candidate:
 
     words: str
     actuator: int
-    size: float
     values: Array
+
+    @property
+    def reach(self) -> str:
+        """From its least to its most, in words."""
+        low, high = self.values.min(), self.values.max()
+        return f"up to {high:.3g}" if np.isclose(-low, high, rtol=0.05) else f"{low:.3g} to {high:.3g}"
 
 
 def _ramps(t: Array, rng: np.random.Generator) -> Array:
@@ -181,8 +186,8 @@ def propose(
     reach = [f"{name} over {way:.3g} {u}" for name, way, u in zip(likeliest[0].base, moved, units, strict=True)]
     begin = [f"{name} at {at:.3g} {u}" for name, at, u in zip(likeliest[0].base, usual, units, strict=True)]
     return Design(
-        f"{_question(structures)} send {recordings[0].actuator_names[best.actuator]} {best.words}, of up to "
-        f"{best.size:.3g}{_unit(likeliest[0], recordings[0], best.actuator)}, for {time[-1] + period:.0f} s, from rest "
+        f"{_question(structures)} send {recordings[0].actuator_names[best.actuator]} {best.words}, of "
+        f"{best.reach}{_unit(likeliest[0], recordings[0], best.actuator)}, for {time[-1] + period:.0f} s, from rest "
         f"with {', '.join(begin)}. That moves {', '.join(reach)}, no further than the recordings did. "
         + _outlook(worth, bool(rivals)),
         _recording(recordings[0], time, rig.commands(best)),
@@ -301,7 +306,7 @@ def _sized(rig: _Rig, recordings: Sequence[Recording], time: Array, seed: int) -
         least, middle, most = _range(rig, recordings, k)
         for words, (shape, share) in SHAPES.items():
             wave = (middle - least + share * most * shape(time, np.random.default_rng(seed))) * fade
-            tried += [_Candidate(words, k, share * most * size, least + size * wave) for size in DESIGN.sizes]
+            tried += [_Candidate(words, k, least + size * wave) for size in DESIGN.sizes]
     stays = rig.stays(np.stack([rig.commands(candidate) for candidate in tried])).reshape(-1, len(DESIGN.sizes))
     return [tried[i * len(DESIGN.sizes) + int(np.argmax(row))] for i, row in enumerate(stays) if row.any()]
 

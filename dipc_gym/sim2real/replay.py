@@ -178,8 +178,7 @@ class Replay:
             ValueError: matplotlib cannot write such a file, or the width is no width of a page.
         """
         path = Path(path)
-        if not NARROWEST <= width <= WIDEST:
-            raise ValueError(f"width is {width:g} inches; it can be {NARROWEST:g} to {WIDEST:g}")
+        check_width(width)
         points = 6 if width <= style.NARROW else 8
         with style.text(points, text__parse_math=False), whole(path) as file:  # a sensor may be called $x^
             style.write(self._drawn(width), file, path.suffix[1:].lower())
@@ -214,6 +213,16 @@ class Replay:
         axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
         axes[-1].set_xlabel("time, s; yellow: worst windows; grey: twice the noise")
         return figure
+
+
+def check_width(width: float) -> None:
+    """Refuse what is no width of a page.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not NARROWEST <= width <= WIDEST:
+        raise ValueError(f"width is {width:g} inches; it can be {NARROWEST:g} to {WIDEST:g}")
 
 
 def replay(

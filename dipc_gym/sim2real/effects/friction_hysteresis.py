@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Values
-from dipc_gym.sim2real.effects.law import Array, Law, described
+from dipc_gym.sim2real.effects.law import Array, Law, described, either_way
 from dipc_gym.sim2real.effects.tables import odd_blocks, spared
 from dipc_gym.sim2real.unseen.play import play
 
@@ -100,8 +100,13 @@ class Hysteresis(Law):
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """The curve along which the force builds up from rest."""
         along, force = self.curve(values)
-        inputs = [{"name": self.of, "unit": self.per(unit), "knots": along.tolist()}]
-        return described(self.kind, inputs, force.tolist(), unit[self.parameters[0].name], passive=self.passive)
+        inputs = [{"name": self.of, "unit": self.per(unit), "knots": either_way(along.tolist())}]
+        how = (
+            "It holds from rest on. Where the motion turns round, the force goes back along the same curve, twice as "
+            "large in both directions."
+        )
+        levels, per = either_way(force.tolist()), unit[self.parameters[0].name]
+        return described(self.kind, inputs, levels, per, passive=self.passive, remembers=how)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

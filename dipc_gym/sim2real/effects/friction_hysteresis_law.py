@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import at_joint, described, halved, recalled
+from dipc_gym.sim2real.effects.law import at_joint, described, either_way, halved, recalled
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.sought import Sought
 
@@ -107,8 +107,15 @@ class HysteresisOfAnyLaw(Effect):
         """The curve along which the force builds up from rest."""
         way, force = self.curve(values)
         slide = at_joint("m", unit["bound"])
-        inputs = [{"name": "distance from rest", "unit": slide, "knots": way.tolist()}]
-        return described("friction with memory", inputs, force.tolist(), unit["bound"], passive=True)
+        inputs = [{"name": "distance from rest", "unit": slide, "knots": either_way(way.tolist())}]
+        stiffness = ", ".join(f"{one:.4g}" for one in self._stiffness(values))
+        how = (
+            "It holds from rest on. Wherever it is, the force F builds up against the motion by a stiffness for each "
+            f"{slide}: {stiffness} {unit['bound']}/{slide} at equal distances of F from {values['bound']:.4g} along "
+            "the motion to as much against it."
+        )
+        levels = either_way(force.tolist())
+        return described("friction with memory", inputs, levels, unit["bound"], passive=True, remembers=how)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

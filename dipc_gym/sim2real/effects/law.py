@@ -32,6 +32,7 @@ def described(
     passive: bool | None,
     outside: Outside = "constant",
     driven_up_to: float | None = None,
+    remembers: str | None = None,
 ) -> dict[str, Any]:
     """A law as diagnosis.json holds it.
 
@@ -43,6 +44,7 @@ def described(
         passive: whether it can only take energy away; None where it exerts nothing.
         outside: beyond the first and last knots it goes on as it ends, or parallel to its input.
         driven_up_to: speed of the joint beyond which it drives no further; from there to twice as fast it fades.
+        remembers: of an input that no sensor reads, how it comes about, as sentences.
     """
     return {
         "of": [one["name"] for one in inputs],
@@ -53,7 +55,16 @@ def described(
         "outside": outside,
         "driven_up_to": driven_up_to,
         "passive": passive,
+        "remembers": remembers,
     }
+
+
+def either_way(values: Sequence[float]) -> list[float]:
+    """Knots or levels of a law that is odd, from those of its half that begins at 0."""
+    return [-one for one in values[:0:-1]] + list(values)
+
+
+FAR = 100.0  # times the data, to where a table that goes on beyond them is told
 
 
 def bisected(knots: Array, narrowest: Array | float, told: NDArray[np.bool_] | None = None) -> Array:

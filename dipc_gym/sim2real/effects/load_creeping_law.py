@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import at_joint, described, halved, recalled
+from dipc_gym.sim2real.effects.law import FAR, at_joint, described, either_way, halved, recalled
 from dipc_gym.sim2real.effects.load_creeping import FAST, TIMES, usual
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.sought import Sought
@@ -122,9 +122,15 @@ class CreepingSpringOfAnyLaw(Effect):
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """How fast it gives way, by stretch."""
-        slide = at_joint("m", unit["stiffness"])
-        inputs = [{"name": "stretch", "unit": slide, "knots": self.knots.tolist()}]
-        return described("speed of creep", inputs, self._speeds(values).tolist(), f"{slide}/s", passive=True)
+        slide, speeds, last = at_joint("m", unit["stiffness"]), self._speeds(values).tolist(), self.furthest
+        knots, levels = [*self.knots.tolist(), FAR * last], [*speeds, FAR * speeds[-1]]  # beyond, in proportion
+        inputs = [{"name": "stretch", "unit": slide, "knots": either_way(knots)}]
+        how = (
+            "The stretch grows as fast as the joint moves, less this speed; the spring pulls the joint back with "
+            f"{values['stiffness']:.4g} {unit['stiffness']} times the stretch."
+        )
+        law = described("speed of creep", inputs, either_way(levels), f"{slide}/s", passive=True, remembers=how)
+        return {**law, "supported": [[-last, last]]}
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -146,7 +146,19 @@ class UnknownProduct(Law):
         ]
         per = unit[self.parameters[0].name]
         passive = self.names[1].startswith("velocity") and bool(np.all(levels[:, 1] <= 0))
-        return described(self.kind, inputs, levels.tolist(), per, passive=passive, driven_up_to=self.speed)
+        return described(
+            self.kind,
+            inputs,
+            levels.tolist(),
+            per,
+            passive=passive,
+            driven_up_to=self.speed,
+            remembers=self.remembered(values),
+        )
+
+    def remembered(self, values: Values) -> str | None:
+        """Of a law of the past, how its first input comes about."""
+        return None
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

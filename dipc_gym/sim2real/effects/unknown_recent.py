@@ -66,6 +66,13 @@ class UnknownRecent(UnknownProduct):
         """The mean over the past, and what it is in proportion to."""
         return f"recent {self.names[0]}", self.names[1]
 
+    def remembered(self, values: Values) -> str:
+        """How its first input comes about."""
+        return (
+            f"The {self.labels[0]} follows the size of the {self.names[0]} with a time constant of "
+            f"{values['time_constant']:.4g} s."
+        )
+
     @property
     def places(self) -> Array:
         """The mean over the past."""

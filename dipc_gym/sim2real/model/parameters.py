@@ -126,13 +126,16 @@ class Wishes:
         """The parameters that are free, with their priors.
 
         Raises:
-            ValueError: a name that is no parameter of the model.
+            ValueError: a name that is no parameter of the model, or one that is to be held and to have a spread.
         """
         known = [n.key for n in parameters]
         for key in (*self.fix, *self.prior):
             if key not in known:
                 names = f"{', '.join(known)}{suggestion(key, known)}"
                 raise ValueError(f"--fix or --prior {key!r}: the model's parameters are {names}")
+        both = next((key for key in self.fix if key in self.prior), None)
+        if both is not None:
+            raise ValueError(f"--fix {both} and --prior {both}: what is held has no spread; leave one of them out")
         out = []
         for parameter in parameters:
             if parameter.key in self.fix:

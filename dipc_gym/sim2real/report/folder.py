@@ -142,6 +142,22 @@ def check_names(files: Iterable[str]) -> None:
             raise ValueError(f"the model's own file {name} is called as a file of the diagnosis; give it another name")
 
 
+def check_given(folder: Path, given: Iterable[str | Path]) -> None:
+    """Refuse a folder in which results would take the place of what they are made from.
+
+    Args:
+        folder: of the results.
+        given: files of the model and recordings.
+
+    Raises:
+        FileExistsError: naming the file, and what to do.
+    """
+    written = {(folder / name).resolve() for name in OWN}
+    for file in map(Path, given):
+        if file.resolve() in written:
+            raise FileExistsError(f"{file} would be replaced by what is found from it; name another folder with --out")
+
+
 def _unfinished(folder: Path) -> bool:
     """Whether a diagnosis was killed while it wrote here: its drafts are there, and what comes last is not."""
     return any(folder.glob(f"{DRAFTS}*")) and not (folder / DIAGNOSIS).exists()

@@ -116,19 +116,23 @@ def law(law: Mapping[str, Any]) -> Chart:
         lines = [(tone, levels[:, k]) for tone, k in zip(tones, picked, strict=True)]
         at = ", ".join(number(float(others[0]["knots"][k])) for k in picked)
         words = f", at {others[0]['name']} of {at} {others[0]['unit']}".rstrip()
-    margin = 0.08 * float(x[-1] - x[0])
-    beyond = margin if law["outside"] == "constant" else 0.0
-    across = axis(float(x[0]) - beyond, float(x[-1]) + beyond, first["name"], first["unit"])
+    begin, end = map(float, law["supported"][0])
+    beyond = 0.08 * (end - begin) if law["outside"] == "constant" else 0.0
+    # A table may go on far beyond the data; drawn is as much of it as beside another one.
+    drawn = np.concatenate([[begin - beyond], x[(x > begin - beyond) & (x < end + beyond)], [end + beyond]])
+    lines = [(tone, np.interp(drawn, x, y)) for tone, y in lines]
+    band = band and (np.interp(drawn, x, band[0]), np.interp(drawn, x, band[1]))
+    across = axis(begin - beyond, end + beyond, first["name"], first["unit"])
     seen = [y for _, y in lines] + ([] if band is None else list(band))
     low, high = span(seen, 1.0, zero=True)
     up = axis(low, high, law["kind"], table["unit"], 5)
     layers = []
-    for ends in (np.array([x[0] - beyond, x[0]]), np.array([x[-1], x[-1] + beyond])) if beyond else ():
+    for ends in (np.array([begin - beyond, begin]), np.array([end, end + beyond])) if beyond else ():
         layers.append(charts.area("shade", ends, np.full(2, low), np.full(2, high), across, up))
     if band is not None:
-        layers.append(charts.area("after", x, *band, across, up))
-    wider = np.concatenate([[x[0] - beyond], x, [x[-1] + beyond]])
-    layers += [charts.line(tone, wider, np.concatenate([y[:1], y, y[-1:]]), across, up) for tone, y in lines]
+        told = (drawn >= begin) & (drawn <= end)
+        layers.append(charts.area("after", drawn[told], *(one[told] for one in band), across, up))
+    layers += [charts.line(tone, drawn, y, across, up) for tone, y in lines]
     interval = ", with its 90 % interval" if band is not None else ""
     outside = "; grey: beyond the data, where it goes on as it ends" if beyond else ""
     return Chart(f"The law over {first['name']}{words}{interval}{outside}", across, up, tuple(layers))

@@ -166,6 +166,8 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     for missing in said["missing"] if isinstance(said["missing"], list) else ():
         if isinstance(missing, dict) and isinstance(missing.get("parameters"), dict):
             missing["parameters"] = {k: _filled(p, _INTERVAL) for k, p in missing["parameters"].items()}
+        if isinstance(missing, dict) and missing.get("law"):
+            missing["law"] = _filled(missing["law"], _REMEMBERS)
     _check(path, said, _FOUND)
     if said["verdict"] not in VERDICTS:
         reader.fail("verdict", f"is none of {', '.join(VERDICTS)}; {DIAGNOSIS.mend}")
@@ -188,9 +190,11 @@ _LAW: intact.Shape = {
     "supported": [[float]],
     "outside": str,
     "passive": (bool, None),
+    "remembers": (str, None),
 }
 _NAME = {"effect": str, "at": str}
 _INTERVAL = ("low", "high", "level")
+_REMEMBERS = ("remembers",)  # of laws; earlier files have it not
 _OPTIONAL = {"located": ("kind",), "missing": ("law",), "recalibrated": ("low", "high", "level", "was", "unit")}
 _ERRORS = {"nominal": _NUMBER, "recalibrated": _NUMBER, "improved": _NUMBER}
 _SENSOR = {"unit": str, "noise": _NUMBER, "motion": float, "error": _ERRORS, "share_of_motion": _ERRORS}
