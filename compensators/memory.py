@@ -22,8 +22,8 @@ def check_period(compensator: Compensator, period: float) -> None:
     own = getattr(compensator, "period", period)
     if not math.isclose(own, period, rel_tol=1e-9):
         raise ValueError(
-            f"the compensator {compensator.name!r} remembers from one call to the next {1000 * own:g} ms later, and the "
-            f"control period is {1000 * period:g} ms; fit it to a rig with this one"
+            f"the compensator {compensator.name!r} remembers from one call to the next after {1000 * own:g} ms, and "
+            f"the control period is {1000 * period:g} ms; fit it to a rig with this one"
         )
 
 

@@ -268,7 +268,7 @@ def test_lines_are_counted_with_blank_ones(tmp_path: Path, model: mujoco.MjModel
         (b"0,1,2,3\n1,2,3,4\n", "the first line must name the columns"),
         (b"time;motor;cart;pole\n0;1;2;3\n", "not separated by commas"),
         (b"time,motor,cart,cart\n0,1,2,3\n", "columns ['cart'] appear more than once"),
-        (b"time,motor,cart," + 201 * b"x" + b"\n0,1,2,3\n", "a column's name has more than 200 characters"),
+        (b"time,motor,cart," + 211 * b"x" + b"\n0,1,2,3\n", "a column's name has more than 210 characters"),
         (b"time,motor,cart,pole\n" + b"0,1,2,3\n" * 2, "2 samples are too few"),
         (b'time,motor,cart,"pole\n0,1,2,3\n', "line 1: not a CSV row"),
     ],

@@ -494,12 +494,22 @@ def one(effect, at="cart", same=(), **parameters):
     return {
         "effect": effect,
         "at": at,
-        "same_here": [{"effect": e, "at": "x"} for e in same],
+        "same_here": [dict(zip(("effect", "at"), name.split("@"), strict=True)) for name in same],
         "parameters": {k: {"value": v[0], "low": v[1], "high": v[2]} for k, v in parameters.items()},
     }
 
 
 FINE = {"seconds": 5.0, "failure": None, "sensor_errors": {"cart": 1.9e-5}}
+
+
+def test_a_right_name_at_another_joint_is_in_no_right_set():
+    judged = grade.grade(sealed(), said(one("friction.coulomb", "pole1")), FINE)
+    assert (judged.name, judged.set, judged.place) == (True, False, False)
+
+
+def test_a_failed_diagnosis_of_unknown_physics_is_no_case_without_a_false_name():
+    judged = grade.grade(sealed(kind="unknown"), None, FINE | {"failure": "stopped"})
+    assert (judged.unknown, judged.misnamed) == (False, None)
 
 
 def test_the_truth_is_right_and_a_stranger_is_not():
@@ -521,11 +531,13 @@ def test_another_name_counts_only_if_it_is_the_same_and_the_tool_says_so():
     answer = sealed(
         missing=[("load.tilt", "world")], equivalents={"load.tilt@world": [{"effect": "load.constant", "at": "cart"}]}
     )
-    open_ = grade.grade(answer, said(one("load.constant", same=["load.tilt"])), FINE)
+    open_ = grade.grade(answer, said(one("load.constant", same=["load.tilt@world"])), FINE)
     assert (open_.name, open_.set, open_.place, open_.route) == (True, True, True, "same")
     silent = grade.grade(answer, said(one("load.constant")), FINE)
     assert (silent.name, silent.set, silent.place) == (False, False, True)
-    boast = grade.grade(sealed(), said(one("motor.deadzone", same=["friction.coulomb"])), FINE)
+    elsewhere = grade.grade(answer, said(one("load.constant", same=["load.tilt@pole1"])), FINE)
+    assert (elsewhere.name, elsewhere.route) == (False, "")
+    boast = grade.grade(sealed(), said(one("motor.deadzone", same=["friction.coulomb@cart"])), FINE)
     assert boast.name is False
 
 
@@ -545,7 +557,7 @@ def test_parts_pairs_and_refits():
     assert grade.grade(faint, said(one("load.spring"), one("timing.delay")), FINE).set is False
     both = [{"effect": "friction.coulomb", "at": "cart"}, {"effect": "load.constant", "at": "cart"}]
     split = sealed(missing=[("friction.asymmetric", "cart")], equivalent_sets={"friction.asymmetric@cart": [both]})
-    told = [one("friction.coulomb", same=["friction.asymmetric"]), one("load.constant")]
+    told = [one("friction.coulomb", same=["friction.asymmetric@cart"]), one("load.constant")]
     assert grade.grade(split, said(*told), FINE).route == "same"
     assert grade.grade(split, said(told[0]), FINE).name is False
     assert grade.grade(split, said(one("friction.coulomb"), told[1]), FINE).name is False
@@ -562,7 +574,7 @@ def test_several_effects_that_are_the_truth_stand_for_it_beside_others():
         [("load.tilt", "world"), ("motor.deadzone", "motor")],
         equivalent_sets={"load.tilt@world": [both], "motor.deadzone@motor": []},
     )
-    told = [one("motor.deadzone", "motor"), one("sensor.bias", "pole1", same=["load.tilt"]), one("load.constant")]
+    told = [one("motor.deadzone", "motor"), one("sensor.bias", "pole1", same=["load.tilt@world"]), one("load.constant")]
     judged = grade.grade(pair, said(*told), FINE)
     assert (judged.name, judged.set, judged.route) == (True, True, "truth")
     assert grade.grade(pair, said(*told[1:], told[0]), FINE).route == "same"

@@ -294,7 +294,8 @@ def creeping(rig: Rig, *more: Parameter, kind: str = "") -> Effect:
     force, span, (n, m) = rig.force[0], rig.span[0], _units(rig, 0)
     pulls = Parameter("stiffness", f"{n}/{m}", index("creep_stiffness"), 0.05 * force / span, 0.6 * force / span)
     gives = Parameter("relaxation_time", "s", index("creep_time"), 0.05, 1.0)
-    return Effect("load.creeping", rig.joints[0], (pulls, gives, *more), kind=kind, alike=("load.creeping",))
+    alike = ("load.creeping",) if more else ()
+    return Effect("load.creeping", rig.joints[0], (pulls, gives, *more), kind=kind, alike=alike)
 
 
 def warming(rig: Rig) -> Effect:

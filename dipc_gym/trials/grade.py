@@ -193,15 +193,23 @@ def _route(said: Mapping[str, Any], truth: Mapping[str, Any], places: Mapping[st
         return "same" if said.get("together") else "truth"
     if said["effect"] in truth.get("alike", ()):
         return "truth"
-    listed = {other["effect"] for other in said.get("same_here") or []}
-    return "same" if said["effect"] in places and truth["effect"] in listed else ""
+    listed = {(other["effect"], other["at"]) for other in said.get("same_here") or []}
+    there = {(truth["effect"], at) for at in (truth["at"], *truth["also_at"])}
+    return "same" if said["effect"] in places and listed & there else ""
+
+
+def _there(said: Mapping[str, Any], truth: Mapping[str, Any], places: Mapping[str, set[str]]) -> bool:
+    """Whether a name that is right for a hidden effect stands at its place."""
+    named = said["effect"] if said["effect"] in places else truth["effect"]  # one that is alike acts where it does
+    return bool(said.get("together")) or said["at"] in places[named]
 
 
 def _grade_names(result: Grade, answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> None:
     truths = answer["missing"]
     accepted = [_accepted(answer, truth) for truth in truths]
     if not said:
-        refit = answer["recalibrated_suffices"] and result.verdict in ("recalibrated", "consistent")
+        enough = ("recalibrated",) if result.clear else ("recalibrated", "consistent")
+        refit = answer["recalibrated_suffices"] and result.verdict in enough
         result.name = result.set = refit
         result.route = "refit" if refit else ""
         result.place = None if refit else False
@@ -212,9 +220,7 @@ def _grade_names(result: Grade, answer: Mapping[str, Any], said: Sequence[Mappin
     left = list(range(len(truths)))
     extra = 0
     for one in whole:
-        match = [i for i in left if _route(one, truths[i], accepted[i])]
-        # Of two hidden effects with the same name, the one at this place.
-        match.sort(key=lambda i: one["at"] not in accepted[i].get(one["effect"], set()))
+        match = [i for i in left if _route(one, truths[i], accepted[i]) and _there(one, truths[i], accepted[i])]
         if match:
             left.remove(match[0])
         else:
@@ -255,7 +261,8 @@ def _grade_unknown(result: Grade, answer: Mapping[str, Any], said: Sequence[Mapp
     equal = {other["effect"] for others in answer["equivalents"].values() for other in others}
     explained = bool(said) and said[0]["effect"] in equal
     result.unknown = "unknown" in result.said or result.verdict in STRUCTURE_LEFT or explained
-    result.misnamed = any(name not in equal | {"unknown", *answer["includes"]} for name in result.said)
+    if result.verdict != "failed":
+        result.misnamed = any(name not in equal | {"unknown", *answer["includes"]} for name in result.said)
     at = {place for m in answer["missing"] for place in (m["at"], *m["also_at"])}
     if said:
         result.place = said[0]["at"] in at
@@ -293,7 +300,7 @@ def _values(answer: Mapping[str, Any], truth: str) -> dict[str, float]:
             values[printed] = values[source]
     if effect == "load.tilt":
         # Gravity that pushes the cart forwards is gravity turned backwards about y.
-        values["about_y"] = -values["tilt"]
+        values |= {"about_x": 0.0, "about_y": -values["tilt"]}
     if effect == "motor.back_emf":
         values["coefficient"] = values["back_emf"] * drive["kt"] / drive["resistance"]
     if effect == "motor.inductance":

@@ -197,17 +197,20 @@ def markdown(rows: Sequence[Mapping[str, Any]], *, seed: int) -> str:
     if rows:
         spent = ", ".join(f"{NAMES[k]} {np.median([r['seconds'][k] for r in rows]):.0f}" for k in NAMES)
         lines += ["", f"Median seconds a trial: {spent}."]
-        both = [r["error"] for r in rows if r["kind"] != "null" and r["error"]["diagnose"] is not None]
-        ahead = [
-            f"{name} in {sum(e[rival] is None or e['diagnose'] <= e[rival] for e in both)}"
-            for rival, name in NAMES.items()
-        ]
+        both = [r["error"] for r in rows if r["kind"] not in ("null", "wrong")]
+        ahead = [f"{name} in {sum(_no_worse(e, rival) for e in both)}" for rival, name in NAMES.items()]
         lines += ["", f"Where something is hidden, `diagnose` is at or below {', '.join(ahead)} of {len(both)}."]
         for rival, name in NAMES.items():
             gone = sum(r["error"][rival] is None for r in rows)
             if gone:
                 lines += ["", f"{name} diverges on the held-out recording in {gone}, which its medians leave out."]
     return "\n".join(lines) + "\n"
+
+
+def _no_worse(error: Mapping[str, float | None], rival: str) -> bool:
+    """Whether `diagnose` came to an error, and the rival to none that is smaller."""
+    own, other = error["diagnose"], error[rival]
+    return own is not None and (other is None or own <= other)
 
 
 def _finite(error: float) -> float | None:

@@ -420,7 +420,7 @@ def passive_ramp(
         biastype="affine",
         biasprm=ramp,
         forcelimited="true",
-        forcerange=(limits[0], max(limits[1], limits[0] + 1e-12)),
+        forcerange=(limits[0], max(limits[1], float(np.nextafter(limits[0] + 1e-12, np.inf)))),
     )
     document.plain(element, dyntype="none", gaintype="fixed")
     shield(document, element)

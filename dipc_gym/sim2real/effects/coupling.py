@@ -69,6 +69,9 @@ def split(document: Document, actuator: str, inertia: float) -> tuple[str, str]:
     joint = element.get("joint", "")
     limit_the_drive(document, joint)
     name = beside(document, f"{actuator}_rotor", joint, inertia)
+    left = document.limits(document.joint(joint), "actuatorfrc")
+    if left is not None:  # the drive has no such limit of its own
+        document.set(document.joint(name), actuatorfrclimited="true", actuatorfrcrange=left)
     document.set(element, joint=name)
     return name, joint
 

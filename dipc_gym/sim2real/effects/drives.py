@@ -24,13 +24,21 @@ def drive_of(model: mujoco.MjModel, actuator: str) -> tuple[float, float]:
     data = mujoco.MjData(model)
     at, i = dof(model, joint), model.actuator(actuator).id
     control = int(model.actuator_ctrladr[i])
-    filtered = model.actuator_dyntype[i] in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+    kind = mujoco.mjtDyn
+    filtered = int(model.actuator_dyntype[i]) in (int(kind.mjDYN_FILTER), int(kind.mjDYN_FILTEREXACT))
+    winding = bool(model.actuator_dyntype[i] == kind.mjDYN_DCMOTOR and model.actuator_dynprm[i, 0] > 0)
     forces = []
     for command, velocity in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
         data.ctrl[:], data.qvel[:] = 0.0, 0.0
         data.ctrl[control], data.qvel[at] = command, velocity
         if filtered:
             data.act[model.actuator_actadr[i]] = command
+        if winding:  # its current is the last of a motor's states, and at rest where it has settled
+            current, rates = int(model.actuator_actadr[i] + model.actuator_actnum[i]) - 1, []
+            for data.act[current] in (0.0, 1.0):
+                mujoco.mj_forward(model, data)
+                rates.append(float(data.act_dot[current]))
+            data.act[current] = rates[0] / (rates[0] - rates[1])
         mujoco.mj_forward(model, data)
         forces.append(float(data.qfrc_actuator[at]))
     none, driven, moved = forces

@@ -43,7 +43,7 @@ class Stribeck(Effect):
         return (LevelAlone(self.parameters),)
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Kinetic level from the force that opposes motion, a static one half as large again."""
+        """Kinetic level from the force that opposes motion, a static one two fifths larger."""
         level = evidence.dry_level
         return [
             {"level": level, "static": 1.4 * level, "velocity": share * evidence.speed_scale} for share in (0.05, 0.2)

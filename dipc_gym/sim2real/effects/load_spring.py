@@ -22,7 +22,8 @@ class Spring(Effect):
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Where the model has no spring yet."""
-        return bool(np.ravel(model.jnt_stiffness[model.joint(at).id])[0] == 0)
+        own = model.joint(at).id
+        return not (np.any(model.jnt_stiffness[own]) or np.any(model.jnt_stiffnesspoly[own]))
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The part of the unexplained force in proportion to position."""

@@ -36,10 +36,11 @@ class BackEmf(Effect):
         return [{"coefficient": float(np.clip(c, 0.05 * typical, 2 * typical))}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
-        """Damping of the actuator, which MuJoCo multiplies by the gear squared."""
+        """Damping of the actuator beside what it has, which MuJoCo multiplies by the gear squared."""
         actuator = document.actuator(at)
         gear = float(document.effective(actuator, "gear", "1").split()[0])
-        document.set(actuator, damping=values["coefficient"] / gear**2)
+        own, *others = document.effective(actuator, "damping", "0").split()
+        document.set(actuator, damping=[float(own) + values["coefficient"] / gear**2, *map(float, others)])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -33,8 +33,13 @@ class Cogging(Effect):
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Waves over position of at least one a turn."""
         gear = abs(evidence.gear) or 1.0
+        turns = np.sign(evidence.gear) or 1.0  # which way the rotor goes when the joint goes forwards
         return [
-            {"sine": w["sine"] / gear, "cosine": w["cosine"] / gear, "poles": 2 * np.pi / w["wavelength"] / gear}
+            {
+                "sine": w["sine"] / gear,
+                "cosine": turns * w["cosine"] / gear,
+                "poles": 2 * np.pi / w["wavelength"] / gear,
+            }
             for w in waves(evidence, 1.0)
         ]
 

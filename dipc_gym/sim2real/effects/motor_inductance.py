@@ -36,7 +36,9 @@ class Inductance(Effect):
         if actuator.tag == "dcmotor":
             document.set(actuator, inductance=(0, values["time_constant"]))
         else:
-            actuator.tag = "general"
+            if actuator.tag == "motor":
+                actuator.tag = "general"
+                document.plain(actuator, gaintype="fixed", gainprm="1", biastype="none")
             document.set(actuator, dyntype="filterexact", dynprm=values["time_constant"])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:

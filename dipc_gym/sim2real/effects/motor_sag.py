@@ -77,13 +77,14 @@ class Sag(Effect):
 
 def drains(model: mujoco.MjModel, at: str) -> bool:
     """Whether a supply that sags shows at an actuator: one with a command that drives a joint alone, and whose command
-    is a voltage or a force, no target.
+    is a voltage or a force, no target, whether of a position or of a speed.
     """
     joint, i = joint_of(model, at), model.actuator(at).id
     if is_dcmotor(model, at):
         powers = bool(model.actuator_ctrlspec[i] == mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
     else:
-        powers = bool(model.actuator_biasprm[i, 1] == 0)
+        gain, bias = model.actuator_gainprm[i, 0], model.actuator_biasprm[i]
+        powers = bool(bias[1] == 0 and (bias[2] == 0 or bias[2] != -gain))
     drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (
         model.actuator_trnid[:, 0] == model.actuator_trnid[i, 0]
     )

@@ -42,6 +42,8 @@ class Saturation(Effect):
             low, high = (float(np.clip(end, *given)) for end in (low, high))
         # MuJoCo refuses an empty range, and a fit may pass through one.
         document.set(actuator, ctrllimited="true", ctrlrange=(low, max(high, low + 1e-9)))
+        if float(document.effective(actuator, "inheritrange", "0")):  # a range of its own takes the place of that
+            document.set(actuator, inheritrange=0)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -67,7 +67,7 @@ class Scene:
             joint = joint_of(self.model, name) or ""
             joint = mjcf.followers(self.model).get(joint, joint)  # a rotor stands for the joint that it drives
             k = self.recordings[0].actuator_names.index(name)
-            command = np.concatenate([r.commands[:, k] for r in self.recordings])
+            command = _taken(self.model, name, np.concatenate([r.commands[:, k] for r in self.recordings]))
             gear = float(self.model.actuator(name).gear[0])
         elif place == "sensor":
             joint = sensed_joint(self.model, name) or ""
@@ -132,6 +132,14 @@ class Scene:
     @property
     def _joints(self) -> list[str]:
         return list(base_joints(self.model))
+
+
+def _taken(model: mujoco.MjModel, actuator: str, command: Array) -> Array:
+    """Commands (n,) as an actuator takes them: a log may hold more than its range."""
+    i = model.actuator(actuator).id
+    if not model.actuator_ctrllimited[i] or model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL:
+        return command
+    return np.clip(command, *model.actuator_ctrlrange[i])
 
 
 def scene(
