@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
-from dipc_gym.compensators.memory import Remembering, given, known_mass
+from dipc_gym.compensators.base import HUGE, Array, RigConstants, Samples, numbers
+from dipc_gym.compensators.memory import FRESH, Remembering, given, gone_on, known_mass
 
 if TYPE_CHECKING:
     from dipc_gym.dataflow import Program, Value
@@ -65,26 +65,28 @@ class DisturbanceObserver(Remembering):
         return cls(*given(rig), float(SHARES[np.argmin(error)]), mass, rig.viscous)
 
     def begin(self, n: int) -> Array:
-        """Nothing observed, at rest, no voltage."""
-        return np.zeros((n, 3))
+        """Nothing observed, no motion known, no voltage."""
+        return np.tile([0.0, FRESH, 0.0], (n, 1))
 
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
         """Observe the past period, compensate in the coming one."""
-        volts, observed = self.felt(force, velocity, *memory.T)
+        fresh = memory[:, 1] > HUGE
+        volts, observed = self.felt(force, velocity, memory[:, 0], gone_on(memory[:, 1], velocity), memory[:, 2], fresh)
         return volts, np.stack([observed, velocity, volts], axis=1)
 
     def express(self, program: Program, force: Value, velocity: Value) -> Value:
         """Write it into a program that can be exported: the same formula, on values of the program."""
-        memory = [program.state(name, 0.0) for name in ("disturbance", "velocity_before", "applied")]
-        volts, observed = self.felt(force, velocity, *memory)
-        for state, value in zip(memory, (observed, velocity, volts), strict=True):
+        before = program.previous("velocity_before", velocity)
+        memory = [program.state(name, 0.0) for name in ("disturbance", "applied")]
+        volts, observed = self.felt(force, velocity, memory[0], before, memory[1], program.first())
+        for state, value in zip(memory, (observed, volts), strict=True):
             program.update(state, value)
         return volts
 
-    def felt(self, force: Any, velocity: Any, observed: Any, before: Any, volts: Any) -> tuple[Any, Any]:
-        """Voltage (n,) and what is observed (n,), N, after the past period."""
+    def felt(self, force: Any, velocity: Any, observed: Any, before: Any, volts: Any, fresh: Any) -> tuple[Any, Any]:
+        """Voltage (n,) and what is observed (n,), N, after the past period; where that is not known, nothing anew."""
         felt = self.newtons_per_volt * volts - self.viscous * 0.5 * (velocity + before)
         felt = felt - self.mass * (velocity - before) / self.period
         most = self.newtons_per_volt * self.supply_voltage
-        observed = (observed + self.share * (felt - observed)).clip(-most, most)
+        observed = (observed + (1.0 - fresh) * self.share * (felt - observed)).clip(-most, most)
         return ((force + observed) / self.newtons_per_volt).clip(-self.supply_voltage, self.supply_voltage), observed

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
-from dipc_gym.compensators.memory import Remembering, given, known_mass
+from dipc_gym.compensators.base import HUGE, Array, RigConstants, Samples, numbers
+from dipc_gym.compensators.memory import FRESH, Remembering, given, gone_on, known_mass
 
 if TYPE_CHECKING:
     from dipc_gym.dataflow import Program, Value
@@ -74,30 +74,33 @@ class Friedland(Remembering):
         return cls(*given(rig), first_level, float(rates[best]), float(widths[best]), mass, rig.viscous)
 
     def begin(self, n: int) -> Array:
-        """The trained level, no motion, no voltage."""
-        return np.tile([self.level, 0.0, 0.0], (n, 1))
+        """The trained level, no motion known, no voltage."""
+        return np.tile([self.level, FRESH, 0.0], (n, 1))
 
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
         """Learn from the past period, then compensate in the coming one."""
-        volts, level = self.learned(force, velocity, *memory.T)
+        fresh = memory[:, 1] > HUGE
+        before = gone_on(memory[:, 1], velocity)
+        volts, level = self.learned(force, velocity, memory[:, 0], before, memory[:, 2], fresh)
         return volts, np.stack([level, velocity, volts], axis=1)
 
     def express(self, program: Program, force: Value, velocity: Value) -> Value:
         """Write it into a program that can be exported: the same formula, on values of the program."""
-        known = ("level", self.level), ("velocity_before", 0.0), ("applied", 0.0)
-        memory = [program.state(name, first) for name, first in known]
-        volts, level = self.learned(force, velocity, *memory)
-        for state, value in zip(memory, (level, velocity, volts), strict=True):
+        before = program.previous("velocity_before", velocity)
+        memory = [program.state(name, first) for name, first in (("level", self.level), ("applied", 0.0))]
+        volts, level = self.learned(force, velocity, memory[0], before, memory[1], program.first())
+        for state, value in zip(memory, (level, volts), strict=True):
             program.update(state, value)
         return volts
 
-    def learned(self, force: Any, velocity: Any, level: Any, before: Any, volts: Any) -> tuple[Any, Any]:
-        """Voltage (n,) and the level (n,) that was learned from the past period."""
+    def learned(self, force: Any, velocity: Any, level: Any, before: Any, volts: Any, fresh: Any) -> tuple[Any, Any]:
+        """Voltage (n,) and the level (n,) that was learned from the past period; where that is not known, as it was."""
         inertia = self.mass * (velocity - before) / self.period
         speed = 0.5 * (velocity + before)
         sign = np.tanh(speed / self.sign_velocity)
         miss = self.newtons_per_volt * volts - self.viscous * speed - inertia - level * sign
         most = self.newtons_per_volt * self.supply_voltage
-        level = (level + np.minimum(self.rate * self.period, 1.0) * sign * miss).clip(0.0, most)
+        rate = np.minimum(self.rate * self.period, 1.0)
+        level = (level + (1.0 - fresh) * rate * sign * miss).clip(0.0, most)
         friction = level * np.tanh(velocity / self.sign_velocity)
         return ((force + friction) / self.newtons_per_volt).clip(-self.supply_voltage, self.supply_voltage), level

@@ -7,9 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
+from dipc_gym.compensators.base import HUGE, Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.llnf import LLNF
-from dipc_gym.compensators.memory import Remembering, given, known_mass
+from dipc_gym.compensators.memory import FRESH, Remembering, given, gone_on, known_mass
 
 FORGETTING = 0.995
 """Weight of a sample against the one after it: a memory of 200 periods, one second."""
@@ -23,9 +23,9 @@ class AdaptiveLLNF(Remembering):
 
     After each period the force that the cart got is worked out from its velocity, mass a + viscous v; the voltage that
     the network would have given for that force is compared with the one that was applied. Every local model corrects
-    its level by recursive least squares of its own, weighted with its validity, as LOLIMOT estimates locally. A
-    sample counts for a second. Corrections stay within the largest friction of the identification run either way, so
-    that leaving it on cannot do worse than friction wrongly compensated.
+    its level by recursive least squares for what the whole network missed, weighted with its validity. A sample counts
+    for a second. Corrections stay within the largest friction of the identification run either way, so that leaving it
+    on cannot do worse than friction wrongly compensated.
 
     It knows the cart's mass with the poles locked. Memory: corrections and their covariances, last two velocities, last
     voltage.
@@ -69,19 +69,22 @@ class AdaptiveLLNF(Remembering):
     def begin(self, n: int) -> Array:
         """The network as trained."""
         models = len(self.levels)
-        return np.tile([0.0] * models + [DOUBT] * models + [0.0, 0.0, 0.0], (n, 1))
+        return np.tile([0.0] * models + [DOUBT] * models + [FRESH, FRESH, 0.0], (n, 1))
 
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
         """Learn from the past period, then answer for the coming one."""
         models = len(self.levels)
         corrections, doubts = memory[:, :models], memory[:, models : 2 * models]
         before, earlier, volts = memory[:, 2 * models :].T
+        fresh = (before > HUGE)[:, None]  # of what these did, nothing is known that could be learned from
+        before, earlier = gone_on(before, velocity), gone_on(earlier, velocity)
         got = self.mass * (velocity - before) / self.period + self.viscous * 0.5 * (velocity + before)
         validities, outputs = self._models(got, before, earlier)
         missed = volts - self._blend(validities, outputs + corrections)
         gain = doubts * validities / (FORGETTING + doubts * validities)
-        corrections = np.clip(corrections + gain * missed[:, None], -self.bound, self.bound)
-        doubts = np.minimum((doubts - gain * doubts) / FORGETTING, DOUBT)
+        learned = np.clip(corrections + gain * missed[:, None], -self.bound, self.bound)
+        corrections = np.where(fresh, corrections, learned)
+        doubts = np.where(fresh, doubts, np.minimum((doubts - gain * doubts) / FORGETTING, DOUBT))
         validities, outputs = self._models(force, velocity, before)
         volts = self._blend(validities, outputs + corrections)
         volts = np.clip(volts, -self.supply_voltage, self.supply_voltage)

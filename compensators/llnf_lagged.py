@@ -10,7 +10,7 @@ import numpy as np
 
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.lolimot import LOLIMOT
-from dipc_gym.compensators.memory import Remembering, given
+from dipc_gym.compensators.memory import FRESH, Remembering, given, gone_on
 
 if TYPE_CHECKING:
     from dipc_gym.dataflow import Program, Value
@@ -80,13 +80,14 @@ class LaggedLLNF(Remembering):
         )
 
     def begin(self, n: int) -> Array:
-        """Rigs that stood still without force."""
-        return np.zeros((n, 2 * LAGS))
+        """Rigs whose past is not known."""
+        return np.full((n, 2 * LAGS), FRESH)
 
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
         """Blend the local models; the nearest keeps a validity of 1 however far away it is."""
-        forces = np.concatenate([force[:, None], memory[:, :LAGS]], axis=1)
-        velocities = np.concatenate([velocity[:, None], memory[:, LAGS:]], axis=1)
+        past = gone_on(memory, np.repeat(np.stack([force, velocity], axis=1), LAGS, axis=1))
+        forces = np.concatenate([force[:, None], past[:, :LAGS]], axis=1)
+        velocities = np.concatenate([velocity[:, None], past[:, LAGS:]], axis=1)
         table = np.concatenate([forces, velocities], axis=1)
         columns = [table[:, int(i)] for i in self.inputs]
         exponents, outputs = [], []
@@ -111,9 +112,10 @@ class LaggedLLNF(Remembering):
         """The same blend, on vectors with an entry for each local model."""
         signals = []
         for name, now in (("past_forces", force), ("past_velocities", velocity)):
-            past = program.state(name, np.zeros(LAGS))
+            kept = program.state(name, np.zeros(LAGS))
+            past = program.first().choose(program.join(*[now] * LAGS), kept)
             signals.append(program.join(now, past))
-            program.update(past, signals[-1].part(0, LAGS))
+            program.update(kept, signals[-1].part(0, LAGS))
         table = program.join(*signals)
         exponents, outputs = program.constant(np.zeros(len(self.levels))), program.constant(self.levels)
         inverses = math.sqrt(0.5) / np.array(self.sigmas)

@@ -66,7 +66,12 @@ def plot_partition(
     if point.shape != (inputs,):
         raise ValueError(f"at has shape {point.shape}; a point has {inputs} numbers")
     others = [i for i in range(inputs) if i not in axes]
-    met = np.flatnonzero(((low[:, others] <= point[others]) & (point[others] < high[:, others])).all(axis=1))
+    # Corners are worked out from centres and widths: those of neighbours differ by rounding. Of a point on a cut the
+    # boxes above it are met, and at the upper end of the data those below.
+    least, most = low.min(axis=0)[others], high.max(axis=0)[others]
+    beside = 1e-9 * (most - least)
+    here = np.clip(point[others], least, most - 2 * beside) + beside
+    met = np.flatnonzero(((low[:, others] <= here) & (here < high[:, others])).all(axis=1))
     if ax is None:
         ax = plt.figure(figsize=(5, 4), layout="constrained").add_subplot()
     first, second = axes

@@ -90,7 +90,9 @@ def uncertainty(
     squares = residual**2 * weight.sum() / max(weight.sum() - used, 1.0)
     share = validity * weight
     noise = np.sqrt(share @ squares / np.maximum(share.sum(axis=1), 1e-300))
-    return Uncertainty(model, (operator * squares) @ operator.T, noise)
+    # A sample of weight w stands for w equal ones: their errors are independent, where one would pull w times as hard.
+    apart = np.divide(squares, weight, out=np.zeros_like(squares), where=weight > 0)
+    return Uncertainty(model, (operator * apart) @ operator.T, noise)
 
 
 def _rows(model: LOLIMOT, X: Array) -> Array:

@@ -78,7 +78,8 @@ class LuGre(Remembering):
 
         start = np.log([1e4, 30.0, coulomb, 0.3 * coulomb, 0.03])
         low = np.log([1e2, 1e-3, WEAKEST / 10, WEAKEST / 100, 1e-3])
-        high = np.log([STIFFEST, 1e3, 1e3, 1e3, 1.0])
+        strong = max(1e3, 10.0 * coulomb)
+        high = np.log([STIFFEST, strong, strong, strong, 1.0])
         found = optimize.least_squares(
             residual, start, bounds=(low, high), max_nfev=40, x_scale=0.5, diff_step=np.full(5, 1e-4)
         )

@@ -12,6 +12,14 @@ import numpy as np
 from dipc_gym.compensators.base import GARBAGE, HUGE, Array, Compensator, RigConstants, Samples, Signal, numbers
 from dipc_gym.plant import RANGES
 
+FRESH = 2 * HUGE
+"""A velocity before that no rig has: that of rigs that were just reset, of which nobody knows it."""
+
+
+def gone_on(before: Array, velocity: Array) -> Array:
+    """Velocities before (n, ...); of rigs that were just reset, those that they have now: they need not be at rest."""
+    return np.where(before > HUGE, velocity, before)
+
 
 def check_period(compensator: Compensator, period: float) -> None:
     """Refuse a compensator that would be called at another control period, s, than its memory is for.
@@ -38,7 +46,7 @@ class Remembering(Compensator):
 
     Attributes:
         newtons_per_volt: Motor gain, N/V.
-        supply_voltage: Largest voltage either way, V.
+        supply_voltage: Largest voltage either way, V; where `supply` is given as well, the smaller of the two is both.
         period: Control period, s, between one call and the next.
     """
 
@@ -53,7 +61,9 @@ class Remembering(Compensator):
         least, most, unit = RANGES["control_period"]  # friction is stepped through it, which must come to an end
         if not least <= self.period <= most:
             raise ValueError(f"period is {self.period:g}; it must be from {least:g} to {most:g} {unit}")
-        object.__setattr__(self, "supply", self.supply_voltage)
+        least = self.supply_voltage if self.supply is None else min(self.supply, self.supply_voltage)
+        object.__setattr__(self, "supply", least)
+        object.__setattr__(self, "supply_voltage", least)
         super().__post_init__()
 
     @abstractmethod

@@ -125,6 +125,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         self._noisy = bool(self._encoders.noise.any())
         self._rigs: Rigs = ENGINES[engine](rig, self._encoders, exact_state=exact_state, threads=threads)
         self._ended, self.began = np.zeros((2, n), dtype=bool)
+        self._last = np.zeros((n, 3))
         self._steps = np.zeros(n, dtype=np.int64)
         self._was_reset = False
 
@@ -195,6 +196,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             if ended.any():
                 rows = np.flatnonzero(ended)
                 final_obs, final_info = _final(self._observations(), infos, ended)
+                self._last = self.encoders
                 self._begin(rows, {}, infos)
                 infos = _masked(infos, everywhere)
                 infos |= {"final_obs": final_obs, "_final_obs": ended.copy()}
@@ -256,6 +258,11 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         readings = self._rigs.measured[:3]
         readings[2] -= readings[1]
         return readings.T
+
+    @property
+    def last_encoders(self) -> Array:
+        """The same (num_envs, 3), but of rows whose episode ended in this step what they read in the end."""
+        return np.where(self.began[:, None], self._last, self.encoders)
 
     @property
     def time(self) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import recording
+from dipc_gym.recording import tables
 
 Array = NDArray[np.float64]
 SENSORS = ("cart", "pole1", "pole2")
@@ -112,10 +113,10 @@ class EpisodeFiles:
         """Write the episode, if there is anything of it, and begin the next."""
         if not len(self._recorder):
             return
-        recorder, path = self._recorder, self._folder / f"{self._name}-{self._episode}.{self._suffix}"
+        path = self._folder / f"{self._name}-{self._episode}.{self._suffix}"
+        recording.write(self._recorder.recording(path.stem), path, overwrite=self._overwrite)
         self._episode += 1
         self._begin()
-        recording.write(recorder.recording(path.stem), path, overwrite=self._overwrite)
 
     def _begin(self) -> None:
         self._recorder = recording.Recorder(["motor"], SENSORS)
@@ -139,6 +140,8 @@ def recordings_folder(folder: str | Path, name: str, suffix: str, overwrite: boo
         raise ValueError(f"name is {name!r}; it is what files are called, without a folder: give that as folder")
     if suffix not in ("csv", "npz", "parquet"):
         raise ValueError(f"suffix is {suffix!r}; it can be 'csv', 'npz' or 'parquet'")
+    if suffix == "parquet":
+        tables.parquet(Path(folder))  # before an episode rather than after it
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     ours = re.compile(re.escape(name) + r"-[0-9]+" * indices + re.escape(f".{suffix}"))

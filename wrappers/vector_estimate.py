@@ -11,8 +11,6 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
 from dipc_gym.estimators import Command, Estimator
-from dipc_gym.kernels import TURN
-from dipc_gym.mechanics.motion import state_of
 from dipc_gym.vector import DIPCFrictionVectorEnv
 from dipc_gym.wrappers.estimate import check_period, check_volts, own_estimator, refuse_near
 
@@ -87,13 +85,9 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         voltage = np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -supply, supply)
         force, friction = self._wanted or (rig.newtons_per_volt * voltage, None)
         self._wanted = None
-        readings = self._inner.encoders
+        ended = infos.get("_final_obs")  # rows that were reset within this step
+        readings = self._inner.encoders if ended is None else self._inner.last_encoders
         readings[:, 2] += readings[:, 1]
-        ended = infos.get("_final_obs")
-        if ended is not None:  # rows that were reset within this step: what their encoders read last is in the last obs
-            known = self.estimator.observation(self._state)
-            for i in np.flatnonzero(ended):
-                readings[i] = self._last_readings(infos["final_obs"][i], known[i])
         self._state = self.estimator.update(self._state, readings, Command(force, voltage, friction))
         if ended is not None:
             last = self._observations()
@@ -106,14 +100,6 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
 
     def _observations(self) -> Array:
         return self._inner.observation_of(self.estimator.observation(self._state).copy())
-
-    def _last_readings(self, observation: Array, known: Array) -> Array:
-        """Cart and absolute angles (3,) of an episode's last observation, in the turn next to the estimate."""
-        if len(observation) == len(known):
-            return observation[:3]
-        readings = state_of(observation)[:3]
-        readings[1:] += TURN * np.round((known[1:3] - readings[1:]) / TURN)
-        return readings
 
     def _begin(self) -> None:
         """Begin anew where an episode has begun."""

@@ -88,7 +88,7 @@ def gain_of(cart: float, effort: float) -> Array:
     return lqr.dlqr(F, G, Q, effort)[0]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Dither:
     """The printed gain plus a square wave that shakes the cart loose (`dither`).
 

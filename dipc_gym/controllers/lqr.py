@@ -31,7 +31,7 @@ R = 1.0  # the paper's weight of the force
 _ABSOLUTE = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]])  # joint angles -> absolute angles
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LQR:
     """Linear state feedback, by default with the gain printed in the paper.
 

@@ -22,7 +22,7 @@ FORMAT = untrusted.Format(
 SIZE = 6  # of an observation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Statistics:
     """Running statistics of observations, as `VecNormalize` of stable-baselines3 keeps them.
 

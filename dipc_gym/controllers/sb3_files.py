@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 LARGEST_PART = 200_000_000  # bytes of one member of a policy file
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SB3Policy:
     """A learned network, evaluated in NumPy at its most likely action.
 

@@ -180,6 +180,14 @@ class Estimator(ABC):
     def observation(self, state: Array) -> Array:
         """Estimated state (n, 6) of the rigs now."""
 
+    def foretold(self, state: Array) -> Array:
+        """Readings (n, 3) one period later, as far as present velocities tell them, in the place of missing ones.
+
+        What accelerates meanwhile moves a rig by less than its encoders' noise, and to go on is not to stop.
+        """
+        now = self.observation(state)
+        return now[:, :3] + self.rig.period * now[:, 3:]
+
     def friction(self, state: Array) -> Array:
         """Dry friction (n,), N, expected over the coming period; positive where it holds back motion towards +x.
 
@@ -220,7 +228,7 @@ class Estimator(ABC):
         read = np.abs(readings) < LARGEST
         if not read.all():
             self._say("a reading is not finite, or larger than any rig; the estimate goes on without it")
-            readings = np.where(read, readings, self.observation(state)[:, :3])
+            readings = np.where(read, readings, self.foretold(state))
         with np.errstate(all="ignore"):
             after = self.advance(state, readings, command)
             lost = np.logical_not((np.abs(self.observation(after)) < LARGEST).all(axis=1))

@@ -95,7 +95,8 @@ class CompensatedKalman(Kalman):
         if command.friction is None:
             return motor
         before = state[:, 3]
-        after = before + self.rig.period * (state[:, :6] @ np.array(self.rig.A[3]) + self.rig.B[3] * command.force)
+        pull = (np.array([self.rig.A[3]]) @ state[:, :6, None])[:, 0, 0]  # each rig by itself: many get what one gets
+        after = before + self.rig.period * (pull + self.rig.B[3] * command.force)
         return motor - 0.5 * (command.friction(before) + command.friction(after))
 
     def express(self, program: Program, readings: Value, voltage: Value, force: Value) -> Value:

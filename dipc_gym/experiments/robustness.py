@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
@@ -55,6 +56,21 @@ class Axis:
             )
         new = dataclasses.replace(old, **{name: getattr(old, name) * value for name in self.scaled})
         return new if self.part is None else dataclasses.replace(plant, **{self.part: new})
+
+    def possible(self, plant: Plant) -> tuple[float, ...]:
+        """Those of the values that a plant can have: twenty times a long control period is none.
+
+        Example:
+            >>> from dipc_gym.plant import Plant
+            >>> AXES["period"].possible(Plant(control_period=0.1))[-1]
+            10.0
+        """
+        found = []
+        for value in self.values:
+            with contextlib.suppress(PlantError):
+                self.rig(plant, value)
+                found.append(value)
+        return tuple(found)
 
     def between(self, holds: Mapping[float, bool]) -> tuple[float, float] | None:
         """First and last of the values around the usual one at which it holds without a gap; None: not even there.
@@ -163,7 +179,7 @@ def plan(balancings: Sequence[Balancing], axes: Sequence[str]) -> list[Endurance
         Endurance(
             balancing=dataclasses.replace(balancing, seconds=min(balancing.seconds, SECONDS)),
             axis=axis,
-            values=AXES[axis].values,
+            values=AXES[axis].possible(balancing.plant),
         )
         for balancing in balancings
         for axis in axes

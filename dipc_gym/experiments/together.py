@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import warnings
 from collections.abc import Sequence
 
@@ -70,4 +71,5 @@ def held(balancing: Balancing, runs: Sequence[tuple[Plant, MotorFault | None]], 
             if ended.any():
                 envs.reset(options={"reset_mask": ended})
         envs.close()
-    return [seconds if up else count * period for up, count in zip(standing, lasted.tolist(), strict=True)]
+    short = math.nextafter(seconds, 0.0)  # of one that fell in the last period, alone as well
+    return [seconds if up else min(count * period, short) for up, count in zip(standing, lasted.tolist(), strict=True)]

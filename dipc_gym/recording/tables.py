@@ -260,18 +260,19 @@ def _write_csv(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64
 # Parquet
 
 
-def _arrow(path: Path) -> Any:
+def parquet(path: Path) -> Any:
+    """The library that reads and writes Parquet files; one without it ends in a message that names this file."""
     try:
         import pyarrow.parquet
     except ImportError:
         raise RecordingError(
-            f"{path}: Parquet needs pyarrow; install it with: add its extra: pip install '.[parquet]' in a clone"
+            f"{path}: Parquet needs pyarrow, which the extra of that name brings: pip install '.[parquet]' in a clone"
         ) from None
     return pyarrow
 
 
 def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[str, Any], Sequence[int]]:
-    arrow = _arrow(path)
+    arrow = parquet(path)
     try:
         file = arrow.parquet.ParquetFile(arrow.BufferReader(data))
         names = list(file.schema_arrow.names)
@@ -299,7 +300,7 @@ def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], d
 
 
 def _write_parquet(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64]]) -> None:
-    arrow = _arrow(path)
+    arrow = parquet(path)
     arrow.parquet.write_table(arrow.table(columns), file)
 
 

@@ -175,7 +175,8 @@ def _undo_lateness(physics: Physics, time: Array, smooth: Array) -> None:
     for k in np.flatnonzero(delays > 0):
         read = CubicSpline(time, smooth[:, k])
         beyond = np.maximum(time + delays[k] - time[-1], 0.0)  # not read any more: it goes on as it went
-        smooth[:, k] = read(np.minimum(time + delays[k], time[-1])) + read(time[-1], 1) * beyond
+        inside = np.minimum(time + delays[k], time[-1])
+        smooth[:, k] = read(inside) + beyond * (read(time[-1], 1) + 0.5 * beyond * read(time[-1], 2))
     for extra in physics.stage("lag"):
         for k in np.flatnonzero(address == extra.index):
             smooth[:, k] += extra.data[0] * np.gradient(smooth[:, k], time, edge_order=2)
