@@ -4,6 +4,7 @@ import copy
 import json
 import math
 import pickle
+import warnings
 from dataclasses import replace
 
 import gymnasium
@@ -308,6 +309,38 @@ def test_a_voltage_that_the_rig_does_not_have_was_never_sent(made, make):
             env.step(np.full(np.shape(env.action_space.sample()), volts))
         friction.append(np.ravel(env.friction_estimate).tolist())
     assert friction[0] == friction[1]
+
+
+def test_the_last_estimate_of_a_row_is_the_single_environments(made):
+    """Of an episode that ends within a step, whose observation says the exact state and not what encoders read."""
+    how = {"exact_state": True, "max_episode_steps": 10, "plant": {"encoders": {"noise": 0.2}}}
+    envs = VectorEstimateState(vector(2, autoreset_mode="SameStep", **how), made["disturbance"])
+    alone = EstimateState(gymnasium.make("DIPC-Friction-v0", **how), made["disturbance"])
+    envs.reset(seed=7)
+    alone.reset(seed=7)
+    for _ in range(10):
+        _, _, _, ended, infos = envs.step(np.full((2, 1), 3.0))
+        seen, _, _, _, info = alone.step([3.0])
+    assert ended.all()
+    assert infos["final_obs"][0].tolist() == seen.tolist()
+    assert infos["final_info"]["friction_estimate"][0] == info["friction_estimate"]
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_missing_reading_is_none_of_a_cart_that_stopped(made, rig, name):
+    """At 0.2 m/s, one reading lost: the velocity goes on as it was foretold."""
+    F, G = lqr.sampled(np.array(rig.A), np.array(rig.B)[:, None], rig.period)
+    truth, estimator = np.array([0.05, 0.0, 0.0, 0.2, 0.0, 0.0]), made[name]
+    state = estimator.initial_state(truth[None])
+    for k in range(24):
+        force = -float(lqr.PRINTED_GAIN @ truth)
+        truth = F @ truth + G[:, 0] * force
+        read = np.full((1, 3), np.nan) if k == 20 else truth[None, :3]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", EstimateWarning)
+            state = estimator.update(state, read, Command(np.array([force]), np.array([force / rig.newtons_per_volt])))
+        if k >= 20:
+            assert estimator.observation(state)[0, 3] == pytest.approx(truth[3], abs=0.08)
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])

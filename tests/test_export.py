@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 from dataclasses import dataclass
 from importlib import resources
@@ -517,6 +518,20 @@ def test_bad_input_is_one_line_and_leaves_no_file(
     assert says in said
     assert said.count("\n") == 1
     assert sorted(folder.iterdir()) == before
+
+
+def test_the_supply_of_a_loop_is_no_larger_than_its_compensators(folder: Path) -> None:
+    """Fitted on a rig of 6 V, exported for one of 24 V: what it answers beyond its own is no answer of it."""
+    compensators.save(dataclasses.replace(feedforward(), supply=6.0), "weak.json")
+    found = bundle.bundle("weak.json", DoublePendulumEnv().plant)
+    assert found.loop.supply == 6.0
+    assert any("6 V." in line for line in found.about)
+
+
+def test_a_compensator_of_another_control_period_is_refused(folder: Path) -> None:
+    compensators.save(compensators.LuGre(4.0, 24.0, 0.02, 2e4, 60.0, 8.0, 3.0, 0.02), "slow.json")
+    with pytest.raises(ValueError, match="after 20 ms, and the control period is 5 ms"):
+        bundle.bundle("slow.json", DoublePendulumEnv().plant)
 
 
 def test_files_that_exist_are_kept(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,14 +11,17 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dipc_gym import cli, physics
+from dipc_gym import cli, mjcf, physics
 from dipc_gym.export import law as laws
+from dipc_gym.export.c import named, plain
 from dipc_gym.export.law import Input, Law, LawError
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import formulas
 from dipc_gym.sim2real import result
 from dipc_gym.sim2real.effects import catalogue
@@ -82,6 +85,42 @@ def test_what_a_diagnosis_writes_now_is_read() -> None:
 
 def test_every_law_of_free_shape_is_tried() -> None:
     assert {type(effect) for effect in FOUND.values()} == {type(one) for one in catalogue().values() if one.free}
+
+
+@given(st.text())
+def test_words_cannot_end_a_comment(words: str) -> None:
+    """Whatever a stranger's diagnosis says in them."""
+    said = named(plain(f"*\\{words}\\* @_{words}"), "law")
+    assert not any(end in said for end in ("*/", "/*", "//*", "\n", "\\", "??"))
+    assert "law_" not in said or "law_" in words
+
+
+@pytest.mark.parametrize("word", ["static", "float", "main"])
+def test_a_word_of_c_names_no_function(word: str) -> None:
+    with pytest.raises(ValueError, match="is a word of C"):
+        Law("a@b", "force", "N", (Input("x", "m", np.array([0.0, 1.0])),), np.array([0.0, 1.0])).c(word)
+
+
+def test_the_law_of_a_swinging_load_pulls_both_ways_as_its_springs_do() -> None:
+    """Against the springs of the model that it is written into, also beyond its data."""
+    text = """<mujoco><option gravity="0 0 0"/><worldbody><body name="cart"><joint name="cart" type="slide"/>
+        <geom size=".1" mass="1"/></body></worldbody></mujoco>"""
+    effect = SwingingLoadOfAnyLaw([0.0, 0.02, 0.05], {})
+    values = {"mass": 0.3, "small_swing_frequency": 2.0, "damping_ratio": 0.0}
+    values |= {p.name: 2.0 for p in effect.parameters[3:]}
+    said = effect.law_of(values, {"mass": "kg", "small_swing_frequency": "Hz", "damping_ratio": ""})
+    law = laws._law("load.swinging:law@cart", json.loads(json.dumps(said)))
+    document = Document(mjcf.from_text(text))
+    effect.edit(document, "cart", values)
+    model = mjcf.compile(document.text())
+    data = mujoco.MjData(model)
+    for stretch in (-0.1, -0.04, -0.01, 0.0, 0.03, 0.2):
+        data.qpos[model.joint("cart_load").qposadr[0]] = stretch
+        mujoco.mj_forward(model, data)
+        pull = -data.qfrc_passive[model.joint("cart_load").dofadr[0]]
+        assert float(law(stretch)) == pytest.approx(pull, rel=1e-6, abs=1e-9)
+    assert "moved ahead of the joint" in law.c("load")
+    assert law.inputs[0].told == (-0.05, 0.05)
 
 
 def test_friction_with_memory_builds_up_as_its_elements_slip() -> None:

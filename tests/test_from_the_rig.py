@@ -108,5 +108,10 @@ def test_columns_of_locked_poles_have_units_and_names_of_their_own(tmp_path: Pat
     path = recording.write(seen, tmp_path / "sweep.csv")
     known = {"mapping": {"th1": "pole1"}, "units": {"pole1": "deg", "pole2": "deg"}}
     assert len(identify(from_recording=str(path), **known).run) == len(run)
+    for mapping, units in (
+        ({"th1": "pole1"}, {"th1": "deg", "pole2": "deg"}),
+        ({"th1": "sensor:pole1"}, {"sensor:pole1": "deg", "pole2": "deg"}),
+    ):
+        assert len(identify(from_recording=str(path), mapping=mapping, units=units).run) == len(run)
     with pytest.raises(ValueError, match=r"pole1 swings by 0\.\d+ rad; identification needs the poles locked"):
         identify(from_recording=str(path), mapping=known["mapping"])

@@ -188,3 +188,34 @@ def test_any_number_of_inputs(inputs: int) -> None:
     errors = [np.sqrt(np.mean((m.predict(T) - truth) ** 2)) for m in (model, linear)]
     assert errors[0] < 0.4 * errors[1]
     assert (np.ptp(model.centres_[:, 1:], axis=0) == 0).all()  # only the axis that bends is cut
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_boxes_of_a_plane_cover_it_once(seed: int) -> None:
+    """Cuts go through the middle of the data, where the plane lies: corners that differ by rounding are one cut."""
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-1, 1, (400, 3))
+    model = LOLIMOT(max_models=8).fit(X, np.sin(3 * X[:, 0]) + X[:, 1] * np.abs(X[:, 2]))
+    low, high = boxes(model)
+    for at in (None, high.max(axis=0)):
+        drawn = [patch for patch in plot_partition(model, at=at).patches]
+        area = sum(patch.get_width() * patch.get_height() for patch in drawn)
+        assert area == pytest.approx(float(np.prod((high.max(axis=0) - low.min(axis=0))[:2])))
+
+
+def test_a_constant_is_scored_as_scikit_learn_does() -> None:
+    X = np.linspace(0, 1, 30)[:, None]
+    model = LOLIMOT(max_models=2).fit(X, np.full(30, 3.0))
+    assert model.score(X, np.full(30, 3.0)) == 1.0
+    assert model.score(X, np.full(30, 4.0)) == 0.0
+
+
+def test_a_weight_of_two_is_two_samples() -> None:
+    rng = np.random.default_rng(3)
+    X = rng.uniform(-1, 1, (200, 1))
+    y = np.sin(2 * X[:, 0]) + 0.1 * rng.normal(size=200)
+    doubled = LOLIMOT(max_models=3).fit(np.vstack([X, X]), np.append(y, y))
+    weighted = LOLIMOT(max_models=3).fit(X, y, sample_weight=np.full(200, 2.0))
+    twice = uncertainty(doubled, np.vstack([X, X]), np.append(y, y))
+    by_weight = uncertainty(weighted, X, y, sample_weight=np.full(200, 2.0))
+    np.testing.assert_allclose(by_weight.of_mean(X), twice.of_mean(X), rtol=1e-6)

@@ -179,6 +179,15 @@ def test_what_is_included_too_deep_is_refused(folder: Path) -> None:
     assert "50 files deep" in refused(folder / "l0.xml")
 
 
+def test_elements_that_stand_too_deep_in_each_other_are_refused_across_files(folder: Path) -> None:
+    """Each file by itself is shallow enough for MuJoCo; what reads them all one in the other would not come back."""
+    for level, inner in enumerate(("<include file='d1.xml'/>", "<include file='d2.xml'/>", "<body/>")):
+        outer = "mujocoinclude" if level else "mujoco"
+        nested = "<frame>" * 120 + inner + "</frame>" * 120
+        (folder / f"d{level}.xml").write_text(f"<{outer}><worldbody>{nested}</worldbody></{outer}>")
+    assert "300 deep in each other" in refused(folder / "d0.xml")
+
+
 def test_repeated_submodels_run_into_the_limit_and_not_into_the_night(folder: Path) -> None:
     for level in range(12):
         models = "".join(f'<model name="m{k}" file="l{level + 1}.xml"/>' for k in range(10))

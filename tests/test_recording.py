@@ -785,3 +785,27 @@ def test_every_shared_recording_can_be_read() -> None:
         (recording,) = recordings.read_all([path], model)
         assert np.all(np.isfinite(noise(recording)))
         assert not any("clipped" in note or "--unit" in note for note in recording.notes)
+
+
+def test_a_unit_is_given_once(tmp_path: Path, model: mujoco.MjModel) -> None:
+    path = save(tmp_path / "r.csv", table({name: np.arange(30.0) for name in ("time", "motor", "cart", "angle")}))
+    units = {"angle": "deg", "pole": "rad"}
+    assert "whose unit is given by another name already" in refused(path, model, mapping={"angle": "pole"}, units=units)
+
+
+def test_a_name_as_long_as_a_models_may_be_is_written_and_read(tmp_path: Path) -> None:
+    name = "n" * 200
+    text = f"""<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody>
+        <actuator><motor name="{name}" joint="j"/></actuator>
+        <sensor><jointpos name="{name}" joint="j"/></sensor></mujoco>"""
+    time = np.arange(30) * 0.01
+    run = Recording("r", time, time[:, None], time[:, None], (name,), (name,))
+    again = read(write(run, tmp_path / "r.csv"), mujoco.MjModel.from_xml_string(text))
+    np.testing.assert_array_equal(again.sensors, run.sensors)
+
+
+def test_a_gap_is_told_by_the_time_since_the_first_sample(tmp_path: Path, model: mujoco.MjModel) -> None:
+    time = 1000 + np.delete(np.arange(400) * 0.005, slice(200, 240))
+    columns = {"time": time, "motor": np.sin(time), "cart": np.sin(3 * time), "pole": np.cos(time)}
+    found = read(save(tmp_path / "r.csv", table(columns)), model)
+    assert any("s after 0.995 s of recording" in note for note in found.notes)

@@ -324,3 +324,10 @@ def test_a_model_as_diagnose_writes_it_goes_through_all_of_it(tmp_path: Path) ->
     with pytest.raises(ValueError, match=r"axis friction needs .* --robustness encoder,period,supply,impulse"):
         compare.run(dataclasses.replace(comparison, robustness=("friction",)), tmp_path / "new")
     assert not (tmp_path / "new").exists()
+
+
+def test_values_that_no_rig_has_are_left_out() -> None:
+    """Twenty times a control period of 0.06 s is more than a plant may have."""
+    slow = Plant(control_period=0.06)
+    assert AXES["period"].possible(slow)[-1] == 16.0
+    assert AXES["period"].possible(Plant()) == AXES["period"].values

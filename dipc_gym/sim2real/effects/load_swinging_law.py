@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.coupling import bend, beside, couple
-from dipc_gym.sim2real.effects.law import FAR, at_joint, described, either_way
+from dipc_gym.sim2real.effects.law import at_joint, described, either_way
 from dipc_gym.sim2real.effects.loads import DAMPED, FLATTEST, RATES, STEEPEST, Load, most_alike
 from dipc_gym.sim2real.effects.settings import LAWS
 
@@ -92,18 +92,15 @@ class SwingingLoadOfAnyLaw(Effect):
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """What the spring pulls with, by its stretch."""
-        force, pulls, last = _force(unit), self._pulls(values), self.knots[-1]
-        stiffness = (pulls[-1] - pulls[-2]) / (last - self.knots[-2])  # beyond the data it goes on in slope
-        knots, levels = [*self.knots, FAR * last], [*pulls.tolist(), float(pulls[-1] + stiffness * (FAR - 1) * last)]
-        inputs = [{"name": "stretch", "unit": at_joint("m", force), "knots": either_way(knots)}]
+        force, pulls = _force(unit), self._pulls(values).tolist()
+        inputs = [{"name": "stretch", "unit": at_joint("m", force), "knots": either_way(list(self.knots))}]
         damping = 2 * values["damping_ratio"] * 2 * np.pi * values["small_swing_frequency"] * values["mass"]
         how = (
             f"The stretch is how far a part of {values['mass']:.4g} {unit['mass']} has moved ahead of the joint that "
             "carries it; this force pulls that part back and the joint along, and so do "
             f"{damping:.4g} {force} for each {at_joint('m', force)}/s that the part is faster."
         )
-        law = described("force", inputs, either_way(levels), force, passive=True, remembers=how)
-        return {**law, "supported": [[-last, last]]}
+        return described("force", inputs, either_way(pulls), force, passive=True, remembers=how)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
