@@ -152,6 +152,7 @@ def test_a_run_is_recorded_through_an_estimator(controller: str, tmp_path: Path)
         (["train", "--out", "new.txt"], "new.txt: this is written as .json"),
         (["render", "--out", "new.gif", "--map", "x=cart"], "--recording"),
         (["render", "--out", "new.gif", "--recording", "r.csv", "--controller", "x"], "whatever --controller says"),
+        (["render", "--out", "new.gif", "--recording", "r.csv", "--seed", "5"], "whatever --seed says"),
         (["train", "--out", "new.json", "--map", "x=cart"], "of a --recording are; name one"),
         (["train", "--out", "new.json", "--seed", "-1"], "--seed -1: it must be a whole number from 0 on"),
         (
@@ -234,6 +235,23 @@ def test_diagnose_says_what_is_wrong_with_its_files(tmp_path: Path, capsys: pyte
     ):
         assert main(["diagnose", *map(str, arguments), "--out", str(tmp_path / "found")]) == 2
         assert says in capsys.readouterr().err
+
+
+def test_no_result_takes_the_place_of_what_it_is_found_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A second pass on what the first one wrote, in the same folder."""
+    folder = Path(__file__).resolve().parent.parent / "examples" / "diagnose"
+    model, run = tmp_path / "improved.xml", tmp_path / "run.csv"
+    model.write_text((folder / "arm.xml").read_text())
+    run.write_text((folder / "run_1.csv").read_text())
+    again = ["diagnose", str(model), str(run), "--out", str(tmp_path), "--overwrite"]
+    assert main(again) == 2
+    assert "improved.xml would be replaced by what is found from it" in capsys.readouterr().err
+    assert main([*again[:-3], "--out", str(tmp_path / "out"), "--overwrite", "--design", str(run)]) == 2
+    assert "run.csv: that file is read" in capsys.readouterr().err
+    held = ["--fix", "arm.mass", "--prior", "arm.mass=1+-0.1"]
+    assert main([*again[:-3], "--out", str(tmp_path / "out"), *held]) == 2
+    assert "what is held has no spread" in capsys.readouterr().err
+    assert model.read_text() == (folder / "arm.xml").read_text()
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

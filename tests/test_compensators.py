@@ -428,21 +428,21 @@ def test_a_cart_that_moves_when_it_begins_was_not_at_rest(fitted, name):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         steady = [compensator.voltage(float("nan") if k == 30 else 16.0, 0.3) for k in range(60)]
-    first = abs(steady[0] - compensator.voltage(16.0, 0.3))
-    assert first < 3.0  # of friction that is still to be learned: 8 N, 2 V; 24 V and more were the step from rest
-    assert abs(steady[32] - steady[33]) < 3.0
+    # What is still to be learned of friction, 8 N, is 2 V; the step from rest was 24 V and more.
+    assert np.abs(np.diff(steady[:6])).max() < 3.0
+    assert np.abs(np.diff(steady[31:36])).max() < 3.0
 
 
 @pytest.mark.parametrize("change", [{"supply": 12.0}, {"supply_voltage": 12.0}])
 def test_the_smaller_supply_holds(fitted, change):
     weak = dataclasses.replace(fitted["lugre"], **change)
-    assert (weak.supply, weak.supply_voltage, weak.voltage(1e3, 0.1)) == (12.0, 12.0, 12.0)
+    assert (weak.supply, weak.supply_voltage, weak.voltage(57.0, 0.1)) == (12.0, 12.0, 12.0)
 
 
 def test_friction_may_be_strong():
     """A rig of a ton: 1,500 N of dry friction."""
     strong = run_with(lambda velocity: 1500 * np.tanh(velocity / 0.02), n=600)
-    assert fit("lugre", strong, RIG).coulomb == pytest.approx(1500, rel=0.1)
+    assert fit("lugre", strong, RIG).coulomb == pytest.approx(1500, rel=0.2)
 
 
 def test_names_come_in_the_order_of_the_table():

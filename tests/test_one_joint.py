@@ -16,7 +16,7 @@ from dipc_gym.engine.swing import swing
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import entries
 from dipc_gym.recording import Recording
-from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects import catalogue, load_tilt
 from dipc_gym.sim2real.effects.drives import drive_of
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.estimation.problem import Problem, predict, sensitivities
@@ -319,3 +319,32 @@ def test_a_limit_of_a_joints_forces_goes_along_with_the_drive() -> None:
 def test_a_speed_servo_is_no_supply_that_sags() -> None:
     for actuator, drains in ((MOTOR, True), ('<velocity name="m" joint="x" kv="2"/>', False)):
         assert catalogue()["motor.sag"].fits(mjcf.compile(slide(actuator=actuator)), "m") == drains
+
+
+@pytest.mark.parametrize(
+    ("gravity", "along", "hinge", "about"),
+    [
+        ("0 0 -9.81", "1 0 0", "0 1 0", "y"),
+        ("0 0 -9.81", "0 1 0", "1 0 0", "x"),
+        ("0 -9.81 0", "1 0 0", "0 0 1", "z"),
+        ("-9.81 0 0", "0 1 0", "0 0 1", "z"),
+    ],
+)
+def test_a_planar_rig_tilts_within_its_plane(gravity: str, along: str, hinge: str, about: str) -> None:
+    """Turned about the other axis across gravity, its joints would feel it in second order alone."""
+    down = " ".join(str(0.03 * float(g)) for g in gravity.split())
+    model = mjcf.compile(f"""<mujoco><option gravity="{gravity}"/><worldbody><body><joint name="x" type="slide"
+        axis="{along}"/><geom size=".1" mass="1"/><body><joint name="q" axis="{hinge}"/>
+        <geom type="capsule" fromto="0 0 0 {down}" size=".01" mass=".3"/></body></body></worldbody></mujoco>""")
+    assert load_tilt._felt(model) == about
+    document = Document(mjcf.from_text(f'<mujoco><option gravity="{gravity}"/></mujoco>'))
+    load_tilt.Tilt(about).edit(document, "world", {f"about_{about}": 0.1})
+    model.opt.gravity[:] = [float(g) for g in document.get_option("gravity").split()]
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert abs(data.qfrc_bias[0]) == pytest.approx(1.3 * 9.81 * np.sin(0.1))
+
+
+def test_gravity_that_no_joint_feels_is_tilted_by_nobody() -> None:
+    weightless = mjcf.compile(slide())
+    assert not catalogue()["load.tilt"].fits(weightless, "world")

@@ -436,6 +436,9 @@ def test_from_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert main(["replay", model, run, "--plot", str(tmp_path / "no.pdf"), "--width", "0"]) == 2
     assert "it can be 2 to 30" in capsys.readouterr().err
     assert not (tmp_path / "no.pdf").exists()
+    assert main(["replay", model, run, "--json", str(tmp_path / "no.json"), "--width", "5"]) == 2
+    assert "it is that of the picture" in capsys.readouterr().err
+    assert not (tmp_path / "no.json").exists()
     assert main(["replay", model, run, "--plot", str(tmp_path / "out.txt")]) == 2
     assert ".png" in capsys.readouterr().err
 
