@@ -367,6 +367,8 @@ def test_a_knock_hidden_under_friction_is_found() -> None:
     found = diagnose(mjcf.from_text(NOMINAL), runs, effects=[catalogue()[n] for n in names])
     assert [m.effect for m in found.missing] == ["friction.coulomb", "disturbance.pulse"], found.sentence
     assert found.missing[1].parameters["start"]["value"] == pytest.approx(14.05, abs=0.03)
+    assert f"That was in {runs[0].name}." in found.missing[1].sentence
+    assert runs[0].name != runs[1].name
 
 
 def test_friction_in_every_joint_of_an_arm_is_named_at_once() -> None:

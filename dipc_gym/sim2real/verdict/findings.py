@@ -191,6 +191,8 @@ def missing_effects(
         units = improve.place_units(final.structure, term)
         sentence = improve.in_words(final.structure, final.z, term)
         law = _law(final, term, units, wide.of_laws)
+        if term.effect.once:
+            sentence += _once(search, final, term)
         effect, formula = term.effect, found.formulas.get(term.key)
         if law is not None and isinstance(effect, Law) and formula is not None:
             unit, per = effect.each(law["table"]["unit"]), law["table"]["inputs"][0]["unit"]
@@ -212,6 +214,18 @@ def missing_effects(
             )
         )
     return sorted(missing, key=lambda one: -one.share)
+
+
+def _once(search: Searched, final: Fit, term: Term) -> str:
+    """Of what happened once, in which of several recordings it did, and what that means for the model."""
+    windows, where = search.partition.problem.windows, ""
+    if len(windows.recordings) > 1:
+        without = search.fitter.as_it_is(final, final.structure.without(term.key))
+        gained = np.log1p(without.mse) - np.log1p(final.mse)
+        each = np.bincount(windows.source, gained, len(windows.recordings))
+        there = [one.name for one, gain in zip(windows.recordings, each, strict=True) if gain > 0.5 * each.max()]
+        where = f" That was in {' and '.join(there)}."
+    return f"{where} The model has it at this time in every simulation."
 
 
 def named_alone(final: Fit) -> list[Missing]:
