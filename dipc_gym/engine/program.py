@@ -449,14 +449,19 @@ class _Writer:
         return int(model.jnt_dofadr[int(np.flatnonzero(model.jnt_qposadr == k)[0])])
 
 
-def rules() -> list[Rule]:
-    """What `<custom>` may add to joints and becomes code as it stands."""
+def rules() -> tuple[Rule, ...]:
+    """What `<custom>` may add to joints and becomes code as it stands: all that is registered now."""
+    return _rules(tuple(physics.rules()))
+
+
+@functools.lru_cache(maxsize=4)
+def _rules(known: tuple[tuple[str, physics.Stage, physics.Rule], ...]) -> tuple[Rule, ...]:
     found = []
-    for effect, stage, says in physics.rules():
+    for effect, stage, says in known:
         memory = physics.memory_of(effect)
         if stage in ("friction", "force") and written(says) and (memory is None or written(memory)):
             found.append(Rule(effect, says, stage == "friction", memory))
-    return found
+    return tuple(found)
 
 
 def _check_covered(model: mujoco.MjModel) -> None:

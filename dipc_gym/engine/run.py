@@ -300,7 +300,7 @@ def _function(tree: Tree, tangents: bool) -> Any:
 
     A law may be registered at any time, and is in none that was compiled before.
     """
-    return _compiled(tree, tangents, tuple(rules()))
+    return _compiled(tree, tangents, rules())
 
 
 @functools.lru_cache(maxsize=256)
