@@ -174,10 +174,10 @@ class Value:
         """Whether the numbers are equal."""
         return self._compare("==", other)
 
-    def __eq__(self, other: object) -> ir.Value:  # type: ignore[override]  # as arrays have it
+    def __eq__(self, other: object) -> ir.Value:  # as arrays have it
         return self.equals(other)
 
-    def __ne__(self, other: object) -> ir.Value:  # type: ignore[override]
+    def __ne__(self, other: object) -> ir.Value:
         return self.code.at.not_(self.equals(other))
 
     __hash__ = object.__hash__

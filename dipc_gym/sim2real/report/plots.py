@@ -131,7 +131,7 @@ def law(law: Mapping[str, Any]) -> Chart:
         layers.append(charts.area("shade", ends, np.full(2, low), np.full(2, high), across, up))
     if band is not None:
         told = (drawn >= begin) & (drawn <= end)
-        layers.append(charts.area("after", drawn[told], *(one[told] for one in band), across, up))
+        layers.append(charts.area("after", drawn[told], band[0][told], band[1][told], across, up))
     layers += [charts.line(tone, drawn, y, across, up) for tone, y in lines]
     interval = ", with its 90 % interval" if band is not None else ""
     outside = "; grey: beyond the data, where it goes on as it ends" if beyond else ""
