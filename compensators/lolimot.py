@@ -198,10 +198,9 @@ class LOLIMOT:
         y = checked_outputs(y, len(prediction))
         weight = checked_weights(sample_weight, len(y))
         mean = np.average(y, weights=weight)
-        left, spread = np.sum(weight * (y - prediction) ** 2), np.sum(weight * (y - mean) ** 2)
-        if spread == 0:  # a constant, as scikit-learn's r2_score has it
-            return float(np.allclose(prediction, y, rtol=1e-12, atol=1e-12))
-        return float(1 - left / spread)
+        if np.ptp(y[weight > 0]) == 0:  # of a constant nothing varies that could be explained: right or wrong
+            return float(np.allclose(prediction, y, rtol=1e-9, atol=0.0))
+        return float(1 - np.sum(weight * (y - prediction) ** 2) / np.sum(weight * (y - mean) ** 2))
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the options by name; `deep` is there for scikit-learn and changes nothing."""

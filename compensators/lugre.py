@@ -10,7 +10,7 @@ import numpy as np
 from scipy import optimize
 
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
-from dipc_gym.compensators.memory import Remembering, Track, given
+from dipc_gym.compensators.memory import FRESH, Remembering, Track, given, gone_on
 from dipc_gym.plant import Friction
 
 if TYPE_CHECKING:
@@ -98,22 +98,21 @@ class LuGre(Remembering):
         )
 
     def begin(self, n: int) -> Array:
-        """Unbent bristles of rigs at rest."""
-        return np.zeros((n, 2))
+        """Unbent bristles of rigs whose motion is not known."""
+        return np.tile([0.0, FRESH], (n, 1))
 
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
         """Bend the bristle over the past period, then let it go on at this velocity over the coming one."""
-        bent, _ = self.period_of(memory[:, 1], velocity, memory[:, 0])
+        bent, _ = self.period_of(gone_on(memory[:, 1], velocity), velocity, memory[:, 0])
         _, friction = self.period_of(velocity, velocity, bent)
         return (force + friction) / self.newtons_per_volt, np.stack([bent, velocity], axis=1)
 
     def express(self, program: Program, force: Value, velocity: Value) -> Value:
         """Write it into a program that can be exported: the same formula, on values of the program."""
-        bristle, before = program.state("bristle", 0.0), program.state("velocity_before", 0.0)
+        bristle, before = program.state("bristle", 0.0), program.previous("velocity_before", velocity)
         bent, _ = self.period_of(before, velocity, bristle)
         _, friction = self.period_of(velocity, velocity, bent)
         program.update(bristle, bent)
-        program.update(before, velocity)
         return (force + friction) / self.newtons_per_volt
 
     def period_of(self, before: Any, after: Any, bristle: Any) -> tuple[Any, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import optimize
 
 from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
-from dipc_gym.compensators.memory import Remembering, Track, given
+from dipc_gym.compensators.memory import FRESH, Remembering, Track, given, gone_on
 
 if TYPE_CHECKING:
     from dipc_gym.dataflow import Program, Value
@@ -83,13 +83,14 @@ class MaxwellSlip(Remembering):
         )
 
     def begin(self, n: int) -> Array:
-        """Slack springs of rigs at rest."""
-        return np.zeros((n, len(self.stretches) + 1))
+        """Slack springs of rigs whose motion is not known."""
+        return np.tile([*[0.0] * len(self.stretches), FRESH], (n, 1))
 
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
         """Stretch the springs by the past period's displacement, and foresee half of the coming one's."""
         stretches = np.array(self.stretches)
-        springs = _stretch(memory[:, :-1], 0.5 * self.period * (memory[:, -1] + velocity), stretches)
+        before = gone_on(memory[:, -1], velocity)
+        springs = _stretch(memory[:, :-1], 0.5 * self.period * (before + velocity), stretches)
         ahead = _stretch(springs, 0.5 * self.period * velocity, stretches)
         bump = np.exp(-((velocity / self.bump_velocity) ** 2))
         friction = self.per_velocity * velocity
@@ -101,7 +102,7 @@ class MaxwellSlip(Remembering):
     def express(self, program: Program, force: Value, velocity: Value) -> Value:
         """Write it into a program that can be exported, on vectors with an entry for each spring."""
         springs = program.state("springs", np.zeros(len(self.stretches)))
-        before, half = program.state("velocity_before", 0.0), 0.5 * self.period
+        before, half = program.previous("velocity_before", velocity), 0.5 * self.period
         per_metre = program.constant(1.0 / np.array(self.stretches))
         now = (springs + half * (before + velocity) * per_metre).clip(-1.0, 1.0)
         ahead = (now + half * velocity * per_metre).clip(-1.0, 1.0)
@@ -109,7 +110,6 @@ class MaxwellSlip(Remembering):
         bump = (-(share * share)).exp()
         held = (program.constant(self.levels) + bump * program.constant(self.bumps)) * ahead
         program.update(springs, now)
-        program.update(before, velocity)
         return (force + self.per_velocity * velocity + held.total()) / self.newtons_per_volt
 
 

@@ -125,7 +125,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         self._noisy = bool(self._encoders.noise.any())
         self._rigs: Rigs = ENGINES[engine](rig, self._encoders, exact_state=exact_state, threads=threads)
         self._ended, self.began = np.zeros((2, n), dtype=bool)
-        self._last = np.zeros((n, 3))
+        self._last, self._over = np.zeros((n, 3)), np.zeros(n, dtype=bool)
         self._steps = np.zeros(n, dtype=np.int64)
         self._was_reset = False
 
@@ -160,7 +160,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             key: np.zeros(self.num_envs, dtype=kind) for key, kind in {**self._terms, **SHARED}.items()
         }
         self._begin(rows, options, infos)
-        self.began, self._was_reset = mask, True
+        self.began, self._over, self._was_reset = mask, np.zeros_like(mask), True
         return self._observations(), _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
@@ -190,13 +190,13 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             self._begin(rows, {}, infos)
         ended = terminated | truncated
         everywhere = np.ones(self.num_envs, dtype=bool)
-        self.began, self._ended = waiting, ended
+        self.began, self._ended, self._over = waiting, ended, np.zeros_like(ended)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             self.began, self._ended = ended, np.zeros_like(ended)
             if ended.any():
                 rows = np.flatnonzero(ended)
                 final_obs, final_info = _final(self._observations(), infos, ended)
-                self._last = self.encoders
+                self._last, self._over = self.encoders, ended
                 self._begin(rows, {}, infos)
                 infos = _masked(infos, everywhere)
                 infos |= {"final_obs": final_obs, "_final_obs": ended.copy()}
@@ -262,7 +262,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
     @property
     def last_encoders(self) -> Array:
         """The same (num_envs, 3), but of rows whose episode ended in this step what they read in the end."""
-        return np.where(self.began[:, None], self._last, self.encoders)
+        return np.where(self._over[:, None], self._last, self.encoders)
 
     @property
     def time(self) -> Array:

@@ -525,6 +525,8 @@ def test_the_supply_of_a_loop_is_no_larger_than_its_compensators(folder: Path) -
     compensators.save(dataclasses.replace(feedforward(), supply=6.0), "weak.json")
     found = bundle.bundle("weak.json", DoublePendulumEnv().plant)
     assert found.loop.supply == 6.0
+    strong = bundle.bundle("llnf.json", found.plant).loop
+    assert found.loop.force_limit == pytest.approx(strong.force_limit * 6.0 / strong.supply)
     assert any("6 V." in line for line in found.about)
 
 

@@ -203,11 +203,12 @@ def test_boxes_of_a_plane_cover_it_once(seed: int) -> None:
         assert area == pytest.approx(float(np.prod((high.max(axis=0) - low.min(axis=0))[:2])))
 
 
-def test_a_constant_is_scored_as_scikit_learn_does() -> None:
+@pytest.mark.parametrize("value", [3.0, 0.1, 3.3, 1e-13])
+def test_a_constant_is_right_or_wrong(value: float) -> None:
     X = np.linspace(0, 1, 30)[:, None]
-    model = LOLIMOT(max_models=2).fit(X, np.full(30, 3.0))
-    assert model.score(X, np.full(30, 3.0)) == 1.0
-    assert model.score(X, np.full(30, 4.0)) == 0.0
+    model = LOLIMOT(max_models=2).fit(X, np.full(30, value))
+    assert model.score(X, np.full(30, value)) == 1.0
+    assert model.score(X, np.full(30, 1.5 * value)) == 0.0
 
 
 def test_a_weight_of_two_is_two_samples() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import mujoco
@@ -12,7 +11,6 @@ from sim2real_rigs import RK4
 
 from dipc_gym import mjcf, physics
 from dipc_gym.engine import Uncovered, machine
-from dipc_gym.engine.swing import swing
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import entries
 from dipc_gym.recording import Recording
@@ -185,10 +183,10 @@ def test_a_user_without_a_home_folder_compiles_all_the_same(monkeypatch: pytest.
     for name in ("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(machine.Path, "home", none)
-    machine._object.cache_clear()
-    t = np.linspace(0, 1, 11)
-    assert np.isfinite(swing([(0.0, 25.0)], 2.0, t, t, t)).all()
-    assert not os.environ.get("HOME")
+    with pytest.raises(RuntimeError):
+        machine.cache_folder()
+    machine._write("a key", b"code")
+    assert machine._read("a key") is None
 
 
 def test_joints_whose_names_extend_another_have_priors_of_their_own() -> None:
@@ -202,15 +200,13 @@ def test_joints_whose_names_extend_another_have_priors_of_their_own() -> None:
     np.testing.assert_allclose(both, np.kron(np.eye(2), alone))
 
 
-@pytest.mark.parametrize("late", [0.0, 0.02, 0.05])
-def test_windows_of_a_late_sensor_begin_where_simulations_do(late: float) -> None:
-    """A pushed mass whose sensor is late, and a model that knows it: it predicts from where the estimate begins, and
-    asks for no force at the end of the recording.
-    """
-    t = np.arange(0, 6, 0.002)
+def late_run(late: float, more: str = "") -> Recording:
+    """A pushed mass whose sensor is late, as MuJoCo has it in steps of a tenth of a millisecond."""
+    t, fine = np.arange(0, 6, 0.002), 20
     command = np.sin(2 * np.pi * 0.7 * t) + 0.5 * np.sin(2 * np.pi * 1.9 * t)
-    model, fine = mujoco.MjModel.from_xml_string(slide('damping="2"')), 20
-    model.opt.timestep, data, x = 0.002 / fine, mujoco.MjData(model), []
+    model, x = mujoco.MjModel.from_xml_string(more or slide('damping="2"')), []
+    model.opt.timestep = 0.002 / fine
+    data = mujoco.MjData(model)
     for u in command:
         data.ctrl[0] = u
         for _ in range(fine):
@@ -218,17 +214,65 @@ def test_windows_of_a_late_sensor_begin_where_simulations_do(late: float) -> Non
             mujoco.mj_step(model, data)
     read = np.interp(t - late, np.arange(len(x)) * 0.002 / fine, x)
     read += 1e-5 * np.random.default_rng(0).normal(size=len(t))
-    recording = Recording(
+    return Recording(
         time=t, commands=command[:, None], sensors=read[:, None], actuator_names=("m",), sensor_names=("p",), name="r"
     )
-    delay = f'delay="{late}" nsample="{round(late / 5e-4) + 3}" interp="linear"' if late else ""
-    source = mjcf.from_text(slide('damping="2"', sensor=delay))
-    made = prepare(source, physics.load(source), [recording], Stepping(5e-4, RK4))
-    problem, z = made.problem, made.structure.first
-    off = predict(problem, made.structure, [z], problem.initial[None])[0] - problem.windows.observed
-    error = np.sqrt(np.mean((off / problem.windows.noise)[problem.windows.valid] ** 2))
-    assert error < 60  # 1,800 and more where they begin by the delay too late
-    assert force_errors(physics.load(source), [recording], made.motions, (0.0, 1.0))[0] < 0.1  # 0.5 where it stops
+
+
+def delayed(text: str, late: float) -> str:
+    """The model, with a sensor that is late."""
+    return text.replace('joint="x" /></sensor>', f'joint="x" delay="{late}" nsample="250" interp="linear"/></sensor>')
+
+
+def error_at_estimated_starts(text: str, told_by: str, late: float) -> float:
+    """Of windows that begin where a model's estimates say, simulated by another; times the noise."""
+    source = mjcf.from_text(text)
+    run = late_run(late, text)
+    made = prepare(mjcf.from_text(told_by), physics.load(mjcf.from_text(told_by)), [run], Stepping(5e-4, RK4))
+    true = Structure(Document(mjcf.from_text(delayed(text, late))), mjcf.compile(delayed(text, late)), ("x",))
+    off = predict(made.problem, true, [true.first], made.problem.initial[None])[0] - made.problem.windows.observed
+    del source
+    return float(np.sqrt(np.mean((off / made.problem.windows.noise)[made.problem.windows.valid] ** 2)))
+
+
+@pytest.mark.parametrize("late", [0.02, 0.05])
+def test_windows_of_a_late_sensor_begin_where_simulations_do(late: float) -> None:
+    """The model knows the delay: it predicts as well from where the estimate begins as without one, and asks for next
+    to no force at the end of the recording.
+    """
+    text = slide('damping="2"')
+    in_time = error_at_estimated_starts(text, text, 0.0)
+    assert error_at_estimated_starts(text, delayed(text, late), late) < 1.5 * in_time
+    source = mjcf.from_text(delayed(text, late))
+    made = prepare(source, physics.load(source), [late_run(late)], Stepping(5e-4, RK4))
+    assert force_errors(physics.load(source), [late_run(late)], made.motions, (0.0, 1.0))[0] < 0.1  # 0.5 if it stops
+
+
+def test_a_load_swings_as_told_whatever_delay_is_tried() -> None:
+    """The delay is what is asked for, and the motion was told without it."""
+    document = Document(mjcf.from_text(slide('damping="2"')))
+    catalogue()["load.swinging"].edit(document, "x", {"mass": 0.3, "frequency": 1.5, "damping_ratio": 0.05})
+    swinging = document.text().replace('joint="x"/></sensor>', 'joint="x" /></sensor>')
+    told = error_at_estimated_starts(swinging, delayed(swinging, 0.05), 0.05)
+    assert error_at_estimated_starts(swinging, swinging, 0.05) < 2 * told
+
+
+def test_a_law_sees_no_more_of_a_command_than_acts(mujoco_alone: Any) -> None:
+    """A supply that sags by 30 % under an actuator that takes 5: a command of 20 is one of 5, and drives forwards."""
+    document = Document(mjcf.from_text(slide(actuator='<motor name="m" joint="x" ctrlrange="-5 5"/>')))
+    sag = {"gain": 1.0, "back": 0.0, "drop": 0.3, "current": 5.0, "time_constant": 0.05}
+    catalogue()["motor.sag"].edit(document, "m", sag)
+    text = document.text()
+    much, enough = (positions(text, (0.0, 0.0), command) for command in (20.0, 5.0))
+    np.testing.assert_array_equal(much, enough)
+    assert much[-1] > 0.3
+    mujoco_alone()
+    np.testing.assert_allclose(positions(text, (0.0, 0.0), 20.0), much, atol=1e-5)
+    source = physics.load(mjcf.from_text(text))
+    data = mujoco.MjData(source.model)
+    for _ in range(980):
+        source.step(data, np.array([20.0]))
+    assert data.qpos[0] == pytest.approx(much[-1], abs=1e-3)
 
 
 def test_what_a_law_remembers_of_a_command_is_each_variants_own() -> None:
@@ -348,3 +392,11 @@ def test_a_planar_rig_tilts_within_its_plane(gravity: str, along: str, hinge: st
 def test_gravity_that_no_joint_feels_is_tilted_by_nobody() -> None:
     weightless = mjcf.compile(slide())
     assert not catalogue()["load.tilt"].fits(weightless, "world")
+    # A lift: its axis is vertical but for rounding.
+    lift = mjcf.compile(
+        """<mujoco><worldbody><body euler="30 0 0"><joint name="x" type="slide" axis="0 -0.5 0.8660254"/>
+        <geom size=".1" mass="1"/></body></worldbody></mujoco>""".replace(
+            "0 -0.5 0.8660254", "0 0.5 0.86602540378443865"
+        )
+    )
+    assert not catalogue()["load.tilt"].fits(lift, "world")

@@ -114,9 +114,11 @@ class EpisodeFiles:
         if not len(self._recorder):
             return
         path = self._folder / f"{self._name}-{self._episode}.{self._suffix}"
-        recording.write(self._recorder.recording(path.stem), path, overwrite=self._overwrite)
+        try:
+            recording.write(self._recorder.recording(path.stem), path, overwrite=self._overwrite)
+        finally:  # what could not be written is no beginning of the next episode
+            self._begin()
         self._episode += 1
-        self._begin()
 
     def _begin(self) -> None:
         self._recorder = recording.Recorder(["motor"], SENSORS)

@@ -116,8 +116,10 @@ class Export:
         called = "a table" if self.to == "csv" else f"{name}({', '.join(takes)})"
         print(f"{self.out}: {called}, {law.kind} of {law.key}{f' in {law.unit}' if law.unit else ''}")
         if self.to == "csv" and law.driven_up_to is not None:
-            print(f"along the motion it fades from a speed of {law.driven_up_to:g} on, to nothing at twice of it")
+            print(f"along the motion it fades from a speed of {law.driven_up_to:g} on, to nothing at twice that speed")
         if self.to == "csv":
+            for one in law.inputs:
+                print(f"data lie from {one.told[0]:g} to {one.told[1]:g} {one.unit} of {one.name}")
             print(f"beyond the table it {'stays as it ends' if law.outside == 'constant' else 'goes on in parallel'}")
         if law.remembers is not None:
             print(law.remembers)

@@ -30,7 +30,8 @@ class Head(IntEnum):
     SAMPLES = 13  # of each sensor in a window
     STOPS = 14  # how many elements are stops, which push on what the rest leaves
     LATE = 15  # index of the delay of the sensor that reads latest, among the parameters
-    SIZE = 16
+    RANGES = 16  # index of the least and the most of each control that laws see, among the parameters
+    SIZE = 17
 
 
 class Joint(IntEnum):

@@ -15,7 +15,7 @@ from dipc_gym.engine.code import Code, Index, Numbers, integer
 from dipc_gym.engine.forces import Attached, depth_of
 from dipc_gym.engine.laws import Rule, laws
 from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Element, Head, Joint, Kind, Spring
-from dipc_gym.engine.values import BIT, INT, LANES, POINTER, VECTOR, Number, Value, maximum, where
+from dipc_gym.engine.values import BIT, INT, LANES, POINTER, VECTOR, Number, Value, maximum, minimum, where
 from dipc_gym.physics import Moment
 
 FOLLOWED = 0.5  # time constant, in steps, that Runge-Kutta follows safely
@@ -147,7 +147,10 @@ class _Rates:
             with state:
                 found[0] = self.states[one]
             with command:
-                found[0] = self.commands[code.sum(one, -STATES)]
+                control = code.sum(one, -STATES)
+                low = code.sum(code.whole(self.program, Head.RANGES), code.product(control, 2))
+                least, most = self.numbers[low], self.numbers[code.sum(low, 1)]
+                found[0] = minimum(maximum(self.commands[control], least), most)
         return found[0]
 
     def _kernel_tangent(self, accelerations: Numbers, out: ir.Value) -> None:

@@ -109,6 +109,9 @@ class _Writer:
         delays = delays[: self.controls]
         # Seen from the sensor that reads latest, commands act later by as much.
         self.numbers += (delays + mjcf.sensor_delays(model).max(initial=0.0)).tolist()
+        self.ints[Head.RANGES] = len(self.numbers)
+        ranges = np.clip(np.stack(mjcf.command_ranges(model), axis=1), -_LIMITLESS, _LIMITLESS)
+        self.numbers += ranges[: self.controls].ravel().tolist()
         lags = self._sensors()
         self._laws()
         self.ints[Head.ELEMENT_AT], self.ints[Head.ELEMENTS] = len(self.ints), len(elements)

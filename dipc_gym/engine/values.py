@@ -292,6 +292,8 @@ _UFUNCS: dict[Any, Callable[..., Any]] = {
     np.square: lambda x: x * x,
     np.maximum: maximum,
     np.minimum: minimum,
+    np.equal: lambda x, y: x == y,
+    np.not_equal: lambda x, y: x != y,
 }
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.where: where,

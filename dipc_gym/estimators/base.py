@@ -181,10 +181,7 @@ class Estimator(ABC):
         """Estimated state (n, 6) of the rigs now."""
 
     def foretold(self, state: Array) -> Array:
-        """Readings (n, 3) one period later, as far as present velocities tell them, in the place of missing ones.
-
-        What accelerates meanwhile moves a rig by less than its encoders' noise, and to go on is not to stop.
-        """
+        """Readings (n, 3) one period later, as far as present velocities tell them, in the place of missing ones."""
         now = self.observation(state)
         return now[:, :3] + self.rig.period * now[:, 3:]
 

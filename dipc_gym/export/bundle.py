@@ -95,10 +95,11 @@ def bundle(
         brain = controllers.balancing(controller or "lqr")
         if isinstance(brain, Policy):
             brain.require(part.name)
+    supply = plant.supply if part.supply is None else min(plant.supply, part.supply)
     if force_limit is None:
         if plant.motor is None:
             raise ValueError("the model's motor is not known, so the largest force is not; say --force-limit")
-        force_limit = plant.motor.force_per_volt * plant.supply
+        force_limit = plant.motor.force_per_volt * supply
     if not 0 < force_limit < np.inf:
         raise ValueError(f"--force-limit {force_limit:g}: give a positive number of newtons")
     filtered = FilteredDifference(plant.encoders.velocity_filter, plant.control_period)
@@ -111,7 +112,6 @@ def bundle(
     if isinstance(brain, Policy):
         brain.require_estimator(named)
     check_period(part, plant.control_period)
-    supply = plant.supply if part.supply is None else min(plant.supply, part.supply)
     about = (
         f"Call it every {1000 * plant.control_period:g} ms.",
         "",

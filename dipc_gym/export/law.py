@@ -36,6 +36,9 @@ MOST = 4096  # levels of a table
 RESERVED = frozenset(
     """auto break case char const continue default do double else enum extern float for goto if inline int long main
     register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
+    abs acos asin assert atan bool catch class cos cosh delete div erf exp false floor fmod free friend gamma log malloc
+    mutable namespace new operator pow printf private protected public rand remove round signal sin sinh sqrt system tan
+    tanh template this throw time true try using virtual
     """.split()  # noqa: SIM905  # as a list it is forty lines
 )
 KEY, LABEL, SENTENCE = 200, 300, 1000  # characters of an effect's or a place's name, and of what speaks of such
@@ -167,7 +170,9 @@ class Law:
         if not re.fullmatch(r"[a-z_][a-z0-9_]{0,40}", name):
             raise ValueError(f"{name!r} cannot name a C function: small letters, digits and _")
         if name in RESERVED:
-            raise ValueError(f"{name!r} is a word of C and cannot name a function; name the file otherwise")
+            raise ValueError(
+                f"{name!r} is a word of C or its library, and cannot name a function; name the file otherwise"
+            )
         names = ["x", "y"][: len(self.inputs)]
         words = [
             f"{letter}: {plain(one.name)}, {plain(one.unit) or 'as commanded'}; data from {one.told[0]:g} to "

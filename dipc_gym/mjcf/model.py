@@ -29,6 +29,15 @@ SUPPORTED = (
 )
 
 
+def command_ranges(model: mujoco.MjModel) -> tuple[Array, Array]:
+    """Least and most of each control that the model takes, (nu,) each, infinite where it takes any."""
+    limited = model.actuator_ctrllimited.astype(bool)
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL:
+        limited[:] = False
+    low, high = (np.where(limited, model.actuator_ctrlrange[:, k], sign * np.inf) for k, sign in ((0, -1), (1, 1)))
+    return low, high
+
+
 def controls(model: mujoco.MjModel, where: str = "") -> list[str]:
     """Names of the model's controls, in the order of `data.ctrl`.
 

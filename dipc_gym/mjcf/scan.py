@@ -129,7 +129,7 @@ class _Scan:
                 if not attributes.get(key, "").isprintable():  # a terminal may take orders from such characters
                     raise MjcfError(f"{where}: its {key} has characters that cannot be printed; remove them")
             if depth + len(factors) > MAX_NESTED:
-                raise MjcfError(f"{where}: elements stand {MAX_NESTED} deep in each other; put them beside each other")
+                raise MjcfError(f"{where}: elements may stand {MAX_NESTED} deep in each other, and no deeper")
             own = factors[-1] * _multiple(element, attributes, where)
             factors.append(own if element == "replicate" else factors[-1])
             self.elements += own

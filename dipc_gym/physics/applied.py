@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -52,6 +53,11 @@ class Physics:
     def remembering(self) -> tuple[Extra, ...]:
         """The extras that depend on what went before, in the order of what they remember in `userdata`."""
         return tuple(extra for extra in self.extras if extra.remembers)
+
+    @functools.cached_property
+    def taken(self) -> tuple[Array, Array]:
+        """Least and most of each control that its actuator takes, (nu,) each: more of it acts nowhere."""
+        return mjcf.command_ranges(self.model)
 
     @property
     def pressed(self) -> bool:
@@ -148,7 +154,8 @@ class Physics:
         seen = []
         for kind, k in extra.inputs:
             if kind == "command":
-                seen.append(state.ctrl[..., k])
+                low, high = self.taken
+                seen.append(np.clip(state.ctrl[..., k], low[k], high[k]))
             elif kind == "velocity":
                 seen.append(state.qvel[..., k])
             else:

@@ -91,7 +91,7 @@ def unit_factors(
         if len(meant) > 1:
             raise RecordingError(f"{where}: the unit of {key!r} may mean {meant[0]!r} or {meant[1]!r}; say which")
         if meant[0] in factors:
-            raise RecordingError(f"{where}: {key!r} is {meant[0]!r}, whose unit is given by another name already")
+            raise RecordingError(f"{where}: {key!r} means {meant[0]!r}, whose unit is given by another name already")
         try:
             factors[meant[0]] = factor(unit)
             check_kind(unit, measured.get(meant[0], ""))

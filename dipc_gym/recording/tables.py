@@ -266,7 +266,7 @@ def parquet(path: Path) -> Any:
         import pyarrow.parquet
     except ImportError:
         raise RecordingError(
-            f"{path}: Parquet needs pyarrow, which the extra of that name brings: pip install '.[parquet]' in a clone"
+            f"{path}: Parquet needs pyarrow, which the extra `parquet` brings: pip install '.[parquet]' in a clone"
         ) from None
     return pyarrow
 

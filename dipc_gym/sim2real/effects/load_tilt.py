@@ -12,7 +12,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 
 TURNED = 1e-4  # rad, by which gravity is turned to see what that does
-FELT = 1e-6  # of what turning does to any joint's force, that counts
+FELT = 1e-6  # of what turning does to any joint's force, or would to all that joints bear, that counts
 
 
 class Tilt(Effect):
@@ -78,7 +78,7 @@ def _felt(model: mujoco.MjModel) -> str:
         return ""
     turning, data, rng = copy.copy(model), mujoco.MjData(model), np.random.default_rng(0)
     across = [axis for k, axis in enumerate("xyz") if k != int(np.argmax(np.abs(gravity)))]
-    changes = dict.fromkeys(across, 0.0)
+    changes, borne = dict.fromkeys(across, 0.0), 0.0
     for _ in range(4):
         data.qpos[:] = model.qpos0 + rng.normal(size=model.nq)
         for axis in across:
@@ -88,5 +88,6 @@ def _felt(model: mujoco.MjModel) -> str:
                 mujoco.mj_forward(turning, data)
                 forces.append(data.qfrc_bias.copy())
             changes[axis] = max(changes[axis], float(np.abs(forces[0] - forces[1]).max(initial=0.0)))
-    most = max(changes.values())
-    return "".join(axis for axis in across if most > 0 and changes[axis] > FELT * most)
+            borne = max(borne, float(np.abs(forces[0]).max(initial=0.0)))
+    least = FELT * max(*changes.values(), 2 * TURNED * borne)
+    return "".join(axis for axis in across if changes[axis] > least)

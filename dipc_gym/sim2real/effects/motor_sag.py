@@ -84,7 +84,7 @@ def drains(model: mujoco.MjModel, at: str) -> bool:
         powers = bool(model.actuator_ctrlspec[i] == mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
     else:
         gain, bias = model.actuator_gainprm[i, 0], model.actuator_biasprm[i]
-        powers = bool(bias[1] == 0 and (bias[2] == 0 or bias[2] != -gain))
+        powers = bool(bias[1] == 0 and (bias[2] == 0 or bias[2] != -gain))  # a servo's gain stands in both
     drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (
         model.actuator_trnid[:, 0] == model.actuator_trnid[i, 0]
     )

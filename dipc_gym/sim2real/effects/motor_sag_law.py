@@ -109,11 +109,8 @@ class SagOfAnyLaw(Effect):
         if levels[-1] < 1.0 and self._beyond(values) > 0:  # beyond the data it goes on so, until all is lost
             knots, levels = [*knots, most + (1.0 - levels[-1]) / self._beyond(values)], [*levels, 1.0]
         inputs = [{"name": "drawn of late", "unit": unit["current"], "knots": knots}]
-        back = f" less {values['back']:.4g} times the speed of its joint" if values["back"] else ""
-        how = (
-            f"What was drawn of late follows the size of the command{back} with a time constant of "
-            f"{values['time_constant']:.4g} s."
-        )
+        what = f"|command - {values['back']:.4g} speed of its joint|" if values["back"] else "the size of the command"
+        how = f"What was drawn of late follows {what} with a time constant of {values['time_constant']:.4g} s."
         law = described("share of the drive that is lost", inputs, levels, "", passive=True, remembers=how)
         return {**law, "supported": [[0.0, most]]}
 

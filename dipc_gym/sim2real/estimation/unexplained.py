@@ -67,7 +67,9 @@ class Scene:
             joint = joint_of(self.model, name) or ""
             joint = mjcf.followers(self.model).get(joint, joint)  # a rotor stands for the joint that it drives
             k = self.recordings[0].actuator_names.index(name)
-            command = _taken(self.model, name, np.concatenate([r.commands[:, k] for r in self.recordings]))
+            # A log may hold more than the actuator takes.
+            sent = np.concatenate([r.commands[:, k] for r in self.recordings])
+            command = np.clip(sent, *(end[k] for end in mjcf.command_ranges(self.model)))
             gear = float(self.model.actuator(name).gear[0])
         elif place == "sensor":
             joint = sensed_joint(self.model, name) or ""
@@ -125,21 +127,15 @@ class Scene:
         found = {f"position {joint}": self.position[:, j] for j, joint in enumerate(self._joints)}
         found |= {f"velocity {joint}": self.velocity[:, j] for j, joint in enumerate(self._joints)}
         if not self.model.actuator_delay.any():
-            commands = np.concatenate([r.commands for r in self.recordings])
+            sent = np.concatenate([r.commands for r in self.recordings])
+            low, high = (end[: sent.shape[1]] for end in mjcf.command_ranges(self.model))
+            commands = np.clip(sent, low, high)
             found |= {f"command {name}": commands[:, k] for k, name in enumerate(self.recordings[0].actuator_names)}
         return found
 
     @property
     def _joints(self) -> list[str]:
         return list(base_joints(self.model))
-
-
-def _taken(model: mujoco.MjModel, actuator: str, command: Array) -> Array:
-    """Commands (n,) as an actuator takes them: a log may hold more than its range."""
-    i = model.actuator(actuator).id
-    if not model.actuator_ctrllimited[i] or model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL:
-        return command
-    return np.clip(command, *model.actuator_ctrlrange[i])
 
 
 def scene(

@@ -134,7 +134,8 @@ def law(law: Mapping[str, Any]) -> Chart:
         layers.append(charts.area("after", drawn[told], band[0][told], band[1][told], across, up))
     layers += [charts.line(tone, drawn, y, across, up) for tone, y in lines]
     interval = ", with its 90 % interval" if band is not None else ""
-    outside = "; grey: beyond the data, where it goes on as it ends" if beyond else ""
+    how = "is foretold" if begin > x[0] or end < x[-1] else "goes on as it ends"
+    outside = f"; grey: beyond the data, where it {how}" if beyond else ""
     return Chart(f"The law over {first['name']}{words}{interval}{outside}", across, up, tuple(layers))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import mjcf
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.selection.settings import SEARCH
@@ -53,13 +54,14 @@ def input_of(name: str, fitted: Fit, windows: Windows) -> Array:
     if name == "time":
         return windows.start[:, None] + windows.times
     kind, _, at = name.partition(" ")
-    out = np.zeros(windows.times.shape)
+    out, ranges = np.zeros(windows.times.shape), mjcf.command_ranges(fitted.structure.model)
     for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
         mine = windows.source == i
         time = windows.start[mine, None] + windows.times[mine]
         if kind == "command":
             k = np.clip(np.searchsorted(recording.time, time, side="right") - 1, 0, len(recording) - 1)
-            out[mine] = recording.commands[k, recording.actuator_names.index(at)]
+            which = recording.actuator_names.index(at)
+            out[mine] = np.clip(recording.commands[k, which], *(end[which] for end in ranges))
             continue
         values = (motion.position if kind == "position" else motion.velocity)[:, fitted.structure.base.index(at)]
         out[mine] = np.interp(time, motion.time, np.abs(values) if kind == "speed" else values)

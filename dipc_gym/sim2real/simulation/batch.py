@@ -199,7 +199,7 @@ class _Runs:
         """Begin `at` steps after each window's start, from positions and velocities (variants, n, 2 nb)."""
         windows, sims = self.windows, self.sims
         sims.time[:] = (windows.start + at * self.step - self.late.max(axis=1, keepdims=True)).ravel()
-        time = sims.time.reshape(len(self.variants), len(windows))[0]
+        time = windows.start + at * self.step - windows.late  # on the clock of the motions, whatever delay is tried
         begin(self._places(), initial, self.variants, windows, self._names, self.delays, time)
 
     def put_back(self, initial: Array, at: int = 0) -> None:

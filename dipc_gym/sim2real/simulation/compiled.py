@@ -169,7 +169,7 @@ class Compiled:
     def begun(self, at: float, initial: Array) -> Array:
         """States (variants, windows, nx) that begin at positions and velocities of base joints (variants, n, 2 nb)."""
         states = np.zeros((len(self.variants), len(self.windows), self.program.nx))
-        time = self.windows.start + at - self.parameters[0, self.program.codes[Head.LATE]]
+        time = self.windows.start + at - self.windows.late
         begin(self._places(states), initial, self.variants, self.windows, self.base, self._delays, time)
         for _, lag, read, weights in self._lags:
             states[..., lag] = states[..., read] @ weights

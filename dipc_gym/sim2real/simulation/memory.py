@@ -135,7 +135,8 @@ def _sees(variant: Physics, which: int, recording: Recording, motion: Motion, co
     for kind, k in law.inputs:
         if kind == "command":
             held = np.searchsorted(recording.time, motion.time + 1e-9, side="right") - 1
-            follows = variant.command(recording.commands, recording.time)[np.maximum(held, 0), k]
+            sent = variant.command(recording.commands, recording.time)[np.maximum(held, 0), k]
+            follows = np.clip(sent, *(end[k] for end in variant.taken))
         else:
             address = "dofadr" if kind == "velocity" else "qposadr"
             at = {getattr(model.joint(name), address)[0]: column for name, column in columns.items()}

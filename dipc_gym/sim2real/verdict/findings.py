@@ -223,7 +223,7 @@ def _once(search: Searched, final: Fit, term: Term) -> str:
         without = search.fitter.as_it_is(final, final.structure.without(term.key))
         gained = np.log1p(without.mse) - np.log1p(final.mse)
         each = np.bincount(windows.source, gained, len(windows.recordings))
-        there = [one.name for one, gain in zip(windows.recordings, each, strict=True) if gain > 0.5 * each.max()]
+        there = [one.name for one, gain in zip(windows.recordings, each, strict=True) if gain >= 0.5 * each.max()]
         where = f" That was in {' and '.join(there)}."
     return f"{where} The model has it at this time in every simulation."
 
