@@ -200,11 +200,11 @@ def test_joints_whose_names_extend_another_have_priors_of_their_own() -> None:
     np.testing.assert_allclose(both, np.kron(np.eye(2), alone))
 
 
-def late_run(late: float, more: str = "") -> Recording:
+def late_run(late: float, text: str = "") -> Recording:
     """A pushed mass whose sensor is late, as MuJoCo has it in steps of a tenth of a millisecond."""
     t, fine = np.arange(0, 6, 0.002), 20
     command = np.sin(2 * np.pi * 0.7 * t) + 0.5 * np.sin(2 * np.pi * 1.9 * t)
-    model, x = mujoco.MjModel.from_xml_string(more or slide('damping="2"')), []
+    model, x = mujoco.MjModel.from_xml_string(text or slide('damping="2"')), []
     model.opt.timestep = 0.002 / fine
     data = mujoco.MjData(model)
     for u in command:
@@ -226,12 +226,10 @@ def delayed(text: str, late: float) -> str:
 
 def error_at_estimated_starts(text: str, told_by: str, late: float) -> float:
     """Of windows that begin where a model's estimates say, simulated by another; times the noise."""
-    source = mjcf.from_text(text)
     run = late_run(late, text)
     made = prepare(mjcf.from_text(told_by), physics.load(mjcf.from_text(told_by)), [run], Stepping(5e-4, RK4))
     true = Structure(Document(mjcf.from_text(delayed(text, late))), mjcf.compile(delayed(text, late)), ("x",))
     off = predict(made.problem, true, [true.first], made.problem.initial[None])[0] - made.problem.windows.observed
-    del source
     return float(np.sqrt(np.mean((off / made.problem.windows.noise)[made.problem.windows.valid] ** 2)))
 
 
@@ -393,10 +391,6 @@ def test_gravity_that_no_joint_feels_is_tilted_by_nobody() -> None:
     weightless = mjcf.compile(slide())
     assert not catalogue()["load.tilt"].fits(weightless, "world")
     # A lift: its axis is vertical but for rounding.
-    lift = mjcf.compile(
-        """<mujoco><worldbody><body euler="30 0 0"><joint name="x" type="slide" axis="0 -0.5 0.8660254"/>
-        <geom size=".1" mass="1"/></body></worldbody></mujoco>""".replace(
-            "0 -0.5 0.8660254", "0 0.5 0.86602540378443865"
-        )
-    )
+    lift = mjcf.compile("""<mujoco><worldbody><body euler="30 0 0"><geom size=".1" mass="1"/>
+        <joint name="x" type="slide" axis="0 0.5 0.86602540378443865"/></body></worldbody></mujoco>""")
     assert not catalogue()["load.tilt"].fits(lift, "world")
