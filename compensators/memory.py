@@ -46,8 +46,8 @@ class Remembering(Compensator):
 
     Attributes:
         newtons_per_volt: Motor gain, N/V.
-        supply_voltage: Largest voltage either way, V; the smaller of this and `supply` is both, so that
-            `dataclasses.replace` lowers it by one of them and raises it by both.
+        supply_voltage: Largest voltage either way, V; the smaller of this and `supply` is both, so that a copy with
+            another one has it lowered by either and raised by both.
         period: Control period, s, between one call and the next.
     """
 

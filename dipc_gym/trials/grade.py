@@ -248,8 +248,8 @@ def _collapsed(answer: Mapping[str, Any], said: Sequence[Mapping[str, Any]]) -> 
         for one in sets:
             wanted = {(e["effect"], e["at"]) for e in one}
             parts = [m for m in result if (m["effect"], m["at"]) in wanted]
-            said = [(other["effect"], other["at"]) for m in parts for other in m.get("same_here") or []]
-            open_about_it = (effect, at) in said
+            listed = [(other["effect"], other["at"]) for m in parts for other in m.get("same_here") or []]
+            open_about_it = (effect, at) in listed
             if len(parts) == len(wanted) and open_about_it:
                 whole = {"effect": effect, "at": at, "together": True}
                 result = [whole if m is parts[0] else m for m in result if m is parts[0] or m not in parts]
