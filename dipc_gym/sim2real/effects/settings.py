@@ -201,7 +201,8 @@ class WaveSettings:
         most: waves over the range of position; an axis that turns many times has hundreds
         bins: of position, sixteen to the shortest wave: a sum over bins then loses nothing of it
         finer: times as many are tried as the range tells apart, so that one lies near the top of every peak
-        resolved: waves that may pass in a sample at the usual speed; of faster ones nothing is left in the force
+        resolved: waves that may pass in a sample at the usual speed: of such nothing is left in the force, but slower
+            stretches have them
         small: share of the force, to which a sine or cosine is raised: a fit moves away from none only slowly
         kept: waves that are tried: what drives a joint makes waves of its own, so the best need not be the one
         steepest: slope of a wave in a reading, at first: a scale of less than none runs backwards
@@ -210,7 +211,7 @@ class WaveSettings:
     most: int = 1000
     bins: int = 16384
     finer: int = 10
-    resolved: float = 0.1
+    resolved: float = 0.25
     small: float = 0.02
     kept: int = 3
     steepest: float = 0.3
