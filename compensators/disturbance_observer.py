@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from dipc_gym.compensators.base import HUGE, Array, RigConstants, Samples, numbers
-from dipc_gym.compensators.memory import FRESH, Remembering, given, gone_on, known_mass
+from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
+from dipc_gym.compensators.memory import FRESH, Remembering, given, gone_on, just_reset, known_mass
 
 if TYPE_CHECKING:
     from dipc_gym.dataflow import Program, Value
@@ -70,7 +70,7 @@ class DisturbanceObserver(Remembering):
 
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
         """Observe the past period, compensate in the coming one."""
-        fresh = memory[:, 1] > HUGE
+        fresh = just_reset(memory[:, 1])
         volts, observed = self.felt(force, velocity, memory[:, 0], gone_on(memory[:, 1], velocity), memory[:, 2], fresh)
         return volts, np.stack([observed, velocity, volts], axis=1)
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from dipc_gym.compensators.base import HUGE, Array, RigConstants, Samples, numbers
-from dipc_gym.compensators.memory import FRESH, Remembering, given, gone_on, known_mass
+from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
+from dipc_gym.compensators.memory import FRESH, Remembering, given, gone_on, just_reset, known_mass
 
 if TYPE_CHECKING:
     from dipc_gym.dataflow import Program, Value
@@ -79,7 +79,7 @@ class Friedland(Remembering):
 
     def respond(self, force: Array, velocity: Array, memory: Array) -> tuple[Array, Array]:
         """Learn from the past period, then compensate in the coming one."""
-        fresh = memory[:, 1] > HUGE
+        fresh = just_reset(memory[:, 1])
         before = gone_on(memory[:, 1], velocity)
         volts, level = self.learned(force, velocity, memory[:, 0], before, memory[:, 2], fresh)
         return volts, np.stack([level, velocity, volts], axis=1)

@@ -7,9 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dipc_gym.compensators.base import HUGE, Array, RigConstants, Samples, numbers
+from dipc_gym.compensators.base import Array, RigConstants, Samples, numbers
 from dipc_gym.compensators.llnf import LLNF
-from dipc_gym.compensators.memory import FRESH, Remembering, given, gone_on, known_mass
+from dipc_gym.compensators.memory import FRESH, Remembering, given, gone_on, just_reset, known_mass
 
 FORGETTING = 0.995
 """Weight of a sample against the one after it: a memory of 200 periods, one second."""
@@ -76,7 +76,7 @@ class AdaptiveLLNF(Remembering):
         models = len(self.levels)
         corrections, doubts = memory[:, :models], memory[:, models : 2 * models]
         before, earlier, volts = memory[:, 2 * models :].T
-        fresh = (before > HUGE)[:, None]  # of what these did, nothing is known that could be learned from
+        fresh = just_reset(before)[:, None]  # of what these did, nothing is known that could be learned from
         before, earlier = gone_on(before, velocity), gone_on(earlier, velocity)
         got = self.mass * (velocity - before) / self.period + self.viscous * 0.5 * (velocity + before)
         validities, outputs = self._models(got, before, earlier)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym.compensators.base import GARBAGE, HUGE, Array, Compensator, RigConstants, Samples, Signal, numbers
 from dipc_gym.plant import RANGES
@@ -16,9 +17,14 @@ FRESH = 2 * HUGE
 """A velocity before that no rig has: that of rigs that were just reset, of which nobody knows it."""
 
 
+def just_reset(before: Array) -> NDArray[np.bool_]:
+    """Which rigs were just reset, (n, ...), by the velocities before."""
+    return np.asarray(before > HUGE)
+
+
 def gone_on(before: Array, velocity: Array) -> Array:
     """Velocities before (n, ...); of rigs that were just reset, those that they have now: they need not be at rest."""
-    return np.where(before > HUGE, velocity, before)
+    return np.where(just_reset(before), velocity, before)
 
 
 def check_period(compensator: Compensator, period: float) -> None:

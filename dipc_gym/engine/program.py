@@ -99,6 +99,7 @@ class _Writer:
         self.controls = mjcf.commanded(model)  # what comes after them nobody commands; it stays at zero
         self.yielding = 0  # springs, whose rests are hidden states behind MuJoCo's activations; then what laws remember
         self.remembering = len(source.remembering)
+        self.ranges = np.clip(np.stack(mjcf.command_ranges(model), axis=1), -_LIMITLESS, _LIMITLESS)
         self._joints()
         elements = [*self._tendons(), *self._actuators()]
         self.ints[Head.DELAYS] = len(self.numbers)
@@ -108,10 +109,9 @@ class _Writer:
             delays[first : first + int(model.actuator_ctrlnum[i])] = model.actuator_delay[i]
         delays = delays[: self.controls]
         # Seen from the sensor that reads latest, commands act later by as much.
-        self.numbers += (delays + mjcf.sensor_delays(model).max(initial=0.0)).tolist()
+        self.numbers += (delays + mjcf.latest_sensor(model)).tolist()
         self.ints[Head.RANGES] = len(self.numbers)
-        ranges = np.clip(np.stack(mjcf.command_ranges(model), axis=1), -_LIMITLESS, _LIMITLESS)
-        self.numbers += ranges[: self.controls].ravel().tolist()
+        self.numbers += self.ranges[: self.controls].ravel().tolist()
         lags = self._sensors()
         self._laws()
         self.ints[Head.ELEMENT_AT], self.ints[Head.ELEMENTS] = len(self.ints), len(elements)
@@ -328,9 +328,7 @@ class _Writer:
         control = int(model.actuator_ctrladr[i])
         if not count or control >= self.controls:
             return -1
-        if model.actuator_ctrllimited[control]:
-            limits = model.actuator_ctrlrange[control]
-            numbers[Force.LOWEST_COMMAND], numbers[Force.HIGHEST_COMMAND] = (float(x) for x in limits)
+        numbers[Force.LOWEST_COMMAND], numbers[Force.HIGHEST_COMMAND] = self.ranges[control].tolist()
         return control
 
     def _motor(
@@ -379,7 +377,7 @@ class _Writer:
         model = self.model
         lags = {extra.index: float(extra.data[0]) for extra in self.physics.stage("lag")}
         found, late = [], 0
-        latest = float(mjcf.sensor_delays(model).max(initial=0.0))
+        latest = mjcf.latest_sensor(model)
         self.ints[Head.LATE] = len(self.numbers)
         self.numbers.append(latest)
         for name in mjcf.scalar_sensors(model):

@@ -214,6 +214,11 @@ def sensor_delays(model: mujoco.MjModel) -> NDArray[np.float64]:
     return np.array([model.sensor_delay[model.sensor(name).id] for name in scalar_sensors(model)])
 
 
+def latest_sensor(model: mujoco.MjModel) -> float:
+    """Delay of the one of the `scalar_sensors` that reads latest, s; 0 where none is late."""
+    return float(sensor_delays(model).max(initial=0.0))
+
+
 def check_supported(model: mujoco.MjModel, name: str) -> None:
     """Refuse models that system identification cannot treat.
 

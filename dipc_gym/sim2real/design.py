@@ -292,7 +292,7 @@ class _Rig:
         noise = self.problem.windows.noise
         motion = states.estimate(run, self.physics, DESIGN.exact * noise)
         length = float(self.problem.windows.times.max()) + run.period
-        late = float(mjcf.sensor_delays(self.physics.model).max(initial=0.0))
+        late = mjcf.latest_sensor(self.physics.model)
         windows = replace(cut([run], noise, length, (0.0, 1.0)), motions=(motion,), late=late)
         whole = replace(self.problem, windows=windows, initial=windows.begun())
         return whole.pick(np.unique(np.linspace(1, len(windows) - 1, DESIGN.enough).round().astype(np.intp)))

@@ -64,9 +64,6 @@ def either_way(values: Sequence[float]) -> list[float]:
     return [-one for one in values[:0:-1]] + list(values)
 
 
-FAR = 100.0  # times the data, to where a table that goes on beyond them is told
-
-
 def bisected(knots: Array, narrowest: Array | float, told: NDArray[np.bool_] | None = None) -> Array:
     """Knots, and the middles of stretches that end at a told one and are twice as long as the narrowest may be."""
     wide = np.diff(knots) > LAWS.twice * narrowest

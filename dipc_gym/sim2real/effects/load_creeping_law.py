@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import FAR, at_joint, described, either_way, halved, recalled
+from dipc_gym.sim2real.effects.law import at_joint, described, either_way, halved, recalled
 from dipc_gym.sim2real.effects.load_creeping import FAST, TIMES, usual
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.sought import Sought
@@ -21,6 +21,7 @@ ENTRY = "load.creeping"  # of <custom>
 BENDS = (0.05, 0.15, 0.5, 1e3)  # stretches over which it bends, in ranges of the joint's motion; the last is straight
 FIRST, MOST = 4, 16  # stretches between the knots of the law
 FURTHEST = 0.995  # quantile of how far the spring is stretched, which the table goes up to
+FAR = 100.0  # times that, to where an exported table is told: it goes on in proportion
 LEAST = 1e-4  # of the fastest, by which it begins to give way faster from one knot to the next
 SLOWEST = 1e-6  # of the speed in the next line, which a first guess gives way by: next to nothing
 SHORTEST = 4e-3  # s, in which it may give way by as much as it is stretched
@@ -123,7 +124,7 @@ class CreepingSpringOfAnyLaw(Effect):
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """How fast it gives way, by stretch."""
         slide, speeds, last = at_joint("m", unit["stiffness"]), self._speeds(values).tolist(), self.furthest
-        knots, levels = [*self.knots.tolist(), FAR * last], [*speeds, FAR * speeds[-1]]  # beyond, in proportion
+        knots, levels = [*self.knots.tolist(), FAR * last], [*speeds, FAR * speeds[-1]]
         inputs = [{"name": "stretch", "unit": slide, "knots": either_way(knots)}]
         how = (
             "The stretch grows as fast as the joint moves, less this speed; the spring pulls the joint back with "

@@ -79,7 +79,7 @@ def prepare(
     noise = common_noise(recordings)
     structure = Structure(Document(source), physics.model, mjcf.base_joints(physics.model))
     motions = tuple(states.estimate(r, physics, noise) for r in recordings)
-    spread, late = uncertainty(physics, motions, noise), float(mjcf.sensor_delays(physics.model).max(initial=0.0))
+    spread, late = uncertainty(physics, motions, noise), mjcf.latest_sensor(physics.model)
 
     def windows(length: float) -> Problem:
         cuts = replace(_cut(recordings, noise, length, span), motions=motions, late=late)

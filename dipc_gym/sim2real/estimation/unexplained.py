@@ -67,9 +67,7 @@ class Scene:
             joint = joint_of(self.model, name) or ""
             joint = mjcf.followers(self.model).get(joint, joint)  # a rotor stands for the joint that it drives
             k = self.recordings[0].actuator_names.index(name)
-            # A log may hold more than the actuator takes.
-            sent = np.concatenate([r.commands[:, k] for r in self.recordings])
-            command = np.clip(sent, *(end[k] for end in mjcf.command_ranges(self.model)))
+            command = self._commands[:, k]
             gear = float(self.model.actuator(name).gear[0])
         elif place == "sensor":
             joint = sensed_joint(self.model, name) or ""
@@ -122,15 +120,21 @@ class Scene:
         )
 
     @functools.cached_property
+    def _commands(self) -> Array:
+        """Commands (n, nu) as actuators take them: a log may hold more."""
+        sent = np.concatenate([r.commands for r in self.recordings])
+        low, high = (end[: sent.shape[1]] for end in mjcf.command_ranges(self.model))
+        return np.clip(sent, low, high)
+
+    @functools.cached_property
     def _inputs(self) -> dict[str, Array]:
         """Whatever a law of no kind may depend on."""
         found = {f"position {joint}": self.position[:, j] for j, joint in enumerate(self._joints)}
         found |= {f"velocity {joint}": self.velocity[:, j] for j, joint in enumerate(self._joints)}
         if not self.model.actuator_delay.any():
-            sent = np.concatenate([r.commands for r in self.recordings])
-            low, high = (end[: sent.shape[1]] for end in mjcf.command_ranges(self.model))
-            commands = np.clip(sent, low, high)
-            found |= {f"command {name}": commands[:, k] for k, name in enumerate(self.recordings[0].actuator_names)}
+            found |= {
+                f"command {name}": self._commands[:, k] for k, name in enumerate(self.recordings[0].actuator_names)
+            }
         return found
 
     @property

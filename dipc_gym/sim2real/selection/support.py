@@ -54,14 +54,15 @@ def input_of(name: str, fitted: Fit, windows: Windows) -> Array:
     if name == "time":
         return windows.start[:, None] + windows.times
     kind, _, at = name.partition(" ")
-    out, ranges = np.zeros(windows.times.shape), mjcf.command_ranges(fitted.structure.model)
+    out = np.zeros(windows.times.shape)
     for i, (recording, motion) in enumerate(zip(windows.recordings, windows.motions, strict=True)):
         mine = windows.source == i
         time = windows.start[mine, None] + windows.times[mine]
         if kind == "command":
             k = np.clip(np.searchsorted(recording.time, time, side="right") - 1, 0, len(recording) - 1)
             which = recording.actuator_names.index(at)
-            out[mine] = np.clip(recording.commands[k, which], *(end[which] for end in ranges))
+            taken = (end[which] for end in mjcf.command_ranges(fitted.structure.model))
+            out[mine] = np.clip(recording.commands[k, which], *taken)
             continue
         values = (motion.position if kind == "position" else motion.velocity)[:, fitted.structure.base.index(at)]
         out[mine] = np.interp(time, motion.time, np.abs(values) if kind == "speed" else values)
