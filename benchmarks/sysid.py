@@ -192,7 +192,7 @@ def with_numbers(source, values):
 def judged(text, run, threads):
     """Held-out errors of a model: of windows in units of noise, of the inverse force."""
     source, ready = prepared(text, [run], threads, (SHARE, 1.0))
-    mse, _ = evaluate(ready.problem, ready.structure, np.zeros(0))
+    mse = evaluate(ready.problem, ready.structure, np.zeros(0))
     (force,) = unexplained.force_errors(physics.load(source), [run], ready.motions, (SHARE, 1.0))
     return float(np.sqrt(np.mean(mse))), float(force)
 

@@ -32,7 +32,7 @@ from dipc_gym.sim2real.selection.rounds import addition
 from dipc_gym.sim2real.selection.search import Search, Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.selection.stop import Stop
-from dipc_gym.sim2real.verdict import judge, judgement, sparse
+from dipc_gym.sim2real.verdict import judgement, sparse, stand_ins, untouched
 from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude, without_idle
 from dipc_gym.sim2real.verdict.settings import VERDICT
 from dipc_gym.sim2real.verdict.withheld import gather
@@ -217,7 +217,7 @@ def test_what_is_concluded_predicts_validation_data_no_worse_than_what_was_there
     search = pushed_early().accepting(*accepted)
     before, *_, last = search.progress.path
     best = judgement.best_on_validation(search, Conclusion(last), [before])
-    reached, *others = (judge.error_on(search.partition.validation, one) for one in (best.fitted, last, before))
+    reached, *others = (untouched.error_on(search.partition.validation, one) for one in (best.fitted, last, before))
     least = max(VERDICT.worse * min(others), SCORE.at_floor)
     assert reached <= least
     assert (best.fitted is last) == (others[0] <= least)
@@ -235,4 +235,4 @@ def test_what_is_concluded_predicts_validation_data_no_worse_than_what_was_there
 )
 def test_what_an_effect_is_mistaken_for_acts_at_its_joint(one: str, other: str, apart: bool) -> None:
     terms = [Term(catalogue()[name], at, {}) for name, _, at in (text.partition("@") for text in (one, other))]
-    assert judge._apart(mjcf.compile(HANGING), *terms) == apart
+    assert stand_ins._apart(mjcf.compile(HANGING), *terms) == apart

@@ -16,6 +16,7 @@ import pytest
 
 from dipc_gym import cli, mjcf, physics, recording
 from dipc_gym.recording import Recording, RecordingError
+from dipc_gym.recording.parts import check_apart
 from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
@@ -25,7 +26,6 @@ from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis, Errors, Located, SensorFit
-from dipc_gym.sim2real.selection import data
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.simulation.batch import Stepping
@@ -673,9 +673,9 @@ def test_a_seed_below_none_is_refused_before_anything_is_fitted() -> None:
 
 def test_parts_of_a_recording_may_be_held_out_where_they_do_not_overlap() -> None:
     fitted, rest = run(5, 10, 0.0).split(0.6)
-    data.check_apart([fitted], [rest])
+    check_apart([fitted], [rest])
     with pytest.raises(RecordingError, match="held out, but the same as"):
-        data.check_apart([fitted], [run(5, 10, 0.0).slice(len(fitted) - 1, len(fitted) + 50)])
+        check_apart([fitted], [run(5, 10, 0.0).slice(len(fitted) - 1, len(fitted) + 50)])
 
 
 def test_an_error_at_the_end_of_a_search_leaves_shares_and_intervals(
@@ -799,10 +799,41 @@ def test_comparison_needs_more_than_chance() -> None:
     ],
 )
 def test_verdicts(
-    errors: tuple[float, ...], motion: float, explained: float, terms: int, changed: int, expected: str
+    errors: tuple[float, float, float], motion: float, explained: float, terms: int, changed: int, expected: str
 ) -> None:
     small = judge.negligible(errors[1], motion, Located("cart", 1.0, "somewhere", explained))
-    assert judge.verdict(errors, small, terms, changed) == expected
+    said = judge.verdict(
+        Errors(*errors), small=small, terms=terms, unnamed=0, modelled=0, changed=changed, elsewhere=1.0
+    )
+    assert said == expected
+
+
+@pytest.mark.parametrize(
+    ("errors", "terms", "unnamed", "modelled", "elsewhere", "expected"),
+    [
+        ((90.0, 80.0, 1.1), 0, 0, 1, 80.0, "modelled"),
+        ((90.0, 80.0, 20.0), 0, 0, 1, 80.0, "modelled"),  # most of it
+        ((90.0, 80.0, 60.0), 0, 0, 1, 80.0, "unexplained"),  # less than half
+        ((90.0, 80.0, 1.1), 1, 0, 1, 80.0, "partly explained"),  # a name, and what has none
+        ((90.0, 80.0, 1.1), 0, 1, 0, 80.0, "modelled"),  # formulas that are not believed
+        ((90.0, 80.0, 20.0), 0, 1, 0, 80.0, "unexplained"),
+        ((1.0, 1.0, 1.0), 0, 0, 0, 1.9, "consistent"),
+        ((1.0, 1.0, 1.0), 0, 0, 0, 2.1, "unexplained"),  # test data do not show what acts in other windows
+    ],
+)
+def test_verdicts_of_what_has_no_name_or_shows_elsewhere(
+    errors: tuple[float, float, float], terms: int, unnamed: int, modelled: int, elsewhere: float, expected: str
+) -> None:
+    said = judge.verdict(
+        Errors(*errors),
+        small=False,
+        terms=terms,
+        unnamed=unnamed,
+        modelled=modelled,
+        changed=0,
+        elsewhere=elsewhere,
+    )
+    assert said == expected
 
 
 @pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice trials are not beside this checkout")
@@ -834,7 +865,10 @@ def test_evidence_on_a_model_with_a_rotor_of_its_own() -> None:
     )
     structure = prepared.structure.with_term(term)
     scene = unexplained.scene(structure.physics(structure.first), runs, prepared.motions)
+    asked = set()
     for effect in catalogue().values():
         for at in unexplained.places(effect, scene.model, structure.base, runs[0]):
             for guess in effect.guesses(scene.at(effect.place, at, {})):
                 assert all(math.isfinite(value) for value in guess.values())
+                asked.add(effect.name)
+    assert asked >= {"friction.coulomb", "friction.viscous", "motor.gain", "load.constant"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import importlib
 import json
 import re
@@ -212,6 +213,17 @@ def test_a_stage_has_its_constants_in_one_place(hooks: ModuleType) -> None:
         settings = beside.pop(f"dipc_gym/sim2real/{stage}/settings.py")
         assert settings
         assert not any(beside.values()), beside
+
+
+@pytest.mark.parametrize("stage", ["effects", "estimation", "model", "selection", "verdict"])
+def test_settings_are_explained_in_the_order_that_they_have(stage: str) -> None:
+    """Whoever looks a constant up finds its reason where it stands among the others, and none without."""
+    module = importlib.import_module(f"dipc_gym.sim2real.{stage}.settings")
+    classes = [one for one in vars(module).values() if dataclasses.is_dataclass(one) and isinstance(one, type)]
+    assert classes
+    for one in classes:
+        explained = re.findall(r"^        (\w+): ", one.__doc__ or "", re.MULTILINE)
+        assert explained == [field.name for field in dataclasses.fields(one)], one.__name__
 
 
 def test_the_settings_page_has_what_decides(hooks: ModuleType) -> None:

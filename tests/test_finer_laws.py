@@ -328,7 +328,8 @@ def test_friction_over_time_is_known_no_further_than_it_was_seen() -> None:
     assert [(one.effect, one.at) for one in found.missing] == [("friction.time", "cart")], found.sentence
     assert found.verdict == "explained"
     assert found.held_out is not None
-    assert "no law of time foretells" in found.sentence or found.held_out.improved < 1.1
+    # The last quarter warms up less than the law has it that ends where the fitted data do.
+    assert "no law of time foretells" in found.sentence
 
 
 def test_friction_that_warms_up_is_named_with_its_formula() -> None:

@@ -20,7 +20,7 @@ from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.estimation import shooting as shooting_module
-from dipc_gym.sim2real.estimation.fit import Fit, _stepped, correct_initial, evaluate, fit, holding, weights
+from dipc_gym.sim2real.estimation.fit import Fit, _stepped, begun, evaluate, fit, holding, readings, weights
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
 from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
@@ -30,7 +30,8 @@ from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection.screen import LaidOver, pairs
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.simulation.windows import cut
-from dipc_gym.sim2real.verdict import findings, judge
+from dipc_gym.sim2real.verdict import findings
+from dipc_gym.sim2real.verdict.intervals import by_blocks, by_regimes
 
 NOISY = 1e-5
 
@@ -245,10 +246,7 @@ def test_corrected_starts_are_a_simulation() -> None:
     P = ready(run(friction=2.0, seconds=4.0))
     structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 2.0}))
     fitted = fit(P.problem, structure)
-    initial, readings = correct_initial(P.problem, fitted)
-    again = predict(P.problem, structure, [fitted.z], initial[None])[0]
-    assert np.array_equal(again, readings)
-    left = normalised_residual(P.problem, readings)
+    left = normalised_residual(P.problem, readings(P.problem, structure, fitted.z))
     assert np.sqrt(np.mean(left**2)) == pytest.approx(fitted.error, rel=0.03)
 
 
@@ -257,8 +255,8 @@ def test_comparison_windows_are_judged_without_being_fitted() -> None:
     train, comparison = P.problem.pick(np.arange(0, 32, 2)), P.problem.pick(np.arange(1, 32, 2))
     structure = P.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.0}))
     fitted = fit(train, structure)
-    mse, _ = evaluate(comparison, structure, fitted.z)
-    nominal, _ = evaluate(comparison, P.structure, P.structure.first)
+    mse = evaluate(comparison, structure, fitted.z)
+    nominal = evaluate(comparison, P.structure, P.structure.first)
     assert np.sqrt(mse.mean()) == pytest.approx(1.0, abs=0.1)
     assert np.sqrt(nominal.mean()) > 20
 
@@ -286,8 +284,8 @@ def test_a_rig_that_rests_needs_no_start_corrected() -> None:
     )
     windows = replace(problem.windows, recordings=still, observed=np.zeros_like(problem.windows.observed))
     resting = replace(problem, windows=windows, initial=np.zeros_like(problem.initial))
-    mse, initial = evaluate(resting, structure, structure.first)
-    assert not mse.any()
+    initial, _ = begun(resting, structure, structure.first)
+    assert not evaluate(resting, structure, structure.first).any()
     assert not initial.any()
 
 
@@ -517,7 +515,7 @@ def test_what_no_reading_depends_on_has_no_interval() -> None:
     P = ready(run(friction=2.0, seconds=4.0))
     term = Term(catalogue()["friction.load"], "cart", {"level": 2.0, "by_drive": 0.02, "by_weight": 0.05})
     fitted = fit(P.problem, P.structure.with_term(term))
-    assert np.isfinite(judge.intervals(fitted, P.problem)).tolist() == [True, True, False]
+    assert np.isfinite(by_blocks(fitted, P.problem)).tolist() == [True, True, False]
 
 
 def test_friction_under_load_knows_the_drive_of_its_own_step() -> None:
@@ -565,7 +563,7 @@ def test_what_differs_between_regimes_widens_the_intervals_beside_it() -> None:
 
     P = ready(record(rig, swelling, 12.0, noise=NOISY, step=5e-4, integrator=RK4))
     fitted = fit(P.problem, free(P, "cart.damping"))
-    regimes, seconds = judge.between_regimes(fitted, P.problem), judge.intervals(fitted, P.problem)
+    regimes, seconds = by_regimes(fitted, P.problem), by_blocks(fitted, P.problem)
     assert regimes[0] > seconds[0] > 0
 
 
@@ -573,7 +571,7 @@ def test_one_second_of_data_gives_no_interval() -> None:
     S = ready(run(seconds=3.0))
     first = S.problem.pick(S.problem.windows.start < 1.0)
     fitted = fit(first, free(S, "cart.damping"))
-    assert np.isinf(judge.intervals(fitted, first)).all()
+    assert np.isinf(by_blocks(fitted, first)).all()
 
 
 def test_a_model_that_is_to_be_simulated_as_it_is_keeps_its_step() -> None:

@@ -30,7 +30,7 @@ from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.stop import Stop
-from dipc_gym.sim2real.verdict import details, findings, improve, judge, judgement, sentences
+from dipc_gym.sim2real.verdict import details, findings, improve, intervals, judgement, sentences, untouched
 from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.withheld import gather
 
@@ -44,7 +44,9 @@ def test_a_parameter_that_is_not_known_at_all_has_no_interval() -> None:
         unknown = findings.changed_parameters(fitted, np.full(len(fitted.z), wide))
         assert unknown
         assert not any("low" in entry for entry in unknown)
-    for entry in findings.changed_parameters(fitted, np.full(len(fitted.z), 0.1)):
+    known = findings.changed_parameters(fitted, np.full(len(fitted.z), 0.1))
+    assert known
+    for entry in known:
         assert 0 < entry["low"] < entry["value"] < entry["high"]
 
 
@@ -56,9 +58,9 @@ STAGES: dict[str, list[tuple[Any, str]]] = {
     ],
     "no fine fit, no errors, no numbers": [
         (Searched, "refined"),
-        (judge, "error_on"),
+        (untouched, "error_on"),
         (judgement, "_force_errors"),
-        (judge, "intervals"),
+        (intervals, "by_blocks"),
         (findings, "changed_parameters"),
         (findings, "missing_effects"),
         (improve, "improved_model"),
@@ -84,7 +86,7 @@ def test_late_stages_that_fail_lose_nothing_that_was_found(
     assert said["missing"][0]["parameters"]["level"]["value"] == pytest.approx(3.0, rel=0.05)
     assert "OverflowError: math range error" in str(said["notes"])
     assert "OverflowError" in (tmp_path / "out" / "report.html").read_text()
-    assert (sentences.NOT_HELD_OUT in said["notes"]) == ((judge, "error_on") in STAGES[stages])
+    assert (sentences.NOT_HELD_OUT in said["notes"]) == ((untouched, "error_on") in STAGES[stages])
     assert mjcf.compile(tmp_path / "out" / "improved.xml").dof_frictionloss[0] == pytest.approx(3.0, rel=0.1)
 
 

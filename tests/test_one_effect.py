@@ -59,6 +59,15 @@ def test_finds_the_level_and_writes_a_model_that_has_it() -> None:
     assert improved.dof_frictionloss[0] == found.values["level"]
 
 
+def test_times_are_counted_from_the_first_sample_as_a_diagnosis_counts_them() -> None:
+    """A clock that counts from 1970 would give the phase of what shakes a rig for that year."""
+    model = mjcf.read(FOLDER / "arm.xml")
+    run = recording.read(FOLDER / "run_1.csv", mjcf.compile(model))
+    later = replace(run, time=run.time + 2.0**24)
+    ours, theirs = (fit_effect(catalogue()["disturbance.periodic"], model, [one])[0] for one in (run, later))
+    assert theirs.values == pytest.approx(ours.values, rel=1e-3)  # a clock that has run for months has few digits left
+
+
 def test_an_effect_that_the_model_has_already_is_fitted_nowhere() -> None:
     model = mjcf.from_text((FOLDER / "arm.xml").read_text().replace("<joint ", '<joint frictionloss="0.1" '))
     run = recording.read(FOLDER / "run_1.csv", mjcf.compile(model))

@@ -272,3 +272,18 @@ def _beyond_limits(recording: Recording, model: mujoco.MjModel) -> list[str]:
                 "simulation clamps it; check its unit and the model"
             )
     return found
+
+
+def sampled_slowly(recording: Recording) -> bool:
+    """Whether it has fewer samples a second than commands need that change at any time."""
+    return recording.period * CHECKS.few * CHECKS.rate > 1
+
+
+def slowly(recordings: Sequence[Recording]) -> list[str]:
+    """Notes on recordings that are sampled slowly."""
+    return [
+        f"{r.name}: sampled at {1 / r.period:.3g} Hz; a command that changed between two rows is not in the file, and "
+        f"looks like physics that the model lacks; record at {CHECKS.rate:g} Hz or more"
+        for r in recordings
+        if sampled_slowly(r)
+    ]

@@ -43,6 +43,9 @@ class CheckSettings:
     Attributes:
         switched: share of samples at either extreme, from which a channel is switched between two levels, not cut off
         slow: s between samples, beyond which time is more likely in milliseconds: no rig is recorded at less than 5 Hz
+        rate: samples a second that the documentation asks for, Hz: within 5 ms a command that changes meanwhile moves
+            next to nothing
+        few: share of it below which a recording is said to be sampled slowly: clocks are off by a little
         gap: times the usual, beyond which samples are missing between two: jitter is less
         spread: share of the usual time between samples, by which the middle nine tenths of them may differ: commands
             are averaged over steps from there on
@@ -62,6 +65,8 @@ class CheckSettings:
 
     switched: float = 0.95
     slow: float = 0.2
+    rate: float = 200.0
+    few: float = 0.9
     gap: float = 3.0
     spread: float = 0.05
     plateau: int = 5

@@ -30,7 +30,7 @@ from dipc_gym.sim2real.selection.search import Search, Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.stages import StageEnd
-from dipc_gym.sim2real.verdict import conventions, judge, sentences
+from dipc_gym.sim2real.verdict import conventions, judge, location, sentences
 from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
 from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.judgement import files_of, judgement
@@ -75,6 +75,11 @@ def diagnose(
         >>> model = mjcf.compile("cart.xml")                                    # doctest: +SKIP
         >>> found = diagnose("cart.xml", [recording.read("run.csv", model)])    # doctest: +SKIP
         >>> print(found.sentence)                                               # doctest: +SKIP
+
+    Note:
+        With more than one thread, parts of the search run in forks of this process; start threads of your own, and
+        CUDA, afterwards. From then on the C library maps large arrays of this process apart from its heap
+        (`mallopt(3)`), so that they go back to the system when they are gone.
     """
     if seed < 0:
         raise ValueError(f"seed is {seed}; it must be a whole number from 0 on")
@@ -208,7 +213,7 @@ def begin_search(case: Case, base: Baseline, effects: Sequence[Effect], stop: St
     anchor = fit(partition.problem, recalibrated.structure, nominal, base.nominal.initial, most=0)
     scorer = Scorer(partition)
     worst = scorer.comparison_error(recalibrated)
-    located = judge.locate(look(recalibrated), question.joints)
+    located = location.locate(look(recalibrated), question.joints)
     small = worst > SCORE.at_floor and judge.negligible(worst, partition.problem.motion, located[0])
     if small:
         stop.tell("the mismatch is small beside the motion, without a pattern: only what explains all of it will count")

@@ -13,6 +13,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
+from dipc_gym.recording.parts import from_zero
 from dipc_gym.sim2real.effects import Effect
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit, fit
@@ -60,7 +61,8 @@ def fit_effect(
     """Fit an effect at each of its places, one at a time, with the model's parameters refitted as well.
 
     This is a look at one effect, for whoever writes one. It compares the effect with no other and gives no verdict:
-    `diagnose` does. Every second window is fitted, the others are predicted.
+    `diagnose` does. Every second window is fitted, the others are predicted; the first ones are among them, which a
+    diagnosis leaves out where what happened before them may still act. Times count from each recording's first sample.
 
     Args:
         effect: of the catalogue or one's own; it need not be registered.
@@ -87,6 +89,7 @@ def fit_effect(
     given = physics.load(source)
     mjcf.check_supported(given.model, source.name)
     refuse_degrees(recordings, given.model, mend=IN_PYTHON)
+    recordings = from_zero(recordings)
     step = min(WINDOWS.coarsest, *(r.period for r in recordings))
     ready = prepare(source, given, recordings, Stepping(step, mujoco.mjtIntegrator.mjINT_RK4), threads=threads)
     fitted = ready.problem.pick(np.arange(0, len(ready.problem.windows), 2))

@@ -23,10 +23,10 @@ from dipc_gym.drawing import style
 from dipc_gym.provenance import made_with
 from dipc_gym.recording import Recording
 from dipc_gym.recording import units as si
+from dipc_gym.recording.parts import from_zero
 from dipc_gym.safety.files import whole
-from dipc_gym.sim2real.estimation.fit import correct_initial, fit
+from dipc_gym.sim2real.estimation.fit import readings
 from dipc_gym.sim2real.estimation.segments import joined, prepare
-from dipc_gym.sim2real.selection.data import from_zero
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step
 from dipc_gym.sim2real.simulation.windows import Windows
 
@@ -283,7 +283,7 @@ def replay(
         stepping = Stepping(step, mujoco.mjtIntegrator.mjINT_RK4)
     prepared = prepare(source, physics, [read], stepping, length=window, threads=threads)
     problem = prepared.problem
-    _, predicted = correct_initial(problem, fit(problem, prepared.structure))
+    predicted = readings(problem, prepared.structure, prepared.structure.first)
     return Replay(
         Path(model),
         read,

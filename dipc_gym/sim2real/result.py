@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Status = Literal["chosen", "same model here", "not told apart", "ruled out", "screened out"]
 Before = Literal["nominal", "recalibrated"]
+Verdict = Literal[
+    "consistent", "recalibrated", "explained", "modelled", "partly explained", "unexplained", "cannot tell"
+]
 
 SCHEMA = "dipc-gym/diagnosis/3"
 MOST_TRACES, MOST_MAPS, MOST_RESIDUALS = 16, 8, 12  # that are drawn
@@ -407,7 +410,7 @@ class Diagnosis:
     """What was found; `to_dict` is diagnosis.json, `improved` the text of improved.xml.
 
     Attributes:
-        verdict: one of `report.page.VERDICTS`.
+        verdict: what was found, in a word or two.
         sentence: what happened, for the rig's owner.
         located: where the unexplained force sits.
         missing: effects, the strongest first.
@@ -428,7 +431,7 @@ class Diagnosis:
         design: the command that the next experiment should send, where it was asked for and something can be told.
     """
 
-    verdict: str
+    verdict: Verdict
     sentence: str
     located: tuple[Located, ...] = ()
     missing: tuple[Missing, ...] = ()

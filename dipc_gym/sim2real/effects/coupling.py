@@ -28,8 +28,7 @@ def can_split(model: mujoco.MjModel, actuator: str) -> bool:
 
 def inertia_at(model: mujoco.MjModel, joint: str) -> float:
     """What the joint moves, kg or kg m^2, in the model's reference configuration."""
-    at = model.joint(joint).dofadr[0]
-    return float(mjcf.mass_matrix(model)[at, at])
+    return float(model.dof_M0[model.joint(joint).dofadr[0]])
 
 
 def base_inertia(model: mujoco.MjModel) -> Array:

@@ -261,58 +261,34 @@ def _stepped(structure: Structure, z: Array, curvature: Array, slope: Array, rea
         free &= ~held
 
 
-def correct_initial(problem: Problem, fitted: Fit, rounds: int = ESTIMATION.rounds) -> tuple[Array, Array]:
-    """Initial states that predict each window best, and what is predicted from them.
+def readings(problem: Problem, structure: Structure, z: Array) -> Array:
+    """What is predicted (n, m, ns) of windows that took no part in a fit, from initial states that predict each best.
 
     A fit judges windows by what no initial state could explain, and does not need these; whoever draws or reports
     predictions does.
-
-    Args:
-        problem: windows and estimated initial states.
-        fitted: structure and parameters; its initial states are where the search begins.
-        rounds: Gauss-Newton steps; each keeps a window's better initial state.
-
-    Returns:
-        Initial states (n, 2 nb) and readings (n, m, ns).
-    """
-    begin = fitted.initial, fitted.raw, fitted.sensitivity
-    return _corrected(Shooting(problem, fitted.structure), fitted.z, *begin, rounds)
-
-
-def readings(problem: Problem, structure: Structure, z: Array, rounds: int = ESTIMATION.rounds) -> Array:
-    """What is predicted (n, m, ns) of windows that took no part in a fit, from initial states that `rounds` steps
-    corrected.
     """
     shooting = Shooting(problem, structure)
     s, residual, _, S = shooting.settled(z, problem.initial, parameters=False)
-    return _corrected(shooting, z, s, residual, S, rounds)[1]
-
-
-def _corrected(shooting: Shooting, z: Array, s: Array, residual: Array, S: Array, rounds: int) -> tuple[Array, Array]:
-    """Initial states after some Gauss-Newton steps, and readings from there."""
-    problem = shooting.problem
-    for k in range(rounds):
+    for k in range(ESTIMATION.rounds):
         if k:
             _, _, S = shooting.derivatives(z, s, residual, parameters=False)
         s, residual = shooting.corrected(z, s, residual, S)
-    return s, predict(problem, shooting.structure, [z], s[None])[0]
+    return predict(problem, structure, [z], s[None])[0]
 
 
-def evaluate(problem: Problem, structure: Structure, z: Array, initial: Array | None = None) -> tuple[Array, Array]:
-    """Predict windows that took no part in a fit; only their initial states are corrected.
+def evaluate(problem: Problem, structure: Structure, z: Array) -> Array:
+    """Mean square error of windows that took no part in a fit, in units of noise, (n,).
+
+    Only their initial states are corrected.
 
     Args:
         problem: the windows.
         structure: of the model.
         z: its mapped parameters, (p,).
-        initial: initial states to begin at, (n, 2 nb).
-
-    Returns:
-        Mean square error of each window in units of noise, (n,), and the corrected initial states.
     """
     shooting = Shooting(problem, structure)
-    s, residual, _, S = shooting.settled(z, problem.initial if initial is None else initial, parameters=False)
-    return shooting.mse(shooting.left(s, residual, S)), s
+    s, residual, _, S = shooting.settled(z, problem.initial, parameters=False)
+    return shooting.mse(shooting.left(s, residual, S))
 
 
 def begun(problem: Problem, structure: Structure, z: Array) -> tuple[Array, Array]:
@@ -321,9 +297,7 @@ def begun(problem: Problem, structure: Structure, z: Array) -> tuple[Array, Arra
     return s, S
 
 
-def simulated(
-    problem: Problem, structure: Structure, z: Array, begin: tuple[Array, Array], rounds: int = ESTIMATION.simulated
-) -> Array:
+def simulated(problem: Problem, structure: Structure, z: Array, begin: tuple[Array, Array]) -> Array:
     """Mean square error of each window in units of noise, (n,), as it comes out when it is simulated.
 
     `evaluate` leaves out what a straight line says that yet other initial states would explain; where joints stick, no
@@ -334,13 +308,11 @@ def simulated(
         structure: of the model.
         z: its mapped parameters, (p,).
         begin: what `begun` says of the same windows, maybe in other steps.
-        rounds: Gauss-Newton steps at most, for as long as they bring something; each keeps a window's better initial
-            state.
     """
     shooting, (s, S) = Shooting(problem, structure), begin
     residual = shooting.residuals([z], s[None])[0]
     mse = np.sum(residual**2, axis=(1, 2)) / problem.counts
-    for k in range(rounds):
+    for k in range(ESTIMATION.simulated):  # for as long as they bring something
         s, residual = shooting.corrected(z, s, residual, S, () if k else [problem.initial])
         before, mse = mse, np.sum(residual**2, axis=(1, 2)) / problem.counts
         if np.mean(before) < (1 + ESTIMATION.lag) * np.mean(mse):

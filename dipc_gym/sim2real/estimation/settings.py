@@ -64,7 +64,6 @@ class EstimationSettings:
             neighbours, and no further
         grouped: values of tables from which groups are asked: nine models, and some that tell whether they may be
         probe: finite difference of a mapped parameter; smaller ones drown in the kinks of dry friction
-        beside: of a reading, to where the slope of a sensor's scale is asked for
         least_slope: of a scale: one that stands still or runs backwards has no inverse, and is taken to run on slowly
         newton: steps from a reading to what a straight scale would give: four for a wave, a few more for a table
         integration: root mean square, in units of noise, by which halving a step may change a window's readings: as
@@ -111,7 +110,6 @@ class EstimationSettings:
     groups: int = 4
     grouped: int = 24
     probe: float = 0.02
-    beside: float = 2.0**-20
     least_slope: float = 0.1
     newton: int = 12
     integration: float = 0.05

@@ -24,6 +24,7 @@ from dipc_gym.physics import Extra, Moment, Physics
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_at
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
+from dipc_gym.sim2real.simulation.compiled import BESIDE
 from dipc_gym.sim2real.simulation.memory import bends, memories
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.unseen.parts import along, yielding
@@ -73,7 +74,7 @@ def _straight(does: Sequence[Extra], reading: Array) -> Array:
 
     straight = reading
     for _ in range(ESTIMATION.newton):
-        slope = (read(straight + ESTIMATION.beside) - read(straight - ESTIMATION.beside)) / (2 * ESTIMATION.beside)
+        slope = (read(straight + BESIDE) - read(straight - BESIDE)) / (2 * BESIDE)
         straight = straight + (reading - read(straight)) / np.maximum(slope, ESTIMATION.least_slope)
     return straight
 

@@ -177,9 +177,19 @@ class Structure:
         return out
 
     def with_term(self, term: Term) -> Structure:
-        """This structure and one more effect; effects that the new one contains at that place go."""
+        """This structure and one more effect, the newest; effects that the new one contains at that place go."""
         kept = tuple(t for t in self.terms if not (t.at == term.at and t.effect.id in term.effect.contains))
         return replace(self, terms=(*kept, term))
+
+    @property
+    def newest(self) -> Term:
+        """The effect that came last."""
+        return self.terms[-1]
+
+    @property
+    def newest_two(self) -> tuple[Term, ...]:
+        """The two effects that came last."""
+        return self.terms[-2:]
 
     def without(self, key: str) -> Structure:
         """This structure less one effect."""

@@ -19,11 +19,11 @@ from dipc_gym.safety.files import write_whole
 from dipc_gym.sim2real.report import plots
 from dipc_gym.sim2real.report.charts import Tone
 from dipc_gym.sim2real.report.wording import clean, fine_percent, measured, number, percent, short, tied
-from dipc_gym.sim2real.result import MOST_MAPS, MOST_RESIDUALS, MOST_TRACES, Candidate, Details, Status, scaled
+from dipc_gym.sim2real.result import MOST_MAPS, MOST_RESIDUALS, MOST_TRACES, Candidate, Details, Status, Verdict, scaled
 
 Array = NDArray[np.float64]
 
-VERDICTS = {
+VERDICTS: dict[Verdict, str] = {
     "consistent": "The model predicts these recordings as well as their noise allows.",
     "recalibrated": "Some parameters of the model were off. No physics is missing.",
     "explained": "With the physics that was missing, prediction comes down to the noise.",

@@ -9,7 +9,7 @@ import numpy as np
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.selection import data, ranking
+from dipc_gym.sim2real.selection import partitioning, ranking
 from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.settings import SCORE, WINDOWS
@@ -39,7 +39,7 @@ def baseline(case: Case) -> Baseline:
     structure, own = case.prepared.structure, Stepping(case.given.physics.model.opt.timestep)
     whole = case.prepared.problem
     late = whole.windows.start >= case.borders[whole.windows.source]
-    problem, comparison, aside = data.split(whole.pick(~late))
+    problem, comparison, aside = partitioning.split(whole.pick(~late))
     aside, first = aside.join(whole.pick(late)), case.first
     nominal, fine = fit(problem, structure), None
     if _predicts_better(replace(problem, stepping=own), nominal):
@@ -49,7 +49,7 @@ def baseline(case: Case) -> Baseline:
         nominal = fit(problem, structure)
     free = replace(structure, model_parameters=case.given.model_parameters)
     recalibrated = fit(problem, free, initial=nominal.initial, most=ESTIMATION.from_afar)
-    outliers = data.outliers_aside(aside, recalibrated)
+    outliers = partitioning.outliers_aside(aside, recalibrated)
     if len(outliers):
         problem, others = problem.join(aside.pick(outliers)), np.delete(np.arange(len(aside.windows)), outliers)
         aside = aside.pick(others)

@@ -38,5 +38,5 @@ def left(first: Problem, fitted: Fit) -> float | None:
     known = common_error(fitted.mse) < SEARCH.in_reach and foretold(fitted)
     if not known or have_a_law(fitted) or not len(first.windows):
         return None
-    mse, _ = evaluate(first, fitted.structure, fitted.z)
+    mse = evaluate(first, fitted.structure, fitted.z)
     return float(np.sqrt(np.mean(mse))) if mse.max() > ESTIMATION.far_out * typical(fitted.mse) else None

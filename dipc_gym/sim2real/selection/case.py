@@ -18,7 +18,7 @@ from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.parameters import ModelParameter
-from dipc_gym.sim2real.selection import data
+from dipc_gym.sim2real.selection import partitioning
 from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.simulation.batch import Stepping
 
@@ -91,11 +91,11 @@ def part(given: Given, *, threads: int) -> Case:
         whole = prepare(given.source, given.physics, given.recordings, stepping, threads=threads)
     except states.Undetermined as error:
         raise CannotTell(error.reason, error.mend) from None
-    prepared = data.known_past(whole)
+    prepared = partitioning.known_past(whole)
     standstill = _standstill(prepared)
     if standstill:
         raise CannotTell(standstill, IN_MOTION)
-    return Case(given, prepared, data.from_rest(whole), _borders(given, prepared))
+    return Case(given, prepared, partitioning.from_rest(whole), _borders(given, prepared))
 
 
 def _borders(given: Given, prepared: Prepared) -> Array:
@@ -106,7 +106,7 @@ def _borders(given: Given, prepared: Prepared) -> Array:
     """
     borders = np.array([r.time[0] + WINDOWS.fit * r.duration for r in given.recordings])
     windows = prepared.problem.windows
-    moves = data.moves(prepared)
+    moves = partitioning.moves(prepared)
     for i in np.unique(windows.source[~moves]):
         moving = np.sort(windows.start[moves & (windows.source == i)])
         if len(moving):

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import evaluate, fit
-from dipc_gym.sim2real.selection import data, ranking
+from dipc_gym.sim2real.selection import partitioning, ranking
 from dipc_gym.sim2real.selection.progress import Progress
 from dipc_gym.sim2real.selection.scorer import Scorer
 from dipc_gym.sim2real.selection.settings import SEARCH
@@ -29,12 +29,14 @@ def attend(progress: Progress, scorer: Scorer) -> Progress:
     partition = progress.partition
     windows = partition.problem.windows.join(partition.comparison.windows)
     mse = scorer.over(partition).mse(progress.current)
-    aside = partition.aside.pick(~data.echoes(windows, mse, partition.aside.windows))  # some of them validate
-    progress = replace(progress, partition=replace(partition, aside=aside)).keeping(~data.echoes(windows, mse, windows))
+    aside = partition.aside.pick(~partitioning.echoes(windows, mse, partition.aside.windows))  # some of them validate
+    progress = replace(progress, partition=replace(partition, aside=aside)).keeping(
+        ~partitioning.echoes(windows, mse, windows)
+    )
     if not ranking.mostly_at_noise(progress.current):
         return progress
     partition = progress.partition
-    new = np.setdiff1d(data.outliers(progress.current.mse), partition.subset)
+    new = np.setdiff1d(partitioning.outliers(progress.current.mse), partition.subset)
     return replace(progress, partition=replace(partition, subset=np.append(partition.subset, new)))
 
 
@@ -46,9 +48,9 @@ def _around_outliers(progress: Progress, scorer: Scorer) -> Progress:
     current, partition = progress.current, progress.partition
     mse = scorer.comparison_mse(current)
     if len(partition.aside.windows):
-        mse = np.append(mse, evaluate(partition.aside, current.structure, current.z)[0])
+        mse = np.append(mse, evaluate(partition.aside, current.structure, current.z))
     others, compared = partition.comparison.join(partition.aside), len(partition.comparison.windows)
-    which = data.eventful(partition.problem.windows, current.mse, others.windows, mse)
+    which = partitioning.eventful(partition.problem.windows, current.mse, others.windows, mse)
     taken = replace(partition, aside=partition.aside.pick(~which[compared:]))
     if which[:compared].any():
         taken = replace(taken, comparison=partition.comparison.pick(~which[:compared]))

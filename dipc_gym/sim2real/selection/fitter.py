@@ -277,7 +277,7 @@ def _left(fitted: Fit) -> float:
 
 def _stuck(sketch: Fit, base: Fit, subset: NDArray[np.intp]) -> bool:
     """Whether a law predicts worse than nothing: its first shape was so far off that a few steps did not mend it."""
-    effect = sketch.structure.terms[-1].effect
+    effect = sketch.structure.newest.effect
     return effect.free and bool(effect.linear) and _left(sketch) > mean_loss(base.mse[subset], 1.0)
 
 
@@ -285,7 +285,7 @@ def _from_nothing(structure: Structure, z: Array) -> Array:
     """Mapped parameters with those of the last effect that it grows by at zero, but for what gives ramps a slope to fit
     by.
     """
-    begin, term = z.copy(), structure.terms[-1]
+    begin, term = z.copy(), structure.newest
     grown = {f"{term.key}.{name}" for name in term.effect.linear}
     zero = [i for i, slot in enumerate(structure.slots) if slot.key in grown and slot.may_vanish]
     for count, i in enumerate(zero):

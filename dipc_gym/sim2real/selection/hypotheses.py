@@ -15,7 +15,7 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import mean_loss
 from dipc_gym.sim2real.estimation.unexplained import Scene, places
 from dipc_gym.sim2real.model.structure import Term, carry
-from dipc_gym.sim2real.selection import data, ranking, screen
+from dipc_gym.sim2real.selection import partitioning, ranking, screen
 from dipc_gym.sim2real.selection.progress import Partition, Progress
 from dipc_gym.sim2real.selection.ranking import Start
 from dipc_gym.sim2real.selection.screen import Tried, excludes
@@ -137,7 +137,7 @@ def _bases(phase: Phase, progress: Progress) -> list[Fit]:
 
 def _on_top(question: Question, phase: Phase, partition: Partition, base: Fit, current: Fit) -> Screened:
     handicap = max(0.0, mean_loss(base.mse, 1.0) - mean_loss(current.mse, 1.0))
-    outliers = partition.problem.windows.start[data.outliers(base.mse)]
+    outliers = partition.problem.windows.start[partitioning.outliers(base.mse)]
     scene = replace(question.look(base, outliers), fitted=(partition.problem.windows, base))
     asked = hypotheses(question, phase, base, scene)
     laid_over = screen.LaidOver(partition.problem, base, partition.subset)
@@ -158,5 +158,5 @@ def starts(found: Sequence[Screened]) -> dict[str, list[Start]]:
     for one in found:
         for tried in one.tried:
             net = replace(tried, predicted_gain=tried.predicted_gain - one.handicap)
-            by_key.setdefault(tried.key, []).append((net, one.base))
+            by_key.setdefault(tried.key, []).append(Start(net, one.base))
     return by_key

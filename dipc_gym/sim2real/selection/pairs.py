@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,19 @@ from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.selection.sketches import least
 
-Pair = tuple[float, Fit, Structure]  # its predicted gain, what it was laid over, and the structure with both effects
+
+class Pair(NamedTuple):
+    """Two hypotheses together.
+
+    Attributes:
+        gain: that screening foretells of both.
+        base: the fit that they were laid over.
+        structure: with both.
+    """
+
+    gain: float
+    base: Fit
+    structure: Structure
 
 
 def promising(fitter: Fitter, screened: Sequence[Screened]) -> list[Pair]:
@@ -25,13 +38,12 @@ def promising(fitter: Fitter, screened: Sequence[Screened]) -> list[Pair]:
     for one in screened:
         for gain, structure in screen.pairs(fitter.problem, one.base, one.tried, fitter.subset):
             key = frozenset(names(structure.terms))
-            if gain - one.handicap > max(SCORE.worth, found[key][0] if key in found else 0.0):
-                found[key] = gain - one.handicap, one.base, structure
-    most = max((gain for gain, _, _ in found.values()), default=0.0)
-    worth = [
-        pair for pair in found.values() if pair[0] > max(least(fitter, term) for term in pair[2].terms[-2:]) * most
-    ]
-    return sorted(worth, key=lambda pair: -pair[0])[: SEARCH.finalists]
+            if gain - one.handicap > max(SCORE.worth, found[key].gain if key in found else 0.0):
+                found[key] = Pair(gain - one.handicap, one.base, structure)
+    most = max((pair.gain for pair in found.values()), default=0.0)
+    share = {key: max(least(fitter, term) for term in pair.structure.newest_two) for key, pair in found.items()}
+    worth = [pair for key, pair in found.items() if pair.gain > share[key] * most]
+    return sorted(worth, key=lambda pair: -pair.gain)[: SEARCH.finalists]
 
 
 def sketched(fitter: Fitter, pairs: Sequence[Pair], current: Fit) -> list[tuple[Fit, Fit]]:
@@ -42,10 +54,10 @@ def sketched(fitter: Fitter, pairs: Sequence[Pair], current: Fit) -> list[tuple[
     """
     found: list[tuple[Fit, Fit]] = []
     short: set[str] = set()
-    asked = sorted(pairs, key=lambda pair: len(pair[2].slots))
-    with fitter.sketched([(base, structure) for _, base, structure in asked]) as sketch_of:
+    asked = sorted(pairs, key=lambda pair: len(pair.structure.slots))
+    with fitter.sketched([(pair.base, pair.structure) for pair in asked]) as sketch_of:
         for k, (predicted_gain, base, structure) in enumerate(asked):
-            slow = {term.key for term in structure.terms[-2:] if fitter.slow(term)}
+            slow = {term.key for term in structure.newest_two if fitter.slow(term)}
             if slow & short or ranking.idle(structure, [sketch for _, sketch in found]):
                 continue
             sketch = sketch_of(k)
@@ -81,7 +93,7 @@ def best(
             fitted = fit_of(k)
             if fitted is None or not fitter.scorer.better(fitted, current):
                 continue
-            both = fitted.structure.terms[-2:]
+            both = fitted.structure.newest_two
             if all(choice.tells(term, fitted, current, begin) for term in both):
                 return fitted, [Tried(term, 0.0, sketch, fitted) for term in both]
     return None

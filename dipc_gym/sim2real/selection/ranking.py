@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,29 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import mean_loss, typical
 from dipc_gym.sim2real.model.structure import Structure, Term
-from dipc_gym.sim2real.selection.data import outliers
+from dipc_gym.sim2real.selection.partitioning import outliers
 from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH, WINDOWS
 
 Array = NDArray[np.float64]
-Start = tuple[Tried, Fit]  # a hypothesis, and the fit that it was laid over
+
+
+class Start(NamedTuple):
+    """A hypothesis, and the fit that it was laid over."""
+
+    tried: Tried
+    base: Fit
+
+    @property
+    def term(self) -> Term:
+        """The effect, with its guess."""
+        return self.tried.term
+
+    @property
+    def predicted_gain(self) -> float:
+        """What screening foretold of it."""
+        return self.tried.predicted_gain
 
 
 def mostly_at_noise(fitted: Fit) -> bool:
@@ -34,11 +51,6 @@ def updated(tried: Sequence[Tried], news: Sequence[Tried]) -> list[Tried]:
     """What became of hypotheses: the newest of each, the news first."""
     known = {one.key for one in news}
     return [*news, *(one for one in tried if one.key not in known)]
-
-
-def predicted_gain(start: Start) -> float:
-    """What screening foretold of a hypothesis."""
-    return start[0].predicted_gain
 
 
 def brought(sketch: Fit, before: Array) -> float:
@@ -89,7 +101,7 @@ def finalists(ranked: Sequence[Start], count: int) -> list[Start]:
     """The most promising hypotheses, and the plainer ones that these elaborate."""
     first = ranked[:count]
     plain = {f"{inner}@{tried.term.at}" for tried, _ in first for inner in tried.term.effect.contains}
-    return [*first, *(pair for pair in ranked[count:] if pair[0].key in plain)]
+    return [*first, *(start for start in ranked[count:] if start.tried.key in plain)]
 
 
 def idle(structure: Structure, sketches: Sequence[Fit]) -> bool:
@@ -122,6 +134,6 @@ def cost(fitted: Fit | None) -> tuple[int, int, int, int]:
 
 
 def as_fitted(fitted: Fit) -> Term:
-    """The last effect of a structure with its fitted parameters for guesses."""
-    term = fitted.structure.terms[-1]
+    """The newest effect of a structure with its fitted parameters for guesses."""
+    term = fitted.structure.newest
     return replace(term, guess=fitted.structure.term_values(fitted.z, term))

@@ -16,8 +16,8 @@ from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection import ranking
-from dipc_gym.sim2real.selection.data import outliers
 from dipc_gym.sim2real.selection.fitter import Fitter
+from dipc_gym.sim2real.selection.partitioning import outliers
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.selection.support import input_of, span
 from dipc_gym.sim2real.simulation.windows import Windows

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -31,7 +32,9 @@ def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal)
     laid = screened(question, phase, journal.progress)
     by_key = starts(laid)
     ranked = sorted(
-        (max(tries, key=ranking.predicted_gain) for tries in by_key.values()), key=ranking.predicted_gain, reverse=True
+        (max(tries, key=attrgetter("predicted_gain")) for tries in by_key.values()),
+        key=attrgetter("predicted_gain"),
+        reverse=True,
     )
     group = groups.sketched(fitter, laid[0], current) if len(question.joints) > 1 else None
     # What a machine lacks at all its joints shows at once; one joint after the other it takes as many rounds.
@@ -49,8 +52,8 @@ def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal)
             return _accepted(*together, fitter, current, journal)
     both = [] if explained or current.error < SCORE.at_floor else pairs.promising(fitter, laid)
     # Where two gain far more than any one does, and come down to the noise, one by one would lead astray.
-    most = ranking.predicted_gain(ranked[0]) if ranked else 0.0
-    early = [pair for pair in both if pair[0] > most + SCORE.large]
+    most = ranked[0].predicted_gain if ranked else 0.0
+    early = [pair for pair in both if pair.gain > most + SCORE.large]
     tried_early = pairs.sketched(fitter, early, current)
     begin = journal.progress.path[0]
     found = pairs.best(fitter, [pair for pair in tried_early if pair[1].error < SCORE.at_floor], current, begin)
@@ -83,7 +86,7 @@ def _fitted(fitter: Fitter, sketched: Sequence[Start], current: Fit, journal: Jo
     done: list[Tried] = []
     asked = sketches.keeping_up(fitter, sketched, current)
     tasks = [(base, tried.sketch, None if tried.term.effect.once else current) for tried, base in asked if tried.sketch]
-    with fitter.fitted(tasks, lambda fitted: refined(fitter, fitted, fitted.structure.terms[-1].key)) as fit_of:
+    with fitter.fitted(tasks, lambda fitted: refined(fitter, fitted, fitted.structure.newest.key)) as fit_of:
         for k, (tried, _) in enumerate(asked):
             fitted = fit_of(k)
             if fitted is not None:

@@ -14,7 +14,7 @@ from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.shooting import common_error, typical
 from dipc_gym.sim2real.estimation.unexplained import force_in_windows
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.selection import data, ranking
+from dipc_gym.sim2real.selection import partitioning, ranking
 from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
@@ -49,7 +49,7 @@ class Scorer:
         """Mean square error of each comparison window, in units of noise, (n,)."""
         of, mse = self._known.get(id(fitted), (lambda: None, np.zeros(0)))
         if of() is not fitted:  # another may have had its place in memory
-            mse, _ = evaluate(self.partition.comparison, fitted.structure, fitted.z)
+            mse = evaluate(self.partition.comparison, fitted.structure, fitted.z)
             self.know(fitted, mse)
         return mse
 
@@ -62,7 +62,7 @@ class Scorer:
         compared, validation = self.comparison_mse(fitted), self.partition.validation
         if validation is self.partition.comparison:
             return compared
-        return np.append(compared, evaluate(validation, fitted.structure, fitted.z)[0])
+        return np.append(compared, evaluate(validation, fitted.structure, fitted.z))
 
     def comparison_error(self, fitted: Fit) -> float:
         """Root mean square error on the comparison windows, in units of noise."""
@@ -99,7 +99,7 @@ class Scorer:
         of, known = self._forces.get(id(fitted), (lambda: None, np.zeros(0)))
         if of() is not fitted:
             partition = self.partition
-            known = unexplained_force(fitted, partition.problem.windows.join(partition.comparison.windows))
+            known = _force_left(fitted, partition.problem.windows.join(partition.comparison.windows))
             self._forces[id(fitted)] = (weakref.ref(fitted), known)
         return known
 
@@ -151,7 +151,7 @@ class Scorer:
         return earned(self.mse(fitted), self.mse(current), small=self.small)
 
 
-def unexplained_force(fitted: Fit, windows: Windows) -> Array:
+def _force_left(fitted: Fit, windows: Windows) -> Array:
     """Mean square of the force that a fit leaves unexplained in each window and at each joint, (n, nb)."""
     return force_in_windows(fitted.structure.physics(fitted.z), windows)
 
@@ -180,7 +180,7 @@ def compare_on(
     """How much better a fit predicts these windows than another, from mean square errors (n,) that are known."""
     forces = None
     if forces_count(new, old, after, before):
-        forces = (unexplained_force(new, problem.windows), unexplained_force(old, problem.windows))
+        forces = (_force_left(new, problem.windows), _force_left(old, problem.windows))
     return compare(after, before, blocks, forces)
 
 
@@ -199,8 +199,8 @@ def earned(after: Array, before: Array, *, small: bool) -> bool:
         >>> earned(np.full(9, 7.0**2), np.full(9, 10.0**2), small=False)
         True
     """
-    now, then = (float(np.sqrt(np.mean(mse))) for mse in (before, after))
-    return common_error(after) < SCORE.at_floor or (not small and now - then > SEARCH.earns * (now - 1))
+    then, now = (float(np.sqrt(np.mean(mse))) for mse in (before, after))
+    return common_error(after) < SCORE.at_floor or (not small and then - now > SEARCH.earns * (then - 1))
 
 
 def settled(after: Array, before: Array) -> bool:
@@ -208,12 +208,12 @@ def settled(after: Array, before: Array) -> bool:
 
     No mean over windows shows an effect that acts in few of them. It is told from a push by leaving no outlier.
     """
-    return _lifts_outliers(after, before) and not len(data.outliers(after, before))
+    return _lifts_outliers(after, before) and not len(partitioning.outliers(after, before))
 
 
 def _lifts_outliers(after: Array, before: Array) -> bool:
     """Whether the outliers among mean square errors (n,) fell, all together, by what makes an event stand out."""
-    outliers = data.outliers(before)
+    outliers = partitioning.outliers(before)
     return float(np.sum(np.log1p(before[outliers]) - np.log1p(after[outliers]))) > SEARCH.once
 
 
@@ -223,7 +223,7 @@ def enough(begin: Fit, current: Fit) -> bool:
     No law is exact to the last percent: a contact is not a spring and a damper, a bristle not a bristle. But that shows
     in most windows, and not in a few that stand out.
     """
-    even = not len(data.outliers(current.mse))
+    even = not len(partitioning.outliers(current.mse))
     return current.error < SCORE.at_floor and even and left_by_laws(begin, current)
 
 

@@ -269,8 +269,9 @@ class _Overlay:
         scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
         step = np.linalg.lstsq(A / np.outer(scale, scale), b / scale, rcond=1e-9)[0] / scale
         count = len(which)
-        least = [-100.0 if _signed(effect) else 0.0 for effect in effects]
-        step = np.append(np.clip(step[:count], least, 100.0), np.clip(step[count:], -1, 1))
+        least = [-SEARCH.largest if _signed(effect) else 0.0 for effect in effects]
+        moved = np.clip(step[count:], -SEARCH.trusted, SEARCH.trusted)
+        step = np.append(np.clip(step[:count], least, SEARCH.largest), moved)
         q = self.quadratics
         picked = Quadratics(q.A[:, free][:, :, free], q.b[:, free], q.c)
         after = np.maximum(picked.after(step), 0.0) / self.counts

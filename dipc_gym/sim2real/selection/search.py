@@ -157,12 +157,12 @@ class Search:
         """Pass on a line about progress."""
         self.journal.tell(line)
 
-    def run(self, most: int = SEARCH.most_effects) -> Fit:
+    def run(self) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle.
 
         At last what the beginnings of recordings alone show.
         """
-        found = self._run(most)
+        found = self._run()
         past = [effect for effect in self.question.effects if effect.of_the_past]
         if not past or self.stop.asked or beginnings.left(self.partition.first, found) is None:
             return found
@@ -173,9 +173,9 @@ class Search:
             self._go_on(search.progress)
         return self.progress.current
 
-    def _run(self, most: int) -> Fit:
+    def _run(self) -> Fit:
         """What all but the beginnings of recordings show."""
-        found = self._add(most)
+        found = self._add()
         if self.stop.asked or self.scorer.small or not any(effect.free for effect in self.question.effects):
             return found
         if self._done(found):
@@ -184,7 +184,7 @@ class Search:
         self.tell("no formula comes down to the noise; asking for laws of any shape, from the beginning")
         formulas = self.progress.path
         try:
-            found = self._with_laws(formulas, most)
+            found = self._with_laws(formulas)
         except BaseException:  # whoever goes on without what failed, or after Ctrl-C, goes on from what was found
             self._best_of(formulas)
             raise
@@ -196,18 +196,18 @@ class Search:
         self.journal.go_back(choice.of_ends(self.scorer, ends))
         return self.progress.current
 
-    def _with_laws(self, formulas: tuple[Fit, ...], most: int) -> Fit:
+    def _with_laws(self, formulas: tuple[Fit, ...]) -> Fit:
         """What laws of any shape show, from the beginning on and beside formulas; what is left then is modelled."""
         self.phase = Phase.SHAPES
         # What a machine lacks at all its joints came first, and would come first again.
         self.journal.go_back(formulas[: 2 if self._everywhere(formulas[1:2]) else 1])
         self._go_on(self.progress.with_spare())
-        found = self._add(most)
+        found = self._add()
         ends = [formulas]
         if not self._done(found) and not self.scorer.compare(found, self.progress.informed(formulas)[-1]).clear:
             self.tell("laws predict no better than formulas; asking for laws beside these")
             self._back_to(formulas)
-            found, ends = self._add(most), []
+            found, ends = self._add(), []
         if self._done(found):
             if not self.stop.asked:  # a law of no kind that came with another effect, or was coarse, may have one now
                 self.journal.correct(self._named(found))
@@ -267,7 +267,7 @@ class Search:
         self.journal.correct(self.fitter.polish(better))
         return self._add(SEARCH.most_effects - len(better.structure.terms))
 
-    def _add(self, most: int) -> Fit:
+    def _add(self, most: int = SEARCH.most_effects) -> Fit:
         try:
             for _ in range(most):
                 if not self._step():
@@ -289,7 +289,7 @@ class Search:
         if better is None:
             return False
         self.journal.accept(better)
-        added = better.structure.terms[-1].key
+        added = better.structure.newest.key
         new = ", ".join(names(better.structure.terms[len(before.structure.terms) :])) or added
         self.tell(StageEnd(f"added {new}", "round"))
         pruned = self._finer(prune(self.question, self.fitter, better, self.tell))

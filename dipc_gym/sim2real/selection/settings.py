@@ -26,9 +26,6 @@ class WindowSettings:
         late: time before a window, s, in which commands must be known: they may act late
         apart: time, s, from one window to another that is not beside it: a fifth of a window, so that a few missing
             samples do not part neighbours
-        rate: samples a second that the documentation asks for, Hz: within 5 ms a command that changes meanwhile moves
-            next to nothing
-        slow: share of it below which a recording is said to be sampled slowly: clocks are off by a little
     """
 
     test: float = 0.75
@@ -42,8 +39,6 @@ class WindowSettings:
     plenty: int = 36
     late: float = 0.05
     apart: float = 0.05
-    rate: float = 200.0
-    slow: float = 0.9
 
 
 WINDOWS = WindowSettings()
@@ -109,6 +104,9 @@ class SearchSettings:
             by a factor of ten
         moved: of a mapped parameter, from which effects are also tried on top of the nominal ones: refitted ones may
             have taken over what an effect does
+        largest: times a first guess, up to which its best size by a straight line is believed: no line goes as far
+        trusted: steps of mapped parameters, up to which a straight line is believed of those that move beside: one is
+            a sizeable change
         scaled: share of a first guess, below which its best size by a straight line is not believed: a fit that begins
             at next to nothing hardly moves
         twin: cosine between the responses to two hypotheses from which they are one and the same: no data like these
@@ -150,15 +148,15 @@ class SearchSettings:
         kinds: of effects at all joints that are tried together in a round, the second beside the best one: bearings
             have dry and viscous friction
         pairs: pairs that predict alike and are fitted to all windows, the plainest first: each costs full fits
+        least: standard deviations, in sizes of the law, with which one of no kind is held to nothing beside effects
+            with names, the tightest first: the last hardly holds, as when the law was found
+        short: share of the predicted gain of a pair that its sketch must bring: of less, the straight lines misled
         halvings: of the stretches between the knots of a law, at most: six make 64 of one, as many as forces tell apart
         beyond: share of the range of a law's input in the fitted windows, from which another input is far from all of
             these: what a law says there was never asked
         ahead: halvings that are tried before a law is as fine as it may be: a narrow spot shows only when knots lie as
             near as it is wide
         fine: parameters of a law, from which on only one more: each costs a simulation in every step of a fit
-        least: standard deviations, in sizes of the law, with which one of no kind is held to nothing beside effects
-            with names, the tightest first: the last hardly holds, as when the law was found
-        short: share of the predicted gain of a pair that its sketch must bring: of less, the straight lines misled
     """
 
     subset: int = 18
@@ -167,6 +165,8 @@ class SearchSettings:
     finalists_at_noise: int = 3
     foretold: float = 0.1
     moved: float = 0.1
+    largest: float = 100.0
+    trusted: float = 1.0
     scaled: float = 0.05
     twin: float = 0.999
     rough: float = 5e-3

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
@@ -35,22 +36,22 @@ def in_turn(
         starts: the same on top of each base, by key.
         current: the present fit.
     """
-    most = max(ranked[0][0].predicted_gain, SCORE.worth) if ranked else SCORE.worth
-    worth = [(start, start[0].predicted_gain / most) for start in ranked if start[0].predicted_gain > SCORE.hardly]
+    most = max(ranked[0].tried.predicted_gain, SCORE.worth) if ranked else SCORE.worth
+    worth = [(start, start.predicted_gain / most) for start in ranked if start.predicted_gain > SCORE.hardly]
     first = ranking.finalists(
-        [start for start, share in worth if share > least(fitter, start[0].term)],
+        [start for start, share in worth if share > least(fitter, start.term)],
         SEARCH.finalists if current.error > SCORE.at_noise else SEARCH.finalists_at_noise,
     )
     # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already, such
     # a guess gains nothing as it stands. Only its fit tells.
-    laws = [start for start in ranked if start[0].term.effect.free and start not in first]
+    laws = [start for start in ranked if start.term.effect.free and start not in first]
     # What has no kind takes some of anything, and must not keep a law of a kind from being asked.
-    of_a_kind = [start for start in laws if not start[0].term.effect.of_no_kind][: SEARCH.shapes]
-    of_no_kind = [start for start in laws if start[0].term.effect.of_no_kind][: SEARCH.shapeless]
+    of_a_kind = [start for start in laws if not start.term.effect.of_no_kind][: SEARCH.shapes]
+    of_no_kind = [start for start in laws if start.term.effect.of_no_kind][: SEARCH.shapeless]
     sketched = _sketches(fitter, [*first, *of_a_kind, *of_no_kind], starts, current)
     if at_noise(sketched):
         return sketched
-    slow = [start for start, share in worth if fitter.slow(start[0].term) and SEARCH.in_turn < share <= SEARCH.keeps_up]
+    slow = [start for start, share in worth if fitter.slow(start.term) and SEARCH.in_turn < share <= SEARCH.keeps_up]
     return sketched + _sketches(fitter, slow, starts, current)
 
 
@@ -64,8 +65,8 @@ def _sketches(
 ) -> list[Start]:
     """Sketches of several hypotheses, plain ones first: what elaborates one that leaves nothing needs none."""
     sketched: list[Start] = []
-    asked = sorted(first, key=lambda start: len(start[0].term.effect.parameters))
-    tries = [sorted(starts[one.key], key=ranking.predicted_gain, reverse=True) for one, _ in asked]
+    asked = sorted(first, key=lambda start: len(start.term.effect.parameters))
+    tries = [sorted(starts[one.key], key=attrgetter("predicted_gain"), reverse=True) for one, _ in asked]
     bases = [base for each in tries for _, base in each]
     with fitter.side_by_side([partial(_sketched, fitter, each, current) for each in tries], bases) as result:
         for k, (finalist, base) in enumerate(asked):
@@ -88,7 +89,7 @@ def _sketched(fitter: Fitter, tries: Sequence[Start], current: Fit) -> list[Star
         sketch = fitter.sketch(base, base.structure.with_term(tried.term))
         if sketch is None:
             continue
-        sketches.append((replace(tried, term=ranking.as_fitted(sketch), sketch=sketch.result()), base))
+        sketches.append(Start(replace(tried, term=ranking.as_fitted(sketch), sketch=sketch.result()), base))
         foretold = max(tried.predicted_gain, SCORE.hardly)
         several = tried.term.effect.of_no_kind or tried.term.effect.valleys
         if ranking.complete(sketch) or (ranking.brought(sketch, before) > foretold and not several):
@@ -110,12 +111,12 @@ def keeping_up(fitter: Fitter, sketched: Sequence[Start], current: Fit) -> list[
     enough = max(SEARCH.keeps_up * most, SCORE.hardly)
     closely = max(enough, most - SCORE.large)
     if at_noise(sketched):
-        return [start for start in sketched if gains[start[0].key] > closely]
+        return [start for start in sketched if gains[start.tried.key] > closely]
     close = [t for t, _ in sketched if gains[t.key] > (closely if fitter.slow(t.term) else enough)]
     error = float(np.sqrt(np.mean(before)))
     near = [*sorted(close, key=lambda t: -gains[t.key])[: SEARCH.fully], *_going_before(sketched, error)]
     wanted = {t.key for t in near} | {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
-    return plain_first([start for start in sketched if start[0].key in wanted], error)
+    return plain_first([start for start in sketched if start.tried.key in wanted], error)
 
 
 def _going_before(sketched: Sequence[Start], error: float) -> list[Tried]:
@@ -154,4 +155,4 @@ def plain_first(sketched: Sequence[Start], error: float) -> list[Start]:
         waits = own > SEARCH.in_reach and most and own > SEARCH.far_better * plain
         return waits and not tried.term.effect.free
 
-    return [start for start in sketched if not waits(start[0])]
+    return [start for start in sketched if not waits(start.tried)]

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 @dataclass
@@ -28,3 +31,15 @@ class Stop:
             raise KeyboardInterrupt
         self.asked = True
         self.tell(f"interrupted; {what} (Ctrl-C again stops at once)")
+
+    def unless_pressed(self, stage: Callable[[], T], otherwise: Callable[[], T]) -> T:
+        """What a stage after the search gives, or what stands for it where Ctrl-C ended the stage.
+
+        Raises:
+            KeyboardInterrupt: at the second Ctrl-C.
+        """
+        try:
+            return stage()
+        except KeyboardInterrupt:
+            self.ask("writing what was found")
+            return otherwise()

@@ -39,7 +39,7 @@ class Load:
 
         In m or rad and 1/s^2, 1/s and 1/s.
         """
-        inertia = max(float(mjcf.mass_matrix(model)[self.at, self.at]), 1e-300)
+        inertia = max(float(model.dof_M0[self.at]), 1e-300)  # a leaf of the tree: the same wherever it is
         springs = tuple(
             (float(np.ptp(model.tendon_lengthspring[t])) / 2, float(model.tendon_stiffness[t]) / inertia)
             for t in self.tendons

@@ -9,7 +9,7 @@ from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.result import Beyond, Errors
 from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.selection.support import inputs_of, span, supported
-from dipc_gym.sim2real.verdict import judge
+from dipc_gym.sim2real.verdict import untouched
 
 
 def beyond(fits: tuple[Fit, Fit, Fit], seen: Problem, test: Problem) -> Beyond | None:
@@ -30,8 +30,8 @@ def beyond(fits: tuple[Fit, Fit, Fit], seen: Problem, test: Problem) -> Beyond |
     return Beyond(
         int((~there).sum()),
         len(there),
-        judge.error_on(outside, improved),
-        Errors(*(judge.error_on(within, one) for one in fits)),
+        untouched.error_on(outside, improved),
+        Errors(*(untouched.error_on(within, one) for one in fits)),
         tuple(
             {"name": name, "fitted": list(fitted), "asked": list(asked)}
             for name in inputs_of(improved)

@@ -15,7 +15,7 @@ from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
-from dipc_gym.sim2real.verdict import judge, sentences, sparse
+from dipc_gym.sim2real.verdict import sentences, sparse, stand_ins, untouched
 from dipc_gym.sim2real.verdict.closed_form import Formula
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -34,7 +34,7 @@ class Conclusion:
     """
 
     fitted: Fit
-    rivals: dict[str, list[judge.Rival]] = field(default_factory=dict)
+    rivals: dict[str, list[stand_ins.Rival]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     unnamed: frozenset[str] = frozenset()
     others: list[Fit] = field(default_factory=list)
@@ -54,30 +54,27 @@ def conclude(search: Searched) -> tuple[Searched, Conclusion]:
         The search, carried on beside the rivals that took a place, and what is left of it.
     """
     for swaps in range(VERDICT.swaps + 1):
-        try:
-            upheld, fewest, notes, unnamed = _upheld(search)
-        except KeyboardInterrupt:
-            search.stop.ask("writing what was found")
-            return search, Conclusion(search.progress.current, _rivals(search, search.progress.current, judge.rivals))
-        rivals = _rivals(search, upheld, judge.rivals)
+        judged = search.stop.unless_pressed(partial(_upheld, search), lambda: None)
+        if judged is None:
+            current = search.progress.current
+            return search, Conclusion(current, _rivals(search, current, stand_ins.rivals))
+        upheld, fewest, notes, unnamed = judged
+        rivals = _rivals(search, upheld, stand_ins.rivals)
         rival = _successor(search, upheld, [rival for group in rivals.values() for rival in group])
         if notes or rival is None or search.stop.asked or swaps == VERDICT.swaps:
             break
         search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer parameters'}")
         search = search.carried_on(rival.fitted)
-    try:
-        busy = upheld if search.stop.asked else without_idle(search, upheld)
-        if busy is not upheld:
-            fewest, _ = _with_fewest_parameters(search, busy, judge.fair(search, busy))
-            upheld, rivals = busy, {key: rivals[key] for key in names(busy.structure.terms)}
-    except KeyboardInterrupt:
-        search.stop.ask("writing what was found")
-    more = _rivals(search, upheld, judge.unseen)
+    if not search.stop.asked:
+        as_it_was = upheld, fewest
+        upheld, fewest = search.stop.unless_pressed(partial(_without_idle, search, *as_it_was), lambda: as_it_was)
+        rivals = {key: rivals[key] for key in names(upheld.structure.terms)}
+    more = _rivals(search, upheld, stand_ins.unseen)
     rivals = {key: [*found, *more[key]] for key, found in rivals.items()}
     return search, Conclusion(fewest, rivals, notes, unnamed, _others(search, upheld, fewest))
 
 
-def _successor(search: Searched, upheld: Fit, rivals: list[judge.Rival]) -> judge.Rival | None:
+def _successor(search: Searched, upheld: Fit, rivals: list[stand_ins.Rival]) -> stand_ins.Rival | None:
     """The rival that takes a structure's place: one that predicts clearly better, or needs fewer parameters.
 
     Of several that predict better alike, the simplest. One that is the same model here with fewer parameters goes
@@ -93,7 +90,7 @@ def _successor(search: Searched, upheld: Fit, rivals: list[judge.Rival]) -> judg
     return min(plainer, key=lambda one: (len(one.fitted.z), search.scorer.comparison_error(one.fitted)), default=None)
 
 
-def _alone(search: Searched, rival: judge.Rival, upheld: Fit) -> judge.Rival:
+def _alone(search: Searched, rival: stand_ins.Rival, upheld: Fit) -> stand_ins.Rival:
     """A rival that is the same model, without what is idle beside it.
 
     For example, a constant force on one pole and a bias of the other's sensor can be what one biased sensor is alone.
@@ -101,11 +98,9 @@ def _alone(search: Searched, rival: judge.Rival, upheld: Fit) -> judge.Rival:
     terms = rival.fitted.structure.terms
     if len(terms) < 2 or search.stop.asked:
         return rival
-    try:
-        fitted = prune(search.question, search.fitter, rival.fitted, search.tell)
-    except KeyboardInterrupt:
-        search.stop.ask("writing what was found")
-        return rival
+    fitted = search.stop.unless_pressed(
+        lambda: prune(search.question, search.fitter, rival.fitted, search.tell), lambda: rival.fitted
+    )
     return replace(rival, fitted=fitted) if search.scorer.compare(upheld, fitted).alike else rival
 
 
@@ -118,13 +113,13 @@ def _upheld(search: Searched) -> tuple[Fit, Fit, list[str], frozenset[str]]:
     """
     path, notes = search.progress.path, list[str]()
     upheld = path[-1]
-    validation = judge.fair(search, upheld)
+    validation = untouched.fair(search, upheld)
     fewest, error = _with_fewest_parameters(search, upheld, validation)
     for before in reversed(path[:-1]):
         if error <= SCORE.at_floor:
             break
         simpler, without = _with_fewest_parameters(search, before, validation)
-        if not judge.refuted(without, error):
+        if not untouched.refuted(without, error):
             break
         kept = names(simpler.structure.terms)
         added = [term for term in fewest.structure.terms if term.key not in kept]
@@ -136,6 +131,14 @@ def _upheld(search: Searched) -> tuple[Fit, Fit, list[str], frozenset[str]]:
     if named is not upheld:
         fewest, _ = _with_fewest_parameters(search, named, validation)
     return named, fewest, notes + why, unnamed
+
+
+def _without_idle(search: Searched, upheld: Fit, fewest: Fit) -> tuple[Fit, Fit]:
+    """`without_idle`, and the same with the fewest model parameters changed."""
+    busy = without_idle(search, upheld)
+    if busy is upheld:
+        return upheld, fewest
+    return busy, _with_fewest_parameters(search, busy, untouched.fair(search, busy))[0]
 
 
 def without_idle(search: Searched, upheld: Fit) -> Fit:
@@ -169,7 +172,7 @@ def _believable(
     them does not matter; that they are no chance, the search has told by all windows. A law of no kind goes where
     validation data are divided over it.
     """
-    recalibrated = judge.error_on(validation, search.progress.path[0])
+    recalibrated = untouched.error_on(validation, search.progress.path[0])
     notes = list[str]()
     for term in upheld.structure.terms:
         if term.effect.leaves < EFFECTS.leaves and error - 1 > term.effect.leaves * (recalibrated - 1):
@@ -177,11 +180,11 @@ def _believable(
             upheld = search.fitter.without(upheld, term.key)
     for term in upheld.structure.unnamed:
         without = search.fitter.without(upheld, term.key)
-        predicted = judge.on(validation, upheld, without)
+        predicted = untouched.on(validation, upheld, without)
         if divided_over(predicted):
             notes.append(sentences.divided(term, predicted.gain))
             upheld = without
-    left = judge.error_on(validation, upheld)
+    left = untouched.error_on(validation, upheld)
     if upheld.structure.terms and left > recalibrated:
         # Without an event that it was fitted beside, an effect may do harm.
         notes.append(sentences.refutation(upheld.structure.terms, recalibrated, left))
@@ -204,7 +207,7 @@ def _gains(search: Searched, fitted: Fit, terms: Sequence[Term]) -> dict[str, Im
 
 def _gained(search: Searched, fitted: Fit, term: Term) -> Improvement:
     """How much better windows that no fit has touched are predicted with an effect than without, all else refitted."""
-    return judge.on_untouched(search, fitted, search.fitter.without(fitted, term.key))
+    return untouched.on_untouched(search, fitted, search.fitter.without(fitted, term.key))
 
 
 def divided_over(gained: Improvement) -> bool:
@@ -228,35 +231,27 @@ def _with_fewest_parameters(search: Searched, fitted: Fit, validation: Problem) 
     A parameter that shows in few windows only may not be missed in the others.
     """
     fewest = sparse.fewest_parameters(search, fitted)
-    error = judge.error_on(validation, fewest)
+    error = untouched.error_on(validation, fewest)
     if error <= SCORE.at_floor:
         return fewest, error
-    with_all = judge.error_on(validation, fitted)
-    return (fitted, with_all) if judge.refuted(with_all, error) else (fewest, error)
+    with_all = untouched.error_on(validation, fitted)
+    return (fitted, with_all) if untouched.refuted(with_all, error) else (fewest, error)
 
 
 def _others(search: Searched, upheld: Fit, fewest: Fit) -> list[Fit]:
     """With other model parameters changed; none if Ctrl-C ended the comparison."""
     if search.stop.asked:
         return []
-    try:
-        return sparse.other_parameters(search, upheld, fewest)
-    except KeyboardInterrupt:
-        search.stop.ask("writing what was found")
-        return []
+    return search.stop.unless_pressed(lambda: sparse.other_parameters(search, upheld, fewest), list[Fit])
 
 
 def _rivals(
-    search: Searched, full: Fit, of: Callable[[Searched, Fit, Term], list[judge.Rival]]
-) -> dict[str, list[judge.Rival]]:
+    search: Searched, full: Fit, of: Callable[[Searched, Fit, Term], list[stand_ins.Rival]]
+) -> dict[str, list[stand_ins.Rival]]:
     """What could stand in the place of each effect; nothing from when Ctrl-C ended that."""
-    found: dict[str, list[judge.Rival]] = {}
+    found: dict[str, list[stand_ins.Rival]] = {}
     for term in full.structure.terms:
-        found[term.key] = []
-        if search.stop.asked or term.effect.of_no_kind:
-            continue
-        try:
-            found[term.key] = of(search, full, term)
-        except KeyboardInterrupt:
-            search.stop.ask("writing what was found")
+        asked = not (search.stop.asked or term.effect.of_no_kind)
+        stage = partial(of, search, full, term)
+        found[term.key] = search.stop.unless_pressed(stage, list[stand_ins.Rival]) if asked else []
     return found

@@ -23,7 +23,7 @@ from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
 from dipc_gym.sim2real.estimation.shooting import common_error
-from dipc_gym.sim2real.selection import data
+from dipc_gym.sim2real.selection import partitioning
 from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.side_by_side import side_by_side
 from dipc_gym.sim2real.verdict.settings import CONVENTIONS
@@ -124,16 +124,16 @@ def differing(
         given = some if convention is None else [convention.applied(recording) for recording in some]
         stepping, threads = prepared.problem.stepping, prepared.problem.threads
         again = prepare(source, physics, given, stepping, length=prepared.length, threads=threads)
-        return data.known_past(again)
+        return partitioning.known_past(again)
 
     as_counted = counted(None).problem
-    without = min(common_error(evaluate(as_counted, one.structure, one.z)[0]) for one in fits)
+    without = min(common_error(evaluate(as_counted, one.structure, one.z)) for one in fits)
 
     def error(convention: Convention) -> float:
         again = counted(convention)
         few = again.problem.pick(np.arange(0, len(again.problem.windows), CONVENTIONS.every))
         for problem, most in ((few, CONVENTIONS.hopeless * CONVENTIONS.decides * without), (again.problem, math.inf)):
-            off = common_error(evaluate(problem, again.structure, again.structure.first)[0])
+            off = common_error(evaluate(problem, again.structure, again.structure.first))
             if off > most:
                 break
         return off
@@ -148,7 +148,7 @@ def differing(
 
 def _in_motion(recordings: Sequence[Recording], prepared: Prepared) -> list[Recording]:
     """The first seconds in which recordings move, of two of them; at rest every convention predicts all."""
-    windows, moves = prepared.problem.windows, data.moves(prepared)
+    windows, moves = prepared.problem.windows, partitioning.moves(prepared)
     begin = [(k, windows.start[moves & (windows.source == k)].min(initial=math.inf)) for k in range(len(recordings))]
     moving = [(recordings[k], start) for k, start in begin if math.isfinite(start)][:2]
     found = []

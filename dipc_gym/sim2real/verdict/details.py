@@ -34,7 +34,7 @@ from dipc_gym.sim2real.result import (
     Trace,
 )
 from dipc_gym.sim2real.selection.baseline import Baseline
-from dipc_gym.sim2real.selection.data import evenly
+from dipc_gym.sim2real.selection.partitioning import evenly
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.search import Searched

@@ -21,10 +21,10 @@ from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.settings import MODEL
 from dipc_gym.sim2real.model.structure import Term, names
 from dipc_gym.sim2real.result import Errors, Missing
-from dipc_gym.sim2real.selection.data import evenly
+from dipc_gym.sim2real.selection.partitioning import evenly
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
-from dipc_gym.sim2real.verdict import improve, judge, sentences
+from dipc_gym.sim2real.verdict import improve, intervals, location, sentences, stand_ins, untouched
 from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -72,7 +72,7 @@ def beyond_limits(problem: Problem, validation: Problem, recalibrated: Fit) -> l
         recalibrated.initial,
         most=ESTIMATION.from_afar,
     )
-    error = judge.error_on(validation, freed)
+    error = untouched.error_on(validation, freed)
     if error > SCORE.at_floor:
         return []
     reached = [slot.value(z) for slot, z in zip(freed.structure.slots, freed.z, strict=True)]
@@ -151,7 +151,7 @@ def beside_unknown(search: Searched, final: Fit, alone: Fit | None, wide: Array)
         alone: see `beside.names_alone`.
         wide: half widths where nothing is left, (p,).
     """
-    wider = np.maximum(wide, judge.between_regimes(final, search.partition.problem))
+    wider = np.maximum(wide, intervals.by_regimes(final, search.partition.problem))
     if alone is not None:
         known = {slot.key: z for slot, z in zip(alone.structure.slots, alone.z, strict=True)}
         there = [known.get(slot.key, z) for slot, z in zip(final.structure.slots, final.z, strict=True)]
@@ -175,13 +175,13 @@ def missing_effects(
     final = found.fitted
     worth = [final] if alone is None else [final, alone]
     some = test.pick(evenly(len(test.windows), VERDICT.windows))
-    as_given = judge.error_on(some, nominal) if any(found.rivals.values()) else 1.0
+    as_given = untouched.error_on(some, nominal) if any(found.rivals.values()) else 1.0
     terms = [term for term in final.structure.terms if term.key not in found.unnamed]
     rivals = [[one for one in found.rivals.get(term.key, ()) if _name(one.term) != _name(term)] for term in terms]
 
     def told(k: int) -> tuple[float, list[dict[str, Any]]]:
         key = terms[k].key
-        shares = [judge.share(search, one, key) for one in worth if key in names(one.structure.terms)]
+        shares = [_share(search, one, key) for one in worth if key in names(one.structure.terms)]
         return max(shares), [_rival(rival, some, as_given) for rival in rivals[k]]
 
     with search.fitter.side_by_side([partial(told, k) for k in range(len(terms))], worth) as result:
@@ -223,7 +223,11 @@ def _once(search: Searched, final: Fit, term: Term) -> str:
         without = search.fitter.as_it_is(final, final.structure.without(term.key))
         gained = np.log1p(without.mse) - np.log1p(final.mse)
         each = np.bincount(windows.source, gained, len(windows.recordings))
-        there = [one.name for one, gain in zip(windows.recordings, each, strict=True) if gain >= 0.5 * each.max()]
+        there = [
+            one.name
+            for one, gain in zip(windows.recordings, each, strict=True)
+            if gain >= VERDICT.happened * each.max()
+        ]
         where = f" That was in {' and '.join(there)}."
     return f"{where} The model has it at this time in every simulation."
 
@@ -280,11 +284,20 @@ def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[
     return law
 
 
-def _rival(rival: judge.Rival, test: Problem, as_given: float) -> dict[str, Any]:
+def _share(search: Searched, full: Fit, key: str) -> float:
+    """How much of the improvement over the recalibrated model is lost without one effect, all else refitted."""
+    if len(full.structure.terms) == 1:
+        return 1.0
+    best, worst = search.scorer.comparison_error(full), search.scorer.comparison_error(search.progress.path[0])
+    without = search.scorer.comparison_error(search.fitter.roughly_without(full, key))
+    return float(np.clip((without - best) / max(worst - best, 1e-9), 0.0, 1.0))
+
+
+def _rival(rival: stand_ins.Rival, test: Problem, as_given: float) -> dict[str, Any]:
     """One of the other effects that were tried, with its error on test data relative to that of the model as given."""
     return {
         **_name(rival.term),
-        "held_out": round(judge.error_on(test, rival.fitted) / max(as_given, 1e-12), 6),
+        "held_out": round(untouched.error_on(test, rival.fitted) / max(as_given, 1e-12), 6),
         "ruled_out": rival.ruled_out,
     }
 
@@ -307,7 +320,7 @@ def with_unknown(
 ) -> list[Missing]:
     """Add what no effect of the catalogue explains; it comes first if what was found merely stands in for it."""
     left = max(errors.improved - 1, 0.0) / max(errors.recalibrated - 1, 1e-9)
-    place = judge.locate(search.question.look(final), joints)[0]
+    place = location.locate(search.question.look(final), joints)[0]
     unknown = Missing(
         "unknown",
         place.at,

@@ -6,12 +6,15 @@ Ctrl-C ends, is left out and said to be; the others go on.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import ClassVar, TypeVar
 
 from dipc_gym.sim2real.selection.stop import Stop
 
 T = TypeVar("T")
+
+LOG = logging.getLogger(__name__)  # of what a note says in one line, for whoever looks into it
 
 
 class Guarded:
@@ -41,13 +44,11 @@ class Guarded:
             KeyboardInterrupt: at the second Ctrl-C.
         """
         try:
-            return stage()
-        except KeyboardInterrupt:
-            self.stop.ask("writing what was found")
-            return otherwise()
+            return self.stop.unless_pressed(stage, otherwise)
         except Exception as error:  # whatever it is, what was found before stands
             if self.strict:
                 raise
+            LOG.exception("%s could not be worked out", what)
             said = str(error).strip().splitlines()
             why = f"{type(error).__name__}: {said[0]}" if said else type(error).__name__
             self.notes.append(

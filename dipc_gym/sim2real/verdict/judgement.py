@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.recording.checks import sampled_slowly
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
@@ -20,15 +21,14 @@ from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.estimation.steps import controlled
 from dipc_gym.sim2real.model.structure import names
-from dipc_gym.sim2real.result import Beyond, Details, Diagnosis, Errors, Located, Missing, SensorFit
+from dipc_gym.sim2real.result import Beyond, Details, Diagnosis, Errors, Located, Missing, SensorFit, Verdict
 from dipc_gym.sim2real.selection import beginnings, beside
 from dipc_gym.sim2real.selection.baseline import Baseline
 from dipc_gym.sim2real.selection.case import Case
-from dipc_gym.sim2real.selection.data import sampled_slowly
 from dipc_gym.sim2real.selection.progress import Partition
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
-from dipc_gym.sim2real.verdict import findings, improve, judge, sentences
+from dipc_gym.sim2real.verdict import findings, improve, intervals, judge, sentences, untouched
 from dipc_gym.sim2real.verdict.beyond import beyond
 from dipc_gym.sim2real.verdict.conclude import Conclusion
 from dipc_gym.sim2real.verdict.details import details, predictions, sensor_fits
@@ -88,8 +88,8 @@ def judgement(
     )
     verdict, others = named.verdict, bool(last.found.others)
     diagnosis = Diagnosis(
-        verdict,
-        sentences.in_one_sentence(
+        verdict=verdict,
+        sentence=sentences.in_one_sentence(
             verdict,
             named.missing,
             measured.changed,
@@ -100,26 +100,26 @@ def judgement(
             beyond=measured.beyond,
             later=measured.later,
         ),
-        tuple(located),
-        tuple(named.missing),
-        tuple(measured.changed),
-        measured.comparison,
-        measured.test,
-        last.validation,
-        measured.beyond,
-        written,
-        sensors,
-        measured.force,
-        sentences.next_experiment(
+        located=tuple(located),
+        missing=tuple(named.missing),
+        recalibrated=tuple(measured.changed),
+        comparison=measured.comparison,
+        held_out=measured.test,
+        validation=last.validation,
+        beyond=measured.beyond,
+        written=written,
+        sensors=sensors,
+        force=measured.force,
+        next_experiment=sentences.next_experiment(
             verdict,
             named.missing,
             others=bool(measured.changed and others),
             beyond=measured.beyond,
             slow=any(sampled_slowly(r) for r in (*case.given.recordings, *last.problem.windows.recordings)),
         ),
-        improved,
-        files_of(source, improved),
-        (*notes, *filter(None, (step_note, unheld))),
+        improved=improved,
+        files=files_of(source, improved),
+        notes=(*notes, *filter(None, (step_note, unheld))),
         details=behind,
     )
     return diagnosis, last.found
@@ -170,10 +170,10 @@ def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, lat
         lambda: best_on_validation(*refined, refined[0].progress.informed((coarse, recalibrated, nominal))),
         lambda: refined[1],
     )
-    best = found
+    best, validating = found, search.partition.validation
     validation = late(
         "The error on validation data",
-        lambda: Errors(*(judge.error_on(search.partition.validation, f) for f in (nominal, recalibrated, best.fitted))),
+        lambda: Errors(*(untouched.error_on(validating, f) for f in (nominal, recalibrated, best.fitted))),
         lambda: None,
     )
     if validation is not None and _as_given(search, best, validation):
@@ -212,7 +212,7 @@ def _to_the_end(search: Searched, judged: Fit, end: Problem) -> tuple[Searched, 
     after, last = search.to_the_end(judged, end)
     count = len(judged.mse)
     elsewhere = common_error(last.mse[:count]) <= VERDICT.worse * max(common_error(judged.mse), 1.0)
-    there = float(np.sqrt(np.mean(last.mse[count:]))) <= judge.error_on(end, judged)
+    there = float(np.sqrt(np.mean(last.mse[count:]))) <= untouched.error_on(end, judged)
     return (after, last) if elsewhere and there else (search, judged)
 
 
@@ -279,7 +279,7 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
         )
     errors = late(
         "The error on test data",
-        lambda: Errors(*(judge.error_on(last.problem, f) for f in three)),
+        lambda: Errors(*(untouched.error_on(last.problem, f) for f in three)),
         lambda: None,
     )
     if errors is None:
@@ -295,7 +295,7 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
     of_time = any(isinstance(one.effect, Law) and "time" in one.effect.axes(one.at) for one in final.structure.terms)
     later: float | None = None
     if of_time and last.reaches_the_end:
-        later = late("What is left later", lambda: judge.error_on(last.problem, final), lambda: None)
+        later = late("What is left later", lambda: untouched.error_on(last.problem, final), lambda: None)
     begin = late("How recordings begin", lambda: beginnings.left(search.partition.first, final), lambda: None)
     if begin is not None:
         notes.append(sentences.begins_otherwise(begin))
@@ -304,15 +304,15 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
     )
     notes += sentences.disagreement(errors, force)
 
-    def intervals() -> NDArray[np.float64]:
+    def half_widths() -> NDArray[np.float64]:
         problem = search.partition.problem
         # Recordings that only the model's own steps predict say what they say in these, whatever finer ones change.
         steps = findings.step_shift(final, problem) if base.fine is None else 0.0
-        return judge.intervals(final, problem) + steps + open_choice
+        return intervals.by_blocks(final, problem) + steps + open_choice
 
     wide = late(
         "The intervals of the parameters",
-        intervals,
+        half_widths,
         lambda: np.full(len(final.z), np.inf),
     )
     alone: Fit | None = late(
@@ -337,7 +337,7 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
 class _Named:
     """The verdict, what is missing, strongest first, and notes."""
 
-    verdict: str
+    verdict: Verdict
     missing: list[Missing]
     notes: list[str]
 
@@ -346,13 +346,13 @@ def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Loc
     search, found, final, errors = last.search, last.found, last.found.fitted, measured.telling
     terms = [term for term in final.structure.named if term.key not in found.unnamed]
     verdict = judge.verdict(
-        (errors.nominal, errors.recalibrated, errors.improved),
-        judge.negligible(errors.recalibrated, last.problem.motion, located[0]),
-        len(terms),
-        len(measured.changed),
-        len(found.unnamed),
-        len(final.structure.unnamed),
-        measured.comparison.recalibrated,
+        errors,
+        small=judge.negligible(errors.recalibrated, last.problem.motion, located[0]),
+        terms=len(terms),
+        unnamed=len(found.unnamed),
+        modelled=len(final.structure.unnamed),
+        changed=len(measured.changed),
+        elsewhere=measured.comparison.recalibrated,
     )
     notes = list[str]()
     if errors.nominal <= SCORE.at_floor and verdict == "unexplained":
@@ -394,8 +394,8 @@ def best_on_validation(search: Searched, found: Conclusion, others: Sequence[Fit
 
     Nobody is given a model that predicts worse than what they had. At the noise, all are as good.
     """
-    validation = judge.fair(search, found.fitted)
-    errors = [judge.error_on(validation, fitted) for fitted in (found.fitted, *others)]
+    validation = untouched.fair(search, found.fitted)
+    errors = [untouched.error_on(validation, fitted) for fitted in (found.fitted, *others)]
     least = max(VERDICT.worse * min(errors), SCORE.at_floor)
     if not errors[0] > least:  # nor where nothing is known of it
         return found

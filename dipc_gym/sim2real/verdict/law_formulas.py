@@ -74,5 +74,5 @@ def _from_the_start(fitted: Fit, problem: Problem, first: Problem, term: Term, f
     assert isinstance(shaped, Law)
     values = {p.name: float(v) for p, v in zip(shaped.parameters, formula(shaped.places), strict=True)}
     there = fit(problem, *instead(fitted.structure, fitted.z, term, shaped, values), fitted.initial, most=0)
-    before, after = (float(np.mean(evaluate(first, one.structure, one.z)[0])) for one in (fitted, there))
+    before, after = (float(np.mean(evaluate(first, one.structure, one.z))) for one in (fitted, there))
     return there if after < before else fitted

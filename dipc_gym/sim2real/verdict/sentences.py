@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from dipc_gym.recording.settings import CHECKS
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.result import AsWritten, Beyond, Errors, Missing, SensorFit, scaled
-from dipc_gym.sim2real.selection.settings import SCORE, WINDOWS
+from dipc_gym.sim2real.result import AsWritten, Beyond, Errors, Missing, SensorFit, Verdict, scaled
+from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict.conventions import Convention
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -36,7 +37,7 @@ def verb(where: str) -> str:
 
 
 def in_one_sentence(
-    verdict: str,
+    verdict: Verdict,
     missing: Sequence[Missing],
     changed: Sequence[dict[str, Any]],
     errors: Errors,
@@ -183,7 +184,7 @@ def _ranges(outside: Beyond) -> str:
 
 
 def next_experiment(
-    verdict: str,
+    verdict: Verdict,
     missing: Sequence[Missing],
     *,
     others: bool = False,
@@ -196,7 +197,7 @@ def next_experiment(
         verdict: see `judge.verdict`.
         missing: effects that were found.
         others: whether other model parameters than those that changed would have done as well.
-        slow: whether a recording is sampled slowly; see `data.sampled_slowly`.
+        slow: whether a recording is sampled slowly; see `recording.checks.sampled_slowly`.
         beyond: held-out windows that go beyond what laws were fitted with.
     """
     open_ = [(m, s) for m in missing for s in m.same_here]
@@ -225,7 +226,7 @@ def next_experiment(
         )
     if verdict in ("partly explained", "unexplained") and slow:
         return (
-            f"Record again at {WINDOWS.rate:g} Hz or more (see the notes): commands that changed between two rows are "
+            f"Record again at {CHECKS.rate:g} Hz or more (see the notes): commands that changed between two rows are "
             "in no file, and nothing can explain what they did."
         )
     if verdict in ("partly explained", "unexplained"):

@@ -100,6 +100,12 @@ class VerdictSettings:
         worse: times the error of a plainer model, from which a model predicts worse; less is how a fit ended
         coarse: the same at a step that costs more than what is missing does: on fast axes that of a plainer model is as
             much chance as its own
+        costs: share of the error at a file's own step, below which the error that fine steps allow says that the step
+            costs most of it
+        made_up: times the error of a plainer file, below which one is written whose parameters make up for the step:
+            they are wrong at any other, and half of it is worth that
+        happened: share of what an event brings in the recording that it brings most to, from which it was in another
+            one as well
         named: fall of the mean log square error by which an effect must improve predictions to be named: an error a
             twentieth smaller; what brings less may stand for much else
         whole: attributes of a joint, an actuator or a sensor that an effect writes over, and the first of their numbers
@@ -153,6 +159,9 @@ class VerdictSettings:
     refuted: float = 1.05
     worse: float = 1.005
     coarse: float = 1.5
+    costs: float = 0.5
+    made_up: float = 0.5
+    happened: float = 0.5
     named: float = 0.1
     whole: tuple[tuple[str, int], ...] = (("delay", 0), ("cogging", 0), ("saturation", 0), ("damping", 1))
     refitted: float = 0.2

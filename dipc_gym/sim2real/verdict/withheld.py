@@ -14,12 +14,14 @@ from typing import ClassVar
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording, RecordingError
+from dipc_gym.recording.checks import slowly
 from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
+from dipc_gym.recording.parts import check_apart, from_zero, until
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import prepare
 from dipc_gym.sim2real.model.parameters import Wishes, fixed_masses, model_parameters
-from dipc_gym.sim2real.selection import data
+from dipc_gym.sim2real.selection import partitioning
 from dipc_gym.sim2real.selection.case import CannotTell, Case, Given
 from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.simulation.compiled import left_to_mujoco
@@ -83,7 +85,7 @@ class Withheld:
             )
         except states.Undetermined as error:
             raise CannotTell(error.reason, error.mend) from None
-        problem = data.known_past(kept).problem
+        problem = partitioning.known_past(kept).problem
         if not len(problem.windows):
             raise RecordingError(
                 f"{', '.join(str(r.path or r.name) for r in self.recordings)}: too short to judge by; no window of "
@@ -107,11 +109,11 @@ def gather(
     """
     loaded = physics.load(source)
     mjcf.check_supported(loaded.model, source.name)
-    data.check_apart(recordings, held_out)
+    check_apart(recordings, held_out)
     refuse_degrees([*recordings, *held_out], loaded.model, mend=IN_PYTHON)
-    whole, tested = data.from_zero(recordings), data.from_zero(held_out)
-    notes = [f"{r.name}: {note}" for r in (*whole, *tested) for note in r.notes] + data.slowly([*whole, *tested])
-    fitted = whole if tested else [data.until(r, WINDOWS.test) for r in whole]
+    whole, tested = from_zero(recordings), from_zero(held_out)
+    notes = [f"{r.name}: {note}" for r in (*whole, *tested) for note in r.notes] + slowly([*whole, *tested])
+    fitted = whole if tested else [until(r, WINDOWS.test) for r in whole]
     withheld = Withheld(tuple(tested or whole), (0.0 if tested else WINDOWS.test, 1.0))
     parameters = model_parameters(document := Document(source), loaded.model)
     notes += fixed_masses(document, loaded.model, parameters) + left_to_mujoco(loaded)

@@ -22,9 +22,9 @@ from dipc_gym.sim2real.estimation.fit import Fit, begun, fit, simulated
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.result import AsWritten, Errors, FinerSteps
-from dipc_gym.sim2real.selection.data import evenly
+from dipc_gym.sim2real.selection.partitioning import evenly
 from dipc_gym.sim2real.selection.progress import Partition
-from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
+from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -128,7 +128,7 @@ def choose(
             return option
     if best.error <= _allowed(enough, best.error, 1.0) * least:
         return best
-    made_up = [option for option in refitted if option.error < SEARCH.most * least]
+    made_up = [option for option in refitted if option.error < VERDICT.made_up * least]
     return min([*physical, *made_up, *plainer], key=lambda option: option.error)
 
 
@@ -140,7 +140,7 @@ def _allowed(enough: float, error: float, usual: float = VERDICT.worse) -> float
         error: at the file's own step.
         usual: where the step costs less.
     """
-    return VERDICT.coarse if enough < SEARCH.most * error else usual
+    return VERDICT.coarse if enough < VERDICT.costs * error else usual
 
 
 def written(
@@ -179,15 +179,15 @@ def written(
     # What is said of the step is said by test data; which shorter one would do is chosen like all else.
     costs = taken.error > enough or errors[-1] > told
     said = AsWritten(
-        timestep,
-        _integrator(taken.structure),
-        Errors(*errors),
-        Errors(*(option.error for option in (*plainer, taken))),
-        there,
-        dict(taken.forms),
-        taken.refitted,
-        _integrator(taken.structure) != _integrator(final.structure),
-        _finer(taken, exact, validation, held_out, enough) if costs else None,
+        timestep=timestep,
+        integrator=_integrator(taken.structure),
+        held_out=Errors(*errors),
+        validation=Errors(*(option.error for option in (*plainer, taken))),
+        fine=there,
+        forms=dict(taken.forms),
+        refitted=taken.refitted,
+        exact=_integrator(taken.structure) != _integrator(final.structure),
+        finer=_finer(taken, exact, validation, held_out, enough) if costs else None,
     )
     further = None if last is final else _to_the_end(taken, last)
     if further is None:

@@ -1,0 +1,63 @@
+"""Parts of recordings, and recordings side by side: none twice, each on its own clock."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dipc_gym.recording.record import Recording
+from dipc_gym.recording.tables import RecordingError
+
+
+def check_apart(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> None:
+    """Refuse to judge by what is fitted, and to count anything twice.
+
+    Raises:
+        RecordingError: a recording is held out that is fitted as well, whatever its name, or a part of it, or one is
+            given twice. Of the parts of one recording that do not overlap, some may be held out.
+    """
+    for one, other in itertools.product(held_out, recordings):
+        if _overlap(one, other):
+            raise RecordingError(
+                f"{one.path or one.name}: held out, but the same as {other.path or other.name}, which is fitted; hold "
+                "out another recording, or none: then the last quarter of each is"
+            )
+    for one, other in (*itertools.combinations(recordings, 2), *itertools.combinations(held_out, 2)):
+        if _overlap(one, other):
+            raise RecordingError(
+                f"{other.path or other.name}: the same as {one.path or one.name}; give it once, for what is counted "
+                "twice looks surer than it is"
+            )
+
+
+def _overlap(one: Recording, other: Recording) -> bool:
+    """Whether two recordings are the same, or parts of the same that have samples in common."""
+    return one.sha256 == other.sha256 and bool(one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1])
+
+
+def from_zero(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings with their time counted from their first samples: what shakes or pushes the rig has no other clock."""
+    return [
+        r
+        if r.time[0] == 0
+        else replace(
+            r,
+            time=r.time - r.time[0],
+            notes=(*r.notes, f"its clock begins at {r.time[0]:.10g} s; times are counted from there"),
+        )
+        for r in recordings
+    ]
+
+
+def until(recording: Recording, share: float) -> Recording:
+    """A recording up to a share of its duration; it keeps its name, its file and the digest of that."""
+    count = int(np.searchsorted(recording.time, recording.time[0] + share * recording.duration)) or 1
+    return replace(
+        recording,
+        time=recording.time[:count],
+        commands=recording.commands[:count],
+        sensors=recording.sensors[:count],
+    )
