@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from dipc_gym import compensators
 from dipc_gym.cli import main
@@ -201,3 +202,13 @@ def test_bad_input_is_one_line_and_exit_code_2(
     said = capsys.readouterr().err
     assert says in said
     assert said.count("\n") == 1
+
+
+@given(arrays(float, 60, elements=st.floats(0.0, 0.02)))
+def test_a_motor_that_rises_has_an_inverse_that_rises(rises: np.ndarray) -> None:
+    """Shallow stretches lie beside each other, and each is crossed within some force; the table goes one way."""
+    assume(rises.max() > 1e-3)
+    force = np.concatenate([[0.0], np.cumsum(rises)])
+    forces, volts = inverse._turned(force - force[30], np.linspace(-24.0, 24.0, 61))
+    assert (np.diff(forces) > 0).all()
+    assert (np.diff(volts) >= 0).all()

@@ -11,9 +11,12 @@ import pytest
 pytest.importorskip("numba")
 
 from dipc_gym.trials import catalogue, generate, network, prediction, replayed, rigs, rivals, sparse
+from dipc_gym.trials.entries import index
 from dipc_gym.trials.generate import write_csv
 
 CART = "cart"
+MODEL = """<mujoco><worldbody><body><joint name="cart" type="slide" axis="1 0 0"/><geom size="0.1"/></body></worldbody>
+</mujoco>"""
 
 
 def rig_with(tmp_path, effect=None, values=(), *, rig=CART, nominal=None):
@@ -118,6 +121,21 @@ def test_sysid_finds_wrong_parameters(tmp_path):
     assert set(factors) == {"cart.damping", "motor.gear", "cart.mass"}
 
 
+def test_a_perfect_force_comes_to_the_noise(tmp_path):
+    """It is held over each step of the integration, which must cost nothing."""
+    lost = []
+
+    def oiled(parameters):
+        lost.append(0.9 * parameters[index("damping", 0)])
+        parameters[index("damping", 0)] -= lost[0]
+        return parameters
+
+    made, model, motions, _ = rig_with(tmp_path, rig="motor_axis", nominal=oiled)
+    assert replayed.error(model, motions[2], made.noise) > 5
+    found = replayed.error(model, motions[2], made.noise, lambda q, v, command: -lost[0] * v)
+    assert found == pytest.approx(1.0, abs=0.05)
+
+
 def test_a_rival_that_diverges_is_a_result(tmp_path, monkeypatch):
     pytest.importorskip("torch")
     pytest.importorskip("pysindy")
@@ -136,9 +154,10 @@ def test_a_rival_that_diverges_is_a_result(tmp_path, monkeypatch):
 
 
 def test_the_table_of_rivals(tmp_path, monkeypatch):
-    plans = [generate.Plan(1, "null", CART, "", False), generate.Plan(2, "single", CART, "load.spring", False)]
+    plans = [generate.Plan(1, "null", CART, "", False)]
+    plans += [generate.Plan(number, "single", CART, "load.spring", False) for number in (2, 3)]
     (tmp_path / "sealed").mkdir()
-    for plan, size in zip(plans, (0.0, 30.0), strict=True):
+    for plan, size in zip(plans, (0.0, 30.0, 30.0), strict=True):
         start = 40.0 if size else 1.0
         answer = {
             **dict.fromkeys(("share_of_signal", "moved_from_nominal", "signal"), max(size, 1e-9)),
@@ -154,6 +173,10 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
             "test_error": {"nominal": start, "recalibrated": start, "truth": 1.0},
             "noise": {"cart": 1e-5},
         }
+        (tmp_path / "trials" / plan.name).mkdir(parents=True)
+        (tmp_path / "trials" / plan.name / "nominal.xml").write_text(
+            MODEL.replace("<joint ", '<joint frictionloss="1" ') if plan.number == 3 else MODEL
+        )
         (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(answer))
     asked = []
 
@@ -171,15 +194,25 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
     (done / "attempt.json").write_text(json.dumps({"seconds": 1.0, "failure": None, "sensor_errors": {"cart": 1.1e-5}}))
     rows = rivals.compare(tmp_path, seed=1)
     assert asked == [plan.name for plan in plans]  # nobody is asked twice
+    assert [row["known_friction"] for row in rows] == [False, False, True]
     assert rows[1]["error"] == {
         "nominal": 40.0, "sysid": 20.0, "network": 4.0, "sparse": 0.5, "diagnose": pytest.approx(1.1), "truth": 1.0
     }  # fmt: skip
     text = (tmp_path / "rivals.md").read_text()
     assert "nothing missing (1)" in text
+    assert "effects of twice the noise or more (1)" in text
+    assert "Left out are 1 whose model has dry friction, which MuJoCo makes soft for rivals." in text
+    assert "`diagnose` has no error in 1, not run or failed, which its medians leave out." in text
     assert "| residual network |  | 4 (4 to 4) |" in text
     assert "residual network diverges on the held-out recording in 1, which its medians leave out." in text
     assert "below `mujoco.sysid` refit in 1, residual network in 1, PySINDy on estimated forces in 0 of 1." in text
     assert json.loads((tmp_path / "rivals.json").read_text())["seed"] == 1
+
+    (done / "attempt.json").write_text("{")  # the tables are written all the same, without it
+    rows = rivals.compare(tmp_path, seed=1)
+    assert rows[1]["error"]["diagnose"] is None
+    assert rows[1]["error"]["network"] == 4.0
+    assert (done / "attempt.json").read_text() == "{"
 
 
 def test_a_complete_model_is_judged_complete_once_its_integration_is_exact(tmp_path):

@@ -229,6 +229,58 @@ def test_held_commands_fractional_delay_and_sensor_lag_against_the_closed_form()
     assert q[-1, 0] - reading[-1, 0] == pytest.approx(0.02 / 4, rel=1e-5)
 
 
+@pytest.mark.parametrize("rig", ["cart", "hanging"])
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        {"encoder_size": 0.004, "encoder_wave": 40.0, "encoder_phase": 0.7},
+        {"encoder_size": 0.004, "encoder_wave": 40.0, "filter": 0.006, "bias": 0.02, "gain": 0.05},
+        {"filter": 0.006, "bias": 0.02},
+    ],
+    ids=["eccentric", "all of it", "filter and bias"],
+)
+def test_readings_tell_the_states_that_they_were_made_of(rig, hidden):
+    """Windows that begin at what noise-free readings say are predicted as those that begin at the truth."""
+    rng = np.random.default_rng(4)
+    made = rigs.RIGS[rig](rng)
+    parameters = made.parameters.copy()
+    for name, value in hidden.items():
+        parameters[index(name) if name.startswith("encoder") else index(name, 0)] = value
+    seen = prediction.record(made, parameters, rigs.excitation(made, "noise", rng), prediction.ONES, rng, step=2e-3)
+    windows = prediction.Windows(made, seen, made.parameters)
+    off = windows.residual(prediction.predict(made, parameters, seen), seen.reading)
+    assert prediction.rms(off) < 0.02
+
+
+def test_truth_predicts_a_rig_with_play_to_its_noise():
+    """Where a contact begins shows: windows are predicted in steps as fine as the recording was made in."""
+    rng = np.random.default_rng(0)
+    made = rigs.RIGS["motor_axis"](rng)
+    play = next(one for one in catalogue.effects(made) if one.name == "transmission.backlash")
+    parameters = play.apply(made.parameters, np.array([0.04 * made.span[0]]))
+    seen = prediction.record(made, parameters, rigs.excitation(made, "noise", rng), prediction.ONES, rng)
+    windows = prediction.Windows(made, seen, made.parameters)
+    predicted = prediction.predict(made, parameters, seen, true_initial=True)
+    assert prediction.rms(windows.residual(predicted, seen.reading)) < 0.1
+
+
+def test_friction_under_load_is_that_of_what_the_transmission_passes_on():
+    """A motor that turns within the play presses nothing, at rest as in motion."""
+    rng = np.random.default_rng(1)
+    made = rigs.RIGS["cart"](rng)
+    p = made.parameters.copy()
+    for name, value in {"rotor": made.rotor, "stiffness": made.rotor * 700.0**2, "gap": 6e-3}.items():
+        p[index(name)] = value
+    p[index("per_load", 0)], p[index("constant", 0)] = 0.2, 0.5
+    state, out = np.zeros(integrator.STATE_SIZE), np.zeros(integrator.STATE_SIZE)
+    hold, mass, rhs = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
+    held = np.zeros(1, dtype=np.int64)
+    passed_on = integrator.derivative(0.0, state, 3.0, p, 1, held, out, hold, mass, rhs)
+    assert passed_on == 0.0
+    assert abs(hold[0]) == pytest.approx(0.5)
+    assert integrator._level(p, 0, 0.0, 0.0, 1, 0.0, passed_on) == 0.0
+
+
 def test_winding_current_heat_and_limits():
     parameters = cart(damping=5.0)
     parameters[[index("inductance"), index("resistance"), index("ke")]] = 0.01, 2.0, 0.0
@@ -775,6 +827,29 @@ def test_nothing_judged_yet_is_a_report_too(tmp_path):
     publish.write_report(tmp_path, score.score(tmp_path, ["t001_cart"]), seed=1)
     assert "0 trials" in (tmp_path / "report.md").read_text()
     assert not (tmp_path / "report.png").exists()
+
+
+def test_pairs_alone_have_no_single_name_to_be_mistaken(tmp_path):
+    scores = score.score(tmp_path, ["t001_cart"]) | {"by_size": [], "confusion": {}}
+    assert len(publish.figure(scores).axes) == 2
+
+
+def test_what_is_kept_replaces_files_and_leaves_folders(tmp_path):
+    (tmp_path / "of the owner").mkdir()
+    (tmp_path / "report.html").write_text("old")
+    run._keep({"attempt.json": "{}"}, tmp_path)
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["attempt.json", "of the owner"]
+
+
+def test_an_attempt_outlives_a_recording_that_was_damaged(tmp_path):
+    """The seed makes the recording again, the same; what was diagnosed stays."""
+    for folder in ("sealed", "results/t001_cart", "trials/t001_cart"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "results/t001_cart/attempt.json").write_text(json.dumps(FINE | {"tool": run.tool()}))
+    for answer in (sealed("null", []) | {"trial": "t001_cart", "files": {"test.csv": "0" * 64}}, {}):
+        (tmp_path / "sealed/t001_cart.json").write_text(json.dumps(answer))
+        assert run._done(tmp_path, "t001_cart")
+        assert (tmp_path / "results/t001_cart/attempt.json").exists()
 
 
 # --- running the tool ----------------------------------------------------------------------------------------

@@ -183,7 +183,9 @@ class TrainPolicy:
         try:
             policy = train.run(training, self.out, resume=self.resume, overwrite=self.overwrite)
         except KeyboardInterrupt:
-            print(f"\ninterrupted; go on from the last checkpoint in {self.out} with --resume", file=sys.stderr)
+            begun = (self.out / "checkpoint.pt").exists()
+            mend = f"go on from the last checkpoint in {self.out} with --resume" if begun else "nothing to go on with"
+            print(f"\ninterrupted; {mend}", file=sys.stderr)
             return 130
         print(f"{self.out / 'policy.json'}: {policy.summary()}")
         return 0

@@ -208,7 +208,11 @@ def _turned(force: Array, voltage: Array) -> tuple[Array, Array]:
         else:
             points.append((float(force[last]), float(voltage[last])))
         first = last + 1
-    table = np.array([point for k, point in enumerate(points) if k == 0 or point[0] > points[k - 1][0]])
+    rising = points[:1]
+    for point in points[1:]:  # a shallow stretch beside another may begin before that one ends
+        if point[0] > rising[-1][0]:
+            rising.append(point)
+    table = np.array(rising)
     return _without_straight(table)
 
 

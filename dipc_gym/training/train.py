@@ -18,6 +18,7 @@ import numpy as np
 from dipc_gym import compensators, estimators
 from dipc_gym.policy import Policy
 from dipc_gym.safety.alone import alone
+from dipc_gym.safety.files import NO_ROOM
 from dipc_gym.safety.places import inside
 from dipc_gym.training import checkpoint, folder
 from dipc_gym.training.checkpoint import Look
@@ -126,8 +127,11 @@ def _run(training: Training, rig: Rig, out: Path, resume: bool, overwrite: bool,
             checkpoint.write(learner, looks, out)
     except OSError as error:
         why = str(error.strerror).partition(";")[0]
-        said = f"{why} after {learner.steps:,} control periods; the last checkpoint is whole"
-        raise OSError(error.errno, f"{said}: make room, then --resume", error.filename or str(out)) from error
+        mend = "make room, then" if error.errno in NO_ROOM else "mend that, then"
+        begun = (out / "checkpoint.pt").exists()
+        what = f"the last checkpoint is whole: {mend} --resume" if begun else f"no checkpoint yet: {mend} begin anew"
+        said = f"{why} after {learner.steps:,} control periods; {what}"
+        raise OSError(error.errno, said, error.filename or str(out)) from error
     finally:
         bar.close()
     best = Policy.load(out / "policy.json")

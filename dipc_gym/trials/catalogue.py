@@ -157,6 +157,17 @@ def _drive(rig: Rig) -> list[Effect]:
             ),
         ),
         _mass(rig),
+        Effect(
+            "load.swinging",
+            at,
+            (
+                Parameter("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),
+                Parameter("damping_ratio", "", index("slosh_damping"), 0.02, 0.2),
+            ),
+            fixed=((index("slosh_mass"), 0.15 * own), (index("m0"), -0.15 * own)),
+        ),
+        creeping(rig),
+        resting(rig),
     ]
     if rig.name != "motor_axis":
         found.append(
@@ -274,17 +285,6 @@ def _motor(rig: Rig) -> list[Effect]:
             ),
             fixed=((index("heat_coefficient"), 0.0039),),
         ),
-        Effect(
-            "load.swinging",
-            rig.joints[0],
-            (
-                Parameter("slosh_rate", "rad/s", index("slosh_rate"), 6.0, 30.0),
-                Parameter("damping_ratio", "", index("slosh_damping"), 0.02, 0.2),
-            ),
-            fixed=((index("slosh_mass"), 0.15 * own), (index("m0"), -0.15 * own)),
-        ),
-        creeping(rig),
-        resting(rig),
     ]
     return found
 

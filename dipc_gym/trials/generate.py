@@ -37,7 +37,8 @@ def plans(seed: int, *, count: int | None = None, full: bool = False, laws: bool
 
     Args:
         seed: the seed.
-        count: number of trials; the composition keeps its proportions. None: 42, 430 with `full`, 150 with `laws`.
+        count: number of trials: the first of those that there are, which are in an order drawn at random, again and
+            again. None: 42, 430 with `full`, 150 with `laws`.
         full: the long version.
         laws: the trial of laws: shapes of no formula, of physics with a name and without.
 
@@ -77,7 +78,7 @@ def plans(seed: int, *, count: int | None = None, full: bool = False, laws: bool
             names = [name for name in names if effect in possible[name]]
         weights = np.array([RIG_WEIGHTS[name] for name in names])
         if kind != "single":
-            # Every rig gets its share of the nulls and of the rest.
+            # Rigs take turns, whatever their weights are for single effects.
             if not waiting:
                 waiting = [names[i] for i in rng.permutation(len(names))]
             rig = waiting.pop()

@@ -140,7 +140,7 @@ def amplifier(p, command, gain):  # type: ignore[no-untyped-def]
 def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no-untyped-def]
     """Rate of the state into `out`; the force that holds each held joint into `hold`.
 
-    Returns the motor's force on the joint side, N or N m.
+    Returns the force that the first joint is driven by, what its motor's transmission passes on, N or N m.
     """
     for k in range(STATE_SIZE):
         out[k] = 0.0
@@ -249,7 +249,7 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
             hold[0] = -rhs[0]
         else:
             out[V] = rhs[0] / own
-        return force
+        return drive
 
     # Two poles on a cart, in absolute angles from upright, then turned into joint angles.
     d2 = p[M1] * p[COM1] + p[M2] * p[LENGTH1]
@@ -277,7 +277,7 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
             hold[j] = -rhs[j]
             for k in range(3):
                 hold[j] += mass[j, k] * out[V + k]
-    return force
+    return drive
 
 
 @_jit
@@ -404,6 +404,32 @@ def _between(q0, v0, q1, v1, dt, x):  # type: ignore[no-untyped-def]
     )
     slope = 6.0 * x * (x - 1.0) * (q0 - q1) / dt + (1.0 - x) * (1.0 - 3.0 * x) * v0 + x * (3.0 * x - 2.0) * v1
     return value, slope
+
+
+@_jit
+def unscaled(p, y, slope):  # type: ignore[no-untyped-def]
+    """What an encoder makes its readings of, in place: an eccentric one, or one whose scale is a law.
+
+    Args:
+        p: parameters, see `dipc_gym.trials.entries`.
+        y: readings of the first joint, free of gain and bias, shape (samples,).
+        slope: their rates.
+    """
+    for i in range(len(y)):
+        x = y[i]
+        for _ in range(50):  # a scale is off by less than it goes: each step comes nearer
+            before = x
+            if p[ENCODER_SIZE] != 0.0:
+                x = y[i] - p[ENCODER_SIZE] * np.sin(p[ENCODER_WAVE] * x + p[ENCODER_PHASE])
+            elif p[LAW] == SCALE:
+                x = y[i] - _bumps(p, x)
+            if abs(x - before) < 1e-12:
+                break
+        y[i] = x
+        if p[ENCODER_SIZE] != 0.0:
+            slope[i] /= 1.0 + p[ENCODER_SIZE] * p[ENCODER_WAVE] * np.cos(p[ENCODER_WAVE] * x + p[ENCODER_PHASE])
+        elif p[LAW] == SCALE:
+            slope[i] /= 1.0 + _bumps_slope(p, x)
 
 
 @_jit

@@ -60,6 +60,10 @@ def step_size(rig: Rig, parameters: Array, largest: float) -> float:
         step = min(step, 0.4 * np.sqrt(rotor * driven / (rotor + driven) / stiffness))
     if any(parameters[index("pulse_size", joint)] for joint in range(rig.count)):
         step = min(step, 5e-4)
+    if parameters[index("gap")] > 0:  # where in a step a contact begins, shows: only the same steps predict the same
+        step = min(step, FINE)
+    if parameters[index("dwell")] > 0:  # a joint breaks away at the end of one
+        step = min(step, 1e-4)
     return float(step)
 
 
@@ -86,12 +90,25 @@ def record(
     return Recording(parameters, command, gain, q, v, reading, slope, measured)
 
 
-def _initial_states(rig: Rig, parameters: Array, recording: Recording) -> tuple[Array, Array]:
-    """Joint states that a rig of these parameters would read so, from noise-free readings."""
+def _scaled_by(rig: Rig, parameters: Array, recording: Recording) -> tuple[Array, Array]:
+    """What sensors of these parameters make noise-free readings of, and its rates, (samples, joints) each: past their
+    filters and delays, before their encoders, gains and biases.
+    """
+    joints = range(rig.count)
+    gain, bias = (parameters[[index(name, joint) for joint in joints]] for name in ("gain", "bias"))
+    y, slope = (recording.reading - bias) / (1 + gain), recording.slope / (1 + gain)
+    first = np.ascontiguousarray(y[:, 0]), np.ascontiguousarray(slope[:, 0])
+    integrator.unscaled(parameters, *first)
+    y[:, 0], slope[:, 0] = first
+    return y, slope
+
+
+def _initial_states(rig: Rig, parameters: Array, ys: Array, slopes: Array) -> tuple[Array, Array]:
+    """Joint states that a rig of these parameters would read so, from what its sensors scale, see `_scaled_by`."""
     time = np.arange(SAMPLES) * SAMPLE_TIME
-    q, v = np.empty_like(recording.q), np.empty_like(recording.v)
+    q, v = np.empty_like(ys), np.empty_like(slopes)
     for joint in range(rig.count):
-        y, slope = recording.reading[:, joint], recording.slope[:, joint]
+        y, slope = ys[:, joint], slopes[:, joint]
         lag, filtered = parameters[index("lag", joint)], parameters[index("filter", joint)]
         if lag > 0:
             from scipy.interpolate import CubicHermiteSpline
@@ -100,10 +117,10 @@ def _initial_states(rig: Rig, parameters: Array, recording: Recording) -> tuple[
             later = np.minimum(time + lag, time[-1])
             y, slope = spline(later), spline(later, 1)
         if filtered > 0:
-            y, slope = y + filtered * slope, slope + filtered * np.gradient(slope, SAMPLE_TIME)
-        scale = 1 + parameters[index("gain", joint)]
-        q[:, joint] = (y - parameters[index("bias", joint)]) / scale
-        v[:, joint] = slope / scale
+            from scipy.interpolate import CubicSpline
+
+            y, slope = y + filtered * slope, slope + filtered * CubicSpline(time, slope)(time, 1)
+        q[:, joint], v[:, joint] = y, slope
     return q, v
 
 
@@ -121,10 +138,10 @@ def predict(
         true_initial: whether initial states are the true ones instead of what the readings say.
         shift: added to the initial positions and velocities.
     """
-    q, v = (recording.q, recording.v) if true_initial else _initial_states(rig, parameters, recording)
+    start_y, slope = _scaled_by(rig, parameters, recording)
+    q, v = (recording.q, recording.v) if true_initial else _initial_states(rig, parameters, start_y, slope)
     if shift is not None:
         q, v = q + shift[0], v + shift[1]
-    start_y = recording.reading / (1 + parameters[[index("gain", j) for j in range(rig.count)]])
     return np.asarray(
         integrator.simulate(
             parameters, rig.count, SAMPLE_TIME, step_size(rig, parameters, COARSE), recording.command, gain,

@@ -167,6 +167,9 @@ def figure(scores: Mapping[str, Any], width: float = style.WIDE) -> Figure:
     left.set(xscale="log", ylim=(-5, 105), xlabel="effect size (noise standard deviations)", ylabel="%")
     left.axvline(2.0, color=style.GREY, linewidth=0.8)
     left.legend(loc="lower right")
+    if not rows:  # no trial of a single effect was judged
+        right.set_axis_off()
+        return canvas
     counts = np.array([[confusion[truth].get(name, 0) for name in columns] for truth in rows], dtype=float)
     shares = counts / counts.sum(axis=1, keepdims=True)
     right.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")

@@ -23,6 +23,8 @@ Force = Callable[[Array, Array, Array], Array]
 WINDOW = 125  # samples of a window that is judged
 STEPS = 4
 """Runge-Kutta steps a sample."""
+FORCED = 16
+"""The same with a force that is added: it is held over each step, and a perfect one must come to the noise."""
 SMOOTH = 31
 """Samples over which a cubic is laid to differentiate a reading."""
 HELD_BACK = 0.2
@@ -79,7 +81,8 @@ def predict(model: mujoco.MjModel, motion: Motion, force: Force | None, q: Array
         q: initial positions of the windows, (windows, nv).
         v: initial velocities.
     """
-    model.opt.timestep, model.opt.integrator = motion.step / STEPS, mujoco.mjtIntegrator.mjINT_RK4
+    steps = STEPS if force is None else FORCED
+    model.opt.timestep, model.opt.integrator = motion.step / steps, mujoco.mjtIntegrator.mjINT_RK4
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what diverges stays diverged
     count = len(q)
     sims = batch.Batch(model, count, 1)
@@ -90,7 +93,7 @@ def predict(model: mujoco.MjModel, motion: Motion, force: Force | None, q: Array
     for k in range(WINDOW):
         seen[:, k] = sims.qpos
         sims.ctrl[:] = commands[:, k]
-        for _ in range(STEPS):
+        for _ in range(steps):
             if force is not None:
                 sims.qfrc_applied[:] = force(sims.qpos, sims.qvel, commands[:, k])
             sims.step()

@@ -101,7 +101,7 @@ def _done(out: Path, name: str) -> bool:
         return False
     try:
         said, _ = records.attempt(out, name)
-        if said["failure"] is None and inside(out, f"sealed/{name}.json").exists():
+        if said["failure"] is None and _answered(out, name):
             records.graded(out, name)
     except DamagedError as damage:
         intact.set_aside(note, damage)
@@ -114,12 +114,21 @@ def _done(out: Path, name: str) -> bool:
     return said["failure"] is None
 
 
+def _answered(out: Path, name: str) -> bool:
+    """Whether a trial and its answer are whole; what is not is made again from the seed, the same."""
+    try:
+        records.answer(out, name)
+    except DamagedError:
+        return False
+    return True
+
+
 def _keep(texts: Mapping[str, str], result: Path) -> None:
     """Write what an attempt gave; its note comes last, for it says that all is there. What rivals gave stays."""
     result.mkdir(parents=True, exist_ok=True)
     (result / "attempt.json").unlink(missing_ok=True)
     for old in result.iterdir():
-        if old.name != "rivals.json" and old.suffix != intact.ASIDE:
+        if old.is_file() and old.name != "rivals.json" and old.suffix != intact.ASIDE:
             old.unlink()
     for name in sorted(texts, key="attempt.json".__eq__):
         write_whole(inside(result, name), texts[name].encode())
