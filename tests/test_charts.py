@@ -85,7 +85,7 @@ def test_axis_speaks_of_small_things_in_small_units() -> None:
 def test_bins_find_dry_friction_in_noise() -> None:
     rng = np.random.default_rng(3)
     v = rng.normal(0, 0.2, 20_000)
-    centre, mean, spread = charts.binned(v, 8 * np.sign(v) + 3 * v + rng.standard_normal(len(v)))
+    centre, mean, spread = charts.binned(v, 8 * np.sign(v) + 3 * v + rng.standard_normal(len(v)), 40)
     away = np.abs(centre) > 0.02
     assert mean[away] == pytest.approx(8 * np.sign(centre[away]) + 3 * centre[away], abs=0.5)
     middle = away & (np.abs(centre) < 0.4)  # enough samples for a spread
@@ -94,7 +94,7 @@ def test_bins_find_dry_friction_in_noise() -> None:
 
 @given(arrays(float, st.integers(5, 300), elements=FINITE), FINITE)
 def test_bins_of_a_constant_are_the_constant(x: np.ndarray, level: float) -> None:
-    centre, mean, spread = charts.binned(x, np.full(len(x), level))
+    centre, mean, spread = charts.binned(x, np.full(len(x), level), 40)
     fine = np.isfinite(mean)
     assert mean[fine] == pytest.approx(np.full(fine.sum(), level), rel=1e-9, abs=1e-9)
     assert np.all(spread[fine] <= 1e-6 * max(1.0, abs(level)))

@@ -42,7 +42,7 @@ from dipc_gym.sim2real.estimation.problem import predict
 from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.simulation.batch import Stepping
-from dipc_gym.sim2real.verdict.improve import place_units
+from dipc_gym.sim2real.verdict.effect_words import place_units
 
 # The ids of the project's contract, less those that are no effect of the catalogue: a wrong mass is a number of the
 # model that a refit changes, and the unknown is what no effect explains.

@@ -9,7 +9,7 @@ from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real import catalogue
 from dipc_gym.sim2real.model.structure import Structure, Term
-from dipc_gym.sim2real.verdict.improve import in_words
+from dipc_gym.sim2real.verdict.effect_words import in_words
 from dipc_gym.sim2real.verdict.in_place import in_place_of
 
 VALUES = {

@@ -24,7 +24,7 @@ from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Term, carry
 from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.simulation.batch import Stepping
-from dipc_gym.sim2real.verdict.improve import place_units
+from dipc_gym.sim2real.verdict.effect_words import place_units
 
 NOTHING = 1e-9  # times the noise: predictions that change by less do not change
 

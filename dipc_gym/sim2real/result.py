@@ -101,7 +101,11 @@ class Errors:
 
     def in_noise(self) -> dict[str, float]:
         """In units of noise."""
-        return {name: round(getattr(self, name), 4) for name in ("nominal", "recalibrated", "improved")}
+        return self.rounded(4)
+
+    def rounded(self, digits: int) -> dict[str, float]:
+        """As they are, with so many digits behind the point."""
+        return {name: round(getattr(self, name), digits) for name in ("nominal", "recalibrated", "improved")}
 
 
 # What people measure by, of the unit in which a file holds it.
@@ -461,13 +465,7 @@ class Diagnosis:
                 "noise_floor": round(1 / max(self.held_out.nominal, 1e-12), 6),
                 "held_out_in_noise": self.held_out.in_noise(),
                 "held_out_force": {
-                    at: {
-                        "nominal": round(e.nominal, 5),
-                        "recalibrated": round(e.recalibrated, 5),
-                        "improved": round(e.improved, 5),
-                    }
-                    for at, e in self.force.items()
-                    if np.isfinite(e.nominal)
+                    at: errors.rounded(5) for at, errors in self.force.items() if np.isfinite(errors.nominal)
                 },
             }
             if self.sensors:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.estimation.shooting import Shooting, mean_loss, project, typical
+from dipc_gym.sim2real.estimation.shooting import Shooting, mean_loss, project, rms, typical
 from dipc_gym.sim2real.model.structure import Structure
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ class Fit:
     @property
     def error(self) -> float:
         """Root of the mean square prediction error, in units of noise."""
-        return float(np.sqrt(np.mean(self.mse)))
+        return rms(self.mse)
 
     @property
     def curvature(self) -> Array:

@@ -263,9 +263,14 @@ def typical(mse: Array) -> float:
     return max(1.0, float(np.quantile(mse, ESTIMATION.typical)))
 
 
+def rms(mse: Array) -> float:
+    """Root mean square error of windows, from their mean square errors (n,)."""
+    return float(np.sqrt(np.mean(mse)))
+
+
 def common_error(mse: Array) -> float:
     """Root mean square error of windows (n,) in which nothing else happened: a push not yet found counts little."""
-    return float(np.sqrt(np.mean(np.minimum(mse, ESTIMATION.far_out * typical(mse)))))
+    return rms(np.minimum(mse, ESTIMATION.far_out * typical(mse)))
 
 
 def loss(mse: Array, scale: float) -> Array:

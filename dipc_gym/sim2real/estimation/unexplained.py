@@ -142,19 +142,13 @@ class Scene:
         return list(base_joints(self.model))
 
 
-def scene(
-    physics: Physics,
-    recordings: Sequence[Recording],
-    motions: Sequence[Motion],
-    outliers: Sequence[float] = (),
-) -> Scene:
+def scene(physics: Physics, recordings: Sequence[Recording], motions: Sequence[Motion]) -> Scene:
     """What a model leaves unexplained.
 
     Args:
         physics: the model.
         recordings: what was measured.
         motions: of the joints.
-        outliers: times at which outlier windows begin, s.
     """
     model = physics.model
     parts = []
@@ -163,7 +157,7 @@ def scene(
         parts.append((recording.time, motion.position, motion.velocity, force, load))
     time, position, velocity, force, load = (np.concatenate(part) for part in zip(*parts, strict=True))
     noise = np.hypot.reduce(base_inertia(model) * np.max([motion.noise for motion in motions], axis=0), axis=1)
-    return Scene(model, tuple(recordings), time, position, velocity, force, load, noise, tuple(outliers))
+    return Scene(model, tuple(recordings), time, position, velocity, force, load, noise)
 
 
 def _index(recording: Recording, share: float) -> int:

@@ -19,6 +19,7 @@ Kind = Literal["line", "dots", "area"]
 Tone = Literal["observed", "nominal", "before", "after", "shade"]
 
 WIDTH, HEIGHT = 2000, 1000  # of the box; twice the pixels of the widest chart
+FEWEST = 5  # samples in a bin that is drawn: the mean of fewer is chance
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}  # of units, by powers of ten
 PREFIXED = ("m", "rad", "N", "V", "A", "s")  # units that a prefix may stand before
 
@@ -209,7 +210,7 @@ def _box(x: Array, y: Array, across: Axis, up: Axis) -> tuple[Array, Array]:
     return X, np.clip(Y, -HEIGHT, 2 * HEIGHT)
 
 
-def binned(x: Array, y: Array, count: int = 40, least: int = 5) -> tuple[Array, Array, Array]:
+def binned(x: Array, y: Array, count: int) -> tuple[Array, Array, Array]:
     """Mean of y over x, with its spread.
 
     Half of the edges divide the range, half the samples: fine where there are many, nowhere blind.
@@ -218,20 +219,19 @@ def binned(x: Array, y: Array, count: int = 40, least: int = 5) -> tuple[Array, 
         x: (n,).
         y: (n,).
         count: most bins.
-        least: samples in a bin below which it is left out.
 
     Returns:
-        Centre, mean and standard deviation of each bin; a bin that is left out is NaN.
+        Centre, mean and standard deviation of each bin; NaN where fewer than five samples are.
     """
     fine = np.isfinite(x) & np.isfinite(y)
     x, y = x[fine], y[fine]
-    if len(x) < least:
+    if len(x) < FEWEST:
         return np.zeros(0), np.zeros(0), np.zeros(0)
     even = np.linspace(x.min(), x.max(), count // 2 + 1)
     edges = np.unique(np.concatenate([even, np.quantile(x, np.linspace(0, 1, count // 2 + 1))]))
     index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
     n = np.bincount(index, minlength=1).astype(float)
-    n[n < least] = np.nan
+    n[n < FEWEST] = np.nan
     centre = np.bincount(index, x) / n
     mean = np.bincount(index, y) / n
     variance = np.bincount(index, (y - np.nan_to_num(mean)[index]) ** 2) / n

@@ -7,7 +7,7 @@ import numpy as np
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.estimation.shooting import common_error, typical
+from dipc_gym.sim2real.estimation.shooting import common_error, rms, typical
 from dipc_gym.sim2real.selection.settings import SEARCH
 from dipc_gym.sim2real.unseen.parts import loads
 
@@ -39,4 +39,4 @@ def left(first: Problem, fitted: Fit) -> float | None:
     if not known or have_a_law(fitted) or not len(first.windows):
         return None
     mse = evaluate(first, fitted.structure, fitted.z)
-    return float(np.sqrt(np.mean(mse))) if mse.max() > ESTIMATION.far_out * typical(fitted.mse) else None
+    return rms(mse) if mse.max() > ESTIMATION.far_out * typical(fitted.mse) else None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.sim2real.effects.base import joint_at
 from dipc_gym.sim2real.estimation.fit import Fit
-from dipc_gym.sim2real.estimation.shooting import common_error
+from dipc_gym.sim2real.estimation.shooting import common_error, rms
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.scorer import Scorer, near
@@ -89,7 +89,7 @@ def before_unnamed(before: float, mse: NDArray[np.float64]) -> float:
         before: error without either.
         mse: what the law of no kind leaves, mean square of each window, (n,).
     """
-    most = before - SEARCH.most * (before - _error(mse))
+    most = before - SEARCH.most * (before - rms(mse))
     return min(most, SEARCH.in_reach) if common_error(mse) < SCORE.at_floor else most
 
 
@@ -105,18 +105,13 @@ def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]
         paths: the fits of each, the first without effects.
     """
     compared = [scorer.unfitted_mse(path[-1]) for path in paths]
-    losses, left = ranking.losses(compared), [_error(mse) for mse in compared]
+    losses, left = ranking.losses(compared), [rms(mse) for mse in compared]
     close = [k for k, error in enumerate(left) if error <= min(left) / SEARCH.far_better]
     best = min(close, key=lambda k: losses[k])
-    before = _error(scorer.unfitted_mse(paths[0][0]))
+    before = rms(scorer.unfitted_mse(paths[0][0]))
     most = min(before_unnamed(before, compared[best]), before ** (1 - SEARCH.most) * left[best] ** SEARCH.most)
     named = [k for k in close if not paths[k][-1].structure.unnamed and left[k] < most]
     return paths[min(named, key=lambda k: losses[k], default=best)]
-
-
-def _error(mse: NDArray[np.float64]) -> float:
-    """Root mean square error of windows, (n,)."""
-    return float(np.sqrt(np.mean(mse)))
 
 
 def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:

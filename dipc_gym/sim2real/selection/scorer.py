@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.problem import Problem
-from dipc_gym.sim2real.estimation.shooting import common_error, typical
+from dipc_gym.sim2real.estimation.shooting import common_error, rms, typical
 from dipc_gym.sim2real.estimation.unexplained import force_in_windows
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import partitioning, ranking
@@ -66,7 +66,7 @@ class Scorer:
 
     def comparison_error(self, fitted: Fit) -> float:
         """Root mean square error on the comparison windows, in units of noise."""
-        return float(np.sqrt(np.mean(self.comparison_mse(fitted))))
+        return rms(self.comparison_mse(fitted))
 
     def mse(self, fitted: Fit) -> Array:
         """Mean square errors of the fitted windows, then of the comparison windows."""
@@ -199,7 +199,7 @@ def earned(after: Array, before: Array, *, small: bool) -> bool:
         >>> earned(np.full(9, 7.0**2), np.full(9, 10.0**2), small=False)
         True
     """
-    then, now = (float(np.sqrt(np.mean(mse))) for mse in (before, after))
+    then, now = rms(before), rms(after)
     return common_error(after) < SCORE.at_floor or (not small and then - now > SEARCH.earns * (then - 1))
 
 

@@ -10,6 +10,7 @@ from operator import attrgetter
 import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.shooting import rms
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.choice import before_unnamed
@@ -113,7 +114,7 @@ def keeping_up(fitter: Fitter, sketched: Sequence[Start], current: Fit) -> list[
     if at_noise(sketched):
         return [start for start in sketched if gains[start.tried.key] > closely]
     close = [t for t, _ in sketched if gains[t.key] > (closely if fitter.slow(t.term) else enough)]
-    error = float(np.sqrt(np.mean(before)))
+    error = rms(before)
     near = [*sorted(close, key=lambda t: -gains[t.key])[: SEARCH.fully], *_going_before(sketched, error)]
     wanted = {t.key for t in near} | {f"{inner}@{t.term.at}" for t in near for inner in t.term.effect.contains}
     return plain_first([start for start in sketched if start.tried.key in wanted], error)

@@ -15,6 +15,7 @@ from dipc_gym.recording.units import of_sensor
 from dipc_gym.sim2real.estimation.fit import Fit, readings
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import joined
+from dipc_gym.sim2real.estimation.shooting import rms
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.result import (
@@ -195,7 +196,7 @@ def _candidate(search: Searched, tried: Tried, status: Status) -> Candidate:
         gain = search.scorer.compare_on_others(tried.fitted, first)
     else:  # the windows of a sketch are among the worse ones
         subset = search.partition.known_to(tried.sketch)
-        error = tried.sketch.error * first.error / float(np.sqrt(np.mean(first.mse[subset])))
+        error = tried.sketch.error * first.error / rms(first.mse[subset])
         gain = compare(tried.sketch.mse, first.mse[subset], search.partition.problem.blocks[subset])
     spread = gain.error if np.isfinite(gain.error) else None
     return Candidate(effect.id, tried.term.at, words, status, error, gain.gain, spread)

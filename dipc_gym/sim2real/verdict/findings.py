@@ -24,8 +24,9 @@ from dipc_gym.sim2real.result import Errors, Missing
 from dipc_gym.sim2real.selection.partitioning import evenly
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
-from dipc_gym.sim2real.verdict import improve, intervals, location, sentences, stand_ins, untouched
+from dipc_gym.sim2real.verdict import intervals, location, sentences, stand_ins, untouched
 from dipc_gym.sim2real.verdict.conclude import Conclusion
+from dipc_gym.sim2real.verdict.effect_words import in_words, place_units
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
@@ -188,8 +189,8 @@ def missing_effects(
         asked = [result(k) for k in range(len(terms))]
     missing = []
     for term, others, (share, tried) in zip(terms, rivals, asked, strict=True):
-        units = improve.place_units(final.structure, term)
-        sentence = improve.in_words(final.structure, final.z, term)
+        units = place_units(final.structure, term)
+        sentence = in_words(final.structure, final.z, term)
         law = _law(final, term, units, wide.of_laws)
         if term.effect.once:
             sentence += _once(search, final, term)
@@ -236,8 +237,8 @@ def named_alone(final: Fit) -> list[Missing]:
     """The effects of a fit with their parameters, where what they are worth cannot be told: shares are null."""
     missing = []
     for term in final.structure.terms:
-        units = improve.place_units(final.structure, term)
-        sentence = improve.in_words(final.structure, final.z, term)
+        units = place_units(final.structure, term)
+        sentence = in_words(final.structure, final.z, term)
         parameters = _parameters(final, term, units, np.full(len(final.z), np.inf))
         loader = term.effect.needs_loader
         missing.append(Missing(term.effect.name, term.at, sentence, math.nan, parameters, needs_loader=loader))

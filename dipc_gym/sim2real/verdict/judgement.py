@@ -18,7 +18,7 @@ from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
-from dipc_gym.sim2real.estimation.shooting import common_error
+from dipc_gym.sim2real.estimation.shooting import common_error, rms
 from dipc_gym.sim2real.estimation.steps import controlled
 from dipc_gym.sim2real.model.structure import names
 from dipc_gym.sim2real.result import Beyond, Details, Diagnosis, Errors, Located, Missing, SensorFit, Verdict
@@ -212,7 +212,7 @@ def _to_the_end(search: Searched, judged: Fit, end: Problem) -> tuple[Searched, 
     after, last = search.to_the_end(judged, end)
     count = len(judged.mse)
     elsewhere = common_error(last.mse[:count]) <= VERDICT.worse * max(common_error(judged.mse), 1.0)
-    there = float(np.sqrt(np.mean(last.mse[count:]))) <= untouched.error_on(end, judged)
+    there = rms(last.mse[count:]) <= untouched.error_on(end, judged)
     return (after, last) if elsewhere and there else (search, judged)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.shooting import rms
 from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.scorer import compare_on
 from dipc_gym.sim2real.selection.search import Searched
@@ -16,8 +17,7 @@ from dipc_gym.sim2real.verdict.settings import VERDICT
 
 def error_on(problem: Problem, fitted: Fit) -> float:
     """Root mean square error on windows that no fit has touched, in units of noise."""
-    mse = evaluate(problem, fitted.structure, fitted.z)
-    return float(np.sqrt(np.mean(mse)))
+    return rms(evaluate(problem, fitted.structure, fitted.z))
 
 
 def fair(search: Searched, fitted: Fit) -> Problem:

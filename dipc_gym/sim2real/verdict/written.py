@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.sim2real.estimation.fit import Fit, begun, fit, simulated
 from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.shooting import rms
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.result import AsWritten, Errors, FinerSteps
 from dipc_gym.sim2real.selection.partitioning import evenly
@@ -68,7 +69,7 @@ class Predictor:
 
     def error(self, structure: Structure, z: Array) -> float:
         """Root mean square error of a structure, in units of noise; infinite where it does not compile."""
-        return float(np.sqrt(np.mean(self.mse(structure, z))))
+        return rms(self.mse(structure, z))
 
     def mse(self, structure: Structure, z: Array, which: NDArray[np.intp] | None = None) -> Array:
         """Mean square error of each window, or of some, in units of noise; infinite where it does not compile.
