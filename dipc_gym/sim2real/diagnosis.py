@@ -123,32 +123,34 @@ def _found(
     Raises:
         CannotTell: the recordings do not say.
     """
-    late = Guarded(Stop(tell))
+    guarded = Guarded(Stop(tell))
     case = part(given, threads=threads)
     test = withheld.test(case)
     tell(f"{len(case.prepared.problem.windows)} windows of {case.prepared.length:g} s")
     base = baseline(case)
     _check_conventions(case, base, tell)
-    searched, located = _search(case, base, effects, late)
-    searched, concluded = _conclude(searched, late)
-    judged, concluded = judgement(case, base, test, searched, concluded, located, late)
+    searched, located = _search(case, base, effects, guarded)
+    searched, concluded = _conclude(searched, guarded)
+    judged, concluded = judgement(case, base, test, searched, concluded, located, guarded)
     proposed: Design | None = None
     if design is not None:
-        proposed = late("The next experiment", lambda: _design(case, base, concluded, design), lambda: None)
+        proposed = guarded("The next experiment", lambda: _design(case, base, concluded, design), lambda: None)
     first = [sentences.own_step(given.physics.model.opt.timestep, base.fine)] if base.fine is not None else []
-    return replace(judged, notes=(*given.notes, *first, *judged.notes, *late.notes), design=proposed)
+    return replace(judged, notes=(*given.notes, *first, *judged.notes, *guarded.notes), design=proposed)
 
 
-def _search(case: Case, base: Baseline, effects: Sequence[Effect], late: Guarded) -> tuple[Searched, Sequence[Located]]:
+def _search(
+    case: Case, base: Baseline, effects: Sequence[Effect], guarded: Guarded
+) -> tuple[Searched, Sequence[Located]]:
     """What a search comes to, also where Ctrl-C or an error ended it, and where the mismatch sits."""
-    search, located = begin_search(case, base, effects, late.stop)
-    late("Whether more is missing", search.run, lambda: base.recalibrated)
+    search, located = begin_search(case, base, effects, guarded.stop)
+    guarded("Whether more is missing", search.run, lambda: base.recalibrated)
     return search.outcome, located
 
 
-def _conclude(searched: Searched, late: Guarded) -> tuple[Searched, Conclusion]:
+def _conclude(searched: Searched, guarded: Guarded) -> tuple[Searched, Conclusion]:
     """What is left of a search; after an error all that it found, unasked what could stand in for it."""
-    return late(
+    return guarded(
         "What could stand in for the effects",
         lambda: conclude(searched),
         lambda: (searched, Conclusion(searched.progress.current)),

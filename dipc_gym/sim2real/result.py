@@ -421,6 +421,7 @@ class Diagnosis:
         recalibrated: model parameters that had to change.
         comparison: errors on windows between the fitted ones.
         held_out: errors on windows that no fit has touched, and that chose nothing.
+        held_out_was_fitted: whether these could not be worked out, and `held_out` is the error on fitted windows.
         validation: errors on windows that no fit has touched, and that chose among models.
         beyond: held-out windows that go beyond what laws were fitted with; None where none does.
         written: errors of the improved model's file at its own step; None where that is the model as given.
@@ -442,6 +443,7 @@ class Diagnosis:
     recalibrated: tuple[dict[str, Any], ...] = ()
     comparison: Errors | None = None
     held_out: Errors | None = None
+    held_out_was_fitted: bool = False
     validation: Errors | None = None
     beyond: Beyond | None = None
     written: AsWritten | None = None
@@ -462,6 +464,7 @@ class Diagnosis:
             fit = {
                 "comparison": self.comparison.relative(),
                 "held_out": self.held_out.relative(),
+                "held_out_was_fitted": self.held_out_was_fitted,
                 "noise_floor": round(1 / max(self.held_out.nominal, 1e-12), 6),
                 "held_out_in_noise": self.held_out.in_noise(),
                 "held_out_force": {

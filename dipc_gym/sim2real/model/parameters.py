@@ -112,11 +112,15 @@ def fixed_masses(document: Document, model: mujoco.MjModel, parameters: Sequence
 
 @dataclass(frozen=True)
 class Wishes:
-    """What the owner of a rig knows.
+    """What the owner of a rig knows of the model's parameters, which are named `place.attribute`.
 
     Attributes:
-        fix: parameters that are right, as `cart.mass`.
-        prior: parameters with mean and standard deviation.
+        fix: parameters that are right; no fit moves them.
+        prior: mean and standard deviation of others, in the parameter's own unit.
+
+    Example:
+        >>> Wishes(fix=("cart.mass",), prior={"motor.resistance": (1.2, 0.05)}).prior["motor.resistance"]  # ohm
+        (1.2, 0.05)
     """
 
     fix: tuple[str, ...] = ()
@@ -132,10 +136,10 @@ class Wishes:
         for key in (*self.fix, *self.prior):
             if key not in known:
                 names = f"{', '.join(known)}{suggestion(key, known)}"
-                raise ValueError(f"--fix or --prior {key!r}: the model's parameters are {names}")
+                raise ValueError(f"fix or prior of {key!r}: the model's parameters are {names}")
         both = next((key for key in self.fix if key in self.prior), None)
         if both is not None:
-            raise ValueError(f"--fix {both} and --prior {both}: what is held has no spread; leave one of them out")
+            raise ValueError(f"fix and prior of {both}: what is held has no spread; leave one of them out")
         out = []
         for parameter in parameters:
             if parameter.key in self.fix:
@@ -143,7 +147,7 @@ class Wishes:
             if parameter.key in self.prior:
                 mean, spread = self.prior[parameter.key]
                 if not (0 < mean < math.inf and 0 < spread < math.inf):
-                    raise ValueError(f"--prior {parameter.key}: mean and spread must be positive and finite")
+                    raise ValueError(f"prior of {parameter.key}: mean and spread must be positive and finite")
                 # Of the log-normal distribution with this mean and spread, whose reach stays finite.
                 parameter = replace(parameter, sigma=math.sqrt(math.log1p((spread / mean) ** 2)), expected=mean)
             out.append(parameter)

@@ -47,7 +47,7 @@ def judgement(
     search: Searched,
     found: Conclusion,
     located: Sequence[Located],
-    late: Guarded,
+    guarded: Guarded,
 ) -> tuple[Diagnosis, Conclusion]:
     """Judge what a search came to by test data.
 
@@ -58,16 +58,16 @@ def judgement(
         search: that has run.
         found: what it came to.
         located: where the mismatch sat before it.
-        late: runs stages, and keeps what was found where one fails.
+        guarded: runs stages, and keeps what was found where one fails.
 
     Returns:
         The diagnosis, and what the search came to, as it was judged.
     """
-    last = _chosen(base, test, search, found, late)
-    measured = _measured(case, base, test, last, late)
-    named = _named(case, last, measured, located, late)
+    last = _chosen(base, test, search, found, guarded)
+    measured = _measured(case, base, test, last, guarded)
+    named = _named(case, last, measured, located, guarded)
     source, final, notes = case.given.source, last.found.fitted, [*last.found.notes, *measured.notes, *named.notes]
-    improved, written, step_note = late(
+    improved, written, step_note = guarded(
         "What the improved model costs at its own step",
         lambda: improve.improved_model(
             source, case.given.physics, last.seen, last.problem, last.three, last.found.fitted
@@ -75,13 +75,13 @@ def judgement(
         lambda: (final.structure.write(final.z).text(), None, ""),
     )
     unheld = sentences.initial_states(written, measured.test) if written and measured.test else ""
-    predicted = late("Predictions of test data", lambda: predictions(last.problem, *last.three), dict[str, Array])
-    sensors = late(
+    predicted = guarded("Predictions of test data", lambda: predictions(last.problem, *last.three), dict[str, Array])
+    sensors = guarded(
         "Errors in the units of the sensors",
         lambda: sensor_fits(last.problem.windows, case.given.physics.model, predicted),
         tuple[SensorFit, ...],
     )
-    behind: Details | None = late(
+    behind: Details | None = guarded(
         "What the report draws",
         lambda: details(source, base, last.search, last.found, last.problem, located, improved, predicted),
         lambda: None,
@@ -105,6 +105,7 @@ def judgement(
         recalibrated=tuple(measured.changed),
         comparison=measured.comparison,
         held_out=measured.test,
+        held_out_was_fitted=measured.test_was_fitted,
         validation=last.validation,
         beyond=measured.beyond,
         written=written,
@@ -151,57 +152,100 @@ class _Chosen:
         return self.found.fitted is not self.three[-1]
 
 
-def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, late: Guarded) -> _Chosen:
+@dataclass(frozen=True)
+class _Stage:
+    """What a search came to, at one stage of the last choice.
+
+    Attributes:
+        search: that came to it.
+        found: what it came to.
+        problem: windows to test with, in the same steps.
+    """
+
+    search: Searched
+    found: Conclusion
+    problem: Problem
+
+
+def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, guarded: Guarded) -> _Chosen:
     """Fit in steps as fine as predictions ask for, and choose by validation data what predicts best; nothing is chosen
     after that.
     """
-    coarse, problem = found.fitted, replace(test.problem, stepping=base.partition.problem.stepping)
-    nominal, recalibrated = base.nominal, base.recalibrated
-    if base.fine is None:
-        # The search compares in one step; what it came to is fitted, judged and reported with controlled errors.
-        search, final = late("A fit in finer steps", lambda: search.refined(coarse), lambda: (search, coarse))
-        problem = late(
-            "Finer steps for test data", lambda: controlled(problem, final.structure, final.z), lambda: problem
-        )
-        found = replace(found, fitted=final)
-    refined = search, found
-    found = late(
-        "Which model predicts best",
-        lambda: best_on_validation(*refined, refined[0].progress.informed((coarse, recalibrated, nominal))),
-        lambda: refined[1],
+    problem = replace(test.problem, stepping=base.partition.problem.stepping)
+    fine = _in_fine_steps(base, _Stage(search, found, problem), guarded)
+    best, validation = _best(base, found.fitted, fine, guarded)
+    last = _as_far_as_recorded(test, best, guarded)
+    three = base.nominal, base.recalibrated, best.found.fitted
+    return _Chosen(last.search, last.found, three, best.search.partition, validation, last.problem)
+
+
+def _in_fine_steps(base: Baseline, stage: _Stage, guarded: Guarded) -> _Stage:
+    """The search compares in one step; what it came to is fitted, judged and reported with controlled errors."""
+    if base.fine is not None:
+        return stage
+    coarse = stage.found.fitted
+    search, final = guarded(
+        "A fit in finer steps", lambda: stage.search.refined(coarse), lambda: (stage.search, coarse)
     )
-    best, validating = found, search.partition.validation
-    validation = late(
+    problem = guarded(
+        "Finer steps for test data",
+        lambda: controlled(stage.problem, final.structure, final.z),
+        lambda: stage.problem,
+    )
+    return _Stage(search, replace(stage.found, fitted=final), problem)
+
+
+def _best(base: Baseline, coarse: Fit, stage: _Stage, guarded: Guarded) -> tuple[_Stage, Errors | None]:
+    """What predicts validation data best, fitted to these as well if laws are in it; and errors on them.
+
+    Errors are of the model as given, recalibrated, and of this one before that; None where there are none.
+
+    Args:
+        base: what was known before the search.
+        coarse: what the search came to in its own steps.
+        stage: the same in fine ones.
+        guarded: runs stages.
+    """
+    search, nominal, recalibrated = stage.search, base.nominal, base.recalibrated
+    found = guarded(
+        "Which model predicts best",
+        lambda: best_on_validation(search, stage.found, search.progress.informed((coarse, recalibrated, nominal))),
+        lambda: stage.found,
+    )
+    validating = search.partition.validation
+    validation: Errors | None = guarded(
         "The error on validation data",
-        lambda: Errors(*(untouched.error_on(validating, f) for f in (nominal, recalibrated, best.fitted))),
+        lambda: Errors(*(untouched.error_on(validating, f) for f in (nominal, recalibrated, found.fitted))),
         lambda: None,
     )
-    if validation is not None and _as_given(search, best, validation):
-        found = Conclusion(search.progress.informed((nominal,))[0], notes=best.notes)
-        validation = replace(validation, improved=validation.nominal)
-    elif any(term.effect.free for term in best.fitted.structure.terms):
-        search, whole = late(
-            "A fit to all windows", lambda: refined[0].whole(best.fitted), lambda: (refined[0], best.fitted)
-        )
-        found = _plainly(replace(best, fitted=whole), search, late)
-    judged, seen = found.fitted, search.partition
-    if test.ends and any(term.effect.free for term in judged.structure.terms):
-        before = search
-        search, last = late(
-            "A fit to the ends of the recordings",
-            lambda: _to_the_end(before, judged, problem),
-            lambda: (before, judged),
-        )
-        if last is not judged:
-            found = _plainly(replace(found, fitted=last), search, late)
-    return _Chosen(search, found, (nominal, recalibrated, judged), seen, validation, problem)
+    if validation is not None and _as_given(search, found, validation):
+        as_given = Conclusion(search.progress.informed((nominal,))[0], notes=found.notes)
+        return replace(stage, found=as_given), replace(validation, improved=validation.nominal)
+    if not any(term.effect.free for term in found.fitted.structure.terms):
+        return replace(stage, found=found), validation
+    longer, whole = guarded("A fit to all windows", lambda: search.whole(found.fitted), lambda: (search, found.fitted))
+    return _Stage(longer, _plainly(replace(found, fitted=whole), longer, guarded), stage.problem), validation
 
 
-def _plainly(found: Conclusion, search: Searched, late: Guarded) -> Conclusion:
+def _as_far_as_recorded(test: Test, stage: _Stage, guarded: Guarded) -> _Stage:
+    """With laws fitted to the ends of recordings as well, after these have judged them."""
+    judged = stage.found.fitted
+    if not (test.ends and any(term.effect.free for term in judged.structure.terms)):
+        return stage
+    search, last = guarded(
+        "A fit to the ends of the recordings",
+        lambda: _to_the_end(stage.search, judged, stage.problem),
+        lambda: (stage.search, judged),
+    )
+    found = stage.found if last is judged else _plainly(replace(stage.found, fitted=last), search, guarded)
+    return _Stage(search, found, stage.problem)
+
+
+def _plainly(found: Conclusion, search: Searched, guarded: Guarded) -> Conclusion:
     """With formulas in the place of tables where they predict as well."""
     tables = replace(found, formulas={})  # those of a fit before say nothing of this one
     seen = search.partition
-    return late("Formulas of laws", lambda: in_closed_form(tables, seen.problem, seen.first), lambda: tables)
+    return guarded("Formulas of laws", lambda: in_closed_form(tables, seen.problem, seen.first), lambda: tables)
 
 
 def _to_the_end(search: Searched, judged: Fit, end: Problem) -> tuple[Searched, Fit]:
@@ -223,6 +267,7 @@ class _Measured:
     Attributes:
         comparison: errors on the windows that were compared on.
         test: on test data.
+        test_was_fitted: whether that could not be worked out, and is the error on fitted windows.
         beyond: of these, what goes beyond what laws were fitted with; None where nothing does.
         later: error there of the fit that goes to the end of time, where a law of time ends before; else None.
         force: of the inverse models there, at each joint.
@@ -234,6 +279,7 @@ class _Measured:
 
     comparison: Errors
     test: Errors
+    test_was_fitted: bool
     beyond: Beyond | None
     later: float | None
     force: dict[str, Errors]
@@ -257,35 +303,36 @@ def _telling(test: Errors, outside: Beyond | None, later: float | None) -> Error
     return telling if later is None else replace(telling, improved=min(telling.improved, later))
 
 
-def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guarded) -> _Measured:
+def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, guarded: Guarded) -> _Measured:
     search, found, three, final = last.search, last.found, last.three, last.found.fitted
-    open_choice = late(
+    open_choice = guarded(
         "Whether other parameters would do",
         lambda: findings.choice_shift(final, found.others),
         lambda: np.full(len(final.z), np.inf),
     )
     fitted = Errors(*(f.error for f in three))
-    comparison = late(
+    comparison = guarded(
         "The error on windows to compare on",
         lambda: Errors(*(search.scorer.comparison_error(f) for f in three)),
         lambda: fitted,
     )
     notes = list[str]()
     if comparison.recalibrated > SCORE.at_floor and not search.stop.asked:
-        notes += late(
+        notes += guarded(
             "Whether parameters further off would do",
             lambda: findings.beyond_limits(base.partition.problem, search.partition.validation, base.recalibrated),
             list[str],
         )
-    errors = late(
+    errors = guarded(
         "The error on test data",
         lambda: Errors(*(untouched.error_on(last.problem, f) for f in three)),
         lambda: None,
     )
+    was_fitted = errors is None
     if errors is None:
         errors = fitted
         notes.append(sentences.NOT_HELD_OUT)
-    outside: Beyond | None = late(
+    outside: Beyond | None = guarded(
         "What goes beyond the fitted data",
         lambda: beyond(three, last.seen.problem, last.problem),
         lambda: None,
@@ -295,11 +342,11 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
     of_time = any(isinstance(one.effect, Law) and "time" in one.effect.axes(one.at) for one in final.structure.terms)
     later: float | None = None
     if of_time and last.reaches_the_end:
-        later = late("What is left later", lambda: untouched.error_on(last.problem, final), lambda: None)
-    begin = late("How recordings begin", lambda: beginnings.left(search.partition.first, final), lambda: None)
+        later = guarded("What is left later", lambda: untouched.error_on(last.problem, final), lambda: None)
+    begin = guarded("How recordings begin", lambda: beginnings.left(search.partition.first, final), lambda: None)
     if begin is not None:
         notes.append(sentences.begins_otherwise(begin))
-    force = late(
+    force = guarded(
         "The error of forces", lambda: _force_errors(three, case.prepared.structure.base, test), dict[str, Errors]
     )
     notes += sentences.disagreement(errors, force)
@@ -310,27 +357,38 @@ def _measured(case: Case, base: Baseline, test: Test, last: _Chosen, late: Guard
         steps = findings.step_shift(final, problem) if base.fine is None else 0.0
         return intervals.by_blocks(final, problem) + steps + open_choice
 
-    wide = late(
+    wide = guarded(
         "The intervals of the parameters",
         half_widths,
         lambda: np.full(len(final.z), np.inf),
     )
-    alone: Fit | None = late(
+    alone: Fit | None = guarded(
         "Names without laws", lambda: beside.names_alone(search.fitter, final, search.progress.path[0]), lambda: None
     )
     left = max(comparison.improved, _telling(errors, outside, later).improved)
     if final.structure.unnamed or left > SCORE.at_floor:
-        of_names = late(
+        of_names = guarded(
             "What is left adds to the intervals",
             lambda: findings.beside_unknown(search, final, alone, wide),
             lambda: np.full(len(final.z), np.inf),
         )
     else:
         of_names = wide
-    changed = late(
+    changed = guarded(
         "Which parameters changed", lambda: findings.changed_parameters(final, of_names), list[dict[str, Any]]
     )
-    return _Measured(comparison, errors, outside, later, force, findings.Wide(wide, of_names), alone, changed, notes)
+    return _Measured(
+        comparison=comparison,
+        test=errors,
+        test_was_fitted=was_fitted,
+        beyond=outside,
+        later=later,
+        force=force,
+        wide=findings.Wide(wide, of_names),
+        alone=alone,
+        changed=changed,
+        notes=notes,
+    )
 
 
 @dataclass(frozen=True)
@@ -342,7 +400,7 @@ class _Named:
     notes: list[str]
 
 
-def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Located], late: Guarded) -> _Named:
+def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Located], guarded: Guarded) -> _Named:
     search, found, final, errors = last.search, last.found, last.found.fitted, measured.telling
     terms = [term for term in final.structure.named if term.key not in found.unnamed]
     verdict = judge.verdict(
@@ -357,7 +415,7 @@ def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Loc
     notes = list[str]()
     if errors.nominal <= SCORE.at_floor and verdict == "unexplained":
         notes.append(sentences.not_in_test(measured.comparison.recalibrated, errors.nominal))
-    missing = late(
+    missing = guarded(
         "How much each effect is worth",
         lambda: findings.missing_effects(search, found, last.problem, last.three[0], measured.alone, measured.wide),
         lambda: findings.named_alone(final),
@@ -367,7 +425,7 @@ def _named(case: Case, last: _Chosen, measured: _Measured, located: Sequence[Loc
     notes += sentences.other_parameters(measured.changed, [other.structure.model_parameters for other in found.others])
     if verdict in ("partly explained", "unexplained") and errors.improved > SCORE.at_floor:
         alone = missing
-        missing = late(
+        missing = guarded(
             "Where what is left acts",
             lambda: findings.with_unknown(alone, errors, search, final, case.prepared.structure.base),
             lambda: alone,
