@@ -200,7 +200,7 @@ class Effect(ABC):
         rivals: ids of effects it is easily mistaken for.
         contains: ids of effects that are this one with a parameter at its limit; adding this one replaces them.
         at_its_joint: ids of effects of the joint that its actuator drives, which it may be nothing else than.
-        law: what it settles at its place: two effects that settle the same exclude each other.
+        one_of: of which kind a place has one alone, as `dry friction`: two effects of it exclude each other.
         finest: longest step at which it can be simulated, s.
         warm: s of simulation before a window, so that hidden states settle.
         needs_loader: whether stock MuJoCo leaves it out.
@@ -225,7 +225,7 @@ class Effect(ABC):
     rivals: ClassVar[tuple[str, ...]] = ()
     contains: ClassVar[tuple[str, ...]] = ()
     at_its_joint: ClassVar[tuple[str, ...]] = ()
-    law: ClassVar[str] = ""
+    one_of: ClassVar[str] = ""
     finest: ClassVar[float] = math.inf
     warm: ClassVar[float] = 0.0
     needs_loader: ClassVar[bool] = False

@@ -19,7 +19,7 @@ class Asymmetric(Effect):
 
     id = "friction.asymmetric"
     place = "joint"
-    law = "dry friction"
+    one_of = "dry friction"
     parameters = (Parameter("forward", "N", 0.0), Parameter("backward", "N", 0.0))
     levels = ("forward", "backward")
     rivals = ("friction.coulomb", "load.constant", "friction.stribeck")

@@ -15,7 +15,7 @@ class Coulomb(Effect):
 
     id = "friction.coulomb"
     place = "joint"
-    law = "dry friction"
+    one_of = "dry friction"
     linear = ("level",)
     parameters = (Parameter("level", "N", 0.0),)
     levels = ("level",)

@@ -29,7 +29,7 @@ class Hysteresis(Law):
 
     id = "friction.hysteresis"
     place = "joint"
-    law = "hysteresis"
+    one_of = "hysteresis"
     of, slide = "distance from rest", "m"
     unit = "N"
     lowest = 0.0

@@ -39,7 +39,7 @@ class HysteresisOfAnyLaw(Effect):
 
     id = "friction.hysteresis:law"
     place = "joint"
-    law = "hysteresis"
+    one_of = "hysteresis"
     free = True
     needs_loader = True
     rivals = ("friction.stribeck", "friction.coulomb", "load.position:law", "load.swinging")

@@ -20,7 +20,7 @@ class UnderLoad(Effect):
 
     id = "friction.load"
     place = "joint"
-    law = "dry friction"
+    one_of = "dry friction"
     parameters = (
         Parameter("level", "N", 0.0),
         Parameter("by_drive", "", 0.0, 2.0),

@@ -20,7 +20,7 @@ class UnderLoadStribeck(Effect):
 
     id = "friction.load:stribeck"
     place = "joint"
-    law = "dry friction"
+    one_of = "dry friction"
     parameters = (
         *UnderLoad.parameters,
         Parameter("excess", "", 0.0, 10.0),

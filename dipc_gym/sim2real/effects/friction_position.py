@@ -17,7 +17,7 @@ class AlongTheWay(Effect):
 
     id = "friction.position"
     place = "joint"
-    law = "dry friction"
+    one_of = "dry friction"
     parameters = (
         Parameter("first", "m", fixed=True),
         Parameter("last", "m", fixed=True),

@@ -23,7 +23,7 @@ class Presliding(Effect):
 
     id = "friction.stribeck:presliding"
     place = "joint"
-    law = "dry friction"
+    one_of = "dry friction"
     parameters: tuple[Parameter, ...] = (
         *Stribeck.parameters,
         Parameter("stiffness", "N/m", 1e-9, log=True),

@@ -31,7 +31,7 @@ class Resting(Effect):
 
     id = "friction.resting"
     place = "joint"
-    law = "dry friction"
+    one_of = "dry friction"
     parameters = (
         Parameter("level", "N", 0.0),
         Parameter("rise", "N", 0.0),

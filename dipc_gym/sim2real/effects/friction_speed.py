@@ -24,7 +24,7 @@ class FrictionOfSpeed(Law):
 
     id = "friction.speed"
     place = "joint"
-    law = "dry friction"
+    one_of = "dry friction"
     of, slide = "speed", "m/s"
     kind = "friction against motion"
     unit = "N"

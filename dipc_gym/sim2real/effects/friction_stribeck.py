@@ -27,7 +27,7 @@ class Stribeck(Effect):
 
     id = "friction.stribeck"
     place = "joint"
-    law = "dry friction"
+    one_of = "dry friction"
     parameters = (
         Parameter("level", "N", 0.0),
         Parameter("static", "N", 0.0, above="level"),

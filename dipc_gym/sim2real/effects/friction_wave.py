@@ -17,7 +17,7 @@ class Uneven(Effect):
 
     id = "friction.position:wave"
     place = "joint"
-    law = "dry friction"
+    one_of = "dry friction"
     parameters = (
         Parameter("level", "N", 0.0),
         Parameter("sine", "N"),

@@ -320,7 +320,7 @@ class FrictionLaw(Law):
     """Coulomb friction with a level for each value of one input."""
 
     place = "joint"
-    law = kind = "dry friction"
+    one_of = kind = "dry friction"
     unit = "N"
     lowest = 0.0
     needs_loader = True

@@ -33,7 +33,7 @@ class CreepingSpring(Effect):
 
     id = "load.creeping"
     place = "joint"
-    law = "creeping spring"
+    one_of = "creeping spring"
     parameters = (
         Parameter("stiffness", "N/m", 1e-9, log=True),
         Parameter("relaxation_time", "s", 5 * SHARPEST, 60.0, log=True),

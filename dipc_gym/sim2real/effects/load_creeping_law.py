@@ -42,7 +42,7 @@ class CreepingSpringOfAnyLaw(Effect):
 
     id = "load.creeping:law"
     place = "joint"
-    law = "creeping spring"
+    one_of = "creeping spring"
     free = True
     needs_loader = True
     finest = 1e-3

@@ -23,7 +23,7 @@ class SwingingLoad(Effect):
 
     id = "load.swinging"
     place = "joint"
-    law = "swinging load"
+    one_of = "swinging load"
     parameters = (
         Parameter("mass", "kg", 1e-9, log=True),
         Parameter("frequency", "Hz", 0.05, 60.0, log=True, fine=0.1),

@@ -37,7 +37,7 @@ class SwingingLoadOfAnyLaw(Effect):
 
     id = "load.swinging:law"
     place = "joint"
-    law = "swinging load"
+    one_of = "swinging load"
     free = True
     rivals = ("transmission.compliance", "transmission.backlash", "friction.hysteresis", "residual.force")
     contains = ("load.swinging",)

@@ -17,7 +17,7 @@ class CommandMap(Map):
 
     id = "motor.map"
     place = "actuator"
-    law = "command"
+    one_of = "command"
     of, kind, unit = "command", "command that acts", "command"
     rivals = ("motor.deadzone", "motor.saturation")
     contains = ("motor.deadzone", "motor.saturation")

@@ -22,7 +22,7 @@ class Eccentric(Effect):
 
     id = "sensor.eccentric"
     place = "sensor"
-    law = "scale"
+    one_of = "scale"
     linear = ("sine", "cosine")
     parameters = (
         Parameter("sine", "reading"),

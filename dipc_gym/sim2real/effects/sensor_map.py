@@ -22,7 +22,7 @@ class ScaleMap(Map):
 
     id = "sensor.map"
     place = "sensor"
-    law = "scale"
+    one_of = "scale"
     of, kind, unit = "reading", "reading", "reading"
     rivals = ("sensor.eccentric", "sensor.gain", "load.position:law", "friction.position:law")
     contains = ("sensor.eccentric", "sensor.gain", "sensor.bias")

@@ -17,7 +17,7 @@ class Backlash(Effect):
 
     id = "transmission.backlash"
     place = "actuator"
-    law = "rotor"
+    one_of = "rotor"
     parameters = (
         Parameter("gap", "m", 1e-9, log=True),
         Parameter("rotor_inertia", "kg", 1e-12, log=True),

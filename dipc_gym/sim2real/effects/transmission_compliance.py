@@ -18,7 +18,7 @@ class Compliance(Effect):
 
     id = "transmission.compliance"
     place = "actuator"
-    law = "rotor"
+    one_of = "rotor"
     parameters = (
         Parameter("stiffness", "N/m", 1e-9, log=True),
         Parameter("damping", "N s/m", 1e-12, log=True),

@@ -36,7 +36,7 @@ class UnknownForce(Effect):
 
     id = RESIDUAL
     place = "joint"
-    law = "unknown force"
+    one_of = "unknown force"
     free = True
     of_no_kind = True
     needs_loader = True

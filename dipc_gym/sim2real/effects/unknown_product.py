@@ -36,7 +36,7 @@ class UnknownProduct(Law):
 
     id = f"{RESIDUAL}:product"
     place = "joint"
-    law = "unknown force"
+    one_of = "unknown force"
     of_no_kind = True
     needs_loader = True
     unit = "N"

@@ -117,7 +117,7 @@ class Structure:
             low, high = n.value * math.exp(centre - reach), n.value * math.exp(centre + reach)
             slots.append(Slot(n.key, n.unit, low, high, True, n.value, n.sigma, centre))
         for term in self.terms:
-            for p in _free(term.effect):
+            for p in _fitted(term.effect):
                 guess = term.guess[p.name]
                 scale = p.step or (abs(guess) if guess else _fallback(p.low, p.high))
                 origin = guess if p.step else 0.0
@@ -137,7 +137,7 @@ class Structure:
         """Mapped parameters at the nominal values and the guesses, (p,)."""
         z = [0.0] * len(self.model_parameters)
         for term in self.terms:
-            for p in _free(term.effect):
+            for p in _fitted(term.effect):
                 z.append(self.slots[len(z)].mapped(term.guess[p.name]))
         return np.array(z)
 
@@ -148,7 +148,7 @@ class Structure:
         prior = Prior(precision, np.array([slot.centre for slot in self.slots]))
         first = len(self.model_parameters)
         for term in self.terms:
-            bends, count = term.effect.bends, len(_free(term.effect))
+            bends, count = term.effect.bends, len(_fitted(term.effect))
             if len(bends):
                 own = list(range(first, first + count))[: bends.shape[1]]
                 rows = np.zeros((len(bends), len(self.slots)))
@@ -162,7 +162,7 @@ class Structure:
         """Which term each parameter is a value in the table of, -1 for those that are in none, (p,)."""
         out = [-1] * len(self.model_parameters)
         for k, term in enumerate(self.terms):
-            out += [k if term.effect.free else -1] * len(_free(term.effect))
+            out += [k if term.effect.free else -1] * len(_fitted(term.effect))
         return np.array(out, dtype=np.intp)
 
     def clip(self, z: Array) -> Array:
@@ -254,7 +254,7 @@ class Structure:
         for parameter in self.model_parameters:
             parameter.write(document, values[parameter.key])
         # A rotor of its own first: what acts on the drive acts on that, whichever of both was found before.
-        for term in sorted(self.terms, key=lambda term: term.effect.law != "rotor"):
+        for term in sorted(self.terms, key=lambda term: term.effect.one_of != "rotor"):
             term.effect.edit(document, term.at, self._values_of(term, values))
         return document
 
@@ -349,7 +349,7 @@ def _unmapped(
     return np.clip(np.where(log, scale * np.exp(np.minimum(z * fine, MODEL.widest)), origin + scale * z), low, high)
 
 
-def _free(effect: Effect) -> list[Parameter]:
+def _fitted(effect: Effect) -> list[Parameter]:
     return [p for p in effect.parameters if not p.fixed]
 
 

@@ -280,7 +280,7 @@ class _Overlay:
 
 def excludes(present: Effect, other: Effect) -> bool:
     """Whether one effect settles already what another would at that place: two laws of dry friction, two rotors."""
-    return other.id in present.contains or (present.law == other.law != "" and present.id not in other.contains)
+    return other.id in present.contains or (present.one_of == other.one_of != "" and present.id not in other.contains)
 
 
 def _scaled(term: Term, size: float) -> Term:
