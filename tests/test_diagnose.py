@@ -871,4 +871,4 @@ def test_evidence_on_a_model_with_a_rotor_of_its_own() -> None:
             for guess in effect.guesses(scene.at(effect.place, at, {})):
                 assert all(math.isfinite(value) for value in guess.values())
                 asked.add(effect.name)
-    assert asked >= {"friction.coulomb", "friction.viscous", "motor.gain", "load.constant"}
+    assert len(asked) > 20

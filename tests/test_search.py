@@ -35,6 +35,7 @@ from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
 from dipc_gym.sim2real.selection.prune import prune
+from dipc_gym.sim2real.selection.ranking import Start
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.scorer import earned, settled
 from dipc_gym.sim2real.selection.screen import Tried
@@ -242,7 +243,7 @@ def test_laws_of_no_kind_keep_none_of_a_kind_from_being_asked(monkeypatch: pytes
     base = dry.progress.path[0]
     laws = [effect for effect in catalogue().values() if effect.free]
     laws.sort(key=lambda effect: not effect.of_no_kind)
-    ranked = [(Tried(Term(law, "cart", {}), 1.0 if k == 0 else 1e-6 / k), base) for k, law in enumerate(laws)]
+    ranked = [Start(Tried(Term(law, "cart", {}), 1.0 if k == 0 else 1e-6 / k), base) for k, law in enumerate(laws)]
     asked: list[str] = []
     monkeypatch.setattr(
         sketches, "_sketches", lambda fitter, first, *rest: asked.extend(one.key for one, _ in first) or []
@@ -258,7 +259,7 @@ def test_names_that_would_go_before_a_law_of_no_kind_are_fitted_as_well() -> Non
     left = {"friction.coulomb": 8100.0, "friction.time": 3700.0, "drag.quadratic": 14000.0, "residual.force": 63.0}
     found = catalogue()
     sketched = [
-        (Tried(Term(found[name], "cart", {}), 1.0, sketch=SimpleNamespace(error=e, mse=np.full(9, e**2))), None)  # type: ignore[arg-type]
+        Start(Tried(Term(found[name], "cart", {}), 1.0, sketch=SimpleNamespace(error=e, mse=np.full(9, e**2))), None)  # type: ignore[arg-type]
         for name, e in left.items()
     ]
     asked = sketches._going_before(sketched, 22600.0)  # type: ignore[arg-type]

@@ -15,8 +15,6 @@ from dipc_gym.trials.entries import index
 from dipc_gym.trials.generate import write_csv
 
 CART = "cart"
-MODEL = """<mujoco><worldbody><body><joint name="cart" type="slide" axis="1 0 0"/><geom size="0.1"/></body></worldbody>
-</mujoco>"""
 
 
 def rig_with(tmp_path, effect=None, values=(), *, rig=CART, nominal=None):
@@ -163,6 +161,7 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
             **dict.fromkeys(("share_of_signal", "moved_from_nominal", "signal"), max(size, 1e-9)),
             **{key: {} for key in ("parameters", "equivalents", "equivalent_sets", "share_of_each")},
             **dict.fromkeys(("tuned", "recalibrated_suffices"), False),
+            "known_friction": plan.number == 3,
             "trial": plan.name,
             "rig": CART,
             "kind": plan.kind,
@@ -173,10 +172,6 @@ def test_the_table_of_rivals(tmp_path, monkeypatch):
             "test_error": {"nominal": start, "recalibrated": start, "truth": 1.0},
             "noise": {"cart": 1e-5},
         }
-        (tmp_path / "trials" / plan.name).mkdir(parents=True)
-        (tmp_path / "trials" / plan.name / "nominal.xml").write_text(
-            MODEL.replace("<joint ", '<joint frictionloss="1" ') if plan.number == 3 else MODEL
-        )
         (tmp_path / "sealed" / f"{plan.name}.json").write_text(json.dumps(answer))
     asked = []
 

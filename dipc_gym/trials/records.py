@@ -21,7 +21,7 @@ NAMED = {"effect": str, "at": str}
 KINDS = ("null", "single", "pair", "unknown", "wrong")
 ANSWER = {
     **dict.fromkeys(("trial", "rig", "kind"), str),
-    **dict.fromkeys(("tuned", "recalibrated_suffices", "held_out_predictable"), bool),
+    **dict.fromkeys(("tuned", "known_friction", "recalibrated_suffices", "held_out_predictable"), bool),
     **dict.fromkeys(("share_of_signal", "moved_from_nominal", "signal"), float),
     "missing": [{**NAMED, "also_at": [str]}],
     "includes": [str],

@@ -150,7 +150,7 @@ def _row(out: Path, name: str) -> dict[str, Any] | None:
             print(f"{damage}; counted as none", file=sys.stderr)
     return {
         "trial": name,
-        "known_friction": _knows_friction(inside(out, f"trials/{name}/nominal.xml")),
+        "known_friction": answer["known_friction"],
         "kind": answer["kind"],
         "size": answer["share_of_signal"],
         "truth": [m["effect"] for m in answer["missing"]],
@@ -163,13 +163,6 @@ def _row(out: Path, name: str) -> dict[str, Any] | None:
         },
         "seconds": {rival: rivals[rival]["seconds"] for rival in NAMES},
     }
-
-
-def _knows_friction(nominal: Path) -> bool:
-    """Whether a model has dry friction already, which MuJoCo's soft constraint holds off the noise for all rivals."""
-    import mujoco
-
-    return bool(np.any(mujoco.MjModel.from_xml_path(str(nominal)).dof_frictionloss))
 
 
 def markdown(rows: Sequence[Mapping[str, Any]], *, seed: int) -> str:
