@@ -23,8 +23,6 @@ Force = Callable[[Array, Array, Array], Array]
 WINDOW = 125  # samples of a window that is judged
 STEPS = 4
 """Runge-Kutta steps a sample."""
-FORCED = 16
-"""The same with a force that is added: it is held over each step, and a perfect one must come to the noise."""
 SMOOTH = 31
 """Samples over which a cubic is laid to differentiate a reading."""
 HELD_BACK = 0.2
@@ -81,8 +79,8 @@ def predict(model: mujoco.MjModel, motion: Motion, force: Force | None, q: Array
         q: initial positions of the windows, (windows, nv).
         v: initial velocities.
     """
-    steps = STEPS if force is None else FORCED
-    model.opt.timestep, model.opt.integrator = motion.step / steps, mujoco.mjtIntegrator.mjINT_RK4
+    step = motion.step / STEPS
+    model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_RK4
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what diverges stays diverged
     count = len(q)
     sims = batch.Batch(model, count, 1)
@@ -90,13 +88,18 @@ def predict(model: mujoco.MjModel, motion: Motion, force: Force | None, q: Array
     commands = motion.cut(motion.command)
     commands = np.tile(commands, (count // len(commands), 1, 1))
     seen = np.empty((count, WINDOW, model.nv))
+    acceleration = np.zeros((count, model.nv))
     for k in range(WINDOW):
         seen[:, k] = sims.qpos
         sims.ctrl[:] = commands[:, k]
-        for _ in range(steps):
+        for _ in range(STEPS):
+            before = sims.qvel.copy()
             if force is not None:
-                sims.qfrc_applied[:] = force(sims.qpos, sims.qvel, commands[:, k])
+                # It is held over the step: what it is in the middle of it costs a perfect force next to nothing.
+                q, v = sims.qpos + step / 2 * before, before + step / 2 * acceleration
+                sims.qfrc_applied[:] = force(q, v, commands[:, k])
             sims.step()
+            acceleration = (sims.qvel - before) / step
     return seen
 
 
