@@ -42,10 +42,15 @@ class Fitter:
     scorer: Scorer
     _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
     _begun: dict[_Asked, tuple[Fit, Fit | None]] = field(default_factory=dict, repr=False)
+    _staying: list[tuple[Fit, Fit, bytes]] = field(default_factory=list, repr=False)
 
     def over(self, partition: Partition) -> Fitter:
         """The same to other windows; full fits that were kept stay for when these windows come back."""
-        return self if partition is self.partition else Fitter(self.scorer.over(partition), self._kept, self._begun)
+        return (
+            self
+            if partition is self.partition
+            else Fitter(self.scorer.over(partition), self._kept, self._begun, self._staying)
+        )
 
     @property
     def partition(self) -> Partition:
@@ -61,6 +66,24 @@ class Fitter:
     def subset(self) -> NDArray[np.intp]:
         """Those of them that are sketched on."""
         return self.partition.subset
+
+    def stays(self, fitted: Fit, begin: Fit) -> bool:
+        """Whether these windows name no law of no kind in a fit, see `let_stay`."""
+        here = self._all_windows()
+        return any(fitted is one and begin is other and here == there for one, other, there in self._staying)
+
+    def let_stay(self, fitted: Fit, begin: Fit) -> None:
+        """Remember that all kinds were asked in the place of a fit's laws of no kind, and none does as well.
+
+        Args:
+            fitted: to these windows.
+            begin: the fit without effects, against which what laws gain is counted.
+        """
+        self._staying.append((fitted, begin, self._all_windows()))
+
+    def _all_windows(self) -> bytes:
+        """Which windows are fitted, sketched and compared on."""
+        return self._windows() + self.subset.tobytes() + self.partition.comparison.labels.tobytes()
 
     def slow(self, term: Term) -> bool:
         """Whether an effect has to be simulated in finer steps than the others."""

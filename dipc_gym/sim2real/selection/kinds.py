@@ -40,12 +40,15 @@ def named(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
         begin: the fit without effects, against which what laws gain is counted.
         tell: called with a line about each law that got a name.
     """
+    if fitter.stays(current, begin):
+        return current
     for term in current.structure.unnamed:
         fewer = fitter.without(current, term.key)
-        for more in (_kinds_alone, _kinds_and_names, _products):
-            fitted = _as_good(fitter, current, begin, list(more(question, fitter, fewer, term)), tell, term.key)
+        for asked in _in_its_place(question, fitter, fewer, term):
+            fitted = _as_good(fitter, current, begin, list(asked), tell, term.key)
             if fitted is not None:
                 return named(question, fitter, fitter.polish(fitted), begin, tell)
+    fitter.let_stay(current, begin)
     return current
 
 
@@ -123,17 +126,20 @@ def _formulas(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> lis
     return [(one.term,) for one in sorted(promising, key=lambda one: -one.predicted_gain)[: SEARCH.names]]
 
 
+def _in_its_place(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Iterator[Iterable[tuple[Term, ...]]]:
+    """What may stand in the place of a law of no kind, the plainest first; each is worked out once it is asked for."""
+    laws = list(_laws(question, fitter, fewer, term))
+    yield [*_formulas(question, fitter, fewer, term), *laws]
+    # And an effect with a name beside a law of a kind: a force over velocity is friction, and a load as well.
+    alone = [shapes[0] for shapes in laws if len(shapes) == 1]
+    yield itertools.chain.from_iterable(_beside(question, fitter, fewer, term, law, _formulas) for law in alone)
+    yield _products(question, fitter, fewer, term)
+
+
 def _kinds_alone(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
     """Effects with names, and laws of a kind."""
     yield from _formulas(question, fitter, fewer, term)
     yield from _laws(question, fitter, fewer, term)
-
-
-def _kinds_and_names(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> Iterator[tuple[Term, ...]]:
-    """A law of a kind, and an effect with a name beside it: a force over velocity is friction, and a load as well."""
-    for shapes in _laws(question, fitter, fewer, term):
-        if len(shapes) == 1:
-            yield from _beside(question, fitter, fewer, term, *shapes, _formulas)
 
 
 def _beside(
