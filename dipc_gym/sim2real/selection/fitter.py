@@ -46,11 +46,9 @@ class Fitter:
 
     def over(self, partition: Partition) -> Fitter:
         """The same to other windows; full fits that were kept stay for when these windows come back."""
-        return (
-            self
-            if partition is self.partition
-            else Fitter(self.scorer.over(partition), self._kept, self._begun, self._staying)
-        )
+        if partition is self.partition:
+            return self
+        return Fitter(self.scorer.over(partition), self._kept, self._begun, self._staying)
 
     @property
     def partition(self) -> Partition:
