@@ -92,6 +92,24 @@ def test_late_stages_that_fail_lose_nothing_that_was_found(
     assert mjcf.compile(tmp_path / "out" / "improved.xml").dof_frictionloss[0] == pytest.approx(3.0, rel=0.1)
 
 
+def test_a_traceback_goes_to_the_log_and_not_to_the_terminal() -> None:
+    """Who asked for no log reads a note in a line; who asked for one finds where it failed."""
+    code = """
+import logging, sys
+from dipc_gym.sim2real.selection.stop import Stop
+from dipc_gym.sim2real.verdict.guarded import Guarded
+if len(sys.argv) > 1:
+    logging.basicConfig()
+Guarded(Stop(lambda line: None))("It", lambda: 1 / 0, lambda: 0)
+"""
+    quiet, logged = (
+        subprocess.run([sys.executable, "-c", code, *more], capture_output=True, text=True, check=True).stderr
+        for more in ([], ["log"])
+    )
+    assert quiet == ""
+    assert "ZeroDivisionError" in logged
+
+
 def test_ctrl_c_in_a_late_stage_keeps_what_was_found_and_the_second_stops() -> None:
     stop = Stop(lambda line: None)
 

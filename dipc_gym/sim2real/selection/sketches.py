@@ -37,7 +37,7 @@ def in_turn(
         starts: the same on top of each base, by key.
         current: the present fit.
     """
-    most = max(ranked[0].tried.predicted_gain, SCORE.worth) if ranked else SCORE.worth
+    most = max(ranked[0].predicted_gain, SCORE.worth) if ranked else SCORE.worth
     worth = [(start, start.predicted_gain / most) for start in ranked if start.predicted_gain > SCORE.hardly]
     first = ranking.finalists(
         [start for start, share in worth if share > least(fitter, start.term)],

@@ -15,6 +15,7 @@ from dipc_gym.sim2real.selection.stop import Stop
 T = TypeVar("T")
 
 LOG = logging.getLogger(__name__)  # of what a note says in one line, for whoever looks into it
+LOG.addHandler(logging.NullHandler())  # else Python prints it for whoever asked for no log
 
 
 class Guarded:
