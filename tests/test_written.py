@@ -227,7 +227,7 @@ def test_no_file_predicts_worse_than_a_plainer_one(
 ) -> None:
     taken = choose(physical, refitted, exact, plainer, enough)
     least = max(VERDICT.worse * min(option.error for option in plainer), SCORE.at_floor)
-    coarse = enough < SEARCH.most * min(option.error for option in physical)
+    coarse = enough < SEARCH.main_part * min(option.error for option in physical)
     assert taken.error <= (VERDICT.coarse if coarse and taken in physical else 1.0) * least
     if taken.refitted:  # the rig's own parameters would do as badly as to be no good
         assert min(option.error for option in physical) > min(enough, *(option.error for option in plainer))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import at_joint, described, either_way, halved, recalled
-from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.increments import LawOfIncrements
+from dipc_gym.sim2real.effects.law import at_joint, described, either_way, recalled
 from dipc_gym.sim2real.effects.sought import Sought
 
 Array = NDArray[np.float64]
@@ -19,44 +19,29 @@ Array = NDArray[np.float64]
 ENTRY = "friction.hysteresis"  # of <custom>
 WIDTHS = np.geomspace(2e-3, 1.0, 20)  # over which the force builds up, in ranges of the joint's motion
 POWERS = (1.0, 2.0)  # with which the stiffness falls from where the motion turned round, at first
-FIRST, MOST = 8, 16  # stretches between the knots of the law
+FIRST = 8  # stretches between the knots of a law at first
 SOFTEST = 1e-6  # of the steepest that is tried, by which a first guess falls: next to nothing
 LEAST = 1e-3  # of the largest stiffness, by which it falls at least from one knot to the next, at first
 
 
-class HysteresisOfAnyLaw(Effect):
+class HysteresisOfAnyLaw(LawOfIncrements):
     """Friction whose force grows with the way, by a stiffness that is any falling function of that force.
 
     Duhem's operator. Dahl's friction (1968) and that of Bouc and Wen (1976) are such, with formulas; Maxwell-slip
     elements are not: their loops close, and these drift. A stiffness that falls makes every loop take energy.
 
-    Parameters say by how much the stiffness falls in each stretch of the table, from all of the force along the motion
+    Increments say by how much the stiffness falls in each stretch of the table, from all of the force along the motion
     to all of it against it, where none is left.
-
-    Args:
-        first: guess of the bound, and of these falls.
     """
 
     id = "friction.hysteresis:law"
     place = "joint"
     one_of = "hysteresis"
-    free = True
-    needs_loader = True
     rivals = ("friction.stribeck", "friction.coulomb", "load.position:law", "load.swinging")
     contains = ("friction.hysteresis",)
 
-    def __init__(self, first: Values | None = None) -> None:
-        self.first = dict(first or {})
-        falls = [value for name, value in self.first.items() if name != "bound"]
-        step, sigma = LAWS.step * (sum(falls) or 1.0), LAWS.loose / LAWS.step
-        self.parameters = (
-            ()
-            if not self.first
-            else (
-                Parameter("bound", "N", 1e-9, log=True),
-                *(Parameter(_fall(k), "N/m", 0.0, step=step, sigma=sigma) for k in range(len(falls))),
-            )
-        )
+    increment = "fall", "N/m"
+    beside = (Parameter("bound", "N", 1e-9, log=True),)
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """The law of Bouc and Wen, with the width and the power that give most of the unexplained force."""
@@ -81,22 +66,21 @@ class HysteresisOfAnyLaw(Effect):
         bound = sought.explained(pull(falls)).weight
         return [self._shaped(bound, bound * _stiffness(falls))] if bound > 0 else []
 
-    def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Of a law that has its shape, what it begins with."""
-        return [self.first] if self.first else []
+    def at_knots(self, values: Values) -> Array:
+        """Stiffness, from all of the force along the motion to all of it against it: it falls to 0 at the last knot."""
+        return _stiffness(self.increments(values))
 
-    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
-        """A knot more in each stretch of the table."""
-        stiffness = halved(self._stiffness(values))
-        return [self._shaped(values["bound"], stiffness)] if len(stiffness) - 1 <= MOST else []
+    def reshaped(self, levels: Array, values: Values) -> tuple[Effect, Values]:
+        """The law with other stiffness."""
+        return self._shaped(values["bound"], levels)
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader, which keeps the force in mind."""
-        document.remembering(ENTRY, at, [values["bound"], *self._stiffness(values)])
+        document.remembering(ENTRY, at, [values["bound"], *self.at_knots(values)])
 
     def curve(self, values: Values) -> tuple[Array, Array]:
         """The way from rest, and the force that has built up there."""
-        bound, stiffness = values["bound"], self._stiffness(values)
+        bound, stiffness = values["bound"], self.at_knots(values)
         force = np.linspace(0.0, 0.99, 33) * bound
         soft = np.interp(force, np.linspace(-bound, bound, len(stiffness)), stiffness)
         compliance = 1.0 / np.maximum(soft, 1e-3 * stiffness.max())
@@ -108,7 +92,7 @@ class HysteresisOfAnyLaw(Effect):
         way, force = self.curve(values)
         slide = at_joint("m", unit["bound"])
         inputs = [{"name": "distance from rest", "unit": slide, "knots": either_way(way.tolist())}]
-        stiffness = ", ".join(f"{one:.4g}" for one in self._stiffness(values))
+        stiffness = ", ".join(f"{one:.4g}" for one in self.at_knots(values))
         how = (
             "It holds from rest on. Wherever it is, the force F builds up against the motion by a stiffness for each "
             f"{slide}: {stiffness} {unit['bound']}/{slide} at equal distances of F from {values['bound']:.4g} along "
@@ -129,17 +113,10 @@ class HysteresisOfAnyLaw(Effect):
 
     def _shaped(self, bound: float, stiffness: Array) -> tuple[Effect, Values]:
         falls = np.maximum(-np.diff(stiffness), LEAST * stiffness.max())
-        begin = {"bound": bound, **{_fall(k): float(fall) for k, fall in enumerate(falls)}}
+        begin = {"bound": bound, **self.by_name(falls)}
         return type(self)(begin), begin
-
-    def _stiffness(self, values: Values) -> Array:
-        return _stiffness(np.array([values[p.name] for p in self.parameters[1:]]))
 
 
 def _stiffness(falls: Array) -> Array:
     """At the knots, from all of the force along the motion to all of it against it, where none is left."""
     return np.append(np.cumsum(falls[::-1])[::-1], 0.0)
-
-
-def _fall(k: int) -> str:
-    return f"fall_{k + 1}"

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import at_joint, described, either_way, halved, recalled
+from dipc_gym.sim2real.effects.increments import MOST, LawOfIncrements
+from dipc_gym.sim2real.effects.law import at_joint, described, either_way, recalled
 from dipc_gym.sim2real.effects.load_creeping import FAST, TIMES, usual
-from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.effects.sought import Sought
 
 Array = NDArray[np.float64]
 
 ENTRY = "load.creeping"  # of <custom>
 BENDS = (0.05, 0.15, 0.5, 1e3)  # stretches over which it bends, in ranges of the joint's motion; the last is straight
-FIRST, MOST = 4, 16  # stretches between the knots of the law
+FIRST = 4  # stretches between the knots of a law at first
 FURTHEST = 0.995  # quantile of how far the spring is stretched, which the table goes up to
 FAR = 100.0  # times that, to where an exported table is told: it goes on in proportion
 LEAST = 1e-4  # of the fastest, by which it begins to give way faster from one knot to the next
@@ -27,44 +27,32 @@ SLOWEST = 1e-6  # of the speed in the next line, which a first guess gives way b
 SHORTEST = 4e-3  # s, in which it may give way by as much as it is stretched
 
 
-class CreepingSpringOfAnyLaw(Effect):
+class CreepingSpringOfAnyLaw(LawOfIncrements):
     """A spring that gives way at a speed that is any function of its stretch; Maxwell's element in proportion.
 
     Rubber, belts and cables creep the faster the more they bear (Eyring 1936: by the hyperbolic sine of it). The law
     can but give way, so it takes energy and never gives any.
 
-    Parameters say how much faster it gives way with each stretch of the table, which is never slower.
+    Increments say how much faster it gives way with each stretch of the table, which is never slower.
 
     Args:
         furthest: stretch that the table goes up to, m or rad; none in the catalogue.
-        first: guess of the stiffness, and of these speeds.
+        first: guess of the stiffness, and of the increments.
     """
 
     id = "load.creeping:law"
     place = "joint"
     one_of = "creeping spring"
-    free = True
-    needs_loader = True
     finest = 1e-3
     rivals = ("friction.hysteresis", "load.swinging", "residual.force")
     contains = ("load.creeping",)
 
+    increment = "faster", "m/s"
+    beside = (Parameter("stiffness", "N/m", 1e-9, log=True),)
+
     def __init__(self, furthest: float = 1.0, first: Values | None = None) -> None:
-        self.furthest, self.first = furthest, dict(first or {})
-        count = max(len(self.first) - 1, 0)
-        size = sum(value for name, value in self.first.items() if name != "stiffness") or 1.0
-        fastest = furthest / SHORTEST
-        self.parameters = (
-            ()
-            if not self.first
-            else (
-                Parameter("stiffness", "N/m", 1e-9, log=True),
-                *(
-                    Parameter(_faster(k), "m/s", 0.0, fastest, step=LAWS.step * size, sigma=LAWS.loose / LAWS.step)
-                    for k in range(count)
-                ),
-            )
-        )
+        super().__init__(first, largest=furthest / SHORTEST)
+        self.furthest = furthest
 
     @property
     def knots(self) -> Array:
@@ -108,22 +96,17 @@ class CreepingSpringOfAnyLaw(Effect):
         furthest = max(float(np.quantile(np.abs(stretch), FURTHEST)), 1e-12)
         return self._shaped(furthest, usual(evidence, stretch), furthest * np.linspace(0.0, 1.0, FIRST + 1)[1:] / time)
 
-    def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Of a law that has its shape, what it begins with."""
-        return [self.first] if self.first else []
-
-    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
-        """A speed more in each stretch of the table."""
-        speeds = halved(self._speeds(values))[1:]
-        return [self._shaped(self.furthest, values["stiffness"], speeds)] if len(speeds) <= MOST else []
+    def reshaped(self, levels: Array, values: Values) -> tuple[Effect, Values]:
+        """The law with other speeds."""
+        return self._shaped(self.furthest, values["stiffness"], levels[1:])
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader, which keeps the stretch in mind."""
-        document.remembering(ENTRY, at, [values["stiffness"], self.furthest, *self._speeds(values)])
+        document.remembering(ENTRY, at, [values["stiffness"], self.furthest, *self.at_knots(values)])
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """How fast it gives way, by stretch."""
-        slide, speeds, last = at_joint("m", unit["stiffness"]), self._speeds(values).tolist(), self.furthest
+        slide, speeds, last = at_joint("m", unit["stiffness"]), self.at_knots(values).tolist(), self.furthest
         knots, levels = [*self.knots.tolist(), FAR * last], [*speeds, FAR * speeds[-1]]
         inputs = [{"name": "stretch", "unit": slide, "knots": either_way(knots)}]
         how = (
@@ -135,7 +118,7 @@ class CreepingSpringOfAnyLaw(Effect):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        speeds, slide = self._speeds(values), at_joint("m", unit["stiffness"])
+        speeds, slide = self.at_knots(values), at_joint("m", unit["stiffness"])
         half = len(speeds) // 2
         return (
             f"A spring of {values['stiffness']:.3g} {unit['stiffness']} at {at} creeps by a law of its own: stretched "
@@ -145,12 +128,5 @@ class CreepingSpringOfAnyLaw(Effect):
 
     def _shaped(self, furthest: float, stiffness: float, speeds: Array) -> tuple[Effect, Values]:
         faster = np.maximum(np.diff(speeds, prepend=0.0), LEAST * speeds.max())
-        begin = {"stiffness": stiffness, **{_faster(k): float(v) for k, v in enumerate(faster)}}
+        begin = {"stiffness": stiffness, **self.by_name(faster)}
         return type(self)(furthest, begin), begin
-
-    def _speeds(self, values: Values) -> Array:
-        return np.cumsum([0.0, *(values[p.name] for p in self.parameters[1:])])
-
-
-def _faster(k: int) -> str:
-    return f"faster_{k + 1}"

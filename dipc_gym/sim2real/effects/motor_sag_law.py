@@ -13,57 +13,44 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import SAG_BY_LAW
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.drives import drive_of
-from dipc_gym.sim2real.effects.law import described, halved, recalled
+from dipc_gym.sim2real.effects.increments import LawOfIncrements
+from dipc_gym.sim2real.effects.law import described, recalled
 from dipc_gym.sim2real.effects.motor_sag import PACE, USUAL, drains, most_alike
-from dipc_gym.sim2real.effects.settings import LAWS
 
 Array = NDArray[np.float64]
 
-FIRST, MOST = 4, 16  # stretches between the knots of the law
+FIRST = 4  # stretches between the knots of a law at first
 FURTHEST = 0.995  # quantile of how much was drawn of late, which the table goes up to
 LEAST = 1e-2  # of all that it takes off, by which it takes off more from one knot to the next, to begin with
 
 
-class SagOfAnyLaw(Effect):
+class SagOfAnyLaw(LawOfIncrements):
     """A supply that sags with past current as any function that grows with it; `motor.sag` in proportion.
 
     A battery's chemistry gives way at once under little and then hardly any more, a regulator not at all up to its
     limit. It takes off all of the drive at most, so that it never drives.
 
-    Parameters say how much more of the drive is lost with each stretch of the table, which is never less.
-
-    Args:
-        first: guess of the time constant, of these shares, and what the table goes up to; none in the catalogue.
+    Increments say how much more of the drive is lost with each stretch of the table, which is never less.
     """
 
     id = "motor.sag:law"
     place = "actuator"
-    free = True
     valleys = ("time_constant",)
-    needs_loader = True
     of_the_past = True
     contains = ("motor.sag",)
     rivals = ("motor.thermal", "motor.map", "motor.saturation", "residual.force")
     shown_by = "hard work for some seconds, and the same motion once more after a rest"
 
+    increment = "more", ""
+    beside = (
+        Parameter("time_constant", "s", 5e-3, 600.0, log=True),
+        Parameter("current", "command", 0.0, fixed=True),
+        Parameter("gain", "", fixed=True),
+        Parameter("back", "", fixed=True),
+    )
+
     def __init__(self, first: Values | None = None) -> None:
-        self.first = dict(first or {})
-        shares = [name for name in self.first if name.startswith("more_")]
-        size = sum(self.first[name] for name in shares) or 1.0
-        self.parameters = (
-            ()
-            if not self.first
-            else (
-                Parameter("time_constant", "s", 5e-3, 600.0, log=True),
-                *(
-                    Parameter(name, "", 0.0, 1.0, step=LAWS.step * size, sigma=LAWS.loose / LAWS.step)
-                    for name in shares
-                ),
-                Parameter("current", "command", 0.0, fixed=True),
-                Parameter("gain", "", fixed=True),
-                Parameter("back", "", fixed=True),
-            )
-        )
+        super().__init__(first, largest=1.0)
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Where `motor.sag` does."""
@@ -80,31 +67,24 @@ class SagOfAnyLaw(Effect):
             drawn = float(np.quantile(recalled(evidence, SAG_BY_LAW, tries, evidence.command)[0], FURTHEST))
             if drawn > 0:
                 shares = np.full(FIRST, (per * drawn or USUAL) / FIRST)
-                found.append(self._shaped({"current": drawn, "gain": gain, "back": back}, time, shares))
+                beside = {"time_constant": time, "current": drawn, "gain": gain, "back": back}
+                found.append(self._shaped(beside, shares))
         return found
 
-    def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """Of a law that has its shape, what it begins with."""
-        return [self.first] if self.first else []
-
-    def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
-        """A share more in each stretch of the table."""
-        levels = halved(self._levels(values))
-        if len(levels) - 1 > MOST:
-            return []
-        held = {name: values[name] for name in ("current", "gain", "back")}
-        return [self._shaped(held, values["time_constant"], np.diff(levels))]
+    def reshaped(self, levels: Array, values: Values) -> tuple[Effect, Values]:
+        """The law with other shares."""
+        return self._shaped({p.name: values[p.name] for p in self.beside}, np.diff(levels))
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A table for the loader, which keeps the past in mind; stock MuJoCo leaves it out."""
         joint = document.effective(document.actuator(at), "joint")
         numbers = [values[name] for name in ("gain", "back", "time_constant", "current")]
-        document.remembering(SAG_BY_LAW, joint, [*numbers, self._beyond(values), *self._levels(values)])
+        document.remembering(SAG_BY_LAW, joint, [*numbers, self._beyond(values), *self.at_knots(values)])
         document.depends(SAG_BY_LAW, joint, [f"command {at}"])
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """Which share of the drive is lost, by what was drawn of late."""
-        levels, most = self._levels(values).tolist(), values["current"]
+        levels, most = self.at_knots(values).tolist(), values["current"]
         knots = np.linspace(0.0, most, len(levels)).tolist()
         if levels[-1] < 1.0 and self._beyond(values) > 0:  # beyond the data it goes on so, until all is lost
             knots, levels = [*knots, most + (1.0 - levels[-1]) / self._beyond(values)], [*levels, 1.0]
@@ -116,7 +96,7 @@ class SagOfAnyLaw(Effect):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        levels = self._levels(values)
+        levels = self.at_knots(values)
         half = len(levels) // 2
         what = "across its winding" if values["back"] else "of command"
         little, much = (
@@ -129,15 +109,11 @@ class SagOfAnyLaw(Effect):
             f"{values['time_constant']:.2g} s."
         )
 
-    def _shaped(self, held: Values, time: float, shares: Array) -> tuple[Effect, Values]:
-        shares = np.clip(shares, LEAST * max(float(np.sum(shares)), LEAST), 1.0)
-        begin = {"time_constant": time, **{f"more_{k + 1}": float(v) for k, v in enumerate(shares)}, **held}
+    def _shaped(self, beside: Values, shares: Array) -> tuple[Effect, Values]:
+        begin = {**beside, **self.by_name(np.clip(shares, LEAST * max(float(np.sum(shares)), LEAST), 1.0))}
         return type(self)(begin), begin
 
     def _beyond(self, values: Values) -> float:
         """Share that is lost for each unit of current beyond the table: as much as in its last stretch."""
-        levels = self._levels(values)
+        levels = self.at_knots(values)
         return float((levels[-1] - levels[-2]) * (len(levels) - 1) / values["current"])
-
-    def _levels(self, values: Values) -> Array:
-        return np.cumsum([0.0, *(values[p.name] for p in self.parameters if p.name.startswith("more_"))])

@@ -137,6 +137,24 @@ def weights(mse: Array) -> Array:
     return 1.0 / (typical(mse) + mse)
 
 
+def lowest(A: Array, b: Array, held: Mapping[int, float]) -> Array:
+    """The step d (p,) at which d.A.d - 2 b.d is lowest where some of its elements are held.
+
+    Where that is so along a line or more, the shortest one: A (p, p) need not be regular.
+
+    Args:
+        A: curvature.
+        b: slope, (p,).
+        held: elements by number.
+    """
+    step = np.zeros(len(b))
+    gone, open_ = list(held), [i for i in range(len(b)) if i not in held]
+    step[gone] = list(held.values())
+    right = b[open_] - A[np.ix_(open_, gone)] @ step[gone]
+    step[open_] = np.linalg.lstsq(A[np.ix_(open_, open_)], right, rcond=ESTIMATION.singular)[0]
+    return step
+
+
 def holding(fitted: Fit, problem: Problem, held: Mapping[int, float]) -> Array:
     """Mapped parameters (p,) where some are held and the others are where the quadratics and their priors have them.
 
@@ -149,14 +167,10 @@ def holding(fitted: Fit, problem: Problem, held: Mapping[int, float]) -> Array:
     """
     structure, z, q = fitted.structure, fitted.z, fitted.quadratics
     A, b = structure.prior.in_fit(q.A, q.b, z, weights(fitted.mse) / problem.counts, problem.counts)
-    gone, open_ = list(held), [i for i in range(len(z)) if i not in held]
-    step = np.zeros(len(z))
-    step[gone] = list(held.values()) - z[gone]
-    if open_:
-        rhs = b[open_] - A[np.ix_(open_, gone)] @ step[gone]
-        step[open_] = np.linalg.lstsq(A[np.ix_(open_, open_)], rhs, rcond=1e-10)[0]
-        step[open_] = (structure.clip(z + step) - z)[open_]
-    return np.asarray(z + step)
+    found = z + lowest(A, b, {i: value - z[i] for i, value in held.items()})
+    open_ = [i for i in range(len(z)) if i not in held]
+    found[open_] = structure.clip(found)[open_]
+    return found
 
 
 def fit(

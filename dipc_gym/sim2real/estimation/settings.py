@@ -38,6 +38,7 @@ class EstimationSettings:
         damped: times, by which damping grows and falls: from next to none to much in few tries
         least_damping: below it rounding decides, where parameters make up for each other
         reach: of a step, in mapped parameters: none may do more than double, or change by a factor of e
+        singular: share of the largest curvature, below which a direction of the parameters is not known at all
         still: largest step, in mapped parameters, that counts as none: reports show three digits
         shorter: times, by which a step of the initial states is shorter that is tried beside the whole one: behind a
             gap that goes too far
@@ -93,6 +94,7 @@ class EstimationSettings:
     damped: float = 8.0
     least_damping: float = 1e-7
     reach: float = 1.0
+    singular: float = 1e-10
     still: float = 1e-4
     shorter: float = 3.0
     rounds: int = 3

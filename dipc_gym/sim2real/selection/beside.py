@@ -57,12 +57,12 @@ def least(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     if alone is None:
         return current
     names = prune(question, fitter, alone, tell)
-    for hold in SEARCH.least:
+    for hold in SEARCH.held_to:
         structure = names.structure
         for term in current.structure.unnamed:
             structure = structure.with_term(_from_nothing(term, hold))
         z = carry(names.structure, names.z, structure)
-        fitted = fit(fitter.problem, structure, z, names.initial, most=SEARCH.most_anew)
+        fitted = fit(fitter.problem, structure, z, names.initial, most=SEARCH.anew_steps)
         if fitter.scorer.alike(current, fitted, begin):
             tell(f"what has no name does only what is left beside names: error {fitted.error:.3g} x noise")
             return fitted

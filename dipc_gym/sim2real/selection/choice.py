@@ -65,7 +65,7 @@ def tells(term: Term, fitted: Fit, current: Fit, begin: Fit) -> bool:
     guarded = {joint_at(model, t.effect, t.at) for t in laws}
     if term.effect.of_no_kind or joint_at(model, term.effect, term.at) not in guarded - {None}:
         return True
-    most = SEARCH.far_better if current.error < SEARCH.in_reach else SEARCH.most
+    most = SEARCH.far_better if current.error < SEARCH.in_reach else SEARCH.main_part
     return fitted.error - 1 < most * (current.error - 1)
 
 
@@ -89,7 +89,7 @@ def before_unnamed(before: float, mse: NDArray[np.float64]) -> float:
         before: error without either.
         mse: what the law of no kind leaves, mean square of each window, (n,).
     """
-    most = before - SEARCH.most * (before - rms(mse))
+    most = before - SEARCH.main_part * (before - rms(mse))
     return min(most, SEARCH.in_reach) if common_error(mse) < SCORE.at_floor else most
 
 
@@ -109,7 +109,9 @@ def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]
     close = [k for k, error in enumerate(left) if error <= min(left) / SEARCH.far_better]
     best = min(close, key=lambda k: losses[k])
     before = rms(scorer.unfitted_mse(paths[0][0]))
-    most = min(before_unnamed(before, compared[best]), before ** (1 - SEARCH.most) * left[best] ** SEARCH.most)
+    most = min(
+        before_unnamed(before, compared[best]), before ** (1 - SEARCH.main_part) * left[best] ** SEARCH.main_part
+    )
     named = [k for k in close if not paths[k][-1].structure.unnamed and left[k] < most]
     return paths[min(named, key=lambda k: losses[k], default=best)]
 
@@ -131,7 +133,7 @@ def _core(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
     assert chosen.fitted is not None
     if common_error(chosen.fitted.mse) < SCORE.at_floor:
         return chosen
-    most = current.error - SEARCH.most * (current.error - chosen.fitted.error)
+    most = current.error - SEARCH.main_part * (current.error - chosen.fitted.error)
     plain = [
         t
         for t in clear

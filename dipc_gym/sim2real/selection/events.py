@@ -62,5 +62,5 @@ def _around_outliers(progress: Progress, scorer: Scorer) -> Progress:
         return progress
     # An end of a table may need no more than to be fitted to the new windows, as whatever is tried beside it is. A
     # push, which is no longer asked for beside a table, must not bend the fit before it is tried.
-    again = fit(progress.partition.problem, current.structure, current.z, current.initial, most=SEARCH.goes_on)
+    again = fit(progress.partition.problem, current.structure, current.z, current.initial, most=SEARCH.onward_steps)
     return replace(progress, path=(*progress.path[:-1], again))

@@ -197,7 +197,7 @@ class Fitter:
 
     def _rough(self, structure: Structure, z: Array, initial: Array, hopeless: float = math.inf) -> Fit:
         some = self.problem.pick(self.subset)
-        return fit(some, structure, z, initial, most=SEARCH.sketched, tolerance=SEARCH.rough, hopeless=hopeless)
+        return fit(some, structure, z, initial, most=SEARCH.sketch_steps, tolerance=SEARCH.rough, hopeless=hopeless)
 
     def full(self, base: Fit, sketch: Fit, current: Fit | None = None) -> Fit | None:
         """Fit all windows from where a sketch came to; None where it cannot be simulated.
@@ -210,12 +210,16 @@ class Fitter:
         try:
             subset = self.partition.known_to(sketch)
             if not sketch.converged and sketch.error > SCORE.at_floor:
-                sketch = fit(self.problem.pick(subset), sketch.structure, sketch.z, sketch.initial, most=SEARCH.goes_on)
+                sketch = fit(
+                    self.problem.pick(subset), sketch.structure, sketch.z, sketch.initial, most=SEARCH.onward_steps
+                )
             if current is not None and not earned(sketch.mse, current.mse[subset], small=self.scorer.small):
                 return None
             fitted = fit(self.problem, sketch.structure, sketch.z, base.initial, tolerance=SEARCH.rough)
             if SCORE.at_floor < fitted.error < SEARCH.in_reach:
-                fitted = self.anew(fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=SEARCH.goes_on))
+                fitted = self.anew(
+                    fit(self.problem, fitted.structure, fitted.z, fitted.initial, most=SEARCH.onward_steps)
+                )
             return fitted
         except (mjcf.MjcfError, np.linalg.LinAlgError):
             return None
@@ -229,7 +233,7 @@ class Fitter:
         structure = fitted.structure
         if fitted.error <= SCORE.at_floor or len(structure.terms) < 2:
             return fitted
-        sketch = fit(self.problem.pick(self.subset), structure, most=SEARCH.most_anew)
+        sketch = fit(self.problem.pick(self.subset), structure, most=SEARCH.anew_steps)
         gained = compare(sketch.mse, fitted.mse[self.subset], self.problem.blocks[self.subset])
         if gained.gain < SCORE.worth:
             return fitted
@@ -251,7 +255,11 @@ class Fitter:
         if fitted.converged and fitted.whole:
             return fitted
         return fit(
-            self.problem, fitted.structure, fitted.z, fitted.initial, most=0 if fitted.converged else SEARCH.polished
+            self.problem,
+            fitted.structure,
+            fitted.z,
+            fitted.initial,
+            most=0 if fitted.converged else SEARCH.polish_steps,
         )
 
     def whole(self, fitted: Fit) -> Fit:

@@ -107,7 +107,7 @@ def _needed(fitter: Fitter, sketch: Fit, current: Fit) -> Fit:
     for term in idle:
         structure = structure.without(term.key)
     begin = carry(sketch.structure, sketch.z, structure)
-    less = fit(fitter.problem.pick(fitter.subset), structure, begin, sketch.initial, most=SEARCH.sketched)
+    less = fit(fitter.problem.pick(fitter.subset), structure, begin, sketch.initial, most=SEARCH.sketch_steps)
     # Quadratics of so many that make up for each other may foretell badly; then pruning asks one after another.
     with_all, without = ranking.losses([sketch.mse, less.mse])
     return less if without - with_all < SCORE.worth else sketch

@@ -66,7 +66,7 @@ def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> It
     remaining, beside = current.structure.without(term.key), _beside_unnamed(current, term)
     if beside:
         nothing = fitter.as_it_is(current, remaining)  # in its place, from the law neither
-        if not term.effect.once and fitter.scorer.compare(current, nothing).gain < SCORE.told:
+        if not term.effect.once and fitter.scorer.compare(current, nothing).gain < SCORE.told_apart:
             yield nothing
     else:
         yield from _without(fitter, current, term, remaining)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.estimation.fit import Fit
+from dipc_gym.sim2real.estimation.fit import Fit, lowest
 from dipc_gym.sim2real.estimation.shooting import mean_loss, typical
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.selection.partitioning import outliers
@@ -84,14 +84,10 @@ def foretold_loss(fitted: Fit, terms: Sequence[Term], counts: Array) -> float:
     slots, z, q = fitted.structure.slots, fitted.z, fitted.quadratics
     keys = tuple(f"{term.key}." for term in terms)
     gone = [i for i, slot in enumerate(slots) if slot.key.startswith(keys) and slot.may_vanish]
-    others = [i for i in range(len(z)) if i not in gone]
     weight = 1.0 / (1.0 + fitted.mse) / counts
     prior = fitted.structure.prior
     A, b = prior.in_fit(q.A, q.b, z, weight, counts)
-    step = np.zeros(len(z))
-    step[gone] = [slots[i].mapped(0.0) - z[i] for i in gone]
-    right = b[others] - A[np.ix_(others, gone)] @ step[gone]
-    step[others] = np.linalg.lstsq(A[np.ix_(others, others)], right, rcond=1e-9)[0]
+    step = lowest(A, b, {i: slots[i].mapped(0.0) - z[i] for i in gone})
     after = np.maximum(q.after(step), 0.0) / counts
     penalty = prior.penalty(z + step, counts) - prior.penalty(z, counts)
     return float(np.mean(np.log1p(after) - np.log1p(fitted.mse)) + penalty)

@@ -120,7 +120,7 @@ def _finer(fitter: Fitter, current: Fit, key: str, enough: float) -> Fit | None:
         if tried is None or current.error <= enough:
             return None
         effect = next(term.effect for term in tried.structure.terms if term.key == key)
-        if not effect.free or (tried is not current and len(effect.parameters) > SEARCH.fine):
+        if not effect.free or (tried is not current and len(effect.parameters) > SEARCH.fine_law):
             return None
         tried = _with_more(fitter, tried, key)
         if tried is not None and _better(fitter, tried, current):

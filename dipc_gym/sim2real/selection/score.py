@@ -44,7 +44,7 @@ class Improvement:
     @property
     def told(self) -> bool:
         """Better beyond chance, by more than simulations of one and the same model may differ."""
-        return self.gain > max(SCORE.told, SCORE.clear * self.error)
+        return self.gain > max(SCORE.told_apart, SCORE.clear * self.error)
 
     @property
     def matters(self) -> bool:

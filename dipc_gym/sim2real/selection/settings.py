@@ -60,7 +60,7 @@ class ScoreSettings:
             less shows in no use of a model
         hardly: mean log square error, half of that: a gain of less is as good as none, and a hypothesis that foretells
             less is not sketched
-        told: the same, a quarter: simulations of one and the same model may differ by as much
+        told_apart: the same, a quarter: simulations of one and the same model may differ by as much
         share: part of a gain within which another fit predicts as well: how fits end makes as much of a difference
         usual: usual square error up to which windows are at the noise: the noise itself may be off by a fifth
         fewest_blocks: blocks that a standard error or an interval is taken from: two hardly have a spread
@@ -78,7 +78,7 @@ class ScoreSettings:
     alike: float = 2.0
     worth: float = 0.02
     hardly: float = 0.01
-    told: float = 0.005
+    told_apart: float = 0.005
     share: float = 0.02
     usual: float = 1.5
     fewest_blocks: int = 3
@@ -128,27 +128,27 @@ class SearchSettings:
         shapeless: laws of no kind that are sketched beside these
         once: improvement of the log square errors, summed over windows, by which an event that happened once stands
             out: it has no other blocks that could confirm it
-        most: share of the improvement that a plain effect must bring to go before one that elaborates it: else it is
-            not the main part of that
+        main_part: share of the improvement that a plain effect must bring to go before one that elaborates it: else it
+            is not the main part of that
         far_better: share of what a plain effect leaves, below which one that elaborates it leaves so little that its
             shape is no accident: it does not wait for the plain one
         in_reach: times the noise, from which a fit may yet come down to it: one that leaves more lacks something, not
             steps
         earns: share of the excess error that an effect must remove where it does not come down to the noise: the best
             of dozens takes up some of anything
-        sketched: steps of a sketch: enough to tell which hypotheses keep up, and no more
+        sketch_steps: steps of a sketch: enough to tell which hypotheses keep up, and no more
         hopeless: mean log square error, by which derivatives foretell a rival to stay behind (an error seven times as
             large) where it is not fitted on: what they foretell from afar is off by less
-        goes_on: steps of a sketch or fit that was still on its way, or whose windows are others now: a long valley
+        onward_steps: steps of a sketch or fit that was still on its way, or whose windows are others now: a long valley
             takes more than a fit has elsewhere
-        polished: steps of a fit that goes on until nothing changes; few fits need as many
-        most_anew: steps of a fit that is begun anew, from guesses that may be far off
+        polish_steps: steps of a fit that goes on until nothing changes; few fits need as many
+        anew_steps: steps of a fit that is begun anew, from guesses that may be far off
         laws: share of what effects brought, that their laws may leave: tables are off by about as much between their
             knots
         kinds: of effects at all joints that are tried together in a round, the second beside the best one: bearings
             have dry and viscous friction
         pairs: pairs that predict alike and are fitted to all windows, the plainest first: each costs full fits
-        least: standard deviations, in sizes of the law, with which one of no kind is held to nothing beside effects
+        held_to: standard deviations, in sizes of the law, with which one of no kind is held to nothing beside effects
             with names, the tightest first: the last hardly holds, as when the law was found
         short: share of the predicted gain of a pair that its sketch must bring: of less, the straight lines misled
         halvings: of the stretches between the knots of a law, at most: six make 64 of one, as many as forces tell apart
@@ -156,7 +156,7 @@ class SearchSettings:
             these: what a law says there was never asked
         ahead: halvings that are tried before a law is as fine as it may be: a narrow spot shows only when knots lie as
             near as it is wide
-        fine: parameters of a law, from which on only one more: each costs a simulation in every step of a fit
+        fine_law: parameters of a law, from which on only one more: each costs a simulation in every step of a fit
     """
 
     subset: int = 18
@@ -178,24 +178,24 @@ class SearchSettings:
     shapes: int = 6
     shapeless: int = 3
     once: float = 1.5
-    most: float = 0.5
+    main_part: float = 0.5
     far_better: float = 0.3
     in_reach: float = 3.0
     earns: float = 0.1
-    sketched: int = 5
+    sketch_steps: int = 5
     hopeless: float = 4.0
-    goes_on: int = 15
-    polished: int = 25
-    most_anew: int = 30
+    onward_steps: int = 15
+    polish_steps: int = 25
+    anew_steps: int = 30
     laws: float = 0.02
     kinds: int = 2
     pairs: int = 2
-    least: tuple[float, ...] = (0.3, 1.0, 5.0)
+    held_to: tuple[float, ...] = (0.3, 1.0, 5.0)
     short: float = 0.5
     halvings: int = 6
     beyond: float = 0.02
     ahead: int = 2
-    fine: int = 32
+    fine_law: int = 32
 
 
 SEARCH = SearchSettings()

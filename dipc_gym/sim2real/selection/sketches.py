@@ -152,7 +152,7 @@ def plain_first(sketched: Sequence[Start], error: float) -> list[Start]:
         plain = min(
             (left.get(f"{inner}@{tried.term.at}", error) for inner in tried.term.effect.contains), default=error
         )
-        most = error - plain > SEARCH.most * (error - own)
+        most = error - plain > SEARCH.main_part * (error - own)
         waits = own > SEARCH.in_reach and most and own > SEARCH.far_better * plain
         return waits and not tried.term.effect.free
 

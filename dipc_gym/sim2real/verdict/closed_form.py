@@ -215,7 +215,7 @@ def _fitted(terms: Sequence[Basis], x: Array, values: Array, root: Array) -> tup
         p = start
         if count:
             scale = np.maximum(np.abs(start), 1e-3)
-            p = least_squares(left, start, bounds=(least, most), x_scale=scale, max_nfev=FORMULAS.most).x
+            p = least_squares(left, start, bounds=(least, most), x_scale=scale, max_nfev=FORMULAS.most_values).x
         squares = float(np.sum(left(p) ** 2))
         if squares < best[0]:
             best = squares, p, factors(p)

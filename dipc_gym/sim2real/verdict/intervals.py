@@ -57,5 +57,5 @@ def _jackknife(fitted: Fit, problem: Problem, blocks: NDArray[np.intp]) -> Array
     moved = np.einsum("bij,bj->bi", inverse, slope)
     half = stdtrit(count - 1, VERDICT.sure) * np.sqrt((count - 1) / count * np.sum(moved**2, axis=0))
     # Else doubling a parameter would change less than the noise of one reading.
-    told = np.einsum("nii->i", q.A) > VERDICT.told
+    told = np.einsum("nii->i", q.A) > VERDICT.known
     return np.where(told, half, np.inf)

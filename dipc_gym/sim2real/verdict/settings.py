@@ -54,7 +54,7 @@ class FormulaSettings:
         steepest: power, above which one is a wall
         singular: share of the largest, below which a direction of a table is not known at all
         followed: starts that are followed, of those that begin best: two terms have hundreds
-        most: values of a formula that a start may ask for: those that have not settled by then, wander
+        most_values: values of a formula that a start may ask for: those that have not settled by then, wander
     """
 
     places: int = 7
@@ -68,7 +68,7 @@ class FormulaSettings:
     steepest: float = 8.0
     singular: float = 1e-10
     followed: int = 6
-    most: int = 60
+    most_values: int = 60
 
 
 FORMULAS = FormulaSettings()
@@ -90,7 +90,7 @@ class VerdictSettings:
         sure: quantile to which an interval reaches on either side: 90 % lie within, which a dozen blocks can tell
         regimes: into which windows are parted by where they begin, and by how fast, to see what parameters are in each:
             as many as have half a dozen windows
-        told: squares of one reading's noise, that doubling a parameter has to change for data to know of it
+        known: squares of one reading's noise, that doubling a parameter has to change for data to know of it
         small: share of the motion within a window: a smaller mismatch is called missing physics only if it has a
             pattern, for every real recording holds a little
         pattern: share of the variance of the unexplained force that goes with something, from which it has one: chance
@@ -153,7 +153,7 @@ class VerdictSettings:
     bins: int = 24
     sure: float = 0.95
     regimes: int = 8
-    told: float = 1.0
+    known: float = 1.0
     small: float = 1e-3
     pattern: float = 0.1
     refuted: float = 1.05
