@@ -165,6 +165,12 @@ class Structure:
             out += [k if term.effect.free else -1] * len(_fitted(term.effect))
         return np.array(out, dtype=np.intp)
 
+    @functools.cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Smallest and largest mapped parameters, (p,) each."""
+        low = [-math.inf if slot.log and slot.low <= 0 else slot.mapped(slot.low) for slot in self.slots]
+        return np.array(low), np.array([slot.mapped(slot.high) for slot in self.slots])
+
     def clip(self, z: Array) -> Array:
         """The nearest mapped parameters within bounds."""
         out = z.copy()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect
-from dipc_gym.sim2real.estimation.fit import Fit, Quadratics
+from dipc_gym.sim2real.estimation.fit import Fit, Quadratics, lowest
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict_with
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection.settings import SEARCH
@@ -245,6 +245,8 @@ class _Overlay:
         columns = np.concatenate([*(response[:, :, None] for response in responses), current.jacobian], axis=2)
         flat = np.swapaxes(columns, 1, 2)
         self.own = list(range(len(responses), columns.shape[2]))
+        low, high = (bound - current.z for bound in current.structure.bounds)
+        self.low, self.high = np.maximum(low, -SEARCH.trusted), np.minimum(high, SEARCH.trusted)
         self.counts, self.mse = problem.counts, current.mse
         self.quadratics = Quadratics(flat @ columns, (flat @ current.left[..., None])[..., 0], current.quadratics.c)
         # A predicted gain is a fall of log errors, and so are these weights: windows at the noise are not given up
@@ -266,16 +268,44 @@ class _Overlay:
         """
         free = [*which, *(self.own if beside else [])]
         A, b = self.A[np.ix_(free, free)], self.b[free]
-        scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
-        step = np.linalg.lstsq(A / np.outer(scale, scale), b / scale, rcond=1e-9)[0] / scale
         count = len(which)
         least = [-SEARCH.largest if _signed(effect) else 0.0 for effect in effects]
-        moved = np.clip(step[count:], -SEARCH.trusted, SEARCH.trusted)
-        step = np.append(np.clip(step[:count], least, SEARCH.largest), moved)
+        low, high = (
+            np.append(least, self.low if beside else []),
+            np.append([SEARCH.largest] * count, self.high if beside else []),
+        )
+        step = _within(A, b, low, high, count)
         q = self.quadratics
         picked = Quadratics(q.A[:, free][:, :, free], q.b[:, free], q.c)
         after = np.maximum(picked.after(step), 0.0) / self.counts
         return float(np.mean(np.log1p(self.mse) - np.log1p(after))), step[:count].tolist()
+
+
+def _within(A: Array, b: Array, low: Array, high: Array, count: int) -> Array:
+    """The step d (p,) at which d.A.d - 2 b.d is lowest within bounds.
+
+    What would leave them stays at them, one after the other, and the rest goes without it. First the fit's own
+    parameters: friction that is at zero has nothing to give up that an effect could take over.
+
+    Args:
+        A: curvature, (p, p).
+        b: slope, (p,).
+        low: smallest step, (p,).
+        high: largest, (p,).
+        count: of the first elements, which are sizes of effects.
+    """
+    scale = np.maximum(np.sqrt(np.diag(A)), 1e-12)
+    A, b, low, high = A / np.outer(scale, scale), b / scale, low * scale, high * scale
+    held: dict[int, float] = {}
+    while True:
+        step = lowest(A, b, held)
+        beyond = np.maximum(step - high, low - step)
+        beyond[list(held)] = 0.0
+        own = beyond[count:].max(initial=0.0) > 0
+        out = count + int(np.argmax(beyond[count:])) if own else int(np.argmax(beyond))
+        if not beyond[out] > 0:
+            return step / scale
+        held[out] = float(np.clip(step[out], low[out], high[out]))
 
 
 def excludes(present: Effect, other: Effect) -> bool:
