@@ -171,6 +171,34 @@ def test_a_rig_that_falls_needs_its_controller() -> None:
     assert 0 < np.abs(found.commands.commands).max() <= 0.2 * usual * (1 + 1e-9)
 
 
+def test_a_log_without_commands_gets_some_that_the_rig_takes() -> None:
+    """A free fall, of poles that no command keeps up: a share of nothing is nothing."""
+    upright = HANGING.replace('pos="0 0 -0.2"', 'pos="0 0 0.2"')
+    _, run = ready(HANGING, 3.0, NOISE["hanging"])
+    held = replace(run, commands=np.zeros_like(run.commands), sensors=run.sensors * [1, 1e-2, 1e-2], sha256="")
+    P = prepared(upright, [held], stepping=Stepping(0.002, RK4), length=0.05)
+    found = design.propose([structure(P, ("friction.coulomb", "cart", {"level": 1.0}))], P.problem, [held], P.motions)
+    assert "leaves its range when left alone" in found.sentence
+    assert np.abs(found.commands.commands).max() == pytest.approx(0.2 * 24, rel=1e-6)  # of what the motor takes
+    assert "4.8 V" in found.sentence
+
+
+def test_a_joint_that_never_moved_has_not_left_its_range() -> None:
+    """Two carts, one of them locked by its friction: the other is asked about as if it were alone."""
+    motions = ready(CART)[0].motions
+    usual, low, high = design._visited([replace(motions[0], position=0 * motions[0].position)], np.array([1e-5]))
+    assert low[0] < usual[0] - 5e-5 < usual[0] + 5e-5 < high[0]
+
+
+@pytest.mark.parametrize("name", ["motor", "the.motor"])
+def test_a_motor_is_asked_in_volts_whatever_its_name(name: str) -> None:
+    text = CART.replace('name="motor"', f'name="{name}" input="voltage"')
+    run = record(physics.load(text), sweep(4.0), 1.0, noise=(1e-5,), integrator=RK4)
+    built = prepared(text, [run], stepping=Stepping(0.002, RK4)).structure
+    assert design._unit(built, replace(run, actuator_names=[name]), 0) == " V"
+    assert design._unit(built, replace(run, actuator_names=[f"{name}.pos"]), 0) == " V"
+
+
 def test_a_motor_that_heats_is_watched_for_longer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(design, "DESIGN", replace(design.DESIGN, warming=12.0))
     hot = ("motor.thermal", "motor", {"thermal_resistance": 5.0, "time_constant": 5.0})

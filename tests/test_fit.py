@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import minimize_scalar
+from scipy.optimize import lsq_linear, minimize_scalar
 from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
@@ -27,7 +27,7 @@ from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import Shooting, typical
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
-from dipc_gym.sim2real.selection.screen import LaidOver, pairs
+from dipc_gym.sim2real.selection.screen import LaidOver, _within, pairs
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.simulation.windows import cut
 from dipc_gym.sim2real.verdict import findings
@@ -287,6 +287,36 @@ def test_a_rig_that_rests_needs_no_start_corrected() -> None:
     initial, _ = begun(resting, structure, structure.first)
     assert not evaluate(resting, structure, structure.first).any()
     assert not initial.any()
+
+
+@given(st.integers(0, 10_000), st.integers(1, 6), st.integers(0, 3))
+def test_what_screening_foretells_stays_within_bounds(seed: int, p: int, count: int) -> None:
+    """With one bound it is where the sum of squares is lowest within it; with many, nothing leaves any."""
+    rng = np.random.default_rng(seed)
+    rows, wanted = rng.normal(size=(p + 3, p)), 3 * rng.normal(size=p + 3)
+    A, b = rows.T @ rows, rows.T @ wanted
+    one = np.full(p, np.inf)
+    one[rng.integers(p)] = rng.uniform(0, 1)
+    best = lsq_linear(rows, wanted, (np.full(p, -np.inf), one), tol=1e-14)
+    np.testing.assert_allclose(_within(A, b, np.full(p, -np.inf), one, min(count, p)), best.x, rtol=1e-4, atol=1e-6)
+    low, high = -rng.uniform(0, 1, p), rng.uniform(0, 1, p)
+    step = _within(A, b, low, high, min(count, p))
+    assert np.all((step >= low - 1e-12) & (step <= high + 1e-12))
+
+
+def test_what_may_move_no_further_lets_the_others_make_up_for_it() -> None:
+    """An effect of size 2 beside a friction that would move by 3: moved by 1, it leaves the effect less to do.
+
+    Cut back after all was solved, both together would be worse than nothing.
+    """
+    A, b = np.array([[1.0, -0.9], [-0.9, 1.0]]), np.array([2 - 0.9 * 3, 3 - 0.9 * 2])
+
+    def lowered(step: np.ndarray) -> float:
+        return float(2 * b @ step - step @ A @ step)
+
+    step = _within(A, b, np.array([0.0, -1.0]), np.array([100.0, 1.0]), 1)
+    np.testing.assert_allclose(step, [0.2, 1.0])
+    assert lowered(step) > 0 > lowered(np.array([2.0, 1.0]))
 
 
 def test_three_joints_fit_together() -> None:

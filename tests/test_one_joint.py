@@ -25,7 +25,7 @@ from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.simulation import batch
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
 from dipc_gym.sim2real.simulation.compiled import left_to_mujoco
-from dipc_gym.sim2real.simulation.memory import memories
+from dipc_gym.sim2real.simulation.memory import bends, memories
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows
 
@@ -292,10 +292,50 @@ def test_what_a_law_remembers_of_a_command_is_each_variants_own() -> None:
         sag = {"gain": 1.0, "back": 0.0, "drop": 0.2, "current": 1.0, "time_constant": 0.3}
         catalogue()["motor.sag"].edit(document, "m", sag)
         made.append(physics.load(mjcf.from_text(document.text())))
-    found = memories(made, 0, ("x",), recording, still, t)
-    alone = [memories([one], 0, ("x",), recording, still, t)[0] for one in made]
+    late = np.zeros((2, 1))
+    found = memories(made, 0, ("x",), late, recording, still, t)
+    alone = [memories([one], 0, ("x",), late[:1], recording, still, t)[0] for one in made]
     np.testing.assert_array_equal(found, alone)
     assert found[0, -1] > 1.2 * found[1, -1]
+
+
+def test_what_is_remembered_of_a_late_command_comes_late() -> None:
+    """A pulse of 0.1 s that acts 50 ms after it was sent has drawn less by its end, and as much 50 ms later."""
+    t = np.arange(0.0, 0.5, 0.01)
+    commands = ((t >= 0.1) & (t < 0.2)).astype(float)[:, None]
+    run, still = Recording("r", t, commands, np.zeros((len(t), 1)), ("m",), ("p",)), windows().motions[0]
+    still = Motion(t, *(np.zeros((len(t), 1)) for _ in range(3)), np.zeros(1))
+    document = Document(mjcf.from_text(slide()))
+    sag = {"gain": 1.0, "back": 0.0, "drop": 0.2, "current": 1.0, "time_constant": 0.02}
+    catalogue()["motor.sag"].edit(document, "m", sag)
+    rig = physics.load(mjcf.from_text(document.text()))
+    prompt, late = memories([rig, rig], 0, ("x",), np.array([[0.0], [0.05]]), run, still, t)
+    assert prompt.max() > 0.5
+    np.testing.assert_allclose(late[5:], prompt[:-5], atol=1e-9)
+
+
+def test_a_spring_that_yields_is_bent_by_what_follows_as_well() -> None:
+    """Of a follower it is bent as its leader moves; between both nothing bends it."""
+    coupled = slide(
+        more="""
+        <tendon><fixed name="t" stiffness="50" springyield="0.03" springlength="0">{}</fixed></tendon>
+        <custom><text name="dipc_gym:follows:f" data="x"/></custom>"""
+    ).replace(
+        "</worldbody>",
+        """<body name="c"><joint name="f" type="slide" axis="1 0 0"/><geom type="sphere" size=".1" mass="1"
+        contype="0" conaffinity="0"/></body></worldbody>""",
+    )
+    t = np.arange(0.0, 1.0, 0.01)
+    position = 0.1 * np.sin(8 * t)[:, None]
+    motion = Motion(t, position, np.gradient(position, t, axis=0), np.zeros_like(position), np.zeros(1))
+    one = {name: f'<joint joint="{name}" coef="1"/>' for name in "xf"}
+    own, follower, both = (
+        bends([physics.load(coupled.format(held))], 0, motion, t)[0]
+        for held in (one["x"], one["f"], one["x"] + one["f"].replace('"1"', '"-1"'))
+    )
+    assert np.abs(own).max() == pytest.approx(0.03)
+    np.testing.assert_array_equal(follower, own)
+    assert not both.any()
 
 
 # Drives

@@ -23,7 +23,11 @@ MASS = 2.0
 
 
 def cart(
-    custom: str = "", axis: str = "1 0 0", timestep: float = 1e-3, clock: str = '<clock name="clock"/>'
+    custom: str = "",
+    axis: str = "1 0 0",
+    timestep: float = 1e-3,
+    clock: str = '<clock name="clock"/>',
+    motor: str = "",
 ) -> physics.Physics:
     """A mass on a rail, a force motor, its position sensed."""
     return physics.load(f"""
@@ -36,7 +40,7 @@ def cart(
               <joint name="cart" type="slide" axis="{axis}" solreffriction="0.002 1"/>
             </body>
           </worldbody>
-          <actuator><motor name="motor" joint="cart"/></actuator>
+          <actuator><motor name="motor" joint="cart" {motor}/></actuator>
           <sensor>
             {clock}
             <jointpos name="x" joint="cart"/>
@@ -247,6 +251,19 @@ def test_stock_mujoco_simulates_the_file_without_the_effect() -> None:
 
 
 # Batches
+
+
+def test_in_a_batch_each_law_sees_the_commands_that_its_own_motor_takes() -> None:
+    """Ranges of control of 1 and 5 beside each other: of a command of 5 each law has as much as it has alone."""
+    table = entry("residual.force", "cart", 9.0, 2, 1, -9.0, 9.0, 0, -9.0, 9.0)
+    text = depends("command motor") + table
+    variants = [cart(text, motor=f'ctrlrange="-{most} {most}"') for most in (1, 5)]
+    alone = [run(one, 5.0, 1).qfrc_applied[0] for one in variants]
+    for which in (np.array([0, 1]), np.array([1, 0])):
+        sims = batch.Batch(variants[0].model, 2, 1)
+        sims.ctrl[:], applied = 5.0, sims.bind("qfrc_applied")
+        physics.stack([variants[k] for k in which], np.arange(2)).act(sims, np.zeros((2, 1)), applied, 2e-3)
+        np.testing.assert_allclose(applied[:, 0], np.array(alone)[which])
 
 
 def test_a_batch_of_variants_equals_single_simulations_bit_for_bit() -> None:

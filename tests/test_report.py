@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import functools
+import json
 import re
 import shutil
 from collections.abc import Iterator
@@ -15,8 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dipc_gym.sim2real.report.page import VERDICTS, ReportData, render, write
-from dipc_gym.sim2real.result import Candidate, Details, Mismatch, SensorResidual, Trace
+from dipc_gym.sim2real.effects.law import described
+from dipc_gym.sim2real.report import folder, page, plots
+from dipc_gym.sim2real.report.page import VERDICTS, ReportData, render
+from dipc_gym.sim2real.result import Candidate, Details, Diagnosis, Errors, Mismatch, Missing, SensorResidual, Trace
 
 WIDTHS = (390, 1280)
 HOSTILE = (
@@ -381,7 +384,7 @@ class Visit:
 
     def __init__(self, browser: Any, data: ReportData, folder: Path):
         self.file = folder / "report.html"
-        write(data, self.file)
+        self.file.write_text(render(data), encoding="utf-8")
         self.requests: list[str] = []
         self.trouble: list[str] = []
         self.page = browser.new_page(viewport={"width": WIDTHS[0], "height": 800})
@@ -537,7 +540,7 @@ def test_page_is_one_file_that_asks_for_nothing() -> None:
     assert "default-src 'none'" in page
 
 
-def test_largest_page_stays_below_two_megabytes(tmp_path: Path) -> None:
+def test_largest_page_stays_below_two_megabytes() -> None:
     rng = np.random.default_rng(1)
     n, name = 60_000, "n" * 300
     time = DT * np.arange(n)
@@ -553,26 +556,87 @@ def test_largest_page_stays_below_two_megabytes(tmp_path: Path) -> None:
         difference="\n".join(["+" + name] * 20_000),
     )
     data = replace(haunted(example("partly explained"), name), details=details)
-    write(data, tmp_path / "report.html")
-    assert (tmp_path / "report.html").stat().st_size <= 2_000_000
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "44 more sensors" in page  # what is not drawn is said
-    assert "19600 more lines" in page
+    drawn = render(data)
+    assert len(drawn.encode()) <= 2_000_000
+    assert "44 more sensors" in drawn  # what is not drawn is said
+    assert "19600 more lines" in drawn
 
 
-def test_nothing_half_written_and_no_unknown_words(tmp_path: Path) -> None:
+def test_unknown_words_are_refused() -> None:
     data = example()
-    path = tmp_path / "report.html"
-    write(data, path)
-    before = path.read_bytes()
     with pytest.raises(ValueError, match="verdict 'fine' is none of consistent"):
-        write(replace(data, diagnosis={**data.diagnosis, "verdict": "fine"}), path)
-    assert path.read_bytes() == before
-    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+        render(replace(data, diagnosis={**data.diagnosis, "verdict": "fine"}))
     with pytest.raises(ValueError, match=r"status of friction\.load: 'good'"):
         Candidate("friction.load", "slide", "words", "good")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="Trace: fields must be vectors of one length"):
         Trace("x", "m", "a.csv", np.zeros(4), np.zeros(4), np.zeros(3))
+
+
+def test_what_was_fitted_is_not_called_unseen() -> None:
+    data = example()
+    drawn = render(data)
+    assert "Error on data that was not used" in drawn
+    assert "on held-out data" in drawn
+    fitted = {**data.diagnosis, "fit": {**data.diagnosis["fit"], "held_out_was_fitted": True}}
+    drawn = render(replace(data, diagnosis=fitted))
+    assert "Error on data that was fitted as well" in drawn
+    assert "no fit has touched" not in drawn
+    assert "on data that was fitted as well</h2>" in drawn
+
+
+def test_a_model_that_diverges_is_still_given_in_multiples_of_the_noise() -> None:
+    """An error that was cut off at a million, and 1.4 with the missing physics: the quotient of two small shares."""
+    told = Diagnosis("explained", "", comparison=Errors(1e6, 1e5, 1.4), held_out=Errors(1e6, 1e5, 1.4)).to_dict()["fit"]
+    assert told["held_out"]["improved"] / told["noise_floor"] == pytest.approx(1.4, rel=1e-5)
+
+
+def test_what_was_left_out_is_called_ruled_out_where_it_was() -> None:
+    data = example()
+    many = [Candidate("friction.load", f"joint {k}", "words", "ruled out") for k in range(40)]
+    told = {"ruled out": "10 more were fitted and ruled out.", "not told apart": "10 more were fitted."}
+    for status, said in told.items():
+        rows = tuple(replace(one, status=status) for one in many)
+        assert said in render(replace(data, details=replace(data.details, candidates=rows)))
+
+
+@pytest.mark.parametrize("broken", ["law", "trace", "render"])
+def test_a_figure_that_cannot_be_drawn_loses_no_diagnosis(
+    broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ArithmeticError("<nothing> to draw")
+
+    data = example()
+    monkeypatch.setattr(page if broken == "render" else plots, broken, fails)
+    along = [{"name": "position x", "unit": "m", "knots": [0.0, 1.0]}]
+    table = described("force", along, [1.0, 2.0], "N", passive=True)
+    lacking = Missing("friction.position", "x", "Friction at x.", 1.0, law=table)
+    found = Diagnosis("explained", "Friction & more.", missing=(lacking,), improved="<mujoco/>", details=data.details)
+    folder.save(found, tmp_path, model="x.xml", command="dipc-gym diagnose")
+    assert json.loads((tmp_path / "diagnosis.json").read_text())["missing"][0]["law"]["table"]
+    assert (tmp_path / "improved.xml").read_text() == "<mujoco/>"
+    said = (tmp_path / "report.html").read_text()
+    assert "could not be drawn (ArithmeticError: &lt;nothing&gt; to draw)" in said
+    assert "Friction &amp; more." in said
+
+
+def test_while_results_are_replaced_a_folder_has_no_diagnosis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Killed in between, it holds what is new beside what is old: nobody takes that for one diagnosis."""
+    found = Diagnosis("consistent", "Nothing is missing.", improved="<mujoco/>")
+    folder.save(found, tmp_path, model="x.xml", command="")
+
+    replace_file = Path.replace
+
+    def stop(self: Path, target: Path) -> Path:
+        if target.parent == tmp_path:
+            raise KeyboardInterrupt
+        return replace_file(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", stop)
+        with pytest.raises(KeyboardInterrupt):
+            folder.save(found, tmp_path, model="x.xml", command="", overwrite=True)
+    assert not (tmp_path / "diagnosis.json").exists()
 
 
 @pytest.mark.parametrize("nominal", [None, 1.0])

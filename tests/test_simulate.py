@@ -503,6 +503,21 @@ def test_windings_are_as_hot_as_in_a_simulation_of_the_whole(hot: tuple[Recordin
     assert known == pytest.approx(np.interp(at, time, temperature), rel=5e-3, abs=0.02)
 
 
+def test_a_winding_gets_what_its_motor_takes(hot: tuple[Recording, np.ndarray, np.ndarray]) -> None:
+    """A range of control cuts off what is beyond, unless the file says that none is."""
+    run = hot[0]
+    motion = prepared(CART, [run]).motions[0]
+    limited = rig(
+        CART.replace('motorconst="0.06"', 'motorconst="0.06" ctrlrange="-2 2"'), "motor.thermal", "motor", **HOT
+    )
+    free = physics.Physics(copy.copy(limited.model), limited.extras)
+    free.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    models = limited, free, rig(CART, "motor.thermal", "motor", **HOT)
+    cut_off, all_of_it, wanted = winding_temperatures(models, np.zeros((3, 1)), 0, run, motion, hot[1])
+    np.testing.assert_allclose(all_of_it, wanted)
+    assert cut_off.max() < 0.5 * wanted.max()
+
+
 def test_a_hot_motor_is_predicted_only_from_its_temperature(hot: tuple[Recording, np.ndarray, np.ndarray]) -> None:
     """With the effect's parameters the windows are predicted to the noise; from a cold start they are not."""
     P = prepared(CART, [hot[0]], stepping=Stepping(0.001, RK4))

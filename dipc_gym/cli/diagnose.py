@@ -129,7 +129,7 @@ class Diagnose:
         if lacking:
             print(f"Stock MuJoCo leaves out {', '.join(lacking)}; load improved.xml with dipc_gym.physics.load.")
         if self.design is not None and found.design is None:
-            print(f"{self.design}: not written, for nothing was fitted that a command could tell apart")
+            print(f"{self.design}: not written: nothing was fitted that a command could tell apart, or a note says why")
         elif self.design is not None and found.design is not None:
             print(f"{self.design}: {found.design.sentence}")
         print(f"results in {self.out}")

@@ -64,6 +64,7 @@ class Plan:
         planned = trajectory.plan(
             motion, limits, plant.control_period, start=self.start, goal=self.goal, seed=self.seed
         )
+        env.close()
         planned.save(self.out)
         room, most = abs(planned.states[:, 0]).max(), abs(planned.forces).max()
         print(f"{self.out}: {planned.seconds:g} s, up to {most:.0f} N and {1000 * room:.0f} mm")

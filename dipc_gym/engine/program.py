@@ -103,11 +103,7 @@ class _Writer:
         self._joints()
         elements = [*self._tendons(), *self._actuators()]
         self.ints[Head.DELAYS] = len(self.numbers)
-        delays = np.zeros(model.nu)
-        for i in range(model.nactuator):
-            first = int(model.actuator_ctrladr[i])
-            delays[first : first + int(model.actuator_ctrlnum[i])] = model.actuator_delay[i]
-        delays = delays[: self.controls]
+        delays = mjcf.control_delays(model)[: self.controls]
         # Seen from the sensor that reads latest, commands act later by as much.
         self.numbers += (delays + mjcf.latest_sensor(model)).tolist()
         self.ints[Head.RANGES] = len(self.numbers)

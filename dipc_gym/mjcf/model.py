@@ -38,6 +38,15 @@ def command_ranges(model: mujoco.MjModel) -> tuple[Array, Array]:
     return low, high
 
 
+def control_delays(model: mujoco.MjModel) -> Array:
+    """By how much each control acts later than it is given, s, (nu,)."""
+    delays = np.zeros(model.nu)
+    for i in range(model.nactuator):
+        first = int(model.actuator_ctrladr[i])
+        delays[first : first + int(model.actuator_ctrlnum[i])] = model.actuator_delay[i]
+    return delays
+
+
 def controls(model: mujoco.MjModel, where: str = "") -> list[str]:
     """Names of the model's controls, in the order of `data.ctrl`.
 

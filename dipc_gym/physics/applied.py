@@ -27,6 +27,7 @@ class Physics:
     Attributes:
         model: the MuJoCo model.
         extras: effects that stock MuJoCo leaves out, in the order of the file.
+        ranges: least and most of each control in each simulation of a batch, (n, nu) each; None: as the model has it.
 
     Example:
         >>> physics = from_model(mjcf.compile(
@@ -39,6 +40,7 @@ class Physics:
 
     model: mujoco.MjModel
     extras: tuple[Extra, ...] = ()
+    ranges: tuple[Array, Array] | None = None
 
     def stage(self, stage: Stage) -> tuple[Extra, ...]:
         """The extras that act at one stage."""
@@ -56,8 +58,8 @@ class Physics:
 
     @functools.cached_property
     def taken(self) -> tuple[Array, Array]:
-        """Least and most of each control that its actuator takes, (nu,) each: more of it acts nowhere."""
-        return mjcf.command_ranges(self.model)
+        """Least and most of each control that its actuator takes, (..., nu) each: more of it acts nowhere."""
+        return self.ranges or mjcf.command_ranges(self.model)
 
     @property
     def pressed(self) -> bool:
@@ -155,7 +157,7 @@ class Physics:
         for kind, k in extra.inputs:
             if kind == "command":
                 low, high = self.taken
-                seen.append(np.clip(state.ctrl[..., k], low[k], high[k]))
+                seen.append(np.clip(state.ctrl[..., k], low[..., k], high[..., k]))
             elif kind == "velocity":
                 seen.append(state.qvel[..., k])
             else:
@@ -218,11 +220,13 @@ def stack(variants: Sequence[Physics], which: NDArray[np.intp]) -> Physics:
         which: (n,) index into `variants`.
 
     Returns:
-        Physics whose extras hold (n, k) numbers; its model is the first variant's.
+        Physics whose extras hold (n, k) numbers, and whose controls have the ranges of each; its model is the first
+        variant's.
     """
     first = variants[0]
     extras = tuple(
         replace(extra, data=np.stack([variant.extras[i].data for variant in variants])[which])
         for i, extra in enumerate(first.extras)
     )
-    return Physics(first.model, extras)
+    low, high = (np.stack(ends)[which] for ends in zip(*(variant.taken for variant in variants), strict=True))
+    return Physics(first.model, extras, (low, high))

@@ -23,6 +23,7 @@ from dipc_gym.sim2real.effects.base import is_dcmotor
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.segments import position_noise
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, names
 from dipc_gym.sim2real.result import Design
@@ -42,6 +43,7 @@ class DesignSettings:
         warming: the same where a temperature is in question, s: windings take about as long to warm
         sizes: shares of the largest command that are tried: each is 0.7 of the one before, down to a twentieth
         beyond: times the range visited that a command may use: what lies further on is not known, and may be a stop
+        told: times its noise that a joint has to leave its range by, to have left it
         enough: windows that a command is judged on: more say little more, and each command costs a fit for each rival
         telling: times the noise that a rival must be off by to be told from the likeliest in a minute or so
         loosest: standard deviation of a mapped parameter of which nothing is known: loose, and yet a number
@@ -65,6 +67,7 @@ class DesignSettings:
     warming: float = 60.0
     sizes: tuple[float, ...] = tuple((0.5 ** np.arange(0.0, 5.0, 0.5)).tolist())
     beyond: float = 1.05
+    told: float = 10.0
     enough: int = 24
     telling: float = 0.3
     loosest: float = 10.0
@@ -125,7 +128,7 @@ def _tones(t: Array, rng: np.random.Generator) -> Array:
     return np.asarray(wave / np.abs(wave).max())
 
 
-TONES = "tones from {:g} to {:g} Hz".format(*DESIGN.tones)
+TONES = f"{DESIGN.count} {{}}tones from {DESIGN.tones[0]:g} to {DESIGN.tones[1]:g} Hz"
 
 # In words: the shape, and its share of the largest command.
 SHAPES: dict[str, tuple[Callable[[Array, np.random.Generator], Array], float]] = {
@@ -133,8 +136,8 @@ SHAPES: dict[str, tuple[Callable[[Array, np.random.Generator], Array], float]] =
     f"triangles of {DESIGN.triangles:g} s, for many reversals": (_triangles, 1.0),
     "steps with rests between them": (_steps, 1.0),
     "a sweep from {:g} to {:g} Hz".format(*DESIGN.sweep): (_sweep, 1.0),
-    f"nine {TONES}": (_tones, 1.0),
-    f"nine small {TONES}": (_tones, DESIGN.small),
+    TONES.format(""): (_tones, 1.0),
+    TONES.format("small "): (_tones, DESIGN.small),
 }
 
 
@@ -171,15 +174,16 @@ def propose(
     warms = any(term.effect.id == "motor.thermal" for structure, _ in structures for term in structure.terms)
     count = round((DESIGN.warming if warms else DESIGN.duration) / period)
     time = np.round(np.arange(count) * period, 9)
-    usual, low, high = _visited(motions)
+    usual, low, high = _visited(motions, position_noise(likeliest[0].physics(likeliest[1]), problem.windows.noise))
     rig = _Rig(likeliest, problem, recordings[0], time, usual, low, high)
     if not rig.stays(np.zeros((1, len(time), len(recordings[0].actuator_names))))[0]:
-        return _beside_a_controller(structures, recordings, time, seed)
+        return _beside_a_controller(structures, rig, recordings, "leaves its range when left alone", seed)
     found = [
         (_worth(likeliest, rivals, rig, candidate), candidate) for candidate in _sized(rig, recordings, time, seed)
     ]
     if not found:
-        return _beside_a_controller(structures, recordings, time, seed)
+        why = "would leave its range under the smallest of the commands that were tried"
+        return _beside_a_controller(structures, rig, recordings, why, seed)
     worth, best = max(found, key=lambda pair: pair[0])
     moved = np.ptp(rig.positions(rig.commands(best)[None])[0], axis=0)
     units = [_length(likeliest[0], name) for name in likeliest[0].base]
@@ -188,7 +192,7 @@ def propose(
     return Design(
         f"{_question(structures)} send {recordings[0].actuator_names[best.actuator]} {best.words}, of "
         f"{best.reach}{_unit(likeliest[0], recordings[0], best.actuator)}, for {time[-1] + period:.0f} s, from rest "
-        f"with {', '.join(begin)}. That moves {', '.join(reach)}, no further than the recordings did. "
+        f"with {', '.join(begin)}. That moves {', '.join(reach)}, hardly further than the recordings did. "
         + _outlook(worth, bool(rivals)),
         _recording(recordings[0], time, rig.commands(best)),
         worth if rivals else math.nan,
@@ -206,11 +210,14 @@ def _outlook(worth: float, rivals: bool) -> str:
     return f"The closest rival, refitted to what this would record, is then off by {worth:.3g} times the noise."
 
 
-def _visited(motions: Sequence[Motion]) -> tuple[Array, Array, Array]:
-    """Usual, lowest and highest position of each base joint, (nb,) each."""
+def _visited(motions: Sequence[Motion], noise: Array) -> tuple[Array, Array, Array]:
+    """Usual, lowest and highest position of each base joint, (nb,) each.
+
+    A joint that never moved, as a locked one, has visited what its noise (nb,) says.
+    """
     position = np.concatenate([motion.position for motion in motions])
     low, high = position.min(axis=0), position.max(axis=0)
-    spare = (DESIGN.beyond - 1) / 2 * (high - low)
+    spare = np.maximum((DESIGN.beyond - 1) / 2 * (high - low), DESIGN.told * noise)
     return np.median(position, axis=0), low - spare, high + spare
 
 
@@ -369,11 +376,14 @@ def _contains(wide: Structure, narrow: Structure) -> bool:
 
 
 def _beside_a_controller(
-    structures: Sequence[tuple[Structure, Array]], recordings: Sequence[Recording], time: Array, seed: int
+    structures: Sequence[tuple[Structure, Array]], rig: _Rig, recordings: Sequence[Recording], why: str, seed: int
 ) -> Design:
-    """For a rig that leaves its range when left alone: tones to be added to what its controller sends."""
-    like = recordings[0]
-    usual = np.sqrt(np.mean(np.concatenate([r.commands for r in recordings]) ** 2, axis=0))
+    """For a rig that does not keep to its range: tones to be added to what its controller sends, of a size that goes by
+    what that usually is, or by what the rig takes where it never sent anything.
+    """
+    like, time = recordings[0], rig.time
+    usual = np.sqrt(np.mean(np.concatenate([r.commands for r in recordings]) ** 2, axis=0)).tolist()
+    usual = [size or _range(rig, recordings, k)[2] for k, size in enumerate(usual)]
     rng = np.random.default_rng(seed)
     commands = np.stack([DESIGN.open_loop * size * _tones(time, rng) for size in usual], axis=1)
     sizes = " and ".join(
@@ -381,8 +391,8 @@ def _beside_a_controller(
         for k, (size, name) in enumerate(zip(usual, like.actuator_names, strict=True))
     )
     return Design(
-        f"{_question(structures)} let the controller hold the rig, which leaves its range when left alone, and add "
-        f"nine {TONES}, of up to {sizes}, for {time[-1]:.0f} s; record the sum as the command.",
+        f"{_question(structures)} let a controller hold the rig, which {why}, and add {TONES.format('')}, of up to "
+        f"{sizes}, for {time[-1]:.0f} s; record the sum as the command.",
         _recording(like, time, commands),
     )
 
@@ -408,7 +418,7 @@ def _length(structure: Structure, joint: str) -> str:
 def _unit(structure: Structure, like: Recording, actuator: int) -> str:
     name = like.actuator_names[actuator]
     known = mujoco.mj_name2id(structure.model, mujoco.mjtObj.mjOBJ_ACTUATOR, name) >= 0
-    return " V" if is_dcmotor(structure.model, name if known else name.split(".")[0]) else ""
+    return " V" if is_dcmotor(structure.model, name if known else name.rpartition(".")[0]) else ""
 
 
 def _recording(like: Recording, time: Array, commands: Array) -> Recording:

@@ -95,8 +95,8 @@ class Errors:
         scale = max(self.nominal, 1e-12)
         return {
             "nominal": 1.0,
-            "recalibrated": round(self.recalibrated / scale, 6),
-            "improved": round(self.improved / scale, 6),
+            "recalibrated": _significant(self.recalibrated / scale),
+            "improved": _significant(self.improved / scale),
         }
 
     def in_noise(self) -> dict[str, float]:
@@ -465,7 +465,7 @@ class Diagnosis:
                 "comparison": self.comparison.relative(),
                 "held_out": self.held_out.relative(),
                 "held_out_was_fitted": self.held_out_was_fitted,
-                "noise_floor": round(1 / max(self.held_out.nominal, 1e-12), 6),
+                "noise_floor": _significant(1 / max(self.held_out.nominal, 1e-12)),
                 "held_out_in_noise": self.held_out.in_noise(),
                 "held_out_force": {
                     at: errors.rounded(5) for at, errors in self.force.items() if np.isfinite(errors.nominal)
@@ -495,6 +495,11 @@ class Diagnosis:
             "notes": list(self.notes),
             "provenance": self.provenance,
         }
+
+
+def _significant(value: float) -> float:
+    """To six digits: a share of a model that is far off is small, and is divided by another one as small."""
+    return float(f"{value:.6g}")
 
 
 def _same_length(record: object, *names: str) -> None:

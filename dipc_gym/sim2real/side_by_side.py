@@ -101,15 +101,17 @@ def _fork(
             os.write(all_numbers, _NUMBER.pack(k))
     os.close(all_numbers)
     # The engine's threads rest meanwhile, and NumPy's are made for this.
-    with held_back(), warnings.catch_warnings(), suppress(OSError):
-        warnings.simplefilter("ignore", DeprecationWarning)
-        for _ in range(count):
-            results, out = context.Pipe(duplex=False)
-            with out:  # the fork has the only other end: the pipe ends with it
-                fork = context.Process(target=_work, args=(tasks, known, numbers, out), daemon=True)
-                fork.start()
-            forks[results] = fork
-    os.close(numbers)
+    try:
+        with held_back(), warnings.catch_warnings(), suppress(OSError):
+            warnings.simplefilter("ignore", DeprecationWarning)
+            for _ in range(count):
+                results, out = context.Pipe(duplex=False)
+                with out:  # the fork has the only other end: the pipe ends with it
+                    fork = context.Process(target=_work, args=(tasks, known, numbers, out), daemon=True)
+                    fork.start()
+                forks[results] = fork
+    finally:
+        os.close(numbers)
 
 
 def _received(forks: dict[Connection, BaseProcess], packed: dict[int, bytes]) -> None:

@@ -26,7 +26,7 @@ class LawOfIncrements(Effect):
     and stay where they are.
 
     Args:
-        first: guess of the parameters, the increments `name_1`, `name_2`... among them; none in the catalogue.
+        first: guess of the parameters, its increments among them, numbered from 1; none in the catalogue.
         largest: increment that is allowed.
     """
 

@@ -244,7 +244,8 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     data = mujoco.MjData(model)
     level, stiffness = model.dof_frictionloss.copy(), model.tendon_stiffness.copy()
     n = len(motion.time)
-    commands = physics.command(_delayed(model, recording), recording.time)
+    late = mjcf.control_delays(model)
+    commands = physics.command(_delayed(late, recording), recording.time)
     model.actuator_delay[:] = 0
     slips = yielding(model)
     model.tendon_stiffness[slips] = 0.0  # how far these are bent, the motion before says
@@ -274,7 +275,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     )
     moments.userdata = np.zeros((n, model.nuserdata))
     for which, law in enumerate(physics.remembering):
-        kept = memories([physics], which, mjcf.base_joints(model), recording, motion, motion.time)
+        kept = memories([physics], which, mjcf.base_joints(model), late[None], recording, motion, motion.time)
         moments.userdata[:, law.slot] = kept[0]
     levels, pushed = np.tile(level, (n, 1)), np.zeros((n, model.nv))
     side_by_side = [replace(x, data=np.broadcast_to(x.data, (n, len(x.data)))) for x in physics.extras]
@@ -291,14 +292,11 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     return (needed - driven - pushed) @ out, (driven + biased) @ out
 
 
-def _delayed(model: mujoco.MjModel, recording: Recording) -> Array:
-    """Commands (n, nu) as they act at their time stamps, each actuator's delay later than they were given."""
+def _delayed(delays: Array, recording: Recording) -> Array:
+    """Commands (n, nu) as they act at their time stamps, each control's delay (nu,) later than they were given."""
     commands = recording.commands.copy()
-    for i in np.flatnonzero(model.actuator_delay > 0):
-        first = int(model.actuator_ctrladr[i])
-        held = held_at(recording, recording.time - model.actuator_delay[i] + 1e-9)
-        for c in range(first, min(first + int(model.actuator_ctrlnum[i]), commands.shape[1])):
-            commands[:, c] = held[:, c]
+    for c in np.flatnonzero(delays[: commands.shape[1]] > 0):
+        commands[:, c] = held_at(recording, recording.time - delays[c] + 1e-9)[:, c]
     return commands
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
 import shutil
@@ -58,6 +59,7 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
                 file = inside(draft, at_work)
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_whole(file, text)
+            inside(folder, DIAGNOSIS).unlink(missing_ok=True)  # until all is in place, the folder has none
             for at_work in texts:
                 place = inside(folder, at_work)
                 place.parent.mkdir(parents=True, exist_ok=True)
@@ -103,13 +105,19 @@ def _data(diagnosis: Mapping[str, Any], details: Details | None, model: str, com
 
 
 def _page(found: Diagnosis, model: str, command: str) -> str:
-    """The page; without figures if one cannot be drawn, for what was found goes before."""
+    """The page; without figures if one cannot be drawn, or the sentence alone: what was found goes before."""
     diagnosis = finite(found.to_dict())
     try:
         return page.render(_data(diagnosis, found.details, model, command))
     except Exception as error:  # whatever it is, the other files wait for this one
-        said = f"The figures could not be drawn ({type(error).__name__}: {error}). Please report this with the files."
-        return page.render(page.ReportData(model, diagnosis, command=command, notes=(*found.notes, said)))
+        why = f"({type(error).__name__}: {error}). Please report this with the files."
+    bare = {**diagnosis, "missing": [{**one, "law": None} for one in diagnosis["missing"]]}
+    notes = (*found.notes, f"The figures could not be drawn {why}")
+    try:
+        return page.render(page.ReportData(model, bare, command=command, notes=notes))
+    except Exception:  # likewise
+        told = "".join(f"<p>{html.escape(one)}</p>\n" for one in (found.sentence, f"The page could not be drawn {why}"))
+        return f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>Diagnosis</title>\n{told}</html>\n'
 
 
 def check_free(folder: Path, overwrite: bool) -> None:

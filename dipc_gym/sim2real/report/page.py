@@ -1,6 +1,6 @@
 """The diagnosis as one page that needs nothing else: plain language first, evidence after.
 
-Whoever diagnoses fills a `ReportData`; `write` draws it. Every text in it may come from a stranger's model or
+Whoever diagnoses fills a `ReportData`; `render` draws it. Every text in it may come from a stranger's model or
 recording: the template escapes all, and characters that could turn or hide a line are replaced.
 """
 
@@ -15,7 +15,6 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.safety.files import write_whole
 from dipc_gym.sim2real.report import plots
 from dipc_gym.sim2real.report.charts import Tone
 from dipc_gym.sim2real.report.wording import clean, fine_percent, measured, number, percent, short, tied
@@ -55,29 +54,20 @@ class ReportData:
     notes: Sequence[str] = ()
 
 
-def write(data: ReportData, path: Path) -> None:
-    """Write the page: one file, no script, no request, at most 2 MB.
+def render(data: ReportData) -> str:
+    """The page as text: one file, no script, no request, at most 2 MB.
 
     Args:
         data: what to show.
-        path: of the HTML file.
 
     Raises:
         ValueError: unknown verdict.
 
     Example:
-        >>> import tempfile
         >>> found = {"verdict": "consistent", "sentence": "Nothing beyond noise."}
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     write(ReportData("cart.xml", found), Path(folder, "report.html"))
-        ...     "Nothing beyond noise." in Path(folder, "report.html").read_text(encoding="utf-8")
+        >>> "Nothing beyond noise." in render(ReportData("cart.xml", found))
         True
     """
-    write_whole(path, render(data).encode())
-
-
-def render(data: ReportData) -> str:
-    """The page as text; see `write`."""
     import jinja2
 
     verdict = data.diagnosis["verdict"]
@@ -119,7 +109,8 @@ def _parts(data: ReportData) -> dict[str, Any]:
             "residuals": data.details.residuals[MOST_RESIDUALS:],
         },
         "candidates": shown,
-        "candidates_left": left,
+        "candidates_left": len(left),
+        "left_out_ruled_out": all(c.status == "ruled out" for c in left),
         "screened": screened,
         "difference": _difference(data.details.difference),
     }
@@ -148,6 +139,7 @@ def _fit(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
     full = max([*known.values(), floor or 0.0, 1e-12]) * 1.02
     return {
         "bars": [{"key": k, "label": labels[k], "value": v, "width": 100 * v / full} for k, v in known.items()],
+        "unseen": not fit.get("held_out_was_fitted"),
         "floor": floor,
         "floor_at": None if floor is None else 100 * floor / full,
         "first": known.get("nominal"),
@@ -179,8 +171,10 @@ def _as_measured(value: float | None, unit: str) -> float | None:
     return None if value is None else scaled(value, unit)[0]
 
 
-def _candidates(rows: Sequence[Candidate]) -> tuple[list[tuple[Candidate, dict[str, float]]], int, list[Candidate]]:
-    """Rows by what became of them, each with the places of its interval; how many more; those only screened."""
+def _candidates(
+    rows: Sequence[Candidate],
+) -> tuple[list[tuple[Candidate, dict[str, float]]], list[Candidate], list[Candidate]]:
+    """Rows by what became of them, each with the places of its interval; those left out; those only screened."""
     order = get_args(Status)
     fitted = sorted((c for c in rows if c.status != "screened out"), key=lambda c: order.index(c.status))
     ends = [0.0]
@@ -202,7 +196,7 @@ def _candidates(rows: Sequence[Candidate]) -> tuple[list[tuple[Candidate, dict[s
             left = place(c.improvement - margin)
             at |= {"middle": place(c.improvement), "left": left, "width": place(c.improvement + margin) - left}
         found.append((c, at))
-    return found, len(fitted) - len(found), [c for c in rows if c.status == "screened out"]
+    return found, fitted[MOST_CANDIDATES:], [c for c in rows if c.status == "screened out"]
 
 
 def _difference(text: str) -> list[tuple[str, str]]:

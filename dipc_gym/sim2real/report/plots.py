@@ -114,7 +114,8 @@ def law(law: Mapping[str, Any]) -> Chart:
         picked = (0, across_all // 2, across_all - 1)
         tones: tuple[Tone, ...] = ("nominal", "before", "after")
         lines = [(tone, levels[:, k]) for tone, k in zip(tones, picked, strict=True)]
-        at = ", ".join(number(float(others[0]["knots"][k])) for k in picked)
+        drawn_as = zip(("dashed", "orange", "blue"), picked, strict=True)
+        at = ", ".join(f"{number(float(others[0]['knots'][k]))} ({how})" for how, k in drawn_as)
         words = f", at {others[0]['name']} of {at} {others[0]['unit']}".rstrip()
     begin, end = map(float, law["supported"][0])
     beyond = 0.08 * (end - begin) if law["outside"] == "constant" else 0.0
@@ -134,7 +135,7 @@ def law(law: Mapping[str, Any]) -> Chart:
         layers.append(charts.area("after", drawn[told], band[0][told], band[1][told], across, up))
     layers += [charts.line(tone, drawn, y, across, up) for tone, y in lines]
     interval = ", with its 90 % interval" if band is not None else ""
-    how = "is foretold" if begin > x[0] or end < x[-1] else "goes on as it ends"
+    how = "is foretold by the form of the law" if begin > x[0] or end < x[-1] else "stays as it ends"
     outside = f"; grey: beyond the data, where it {how}" if beyond else ""
     return Chart(f"The law over {first['name']}{words}{interval}{outside}", across, up, tuple(layers))
 

@@ -332,10 +332,7 @@ def _forward_to_the_middle(sims: mjbatch.Batch, step: float) -> None:
 
 def _take_delays(model: mujoco.MjModel) -> Array:
     """Delay of each control, s, (nu,); taken out of the model, since recorded commands can simply be read earlier."""
-    delays = np.zeros(model.nu)
-    for i in range(model.nactuator):
-        first = int(model.actuator_ctrladr[i])
-        delays[first : first + int(model.actuator_ctrlnum[i])] = model.actuator_delay[i]
+    delays = mjcf.control_delays(model)
     model.actuator_delay[:] = 0
     return delays
 

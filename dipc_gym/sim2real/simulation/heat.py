@@ -127,8 +127,7 @@ def winding_temperatures(
     drive = np.empty((len(variants), count))
     for v, variant in enumerate(variants):
         volts = variant.command(held_at(recording, middle - delays[v, control]), middle)[:, control]
-        if variant.model.actuator_ctrllimited[control]:
-            volts = np.clip(volts, *variant.model.actuator_ctrlrange[control])
+        volts = np.clip(volts, *(end[control] for end in variant.taken))
         square = (volts - winding.constant[v] * (speed @ winding.lever[v])) ** 2
         until = np.interp(borders, stamps, np.append(0.0, np.cumsum(square * step)))
         drive[v] = np.diff(until) / _BLOCK

@@ -23,6 +23,7 @@ from dipc_gym.physics import Physics
 from dipc_gym.physics.entries import RESTING
 from dipc_gym.physics.formulas import told_rests
 from dipc_gym.recording import Recording
+from dipc_gym.recording.held import held_at
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows
@@ -45,13 +46,10 @@ def bends(variants: Sequence[Physics], tendon: int, motion: Motion, time: Array)
         m or rad, (variants, n).
     """
     model = variants[0].model
-    at = [int(model.joint(name).dofadr[0]) for name in mjcf.base_joints(model)]
-    length, wanted = np.zeros(len(motion.time)), np.zeros(len(time))
-    for joint, coefficient in along(model, tendon):
-        if joint in at:  # what hides behind a gap is where its leader is, but for the gap
-            q = motion.position[:, at.index(joint)]
-            length += coefficient * q
-            wanted += coefficient * np.interp(time, motion.time, q)
+    joints, coefficients = zip(*along(model, tendon), strict=True)
+    # What hides behind a gap is where its leader is, but for the gap.
+    length = motion.position @ (np.array(coefficients) @ mjcf.spread_out(model)[list(joints)])
+    wanted = np.interp(time, motion.time, length)
     stamps = np.concatenate([motion.time, time])
     order = np.argsort(stamps, kind="stable")
     bears = np.array([v.model.tendon_springyield[tendon] for v in variants])
@@ -88,7 +86,13 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
 
 
 def memories(
-    variants: Sequence[Physics], which: int, base: Sequence[str], recording: Recording, motion: Motion, time: Array
+    variants: Sequence[Physics],
+    which: int,
+    base: Sequence[str],
+    delays: Array,
+    recording: Recording,
+    motion: Motion,
+    time: Array,
 ) -> Array:
     """What a law of `<custom>` remembers, at times within a recording.
 
@@ -96,6 +100,7 @@ def memories(
         variants: one model with different parameters.
         which: of the laws that remember.
         base: names of the base joints; it acts on one of them, or on what follows one behind a gap or a spring.
+        delays: of each variant's controls, s, (variants, nu).
         recording: its commands may be followed.
         motion: of the base joints.
         time: s, (n,).
@@ -107,7 +112,7 @@ def memories(
     moves = {name: name for name in base} | mjcf.followers(model)  # no recording has a rotor of its own
     columns = {joint: base.index(leader) for joint, leader in moves.items()}
     position = motion.position[:, columns[laws[0].at]]
-    sees = [_sees(variant, which, recording, motion, columns) for variant in variants]
+    sees = [_sees(one, which, late, recording, motion, columns) for one, late in zip(variants, delays, strict=True)]
     out, alike = np.empty((len(variants), len(time))), dict[bytes, list[int]]()
     for k, one in enumerate(sees):
         alike.setdefault(one.tobytes(), []).append(k)
@@ -118,12 +123,15 @@ def memories(
     return out
 
 
-def _sees(variant: Physics, which: int, recording: Recording, motion: Motion, columns: Mapping[str, int]) -> Array:
+def _sees(
+    variant: Physics, which: int, delays: Array, recording: Recording, motion: Motion, columns: Mapping[str, int]
+) -> Array:
     """Velocity of the joint of a law that remembers, and what else it depends on, at each sample of a motion, (2, n).
 
     Args:
         variant: a model.
         which: of its laws that remember.
+        delays: of its controls, s, (nu,).
         recording: its commands may be followed.
         motion: of the base joints.
         columns: of the motion, by name of the joint.
@@ -134,8 +142,7 @@ def _sees(variant: Physics, which: int, recording: Recording, motion: Motion, co
         velocity = told_rests(law.data, velocity)
     for kind, k in law.inputs:
         if kind == "command":
-            held = np.searchsorted(recording.time, motion.time + 1e-9, side="right") - 1
-            sent = variant.command(recording.commands, recording.time)[np.maximum(held, 0), k]
+            sent = variant.command(held_at(recording, motion.time - delays[k] + 1e-9), motion.time)[:, k]
             follows = np.clip(sent, *(end[k] for end in variant.taken))
         else:
             address = "dofadr" if kind == "velocity" else "qposadr"
@@ -254,7 +261,7 @@ def begin(
     for k, into in enumerate(places.remembered):
         law = variants[0].remembering[k]
         for mine, recording, motion in _passes(windows, f"what {law.effect} of {law.at} remembers"):
-            into[:, mine] = memories(variants, k, base, recording, motion, time[mine])
+            into[:, mine] = memories(variants, k, base, delays, recording, motion, time[mine])
 
 
 def _passes(windows: Windows, what: str) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion]]:
