@@ -300,6 +300,7 @@ def test_what_screening_foretells_stays_within_bounds(seed: int, p: int, count: 
     best = lsq_linear(rows, wanted, (np.full(p, -np.inf), one), tol=1e-14)
     np.testing.assert_allclose(_within(A, b, np.full(p, -np.inf), one, min(count, p)), best.x, rtol=1e-4, atol=1e-6)
     low, high = -rng.uniform(0, 1, p), rng.uniform(0, 1, p)
+    assert not len(_within(A[:0, :0], b[:0], low[:0], high[:0], 0))
     step = _within(A, b, low, high, min(count, p))
     assert np.all((step >= low - 1e-12) & (step <= high + 1e-12))
 

@@ -301,10 +301,11 @@ def _within(A: Array, b: Array, low: Array, high: Array, count: int) -> Array:
         step = lowest(A, b, held)
         beyond = np.maximum(step - high, low - step)
         beyond[list(held)] = 0.0
-        own = beyond[count:].max(initial=0.0) > 0
-        out = count + int(np.argmax(beyond[count:])) if own else int(np.argmax(beyond))
-        if not beyond[out] > 0:
+        if not np.any(beyond > 0):
             return step / scale
+        if np.any(beyond[count:] > 0):
+            beyond[:count] = 0.0
+        out = int(np.argmax(beyond))
         held[out] = float(np.clip(step[out], low[out], high[out]))
 
 
