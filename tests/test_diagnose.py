@@ -25,7 +25,7 @@ from dipc_gym.sim2real.estimation.segments import prepare
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
-from dipc_gym.sim2real.result import Diagnosis, Errors, Located, SensorFit
+from dipc_gym.sim2real.result import Diagnosis, Errors, Located, Missing, SensorFit
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.simulation.batch import Stepping
@@ -567,6 +567,24 @@ def test_a_parameter_further_off_than_plausible_is_told_and_can_be_allowed() -> 
     assert allowed.verdict == "recalibrated"
     assert allowed.recalibrated[0]["value"] == pytest.approx(MASS, rel=0.002)
     assert not [note for note in allowed.notes if "Without any new physics" in note]
+
+
+@pytest.mark.parametrize(
+    ("where", "asked"),
+    [
+        ("grows with velocity (18 % of its variance)", "constant speeds"),
+        ("changes sign with velocity, at reversals (40 % of its variance)", "constant speeds"),
+        ("goes with position (30 % of its variance)", "from one end to the other"),
+        ("goes with load (30 % of its variance)", "another load"),
+        ("goes with time (30 % of its variance)", "one short command"),
+        ("spread over position, velocity, load and time alike", "one short command"),
+    ],
+)
+def test_what_to_record_next_goes_by_what_the_unknown_goes_with(where: str, asked: str) -> None:
+    friction = Missing("friction.coulomb", "el", "Friction.", 0.9)
+    unknown = Missing("unknown", "el", f"Something acts at el; it {where}.", 0.1, where=where)
+    assert asked in sentences.next_experiment("partly explained", [friction, unknown])
+    assert "where" not in unknown.to_dict()
 
 
 def test_a_slow_recording_is_noted_and_asked_for_again() -> None:

@@ -56,6 +56,7 @@ class Missing:
         rivals: other effects that were tried in its place.
         needs_loader: whether stock MuJoCo leaves it out.
         law: of a law of any shape what it is of, its table, and where data support it; see `effects.law.described`.
+        where: what the force of something unknown goes with, in words; its sentence says it as well.
     """
 
     effect: str
@@ -67,6 +68,7 @@ class Missing:
     rivals: tuple[dict[str, Any], ...] = ()
     needs_loader: bool = False
     law: dict[str, Any] | None = None
+    where: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """As in diagnosis.json."""

@@ -327,5 +327,6 @@ def with_unknown(
         place.at,
         f"Something acts at {place.at} that no effect in the catalogue accounts for; it {sentences.verb(place.where)}.",
         float(np.clip(left, 0, 1)),
+        where=place.where,
     )
     return [unknown, *missing] if not missing or left > VERDICT.stands_in else [*missing, unknown]

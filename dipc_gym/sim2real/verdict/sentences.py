@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -183,6 +184,14 @@ def _ranges(outside: Beyond) -> str:
     return "; ".join(ranges) or "between fitted data that lie apart"
 
 
+# What to record, by what an unknown force goes with; for time, and for all alike, commands that repeat tell.
+SHOWN_BY = {
+    "velocity": "move it at several constant speeds, each of them both ways, and turn round slowly between them.",
+    "position": "move it slowly from one end to the other and back, several times, and then faster.",
+    "load": "record the same commands once more with another load.",
+}
+
+
 def next_experiment(
     verdict: Verdict,
     missing: Sequence[Missing],
@@ -230,6 +239,11 @@ def next_experiment(
             "in no file, and nothing can explain what they did."
         )
     if verdict in ("partly explained", "unexplained"):
+        for m in missing:
+            goes_with = m.where or " ".join(m.law["of"] if m.law and m.effect == "unknown" else ())
+            named = [name for name in SHOWN_BY if re.search(rf"\b{name}\b", goes_with)]
+            if len(named) == 1:  # of several it may be any
+                return f"What is unknown at {m.at} goes with {named[0]}: {SHOWN_BY[named[0]]}"
         return (
             "Repeat one short command many times over several minutes, at rest in between: what changes from one time "
             "to the next depends on time or temperature, what does not depends on the state."
