@@ -321,7 +321,9 @@ def test_a_folder_made_for_nothing_is_removed(tmp_path: Path) -> None:
 # --- Ctrl-C ----------------------------------------------------------------------------------------------------------
 
 
-def test_ctrl_c_ends_in_a_sentence(tmp_path: Path) -> None:
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_ends_in_a_sentence(sent: signal.Signals, tmp_path: Path) -> None:
+    """And what a batch system sends before it kills."""
     command = [sys.executable, "-m", "dipc_gym", "compare", "--compensator", "none,mlp", "--seeds", "3", "--out", "out"]
     process = subprocess.Popen(
         command,
@@ -335,7 +337,10 @@ def test_ctrl_c_ends_in_a_sentence(tmp_path: Path) -> None:
     # Once a first cell is there, all processes have started; Python itself is not ours to interrupt.
     while not list(tmp_path.glob("out/cells/*.json")) and process.poll() is None:
         time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)
+    if sent == signal.SIGINT:
+        os.killpg(process.pid, sent)  # as a terminal does
+    else:
+        process.send_signal(sent)
     _, said = process.communicate(timeout=120)
     assert process.returncode == 130, said
     assert "Traceback" not in said

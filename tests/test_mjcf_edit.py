@@ -378,3 +378,37 @@ def test_numbers_that_a_refit_cannot_write_are_left_out() -> None:
     )
     parameters = model_parameters(Document(source), mjcf.compile(source))
     assert [number.key for number in parameters] == ["rail.damping"]
+
+
+SERVO = """<mujoco>
+  <default><position kp="30"/><default class="damped"><position kv="2"/></default></default>
+  <worldbody>
+    <body name="link"><joint name="j" axis="0 1 0"/><geom size="0.1" mass="1" contype="0" conaffinity="0"/></body>
+  </worldbody>
+  <actuator>
+    <position name="plain" joint="j"/><position name="damped" class="damped" joint="j" gear="2"/>
+    <position name="by_mass" joint="j" dampratio="1"/><velocity name="speed" joint="j" kv="3"/>
+  </actuator>
+  <sensor><jointpos name="j" joint="j"/></sensor>
+</mujoco>"""
+
+
+def test_a_servo_has_its_gains_for_parameters_and_keeps_its_gear() -> None:
+    """A gear would stretch what it is asked for; a damping that the compiler makes by the mass stays what it is."""
+    document = Document(mjcf.from_text(SERVO))
+    model = mjcf.compile(SERVO)
+    parameters = [one for one in model_parameters(document, model) if one.at not in ("link", "j")]
+    assert {(one.key, one.value, one.unit) for one in parameters} == {
+        ("plain.kp", 30.0, "N m/rad"),
+        ("damped.kp", 30.0, "N m/rad"),
+        ("damped.kv", 2.0, "N m s/rad"),
+        ("by_mass.kp", 30.0, "N m/rad"),
+        ("speed.gear", 1.0, ""),
+    }
+    for one in parameters:
+        if one.attribute != "gear":
+            one.write(document, 2 * one.value)
+    written = mjcf.compile(document.text())
+    np.testing.assert_allclose(written.actuator_gainprm[:3, 0], 60.0)
+    np.testing.assert_allclose(written.actuator_biasprm[:2, 1:3], [[-60.0, 0.0], [-60.0, -4.0]])
+    np.testing.assert_array_equal(written.actuator_gear, model.actuator_gear)

@@ -23,7 +23,7 @@ from dipc_gym.recording.checks import counted_on, quantum
 from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
 from dipc_gym.recording.held import ROUNDING
 from dipc_gym.recording.record import LARGEST
-from dipc_gym.recording.units import FACTORS, check_kind, factor
+from dipc_gym.recording.units import FACTORS, check_kind, factor, of_command
 
 SHARED = Path(__file__).parents[1] / "../shared"
 FORMATS = [".csv", ".parquet", ".npz"]
@@ -113,6 +113,7 @@ def test_written_and_read_again_it_has_the_same_bits(
     monkeypatch.setattr(mjcf, "scalar_sensors", lambda model: list(recording.sensor_names))
     monkeypatch.setattr(files.checks, "notes", lambda recording, model: ())
     monkeypatch.setattr(files, "of_sensor", lambda model, name: "")
+    monkeypatch.setattr(files, "of_command", lambda model, name: "")
     again = read(path, None)
     assert (again.actuator_names, again.sensor_names) == (recording.actuator_names, recording.sensor_names)
     for kind in ("time", "commands", "sensors"):
@@ -277,6 +278,42 @@ def test_files_that_are_no_recordings(tmp_path: Path, model: mujoco.MjModel, con
     path = tmp_path / "r.csv"
     path.write_bytes(content)
     assert said in refused(path, model)
+
+
+def test_a_servo_is_asked_for_angles(tmp_path: Path) -> None:
+    """What it is sent has a unit, and what no joint can do is noted unless that was told."""
+    servo = '<position name="motor" joint="pole" kp="3"/>'
+    motor = '<motor name="motor" joint="cart" ctrlrange="-24 24"/>'
+    model = mjcf.compile(RIG.replace(motor, servo).replace('name="pole" axis', 'range="-60 60" name="pole" axis'))
+    columns = run(2000)
+    columns["motor"] = np.degrees(columns["pole"])
+    path = save(tmp_path / "r.csv", table(columns))
+    assert "measured in rad: use rad" in refused(path, model, units={"motor": "mm"})
+    assert "say --unit motor=deg" in " ".join(read(path, model).notes)
+    assert "--unit motor" not in " ".join(read(path, model, units={"motor": "rad"}).notes)
+    converted = read(path, model, units={"motor": "deg"})
+    np.testing.assert_allclose(converted.commands[:, 0], columns["pole"], atol=1e-12)
+    assert "--unit motor" not in " ".join(converted.notes)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "unit"),
+    [
+        ('<position name="a" joint="pole" kp="3" kv="1"/>', "rad"),
+        ('<position name="a" joint="cart" kp="3"/>', "m"),
+        ('<position name="a" joint="pole" kp="3" gear="2"/>', ""),
+        ('<velocity name="a" joint="cart" kv="2"/>', "m/s"),
+        ('<intvelocity name="a" joint="pole" kp="3" actrange="-1 1"/>', "rad/s"),
+        ('<motor name="a" joint="pole"/>', "N m"),
+        ('<motor name="a" joint="cart"/>', "N"),
+        ('<motor name="a" joint="cart" gear="9"/>', ""),
+        ('<dcmotor name="a" joint="cart" motorconst="0.1" resistance="1" input="voltage"/>', "V"),
+        ('<general name="a" joint="cart" gainprm="2" biastype="affine" biasprm="1 0 0"/>', ""),
+    ],
+)
+def test_units_of_commands(actuator: str, unit: str) -> None:
+    model = mjcf.compile(RIG.replace("<actuator>", f"<actuator>{actuator}"))
+    assert of_command(model, "a") == unit
 
 
 def test_a_missing_column_lists_both_sides(tmp_path: Path, model: mujoco.MjModel) -> None:
@@ -593,7 +630,8 @@ def test_suspect_units_are_noted(tmp_path: Path, model: mujoco.MjModel) -> None:
     turned = save(tmp_path / "r.csv", table({**columns, "pole": np.degrees(columns["pole"])}))
     assert read(turned, model, units={"pole": "rad"}).notes == ()  # told that it is none
     assert "--unit cart=mm" in noted(tmp_path, model, cart=1e3 * columns["cart"])
-    assert "--unit time=ms" in noted(tmp_path, model, time=1e3 * columns["time"])
+    for unit, of_a_second in {"ms": 1e3, "us": 1e6, "ns": 1e9}.items():
+        assert f"--unit time={unit}" in noted(tmp_path, model, time=of_a_second * columns["time"])
     assert "leaves its ctrlrange -24 to 24" in noted(tmp_path, model, motor=10 * columns["motor"])
     limited = mjcf.compile(RIG.replace('name="pole" axis', 'range="-30 30" name="pole" axis'))
     assert "--unit pole=deg" in noted(tmp_path, limited, pole=6 * columns["pole"])

@@ -26,6 +26,7 @@ from dipc_gym.cli.record import Record, Render
 from dipc_gym.cli.replay import Replay
 from dipc_gym.cli.train import Train, TrainPolicy
 from dipc_gym.cli.trial import Trial
+from dipc_gym.safety.interrupts import as_ctrl_c
 from dipc_gym.safety.naming import suggestion
 
 
@@ -53,7 +54,7 @@ COMMANDS: dict[str, type[Command]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; the exit code is 0, 1 if part of it failed, 2 for bad input, 130 after Ctrl-C.
+    """Run the command line; the exit code is 0, 1 if part of it failed, 2 for bad input, 130 after Ctrl-C or SIGTERM.
 
     It is 1 too if nobody reads what is printed, as after `| head`, or when `| tee` has ended with the same Ctrl-C.
     """
@@ -88,7 +89,8 @@ def _run(arguments: Sequence[str] | None) -> int:
             args=arguments,
             config=(tyro.conf.FlagCreatePairsOff,),
         )
-        return command.run()
+        with as_ctrl_c():
+            return command.run()
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130

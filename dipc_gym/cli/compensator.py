@@ -25,7 +25,7 @@ class FromModel:
     """
 
     model: tyro.conf.Positional[Path]
-    """MJCF file of the rig"""
+    """MJCF file of the rig: a cart, two poles and a motor"""
     out: Path
     """file for the compensator"""
     plant: str | None = None

@@ -49,7 +49,7 @@ class Export:
     plant: str | None = None
     """JSON file of the plant: encoders, control period, motor, supply"""
     model: str | None = None
-    """MJCF file of the rig"""
+    """MJCF file of the rig: a cart, two poles and a motor"""
     force_limit: float | None = None
     """largest force, N; without it, what the blocked motor exerts at full supply"""
     overwrite: bool = False

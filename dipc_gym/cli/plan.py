@@ -33,7 +33,7 @@ class Plan:
     plant: str | None = None
     """JSON file of the plant; where parameters are distributions, their centres"""
     model: str | None = None
-    """MJCF file of the rig"""
+    """MJCF file of the rig: a cart, two poles and a motor"""
     seed: int = 0
     """of the first guesses, and the first of the resets"""
     resets: int = 5

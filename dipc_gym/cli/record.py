@@ -48,7 +48,7 @@ class Record:
     plant: str | None = None
     """JSON file of the plant; where parameters are distributions, identification takes their centres"""
     model: str | None = None
-    """MJCF file of the rig"""
+    """MJCF file of the rig: a cart, two poles and a motor"""
     seed: int = 0
     """of initial state and noise"""
     overwrite: bool = False
@@ -122,7 +122,7 @@ class Render:
     plant: str | None = None
     """JSON file of the plant; where parameters are distributions, identification takes their centres"""
     model: str | None = None
-    """MJCF file of the rig"""
+    """MJCF file of the rig: a cart, two poles and a motor"""
     seed: int = 0
     """of initial state and noise"""
     overwrite: bool = False

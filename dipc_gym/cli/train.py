@@ -46,7 +46,7 @@ class Train:
     plant: str | None = None
     """JSON file of the plant; where parameters are distributions, identification takes their centres"""
     model: str | None = None
-    """MJCF file of the rig"""
+    """MJCF file of the rig: a cart, two poles and a motor"""
     seed: int = 0
     """of training and of the simulated encoders' noise"""
     overwrite: bool = False
@@ -145,7 +145,7 @@ class TrainPolicy:
     plant: str | None = None
     """JSON file of the plant; parameters may be distributions, drawn anew in every episode"""
     model: str | None = None
-    """MJCF file of the rig"""
+    """MJCF file of the rig: a cart, two poles and a motor"""
     resume: bool = False
     """go on from the folder's checkpoint; all other options as they were; a sweep goes on by itself"""
     jobs: int | None = None

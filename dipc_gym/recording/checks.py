@@ -13,6 +13,7 @@ from dipc_gym.mjcf import is_hinge
 from dipc_gym.recording.degrees import turns
 from dipc_gym.recording.settings import CHECKS, DEGREES, NOISE
 from dipc_gym.recording.tables import RecordingError
+from dipc_gym.recording.units import commanded_by, likely_time, of_command
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -140,7 +141,7 @@ def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:
         odd = [] if name in recording.told else _odd_unit(name, values, model)
         # Degrees are foretold by no model in radians: where accelerations agree with it, a pole goes round.
         found += odd if odd and not _goes_round(recording, model, name) else []
-    return (*found, *_odd_rates(recording, model), *_beyond_limits(recording, model))
+    return (*found, *_odd_commands(recording, model), *_odd_rates(recording, model), *_beyond_limits(recording, model))
 
 
 def _sampling(time: NDArray[np.float64]) -> list[str]:
@@ -148,7 +149,8 @@ def _sampling(time: NDArray[np.float64]) -> list[str]:
     middle, longest = float(np.median(steps)), int(np.argmax(steps))
     found = []
     if middle > CHECKS.slow:
-        found.append(f"samples are {middle:g} s apart; if time is in milliseconds, say --unit time=ms")
+        unit = likely_time(middle)
+        found.append(f"samples are {middle:g} s apart; if time is in {unit}, say --unit time={unit}")
     if steps[longest] > CHECKS.gap * middle:
         found.append(
             f"{np.sum(steps > CHECKS.gap * middle)} gaps in time, the longest {steps[longest]:.3g} s after "
@@ -211,6 +213,23 @@ def _odd_unit(name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> 
         return []
     unit, word, short = ("rad", "degrees", "deg") if hinge else ("m", "millimetres", "mm")
     return [f"sensor {name!r} reaches {peak:.4g} {unit}; if these are {word}, say --unit {name}={short}"]
+
+
+def _odd_commands(recording: Recording, model: mujoco.MjModel) -> list[str]:
+    """Angles and ways that are sent to servos, where they are far beyond what their joints can do."""
+    found: list[str] = []
+    for name, values in zip(recording.actuator_names, recording.commands.T, strict=True):
+        unit, joint = of_command(model, name), int(model.actuator_trnid[commanded_by(model, name), 0])
+        if name in recording.told or unit not in ("rad", "m") or not model.jnt_limited[joint]:
+            continue
+        peak, reach = float(np.max(np.abs(values))), float(np.max(np.abs(model.jnt_range[joint])))
+        if peak > CHECKS.far_command * reach:
+            word, short = ("degrees", "deg") if unit == "rad" else ("millimetres", "mm")
+            found.append(
+                f"command {name!r} asks for {peak:.4g} {unit} of a joint that goes no further than {reach:.4g}; if "
+                f"these are {word}, say --unit {name}={short}"
+            )
+    return found
 
 
 def _goes_round(recording: Recording, model: mujoco.MjModel, name: str) -> bool:

@@ -53,7 +53,8 @@ def match_columns(
         plain = [next((n for n, meant in channels_of.items() if meant == [c] and n != c), c) for c in missing]
         left = [column for column in names if column not in found.values()]
         raise RecordingError(
-            f"{where}: no column for {plain}; {sides}; rename them or use --map COLUMN=NAME{_near(plain, left)}"
+            f"{where}: no column for {plain}; {sides}; rename them, use --map COLUMN=NAME, or take a sensor "
+            f"that nobody recorded out of the model{_near(plain, left)}"
         )
     return {channel: found[channel] for channel in order}
 

@@ -14,7 +14,7 @@ from dipc_gym.recording import checks
 from dipc_gym.recording.columns import COMMAND, SENSOR, match_columns, unit_factors
 from dipc_gym.recording.record import Recording, check_numbers
 from dipc_gym.recording.tables import RecordingError, check_format, read_table, write_table
-from dipc_gym.recording.units import of_sensor
+from dipc_gym.recording.units import of_command, of_sensor
 
 if TYPE_CHECKING:
     import mujoco
@@ -56,14 +56,17 @@ def read(
         return list(wanted.values())
 
     table = read_table(path, choose)
-    measured = {"time": "s"} | {SENSOR + name: of_sensor(model, name) for name in sensor}
-    factors = unit_factors(str(path), wanted, units, measured)
+    read_in = {SENSOR + name: of_sensor(model, name) for name in sensor}
+    # A model does not say what its commands are measured in, but for servos, that are asked for where to be.
+    asked = {COMMAND + name: of_command(model, name) for name in ctrl}
+    sent_in = {channel: unit for channel, unit in asked.items() if unit.removesuffix("/s") in ("m", "rad")}
+    factors = unit_factors(str(path), wanted, units, {"time": "s"} | read_in | sent_in)
     columns = {channel: table.columns[name] * factors.get(channel, 1.0) for channel, name in wanted.items()}
     if len(columns["time"]) < MIN_SAMPLES:
         raise RecordingError(f"{path}: {len(columns['time'])} samples are too few; at least {MIN_SAMPLES} are needed")
     check_numbers(str(path), table.lines, {wanted[channel]: values for channel, values in columns.items()})
     ignored = tuple(name for name in table.names if name not in wanted.values())
-    angles = [channel for channel, unit in measured.items() if unit == "rad"]
+    angles = [channel for channel, unit in read_in.items() if unit == "rad"]
     turned = {channel: checks.counted_on(columns[channel]) for channel in angles}
     notes = [
         f"sensor {channel.removeprefix(SENSOR)!r} starts again after a turn, {jumps} times; turns are counted on"
@@ -82,7 +85,10 @@ def read(
         path=path,
         ignored=ignored,
         sha256=table.sha256,
-        told=tuple(name for name in sensor if SENSOR + name in factors),
+        told=(
+            *(name for name in sensor if SENSOR + name in factors),
+            *(name for name in ctrl if COMMAND + name in factors and name not in sensor),
+        ),
     )
     return replace(recording, notes=(*notes, *checks.notes(recording, model)))
 

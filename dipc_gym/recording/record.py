@@ -41,7 +41,7 @@ class Recording:
         ignored: columns of the file that the model does not know.
         notes: what the owner should know about this recording, in sentences.
         sha256: digest of the file, or of the numbers where there is none.
-        told: sensors whose unit was told; they are believed, whatever their numbers look like.
+        told: sensors and commands whose unit was told; they are believed, whatever their numbers look like.
 
     Raises:
         RecordingError: shapes that do not fit, numbers that are not finite, time that does not increase.
@@ -225,5 +225,6 @@ def check_numbers(where: str, lines: Sequence[int], columns: Mapping[str, NDArra
         k = int(back[0]) + 1
         raise RecordingError(
             f"{where}, {row_label(lines, k)}, column {next(iter(columns))!r}: time must increase, but "
-            f"{time[k]} follows {time[k - 1]} ({len(back)} such places)"
+            f"{time[k]} follows {time[k - 1]} ({len(back)} such places); drop the rows that repeat a time, and cut the "
+            "file in two where a clock began anew"
         )

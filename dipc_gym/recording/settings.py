@@ -56,6 +56,7 @@ class CheckSettings:
         clipped: share of the samples on plateaus, from which it is told: less spoils no fit
         far_hinge: rad that a hinge without limits seldom goes beyond: two turns
         far_slide: m that a slide without limits seldom goes beyond: a room has no more
+        far_command: times the range of a joint, that a servo is seldom asked for: it would stand at a stop
         steady: rad a sample, below which an angle that starts again can be counted on: one that turns by more may have
             gone either way
         moves: times its noise: a position that moves less tells nothing of its rate
@@ -75,6 +76,7 @@ class CheckSettings:
     clipped: float = 0.01
     far_hinge: float = 4 * math.pi
     far_slide: float = 5.0
+    far_command: float = 3.0
     steady: float = math.pi / 2
     moves: float = 10.0
     like: float = 0.5

@@ -32,6 +32,7 @@ MAX_LINE = 1_000_000  # characters of one of them
 MAX_NAME = 210  # characters of a column's name, which may be a model's, of 200, with a prefix
 BLOCK = 50_000  # lines that are parsed at a time; all at once would take ten times the file's size in memory
 FORMATS = (".csv", ".parquet", ".npz")
+EMPTY = "drop its row, or fill it (a command holds until the next one; between readings go straight)"
 
 Choose = Callable[[Sequence[str]], Sequence[str]]
 
@@ -223,7 +224,7 @@ def _slow_values(
         for k, place in enumerate(places):
             cell = cells[place].strip()
             if not _is_number(cell):
-                what = f"{cell[:40]!r} is not a number" if cell else "the cell is empty"
+                what = f"{cell[:40]!r} is not a number" if cell else f"the cell is empty; {EMPTY}"
                 raise RecordingError(f"{path}, line {line}, column {names[place]!r}: {what}")
             values[index, k] = float(cell)
     return values
@@ -294,7 +295,7 @@ def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], d
             raise RecordingError(f"{path}, column {name!r}: cannot be read: {first_line(error)}") from None
         if column.null_count:
             index = int(np.flatnonzero(np.asarray(column.is_null()))[0])
-            raise RecordingError(f"{path}, {row_label((), index)}, column {name!r}: the cell is empty")
+            raise RecordingError(f"{path}, {row_label((), index)}, column {name!r}: the cell is empty; {EMPTY}")
         columns[name] = np.array(values, dtype=np.float64)
     return names, columns, ()
 

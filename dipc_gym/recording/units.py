@@ -31,6 +31,18 @@ KINDS: Mapping[str, Mapping[str, float]] = {
 FACTORS: dict[str, float] = {unit: number for kind in KINDS.values() for unit, number in kind.items()}
 
 
+def likely_time(step: float) -> str:
+    """In what time was most likely counted, where samples are `step` apart and too many for seconds.
+
+    Rigs are sampled at 5 Hz to 10 kHz.
+
+    Example:
+        >>> likely_time(2.0), likely_time(2e6)
+        ('ms', 'ns')
+    """
+    return "ns" if step > 1e5 else "us" if step > 200 else "ms"
+
+
 def check_kind(unit: str, si: str) -> None:
     """Refuse a unit that measures something else; factors as numbers measure anything.
 
@@ -104,3 +116,36 @@ def of_sensor(model: mujoco.MjModel, name: str) -> str:
         return ""
     speed = what in (int(kind.mjSENS_JOINTVEL), int(kind.mjSENS_TENDONVEL), int(kind.mjSENS_ACTUATORVEL))
     return lengths.pop() + ("/s" if speed else "")
+
+
+def commanded_by(model: mujoco.MjModel, control: str) -> int:
+    """Number of the actuator that a control belongs to; of one with several inputs it is called `servo.pos`."""
+    known = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, control)
+    return known if known >= 0 else int(model.actuator(control.rpartition(".")[0]).id)
+
+
+def of_command(model: mujoco.MjModel, control: str) -> str:
+    """SI unit of what is sent to an actuator; empty where its gear makes a force of a number of its own.
+
+    Args:
+        model: compiled.
+        control: as `mjcf.controls` names it; of an actuator with several inputs `servo.pos` or `servo.vel`.
+    """
+    i = commanded_by(model, control)
+    kind, on_joint = model.actuator_gaintype[i], model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+    plainly = on_joint and abs(model.actuator_gear[i, 0]) == 1
+    of_joint = units(model, int(model.actuator_trnid[i, 0])) if plainly else None
+    sent = {"pos": "{}", "vel": "{}/s"}.get(control.removeprefix(f"{model.actuator(i).name}."), "")
+    if kind == mujoco.mjtGain.mjGAIN_DCMOTOR and not sent:
+        return "V"
+    if of_joint is None:
+        return ""
+    gain, (_, by_position, by_speed) = float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i, :3].tolist()
+    if kind == mujoco.mjtGain.mjGAIN_FIXED and model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE:
+        sent = "{}" if gain == -by_position != 0 else "{}/s" if by_position == 0 and gain == -by_speed != 0 else sent
+        if sent == "{}" and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+            sent = "{}/s"
+    if sent:
+        return sent.format(of_joint.length)
+    plain = kind == mujoco.mjtGain.mjGAIN_FIXED and model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_NONE
+    return of_joint.force if plain and gain == 1 else ""

@@ -1,8 +1,9 @@
-"""Ctrl-C goes to every process of a terminal's group; one of them should answer."""
+"""Ctrl-C goes to every process of a terminal's group; one of them should answer. SIGTERM is taken for it."""
 
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
@@ -26,3 +27,26 @@ def held_back() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def as_ctrl_c() -> Iterator[None]:
+    """Take SIGTERM for Ctrl-C: batch systems and `timeout` send it some time before they kill.
+
+    Signals are the main thread's; elsewhere nothing changes.
+
+    Example:
+        >>> import os
+        >>> with as_ctrl_c():
+        ...     os.kill(os.getpid(), signal.SIGTERM)
+        Traceback (most recent call last):
+        KeyboardInterrupt
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)

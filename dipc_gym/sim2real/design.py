@@ -13,13 +13,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.recording import Recording
-from dipc_gym.sim2real.effects.base import is_dcmotor
+from dipc_gym.recording.units import of_command
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import Problem
@@ -129,6 +128,7 @@ def _tones(t: Array, rng: np.random.Generator) -> Array:
 
 
 TONES = f"{DESIGN.count} {{}}tones from {DESIGN.tones[0]:g} to {DESIGN.tones[1]:g} Hz"
+"""How tones are asked for in words, with room for their size."""
 
 # In words: the shape, and its share of the largest command.
 SHAPES: dict[str, tuple[Callable[[Array, np.random.Generator], Array], float]] = {
@@ -416,9 +416,8 @@ def _length(structure: Structure, joint: str) -> str:
 
 
 def _unit(structure: Structure, like: Recording, actuator: int) -> str:
-    name = like.actuator_names[actuator]
-    known = mujoco.mj_name2id(structure.model, mujoco.mjtObj.mjOBJ_ACTUATOR, name) >= 0
-    return " V" if is_dcmotor(structure.model, name if known else name.rpartition(".")[0]) else ""
+    unit = of_command(structure.model, like.actuator_names[actuator])
+    return f" {unit}" if unit else ""
 
 
 def _recording(like: Recording, time: Array, commands: Array) -> Recording:

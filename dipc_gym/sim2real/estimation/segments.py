@@ -19,6 +19,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.recording.settings import CHECKS
+from dipc_gym.recording.units import likely_time
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
@@ -167,11 +168,12 @@ def _cut(recordings: Sequence[Recording], noise: Array, length: float, span: tup
     windows = cut(recordings, noise, length, span)
     if not len(windows):
         longest = max(recordings, key=lambda r: r.duration)
+        unit = likely_time(longest.period)
         raise RecordingError(
             f"{longest.path or longest.name}: {longest.duration:.3g} s, sampled every {longest.period:.2g} s, hold no "
             f"window of {length:g} s in the part from {span[0]:.0%} to {span[1]:.0%}: record "
             f"{'faster' if 3 * longest.period > length else 'longer'}, for a window has at least 4 samples"
-            f"{'; or is time in milliseconds? Then say --unit time=ms' if longest.period > CHECKS.slow else ''}"
+            f"{f'; or is time in {unit}? Then say --unit time={unit}' if longest.period > CHECKS.slow else ''}"
         )
     return windows
 

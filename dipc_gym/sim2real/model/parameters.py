@@ -79,6 +79,8 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
                     found.append(
                         ModelParameter(attribute, name, float(values[0]), unit, _all_of(name, attribute), MODEL.motors)
                     )
+        elif servo := _servo(document, model, name):
+            found += servo
         elif model.actuator_ctrlnum[i]:
             gear = float(model.actuator_gear[i, 0])
             if gear:
@@ -96,6 +98,22 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
             write, away = _com(model, name, arm), float(np.linalg.norm(arm))
             found.append(ModelParameter("centre_of_mass", name, away, "m", write, MODEL.centre))
     return found
+
+
+def _servo(document: Document, model: mujoco.MjModel, name: str) -> list[ModelParameter]:
+    """Gains of a `<position>`, whose gear would stretch what it is asked for as well; none of another actuator."""
+    element, i = document.actuator(name), model.actuator(name).id
+    if element.tag != "position" or model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT:
+        return []
+    force, length, _ = mjcf.units(model, int(model.actuator_trnid[i, 0]))
+    gains = {"kp": (float(model.actuator_gainprm[i, 0]), f"{force}/{length}")}
+    if not document.effective(element, "dampratio"):  # of which the compiler makes a damping by the mass
+        gains["kv"] = -float(model.actuator_biasprm[i, 2]), f"{force} s/{length}"
+    return [
+        ModelParameter(attribute, name, value, unit, _first_of("actuator", name, attribute), MODEL.motors)
+        for attribute, (value, unit) in gains.items()
+        if value > 0
+    ]
 
 
 def fixed_masses(document: Document, model: mujoco.MjModel, parameters: Sequence[ModelParameter]) -> list[str]:

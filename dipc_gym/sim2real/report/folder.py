@@ -21,14 +21,16 @@ OWN = ("improved.xml", DETAILS, PAGE, DIAGNOSIS)
 DRAFTS = ".diagnosis-"  # what the folder of files that are not in place yet is called, with a few letters more
 
 
-def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite: bool = False) -> Path:
+def save(
+    found: Diagnosis, folder: str | Path, *, model: str = "the model", command: str = "", overwrite: bool = False
+) -> Path:
     """Write a diagnosis; each file appears whole or not at all, and none before all are made.
 
     Args:
         found: what was found.
         folder: to write into; made if it does not exist.
         model: name of the model's file, for the report.
-        command: that makes this again.
+        command: that makes this again, for the report; none from Python.
         overwrite: whether a folder that is not empty may be replaced. Only the files that are written are.
 
     Raises:
@@ -37,7 +39,12 @@ def save(found: Diagnosis, folder: Path, *, model: str, command: str, overwrite:
 
     Returns:
         The folder.
+
+    Example:
+        >>> save(diagnose("arm.xml", recordings), "runs/arm")  # doctest: +SKIP
+        PosixPath('runs/arm')
     """
+    folder = Path(folder)
     check_free(folder, overwrite)
     drawn = _page(found, model, command).encode()
     said = json.dumps(finite(found.to_dict()), indent=2, allow_nan=False) + "\n"

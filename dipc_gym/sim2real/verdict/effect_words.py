@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.recording.units import of_sensor
-from dipc_gym.sim2real.effects.base import acts_on, is_dcmotor
+from dipc_gym.recording.units import of_command, of_sensor
+from dipc_gym.sim2real.effects.base import acts_on
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.verdict.in_place import in_place_of
 
@@ -44,7 +43,7 @@ def place_units(structure: Structure, term: Term) -> dict[str, str]:
             unit = _angular(unit)
         if unit == "reading":
             unit = of_sensor(model, term.at)
-        units[p.name] = _command_unit(model, term.at, hinge) if unit == "command" else unit
+        units[p.name] = of_command(model, term.at) if unit == "command" else unit
     return units
 
 
@@ -53,14 +52,3 @@ def _angular(unit: str) -> str:
     if "N m" in unit:
         return unit
     return re.sub(r"\bkg\b", "kg m^2", re.sub(r"\bN\b", "N m", re.sub(r"\bm\b", "rad", unit)))
-
-
-def _command_unit(model: mujoco.MjModel, actuator: str, hinge: bool) -> str:
-    """Unit of what is sent to an actuator; none where its gear makes a force of a number of its own."""
-    if is_dcmotor(model, actuator):
-        return "V"
-    i = model.actuator(actuator).id
-    force = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_gear[i, 0] == 1
-    if force and model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED and model.actuator_gainprm[i, 0] == 1:
-        return "N m" if hinge else "N"
-    return ""
