@@ -6,6 +6,8 @@ import copy
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -22,12 +24,14 @@ from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
-from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import AsWritten, Diagnosis, Errors
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
-from dipc_gym.sim2real.verdict.sentences import initial_states, step_costs
+from dipc_gym.sim2real.verdict.improve import _differing
+from dipc_gym.sim2real.verdict.sentences import initial_states, made_up, step_costs
 from dipc_gym.sim2real.verdict.settings import VERDICT
 from dipc_gym.sim2real.verdict.written import Option, Predictor, _allowed, _to_the_end, _with_one_less, choose
 
@@ -273,6 +277,18 @@ def test_a_form_is_the_same_friction_at_speed(name: str, form: Effect) -> None:
 
 
 NOT_ENOUGH = ("friction.coulomb", "friction.position", "friction.stribeck", "load.position", "motor.deadzone")
+
+
+def test_numbers_that_make_up_for_a_step_are_said_beside_what_was_found() -> None:
+    parameters = {n.key: n for n in model_parameters(Document(mjcf.from_text(CART)), mjcf.compile(CART))}
+    structure = replace(NOTHING, model_parameters=(parameters["cart.damping"], parameters["cart.mass"]))
+    found = SimpleNamespace(structure=structure, z=np.zeros(2))  # all that is asked of a fit
+    written, damping = Option(structure, np.array([np.log(2.0), 0.01]), 1.0, refitted=True), parameters["cart.damping"]
+    differing = _differing(written, cast("Fit", found))
+    assert differing == [("cart.damping", pytest.approx(damping.value), pytest.approx(2 * damping.value))]
+    said = made_up(AsWritten(2e-3, "Euler", Errors(1, 1, 1), Errors(1, 1, 1), 1.0), differing)
+    assert "own step of 2 ms and are right at no other" in said
+    assert f"cart.damping {2 * damping.value:.3g} ({damping.value:.3g})" in said
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,8 @@ def improved_model(
     kept = {term.key for term in structure.terms}
     dropped = [t.key for t in final.structure.terms if len(kept) < len(final.structure.terms) and t.key not in kept]
     note = sentences.step_costs(said, dropped=dropped, alone=not kept, stiff=bool(_stiff(structure, z)))
+    if option.refitted:
+        note = f"{note} {sentences.made_up(said, _differing(option, final))}".strip()
     if not structure.model_parameters and not structure.terms:
         return source.text, said, note
     document = structure.write(z)
@@ -98,6 +100,16 @@ def _predictions(option: Option, said: AsWritten) -> list[str]:
     if loaders:
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")
     return lines
+
+
+def _differing(option: Option, final: Fit) -> list[tuple[str, float, float]]:
+    """Parameters that make up for a step: key, what was found, and what is written."""
+    found, put = final.structure.values(final.z), option.structure.values(option.z)
+    return [
+        (key, found[key], value)
+        for key, value in put.items()
+        if key in found and abs(value - found[key]) > VERDICT.differs * abs(found[key])
+    ]
 
 
 def _at_rest(given: Document, improved: Document) -> list[str]:

@@ -292,6 +292,20 @@ def as_written(said: AsWritten) -> str:
     )
 
 
+def made_up(said: AsWritten, differing: Sequence[tuple[str, float, float]]) -> str:
+    """Note on parameters that make up for the step of the file.
+
+    Args:
+        said: what the file comes to.
+        differing: key, what was found, and what is written.
+    """
+    named = ", ".join(f"{key} {put:.3g} ({found:.3g})" for key, found, put in differing)
+    return (
+        f"The numbers of improved.xml make up for its own step of {1e3 * said.timestep:g} ms and are right at no "
+        f"other; what was found is in diagnosis.json{f': {named}' if named else ''}."
+    )
+
+
 def asks_for(said: AsWritten) -> str:
     """A sentence on the integrator that the file asks for in the place of its own; empty if it does not."""
     if not said.exact:

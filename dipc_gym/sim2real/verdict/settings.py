@@ -104,6 +104,7 @@ class VerdictSettings:
             costs most of it
         made_up: times the error of a plainer file, below which one is written whose parameters make up for the step:
             they are wrong at any other, and half of it is worth that
+        differs: share of itself, from which such a parameter is said beside what was found: by less it moves in any fit
         happened: share of what an event brings in the recording that it brings most to, from which it was in another
             one as well
         named: fall of the mean log square error by which an effect must improve predictions to be named: an error a
@@ -161,6 +162,7 @@ class VerdictSettings:
     coarse: float = 1.5
     costs: float = 0.5
     made_up: float = 0.5
+    differs: float = 0.05
     happened: float = 0.5
     named: float = 0.1
     whole: tuple[tuple[str, int], ...] = (("delay", 0), ("cogging", 0), ("saturation", 0), ("damping", 1))
