@@ -16,6 +16,7 @@ from dipc_gym.sim2real.selection import ranking
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Question
 from dipc_gym.sim2real.selection.resolution import refined
+from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.scorer import Scorer
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
@@ -77,7 +78,7 @@ def _as_good(question: Question, fitter: Fitter, current: Fit, term: Term) -> It
         plainer = _swap(question, fitter, current, term, inner)
         if plainer is None or fitter.scorer.settles(current, plainer):
             continue
-        if fitter.scorer.compare(current, plainer).alike:
+        if _alike(fitter.scorer.compare(current, plainer)):
             yield plainer
 
 
@@ -117,7 +118,14 @@ def _missed(scorer: Scorer, term: Term, current: Fit, less: Fit) -> bool:
     # Of a kind that acts at several joints each one takes little of what all of them leave.
     if sum(other.effect.id == term.effect.id for other in current.structure.terms) > 1:
         return lost.matters
-    return (not lost.alike and scorer.earns(current, less)) or scorer.settles(current, less)
+    return (not _alike(lost) and scorer.earns(current, less)) or scorer.settles(current, less)
+
+
+def _alike(lost: Improvement) -> bool:
+    """Whether a plainer fit predicts as well: of few windows, a large loss that is as uneven as what the search has
+    accepted as a gain is none that chance brings about.
+    """
+    return lost.alike and not lost.clear
 
 
 def _swap(question: Question, fitter: Fitter, current: Fit, term: Term, effect: str) -> Fit | None:
