@@ -34,9 +34,9 @@ from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
-from dipc_gym.sim2real.selection.prune import prune
+from dipc_gym.sim2real.selection.prune import _alike, prune
 from dipc_gym.sim2real.selection.ranking import Start
-from dipc_gym.sim2real.selection.score import compare
+from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.scorer import earned, settled
 from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.search import Search
@@ -417,6 +417,17 @@ def test_a_few_windows_tell_at_the_noise(scale: float, worse: int, better: int, 
     assert difference.shows is shows
     assert difference.clear is shows
     assert difference.alike is not shows
+
+
+@pytest.mark.parametrize(
+    ("gain", "error", "goes"), [(0.9, 0.6, False), (0.9, 1.0, True), (0.3, 0.2, True), (0.3, 0.1, False)]
+)
+def test_an_effect_goes_out_by_no_more_standard_errors_than_it_came_in_with(
+    gain: float, error: float, goes: bool
+) -> None:
+    lost = Improvement(gain, error)
+    assert _alike(lost) is goes
+    assert not (lost.clear and _alike(lost))
 
 
 @pytest.mark.parametrize(

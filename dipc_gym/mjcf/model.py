@@ -243,7 +243,11 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
         kind = int(model.jnt_type[joint])  # a NumPy integer in a tuple of MuJoCo's enums is not found
         if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
             word = "free" if kind == mujoco.mjtJoint.mjJNT_FREE else "ball"
-            raise MjcfError(f"{name}: joint {_label(model.joint(joint))} is a {word} joint. {SUPPORTED}")
+            body = _label(model.body(model.jnt_bodyid[joint]))
+            raise MjcfError(
+                f"{name}: joint {_label(model.joint(joint))} is a {word} joint. {SUPPORTED} If body {body} has nothing to "
+                "do with what was recorded, take it out of the file."
+            )
     if model.nflex:
         raise MjcfError(f"{name}: the model has flexible bodies (flex). {SUPPORTED}")
     if not model.nv:
