@@ -245,8 +245,8 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
             word = "free" if kind == mujoco.mjtJoint.mjJNT_FREE else "ball"
             body = _label(model.body(model.jnt_bodyid[joint]))
             raise MjcfError(
-                f"{name}: joint {_label(model.joint(joint))} is a {word} joint. {SUPPORTED} If body {body} has nothing to "
-                "do with what was recorded, take it out of the file."
+                f"{name}: joint {_label(model.joint(joint))} is a {word} joint. {SUPPORTED} If body {body} has nothing "
+                "to do with what was recorded, take it out of the file."
             )
     if model.nflex:
         raise MjcfError(f"{name}: the model has flexible bodies (flex). {SUPPORTED}")
