@@ -53,7 +53,7 @@ class Slot:
         low: smallest value.
         high: largest value.
         log: whether it is mapped to its logarithm.
-        scale: value that the mapped value 1 stands for (0 if `log`).
+        scale: what the mapped value 1 stands for, counted from `origin`; the value that 0 stands for if `log`.
         sigma: standard deviation of the mapped parameter's prior; infinite for effects that have none.
         centre: mean of that prior.
         fine: relative change that a unit step makes, if `log`.

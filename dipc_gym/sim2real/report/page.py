@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real.report import plots
 from dipc_gym.sim2real.report.charts import Tone
 from dipc_gym.sim2real.report.wording import clean, fine_percent, measured, number, percent, short, tied
-from dipc_gym.sim2real.result import MOST_MAPS, MOST_RESIDUALS, MOST_TRACES, Candidate, Details, Status, Verdict, scaled
+from dipc_gym.sim2real.result import MOST_MAPS, MOST_RESIDUALS, MOST_TRACES, Candidate, Details, Verdict, scaled
 
 Array = NDArray[np.float64]
 
@@ -174,9 +174,8 @@ def _as_measured(value: float | None, unit: str) -> float | None:
 def _candidates(
     rows: Sequence[Candidate],
 ) -> tuple[list[tuple[Candidate, dict[str, float]]], list[Candidate], list[Candidate]]:
-    """Rows by what became of them, each with the places of its interval; those left out; those only screened."""
-    order = get_args(Status)
-    fitted = sorted((c for c in rows if c.status != "screened out"), key=lambda c: order.index(c.status))
+    """Rows, as they are sorted, each with the places of its interval; those left out; those only screened."""
+    fitted = [c for c in rows if c.status != "screened out"]
     ends = [0.0]
     for c in fitted:
         if c.improvement is not None and math.isfinite(c.improvement):

@@ -54,7 +54,7 @@ class Stepping:
     integrator: mujoco.mjtIntegrator | None = None
 
     def on(self, model: mujoco.MjModel, step: float) -> mujoco.MjModel:
-        """The model with this integrator at a step of `step` seconds; where it diverges, it is not restarted."""
+        """The model itself, changed: this integrator at a step of `step` seconds, and no restart where it diverges."""
         given = model.opt.timestep
         model.opt.timestep = step
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -111,43 +111,80 @@ def simulate(
     Returns:
         Readings (variants, n, m, ns); huge or not a number from where a simulation diverged.
     """
-    n, count = len(windows), len(variants)
-    initial = np.broadcast_to(initial, (count, n, initial.shape[-1]))
+    initial = np.broadcast_to(initial, (len(variants), len(windows), initial.shape[-1]))
     if stepping.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        distinct = list({id(variant): variant for variant in variants}.values())
-        which = np.array([next(i for i, one in enumerate(distinct) if one is variant) for variant in variants])
+        distinct, which = _distinct(variants)
         with contextlib.suppress(Uncovered):
             of = compiled(distinct, windows, base, grid_step(windows, stepping))
             return predicted(of, initial, which, warm, approach, threads, as_read=as_read)
-    runs, track = _Runs(variants, windows, stepping, base, threads), None
+    runs = _Runs(variants, windows, stepping, base, threads)
+    if warm > 0:
+        assert approach is not None
+        track = _approached(runs, initial, stepping, warm, approach, threads)
+    else:
+        track = None
+        runs.begin(0, initial)
+    return _read(runs, track, as_read=as_read)
+
+
+def _distinct(variants: Sequence[Physics]) -> tuple[list[Physics], NDArray[np.intp]]:
+    """The variants that are not one and the same, and which of them each one is."""
+    distinct = list({id(variant): variant for variant in variants}.values())
+    return distinct, np.array([next(i for i, one in enumerate(distinct) if one is variant) for variant in variants])
+
+
+def _approached(
+    runs: _Runs, initial: Array, stepping: Stepping, warm: float, approach: Array, threads: int
+) -> Array | None:
+    """Bring simulations to where their windows begin, through what is before them; how a window is approached does not
+    depend on its own start, which fits vary most.
+
+    Args:
+        runs: windows with every variant.
+        initial: positions and velocities at the windows' starts, (variants, n, 2 nb).
+        stepping: see `simulate`, as are the others.
+        warm: s.
+        approach: (k, n, 2 nb).
+        threads: 0 for all cores.
+
+    Returns:
+        Readings on the way (sims, steps, nsensordata) where a sensor lags behind them, else None.
+    """
+    windows, (distinct, which) = runs.windows, _distinct(runs.variants)
+    n, alone = len(windows), len(distinct) == len(runs.variants)
+    ahead = runs if alone else _Runs(distinct, windows, stepping, runs.names, threads)
+    before = math.ceil(warm / runs.step - 1e-9)
+    seams = np.linspace(-before, 0, len(approach) + 1).round().astype(int).tolist()
+    far, tracks = np.repeat(approach[:, None], len(distinct), axis=1), list[Array]()
+    ahead.begin(-before, far[0])
+    for k, (since, until) in enumerate(itertools.pairwise(seams)):
+        if k:
+            ahead.put_back(far[k], since)
+        track = ahead.run(since, until - since, record=bool(ahead.physics.stage("lag")))
+        tracks += [] if track is None else [track]
+    whole = np.concatenate([*tracks, ahead.readings()[:, None]], axis=1) if tracks else None
+    if not alone:
+        rows = (which[:, None] * n + np.arange(n)).ravel()
+        runs.sims.state[:] = ahead.sims.state[rows]
+        whole = None if whole is None else whole[rows]
+    runs.put_back(initial)
+    return whole
+
+
+def _read(runs: _Runs, track: Array | None, *, as_read: bool) -> Array:
+    """What sensors read of windows that are about to begin, (variants, n, m, ns).
+
+    Args:
+        runs: at the beginning of all windows.
+        track: readings on the way there, where a sensor lags; see `_approached`.
+        as_read: see `simulate`.
+    """
+    windows, count, n = runs.windows, len(runs.variants), len(runs.windows)
     addresses = mjcf.sensor_addresses(runs.sims.model)
 
     def begins(address: int, remembered: Array) -> Array:
         return windows.as_read(addresses.tolist().index(address), remembered.reshape(count, n)).ravel()
 
-    if warm > 0:
-        assert approach is not None
-        before = math.ceil(warm / runs.step - 1e-9)
-        seams = np.linspace(-before, 0, len(approach) + 1).round().astype(int).tolist()
-        # How a window is approached does not depend on its own start, which fits vary most.
-        distinct = list({id(variant): variant for variant in variants}.values())
-        ahead_of = runs if len(distinct) == count else _Runs(distinct, windows, stepping, base, threads)
-        far, tracks = np.repeat(approach[:, None], len(distinct), axis=1), list[Array]()
-        ahead_of.begin(-before, far[0])
-        for k, (since, until) in enumerate(itertools.pairwise(seams)):
-            if k:
-                ahead_of.put_back(far[k], since)
-            track = ahead_of.run(since, until - since, record=bool(ahead_of.physics.stage("lag")))
-            tracks += [] if track is None else [track]
-        track = np.concatenate([*tracks, ahead_of.readings()[:, None]], axis=1) if tracks else None
-        if ahead_of is not runs:
-            which = np.array([next(i for i, one in enumerate(distinct) if one is variant) for variant in variants])
-            rows = (which[:, None] * n + np.arange(n)).ravel()
-            runs.sims.state[:] = ahead_of.sims.state[rows]
-            track = None if track is None else track[rows]
-        runs.put_back(initial)
-    else:
-        runs.begin(0, initial)
     ahead = runs.late.max(axis=1, keepdims=True) - runs.late
     nstep = max(math.floor((windows.times.max() + ahead.max(initial=0.0)) / runs.step + 1e-6) + 2, 4)  # of a cubic
     readings = runs.run(0, nstep, record=True)
@@ -192,7 +229,7 @@ class _Runs:
         self.sims = mjbatch.Batch(models[0], len(which), threads)
         _spread(self.sims, models, which)
         self.dry = DryFriction(self.sims, level[which]) if located else None
-        self._names = tuple(base)
+        self.names = tuple(base)
         self._joints = Joints.of(models[0], base)
 
     def begin(self, at: int, initial: Array) -> None:
@@ -200,7 +237,7 @@ class _Runs:
         windows, sims = self.windows, self.sims
         sims.time[:] = (windows.start + at * self.step - self.late.max(axis=1, keepdims=True)).ravel()
         time = windows.start + at * self.step - windows.late  # on the clock of the motions, whatever delay is tried
-        begin(self._places(), initial, self.variants, windows, self._names, self.delays, time)
+        begin(self._places(), initial, self.variants, windows, self.names, self.delays, time)
 
     def put_back(self, initial: Array, at: int = 0) -> None:
         """Put the joints at positions and velocities (variants, n, 2 nb), `at` steps after each window's start.

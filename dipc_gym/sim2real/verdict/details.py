@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
+from typing import get_args
 
 import mujoco
 import numpy as np
@@ -181,8 +182,8 @@ def _candidates(search: Searched, found: Conclusion) -> list[Candidate]:
         if tried.key in rows and (rows[tried.key].error is not None or tried.sketch is None):
             continue
         rows[tried.key] = _candidate(search, tried, status.get(tried.key, otherwise))
-    rank = {"chosen": 0, "same model here": 1, "not told apart": 2, "ruled out": 3, "screened out": 4}
-    return sorted(rows.values(), key=lambda c: (rank[c.status], c.error if c.error is not None else np.inf))
+    order = get_args(Status)
+    return sorted(rows.values(), key=lambda c: (order.index(c.status), c.error if c.error is not None else np.inf))
 
 
 def _candidate(search: Searched, tried: Tried, status: Status) -> Candidate:
