@@ -587,6 +587,21 @@ def test_what_to_record_next_goes_by_what_the_unknown_goes_with(where: str, aske
     assert "where" not in unknown.to_dict()
 
 
+@pytest.mark.parametrize(
+    ("inputs", "asked"),
+    [
+        (["velocity el"], "constant speeds"),
+        (["position el"], "from one end to the other"),
+        (["velocity base"], "one short command"),  # of another joint
+        (["velocity el", "command motor"], "one short command"),
+        (["position load"], "one short command"),
+    ],
+)
+def test_what_to_record_next_goes_by_the_inputs_of_a_law(inputs: list[str], asked: str) -> None:
+    law = Missing("unknown", "el", "Something acts at el.", 0.1, law={"of": inputs})
+    assert asked in sentences.next_experiment("partly explained", [law])
+
+
 def test_a_slow_recording_is_noted_and_asked_for_again() -> None:
     """At 50 Hz, what commands between two rows did is taken for physics, and a repeated command would not tell."""
     quick = run(4, 10, 4.0)

@@ -385,9 +385,11 @@ SERVO = """<mujoco>
   <worldbody>
     <body name="link"><joint name="j" axis="0 1 0"/><geom size="0.1" mass="1" contype="0" conaffinity="0"/></body>
   </worldbody>
+  <tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>
   <actuator>
     <position name="plain" joint="j"/><position name="damped" class="damped" joint="j" gear="2"/>
-    <position name="by_mass" joint="j" dampratio="1"/><velocity name="speed" joint="j" kv="3"/>
+    <position name="by_mass" joint="j" dampratio="1"/><position name="of_tendon" tendon="t"/>
+    <velocity name="speed" joint="j" kv="3"/>
   </actuator>
   <sensor><jointpos name="j" joint="j"/></sensor>
 </mujoco>"""
@@ -400,8 +402,9 @@ def test_a_servo_has_its_gains_for_parameters_and_keeps_its_gear() -> None:
     parameters = [one for one in model_parameters(document, model) if one.at not in ("link", "j")]
     assert {(one.key, one.value, one.unit) for one in parameters} == {
         ("plain.kp", 30.0, "N m/rad"),
-        ("damped.kp", 30.0, "N m/rad"),
-        ("damped.kv", 2.0, "N m s/rad"),
+        ("damped.kp", 30.0, ""),
+        ("damped.kv", 2.0, ""),
+        ("of_tendon.kp", 30.0, ""),
         ("by_mass.kp", 30.0, "N m/rad"),
         ("speed.gear", 1.0, ""),
     }
@@ -409,6 +412,6 @@ def test_a_servo_has_its_gains_for_parameters_and_keeps_its_gear() -> None:
         if one.attribute != "gear":
             one.write(document, 2 * one.value)
     written = mjcf.compile(document.text())
-    np.testing.assert_allclose(written.actuator_gainprm[:3, 0], 60.0)
+    np.testing.assert_allclose(written.actuator_gainprm[:4, 0], 60.0)
     np.testing.assert_allclose(written.actuator_biasprm[:2, 1:3], [[-60.0, 0.0], [-60.0, -4.0]])
     np.testing.assert_array_equal(written.actuator_gear, model.actuator_gear)

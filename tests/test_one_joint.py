@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -19,6 +20,7 @@ from dipc_gym.sim2real.effects.drives import drive_of
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.estimation.problem import Problem, predict, sensitivities
 from dipc_gym.sim2real.estimation.segments import prepare
+from dipc_gym.sim2real.estimation.states import estimate
 from dipc_gym.sim2real.estimation.unexplained import force_errors
 from dipc_gym.sim2real.model.parameters import model_parameters
 from dipc_gym.sim2real.model.structure import Structure, Term
@@ -27,7 +29,7 @@ from dipc_gym.sim2real.simulation.batch import Stepping, simulate
 from dipc_gym.sim2real.simulation.compiled import left_to_mujoco
 from dipc_gym.sim2real.simulation.memory import bends, memories
 from dipc_gym.sim2real.simulation.motion import Motion
-from dipc_gym.sim2real.simulation.windows import Windows
+from dipc_gym.sim2real.simulation.windows import Windows, cut
 
 Array = np.ndarray
 
@@ -312,6 +314,29 @@ def test_what_is_remembered_of_a_late_command_comes_late() -> None:
     prompt, late = memories([rig, rig], 0, ("x",), np.array([[0.0], [0.05]]), run, still, t)
     assert prompt.max() > 0.5
     np.testing.assert_allclose(late[5:], prompt[:-5], atol=1e-9)
+
+
+@pytest.mark.parametrize("integrator", [RK4, None])
+def test_windows_of_a_late_sensor_begin_with_what_was_sent_by_then(integrator: Any) -> None:
+    """A pulse from 0.5 to 0.7 s, read 50 ms late: what a law remembers goes by when a window's state was, not read."""
+    late = 'delay="0.05" nsample="200"'
+    document = Document(mjcf.from_text(slide(sensor=late)))
+    sag = {"gain": 1.0, "back": 0.0, "drop": 0.2, "current": 1.0, "time_constant": 0.02}
+    catalogue()["motor.sag"].edit(document, "m", sag)
+    rig = physics.load(mjcf.from_text(document.text()))
+    t = np.arange(0.0, 1.0, 0.001)
+    commands = ((t >= 0.5) & (t < 0.7)).astype(float)[:, None]
+    run = Recording("r", t, commands, (1e-5 * np.sin(t))[:, None], ("m",), ("p",))
+    motion = estimate(run, rig, np.array([1e-6]))
+    cuts = replace(cut([run], np.array([1e-6]), 0.04, (0.0, 1.0)), motions=(motion,), late=0.05)
+    stepping = Stepping(5e-4, integrator)
+    runs = batch._Runs([rig], cuts, stepping, ("x",), 1)
+    runs.begin(0, np.zeros((1, len(cuts), 2)))
+    (found,) = runs._places().remembered[0]
+    state_at = cuts.start - 0.05
+    drawn = np.where(state_at < 0.5, 0.0, 1 - np.exp(-(state_at - 0.5) / 0.02))
+    drawn = np.where(state_at < 0.7, drawn, (1 - np.exp(-10)) * np.exp(-(state_at - 0.7) / 0.02))
+    np.testing.assert_allclose(found, drawn, atol=0.03)
 
 
 def test_a_spring_that_yields_is_bent_by_what_follows_as_well() -> None:

@@ -309,11 +309,38 @@ def test_a_servo_is_asked_for_angles(tmp_path: Path) -> None:
         ('<motor name="a" joint="cart" gear="9"/>', ""),
         ('<dcmotor name="a" joint="cart" motorconst="0.1" resistance="1" input="voltage"/>', "V"),
         ('<general name="a" joint="cart" gainprm="2" biastype="affine" biasprm="1 0 0"/>', ""),
+        ('<dcmotor name="a" joint="cart" motorconst="0.1" resistance="1" controller="3 1 0.1" input="pos"/>', "m"),
+        ('<pid name="a" joint="pole" kp="3" input="vel"/>', "rad/s"),
     ],
 )
 def test_units_of_commands(actuator: str, unit: str) -> None:
     model = mjcf.compile(RIG.replace("<actuator>", f"<actuator>{actuator}"))
     assert of_command(model, "a") == unit
+    for name in ("pos", "vel"):  # which are inputs of others
+        assert (
+            of_command(
+                mjcf.compile(RIG.replace("<actuator>", f"<actuator>{actuator}").replace('"a"', f'"{name}"')), name
+            )
+            == unit
+        )
+
+
+def test_each_input_of_an_actuator_has_its_unit() -> None:
+    servo = '<dcmotor name="a" joint="cart" motorconst="0.1" resistance="1" controller="3 1 0.1" input="pos vel"/>'
+    model = mjcf.compile(RIG.replace("<actuator>", f"<actuator>{servo}"))
+    assert [of_command(model, name) for name in mjcf.controls(model)[:2]] == ["m", "m/s"]
+
+
+def test_the_unit_of_a_sensor_says_nothing_of_a_command_of_that_name(tmp_path: Path) -> None:
+    text = RIG.replace('<motor name="motor" joint="cart" ctrlrange="-24 24"/>', '<position name="pole" joint="pole"/>')
+    model = mjcf.compile(text.replace('name="pole" axis', 'range="-60 60" name="pole" axis'))
+    columns = run(2000)
+    columns["ctrl:pole"], columns["sensor:pole"] = np.degrees(columns["pole"]), columns.pop("pole")
+    path = save(tmp_path / "r.csv", table(columns))
+    note = "say --unit ctrl:pole=deg"
+    assert note in " ".join(read(path, model, units={"sensor:pole": "rad"}).notes)
+    for unit in ("deg", "rad"):
+        assert note not in " ".join(read(path, model, units={"ctrl:pole": unit}).notes)
 
 
 def test_a_missing_column_lists_both_sides(tmp_path: Path, model: mujoco.MjModel) -> None:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf import is_hinge
+from dipc_gym.recording.columns import COMMAND
 from dipc_gym.recording.degrees import turns
 from dipc_gym.recording.settings import CHECKS, DEGREES, NOISE
 from dipc_gym.recording.tables import RecordingError
@@ -220,14 +221,15 @@ def _odd_commands(recording: Recording, model: mujoco.MjModel) -> list[str]:
     found: list[str] = []
     for name, values in zip(recording.actuator_names, recording.commands.T, strict=True):
         unit, joint = of_command(model, name), int(model.actuator_trnid[commanded_by(model, name), 0])
-        if name in recording.told or unit not in ("rad", "m") or not model.jnt_limited[joint]:
+        if COMMAND + name in recording.told or unit not in ("rad", "m") or not model.jnt_limited[joint]:
             continue
         peak, reach = float(np.max(np.abs(values))), float(np.max(np.abs(model.jnt_range[joint])))
         if peak > CHECKS.far_command * reach:
             word, short = ("degrees", "deg") if unit == "rad" else ("millimetres", "mm")
+            key = COMMAND + name if name in recording.sensor_names else name
             found.append(
                 f"command {name!r} asks for {peak:.4g} {unit} of a joint that goes no further than {reach:.4g}; if "
-                f"these are {word}, say --unit {name}={short}"
+                f"these are {word}, say --unit {key}={short}"
             )
     return found
 

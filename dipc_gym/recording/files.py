@@ -87,7 +87,7 @@ def read(
         sha256=table.sha256,
         told=(
             *(name for name in sensor if SENSOR + name in factors),
-            *(name for name in ctrl if COMMAND + name in factors and name not in sensor),
+            *(COMMAND + name for name in ctrl if COMMAND + name in factors),
         ),
     )
     return replace(recording, notes=(*notes, *checks.notes(recording, model)))

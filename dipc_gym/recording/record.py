@@ -41,7 +41,8 @@ class Recording:
         ignored: columns of the file that the model does not know.
         notes: what the owner should know about this recording, in sentences.
         sha256: digest of the file, or of the numbers where there is none.
-        told: sensors and commands whose unit was told; they are believed, whatever their numbers look like.
+        told: sensors, and commands as `ctrl:NAME`, whose unit was told; they are believed, whatever their numbers look
+            like.
 
     Raises:
         RecordingError: shapes that do not fit, numbers that are not finite, time that does not increase.

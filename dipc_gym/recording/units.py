@@ -34,13 +34,13 @@ FACTORS: dict[str, float] = {unit: number for kind in KINDS.values() for unit, n
 def likely_time(step: float) -> str:
     """In what time was most likely counted, where samples are `step` apart and too many for seconds.
 
-    Rigs are sampled at 5 Hz to 10 kHz.
+    Rigs are sampled at more than 10 Hz, and at 10 kHz at most.
 
     Example:
-        >>> likely_time(2.0), likely_time(2e6)
-        ('ms', 'ns')
+        >>> likely_time(2.0), likely_time(100.0), likely_time(2e6)
+        ('ms', 'us', 'ns')
     """
-    return "ns" if step > 1e5 else "us" if step > 200 else "ms"
+    return "ns" if step >= 1e5 else "us" if step >= 100 else "ms"
 
 
 def check_kind(unit: str, si: str) -> None:
@@ -132,20 +132,15 @@ def of_command(model: mujoco.MjModel, control: str) -> str:
         control: as `mjcf.controls` names it; of an actuator with several inputs `servo.pos` or `servo.vel`.
     """
     i = commanded_by(model, control)
-    kind, on_joint = model.actuator_gaintype[i], model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-    plainly = on_joint and abs(model.actuator_gear[i, 0]) == 1
-    of_joint = units(model, int(model.actuator_trnid[i, 0])) if plainly else None
-    sent = {"pos": "{}", "vel": "{}/s"}.get(control.removeprefix(f"{model.actuator(i).name}."), "")
-    if kind == mujoco.mjtGain.mjGAIN_DCMOTOR and not sent:
+    several = model.actuator_ctrlnum[i] > 1
+    asked = control.rpartition(".")[2] if several else mujoco.mj_actuatorInputName(model, i, 0)
+    if asked == "voltage":
         return "V"
-    if of_joint is None:
+    on_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+    if not on_joint or abs(model.actuator_gear[i, 0]) != 1:
         return ""
-    gain, (_, by_position, by_speed) = float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i, :3].tolist()
-    if kind == mujoco.mjtGain.mjGAIN_FIXED and model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE:
-        sent = "{}" if gain == -by_position != 0 else "{}/s" if by_position == 0 and gain == -by_speed != 0 else sent
-        if sent == "{}" and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
-            sent = "{}/s"
-    if sent:
-        return sent.format(of_joint.length)
-    plain = kind == mujoco.mjtGain.mjGAIN_FIXED and model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_NONE
-    return of_joint.force if plain and gain == 1 else ""
+    force, length, _ = units(model, int(model.actuator_trnid[i, 0]))
+    if asked in ("pos", "vel"):
+        return length if asked == "pos" else f"{length}/s"
+    fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED and model.actuator_gainprm[i, 0] == 1
+    return force if fixed and model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_NONE else ""

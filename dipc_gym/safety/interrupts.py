@@ -10,10 +10,13 @@ from multiprocessing import resource_tracker
 
 
 @contextmanager
-def held_back() -> Iterator[None]:
+def held_back(*others: signal.Signals) -> Iterator[None]:
     """Hold Ctrl-C back, and from processes that are started meanwhile for good: whoever started them ends them.
 
     A worker that Ctrl-C meets while it imports would leave a traceback among the sentences.
+
+    Args:
+        others: signals that are held back as well: SIGTERM, where processes are not ended by it.
 
     Example:
         >>> with held_back():
@@ -22,7 +25,7 @@ def held_back() -> Iterator[None]:
     """
     # Where it starts meanwhile, it lets Ctrl-C through again (Python 3.11), and to the worker that is started next.
     resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *others})
     try:
         yield
     finally:
@@ -33,7 +36,7 @@ def held_back() -> Iterator[None]:
 def as_ctrl_c() -> Iterator[None]:
     """Take SIGTERM for Ctrl-C: batch systems and `timeout` send it some time before they kill.
 
-    Signals are the main thread's; elsewhere nothing changes.
+    Signals are the main thread's; elsewhere nothing changes, nor does it for a process that is to ignore it.
 
     Example:
         >>> import os
@@ -42,7 +45,8 @@ def as_ctrl_c() -> Iterator[None]:
         Traceback (most recent call last):
         KeyboardInterrupt
     """
-    if threading.current_thread() is not threading.main_thread():
+    ignored = signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    if ignored or threading.current_thread() is not threading.main_thread():
         yield
         return
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -102,7 +102,7 @@ def _fork(
     os.close(all_numbers)
     # The engine's threads rest meanwhile, and NumPy's are made for this.
     try:
-        with held_back(), warnings.catch_warnings(), suppress(OSError):
+        with held_back(signal.SIGTERM), warnings.catch_warnings(), suppress(OSError):
             warnings.simplefilter("ignore", DeprecationWarning)
             for _ in range(count):
                 results, out = context.Pipe(duplex=False)
@@ -127,11 +127,10 @@ def _received(forks: dict[Connection, BaseProcess], packed: dict[int, bytes]) ->
 
 
 def _work(tasks: Sequence[Callable[[], Any]], known: dict[int, Any], numbers: int, out: Connection) -> None:
-    """What a fork does: it takes one core, leaves Ctrl-C to its parent, ends with it, however that ends, and works."""
+    """What a fork does: it takes one core, leaves signals to its parent, ends with it, however that ends, and works."""
     global _one_of_many
     _one_of_many = True
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # not what its parent would do then
     ctypes.CDLL(None).prctl(_ENDS_WITH_PARENT, signal.SIGKILL)
     while number := os.read(numbers, _NUMBER.size):
         try:

@@ -79,8 +79,8 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
                     found.append(
                         ModelParameter(attribute, name, float(values[0]), unit, _all_of(name, attribute), MODEL.motors)
                     )
-        elif servo := _servo(document, model, name):
-            found += servo
+        elif document.actuator(name).tag == "position":
+            found += _servo(document, model, name)
         elif model.actuator_ctrlnum[i]:
             gear = float(model.actuator_gear[i, 0])
             if gear:
@@ -101,16 +101,16 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
 
 
 def _servo(document: Document, model: mujoco.MjModel, name: str) -> list[ModelParameter]:
-    """Gains of a `<position>`, whose gear would stretch what it is asked for as well; none of another actuator."""
+    """Gains of a `<position>`, whose gear would stretch what it is asked for as well."""
     element, i = document.actuator(name), model.actuator(name).id
-    if element.tag != "position" or model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT:
-        return []
-    force, length, _ = mjcf.units(model, int(model.actuator_trnid[i, 0]))
-    gains = {"kp": (float(model.actuator_gainprm[i, 0]), f"{force}/{length}")}
+    force, length = "", ""
+    if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and abs(model.actuator_gear[i, 0]) == 1:
+        force, length, _ = mjcf.units(model, int(model.actuator_trnid[i, 0]))
+    gains = {"kp": (float(model.actuator_gainprm[i, 0]), force and f"{force}/{length}")}
     if not document.effective(element, "dampratio"):  # of which the compiler makes a damping by the mass
-        gains["kv"] = -float(model.actuator_biasprm[i, 2]), f"{force} s/{length}"
+        gains["kv"] = -float(model.actuator_biasprm[i, 2]), force and f"{force} s/{length}"
     return [
-        ModelParameter(attribute, name, value, unit, _first_of("actuator", name, attribute), MODEL.motors)
+        ModelParameter(attribute, name, value, unit, _first_of("actuator", name, attribute), MODEL.servos)
         for attribute, (value, unit) in gains.items()
         if value > 0
     ]

@@ -17,6 +17,7 @@ class ModelSettings:
             a factor of fifty
         springs: of stiffness and armature, which no data sheet gives for a whole assembly
         motors: of a motor's resistance, constant and gear: copper that warms by 60 K resists by a quarter more
+        servos: of a servo's gains: numbers of a register, in a unit of its maker's
         mass: of a body's mass, which a balance tells; what is fixed to it later is about a tenth of it
         centre: of how far a body's centre of mass is from its axis: a drawing tells it, to a twentieth
         least_arm: m; a rotor whose centre of mass is on its axis has none that could be off
@@ -32,6 +33,7 @@ class ModelSettings:
     friction: float = 1.5
     springs: float = 0.5
     motors: float = 0.3
+    servos: float = 0.7
     mass: float = 0.1
     centre: float = 0.05
     least_arm: float = 1e-4

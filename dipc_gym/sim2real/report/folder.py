@@ -56,26 +56,26 @@ def save(
         DIAGNOSIS: said.encode(),
     }
     whole: list[str] = []
-    at_work = "."
+    at_work, gone = ".", "nothing was written, and what was there is untouched"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for old in folder.glob(f"{DRAFTS}*"):  # of a run that was killed
-            shutil.rmtree(old, ignore_errors=True)
+        for draft_of_before in folder.glob(f"{DRAFTS}*"):  # of a run that was killed
+            shutil.rmtree(draft_of_before, ignore_errors=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix=DRAFTS) as draft:
             for at_work, text in texts.items():
                 file = inside(draft, at_work)
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_whole(file, text)
-            inside(folder, DIAGNOSIS).unlink(missing_ok=True)  # until all is in place, the folder has none
+            if (old := inside(folder, DIAGNOSIS)).exists():  # until all is in place, the folder has none
+                old.unlink()
+                gone = f"nothing was written, and {DIAGNOSIS} of before is gone"
             for at_work in texts:
                 place = inside(folder, at_work)
                 place.parent.mkdir(parents=True, exist_ok=True)
                 (Path(draft) / at_work).replace(place)
                 whole.append(at_work)
     except OSError as error:
-        stand = (
-            f"whole are {', '.join(whole)} alone" if whole else "nothing was written, and what was there is untouched"
-        )
+        stand = f"whole are {', '.join(whole)} alone" if whole else gone
         reason = os.strerror(error.errno) if error.errno else error
         raise OSError(error.errno, f"{reason}, at {at_work}; {stand}", str(folder)) from error
     return folder

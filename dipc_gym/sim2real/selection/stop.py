@@ -30,7 +30,7 @@ class Stop:
         if self.asked:
             raise KeyboardInterrupt
         self.asked = True
-        self.tell(f"interrupted; {what} (Ctrl-C again stops at once)")
+        self.tell(f"interrupted; {what} (once more stops at once)")
 
     def unless_pressed(self, stage: Callable[[], T], otherwise: Callable[[], T]) -> T:
         """What a stage after the search gives, or what stands for it where Ctrl-C ended the stage.

@@ -108,7 +108,7 @@ def winding_temperatures(
 
     Args:
         variants: one model with different parameters.
-        delays: of each control, s, (variants, nu).
+        delays: of each control, s, (variants, nu), on the clock of the motion.
         motor: number of the actuator.
         recording: the commands.
         motion: of the base joints in it.

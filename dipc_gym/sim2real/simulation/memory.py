@@ -100,7 +100,7 @@ def memories(
         variants: one model with different parameters.
         which: of the laws that remember.
         base: names of the base joints; it acts on one of them, or on what follows one behind a gap or a spring.
-        delays: of each variant's controls, s, (variants, nu).
+        delays: of each variant's controls, s, (variants, nu), on the clock of the motion.
         recording: its commands may be followed.
         motion: of the base joints.
         time: s, (n,).
@@ -232,13 +232,14 @@ def begin(
         variants: one model with different parameters.
         windows: where recordings and their motions are.
         base: names of the nb base joints.
-        delays: of each variant's controls, s, (variants, nu).
+        delays: of each variant's controls, s, (variants, nu), as seen from the sensor that reads latest.
         time: at which each window begins in its recording, s, (n,).
 
     Raises:
         ValueError: what it begins with depends on the motion before, and the windows have no motions.
     """
     model = variants[0].model
+    delays = delays - windows.late  # on the clock of the motions, of which the model's own lateness is taken out
     places.put(Joints.of(model, base), initial)
     for motor in heating_motors(model):
         temperature = places.activation[..., int(model.actuator_actadr[motor])]

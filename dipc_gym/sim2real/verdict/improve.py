@@ -53,7 +53,7 @@ def improved_model(
     dropped = [t.key for t in final.structure.terms if len(kept) < len(final.structure.terms) and t.key not in kept]
     note = sentences.step_costs(said, dropped=dropped, alone=not kept, stiff=bool(_stiff(structure, z)))
     if option.refitted:
-        note = f"{note} {sentences.made_up(said, _differing(option, final))}".strip()
+        note = f"{note} {sentences.made_up(said, _differing(option, last))}".strip()
     if not structure.model_parameters and not structure.terms:
         return source.text, said, note
     document = structure.write(z)
@@ -102,13 +102,13 @@ def _predictions(option: Option, said: AsWritten) -> list[str]:
     return lines
 
 
-def _differing(option: Option, final: Fit) -> list[tuple[str, float, float]]:
-    """Parameters that make up for a step: key, what was found, and what is written."""
-    found, put = final.structure.values(final.z), option.structure.values(option.z)
+def _differing(option: Option, found: Fit) -> list[tuple[str, float, float]]:
+    """Parameters that make up for a step, but values of tables: key, what was found, and what is written."""
+    values, written = found.structure.values(found.z), option.structure.values(option.z)
     return [
-        (key, found[key], value)
-        for key, value in put.items()
-        if key in found and abs(value - found[key]) > VERDICT.differs * abs(found[key])
+        (key, values[key], value)
+        for (key, value), table in zip(written.items(), option.structure.tables, strict=True)
+        if table < 0 and key in values and abs(value - values[key]) > VERDICT.differs * abs(values[key])
     ]
 
 

@@ -240,10 +240,10 @@ def next_experiment(
         )
     if verdict in ("partly explained", "unexplained"):
         for m in missing:
-            goes_with = m.where or " ".join(m.law["of"] if m.law and m.effect == "unknown" else ())
-            named = [name for name in SHOWN_BY if re.search(rf"\b{name}\b", goes_with)]
-            if len(named) == 1:  # of several it may be any
-                return f"What is unknown at {m.at} goes with {named[0]}: {SHOWN_BY[named[0]]}"
+            inputs = list(m.law["of"]) if m.law and m.effect == "unknown" else []
+            own = [n for n in SHOWN_BY if inputs == [f"{n} {m.at}"] or re.search(rf"\bwith {n}\b", m.where)]
+            if own:
+                return f"What is unknown at {m.at} goes with {own[0]}: {SHOWN_BY[own[0]]}"
         return (
             "Repeat one short command many times over several minutes, at rest in between: what changes from one time "
             "to the next depends on time or temperature, what does not depends on the state."
