@@ -324,7 +324,7 @@ def test_windows_of_a_late_sensor_begin_with_what_was_sent_by_then(integrator: A
     sag = {"gain": 1.0, "back": 0.0, "drop": 0.2, "current": 1.0, "time_constant": 0.02}
     catalogue()["motor.sag"].edit(document, "m", sag)
     rig = physics.load(mjcf.from_text(document.text()))
-    t = np.arange(0.0, 1.0, 0.001)
+    t = np.arange(0.0, 1.0, 0.002)
     commands = ((t >= 0.5) & (t < 0.7)).astype(float)[:, None]
     run = Recording("r", t, commands, (1e-5 * np.sin(t))[:, None], ("m",), ("p",))
     motion = estimate(run, rig, np.array([1e-6]))
@@ -336,7 +336,7 @@ def test_windows_of_a_late_sensor_begin_with_what_was_sent_by_then(integrator: A
     state_at = cuts.start - 0.05
     drawn = np.where(state_at < 0.5, 0.0, 1 - np.exp(-(state_at - 0.5) / 0.02))
     drawn = np.where(state_at < 0.7, drawn, (1 - np.exp(-10)) * np.exp(-(state_at - 0.7) / 0.02))
-    np.testing.assert_allclose(found, drawn, atol=0.03)
+    np.testing.assert_allclose(found, drawn, atol=0.002)
 
 
 def test_a_spring_that_yields_is_bent_by_what_follows_as_well() -> None:

@@ -32,6 +32,8 @@ from dipc_gym.sim2real.unseen.play import play
 
 Array = NDArray[np.float64]
 
+INSTANT = 1e-9  # s, before and after a moment
+
 
 def bends(variants: Sequence[Physics], tendon: int, motion: Motion, time: Array) -> Array:
     """How far a spring that yields is bent, at times within a recording.
@@ -142,8 +144,11 @@ def _sees(
         velocity = told_rests(law.data, velocity)
     for kind, k in law.inputs:
         if kind == "command":
-            sent = variant.command(held_at(recording, motion.time - delays[k] + 1e-9), motion.time)[:, k]
-            follows = np.clip(sent, *(end[k] for end in variant.taken))
+            # It holds between stamps, and what follows it goes straight from sample to sample: where it changes, it is
+            # taken half way, else it would come half a sample early.
+            sides = [held_at(recording, motion.time - delays[k] + side) for side in (-INSTANT, INSTANT)]
+            sent = [variant.command(one, motion.time)[:, k] for one in sides]
+            follows = np.mean([np.clip(one, *(end[k] for end in variant.taken)) for one in sent], axis=0)
         else:
             address = "dofadr" if kind == "velocity" else "qposadr"
             at = {getattr(model.joint(name), address)[0]: column for name, column in columns.items()}
