@@ -230,7 +230,7 @@ def test_diagnose_says_what_is_wrong_with_its_files(tmp_path: Path, capsys: pyte
     bare.write_text(model.read_text().replace('<dcmotor name="motor"', "<dcmotor"))
     for arguments, says in (
         ((good, model), "run_1.csv: is no MJCF"),
-        ((model, late), "or is time in milliseconds? Then say --unit time=ms"),
+        ((model, late), "or is time in ms? Then say --unit time=ms"),
         ((bare, good), "bare.xml: actuator 0 has no name"),
     ):
         assert main(["diagnose", *map(str, arguments), "--out", str(tmp_path / "found")]) == 2
