@@ -539,7 +539,8 @@ HOSTILE = [
         ('<motor name="m" joint="slide"/>', "N"),
         ('<motor name="m" joint="hinge"/>', "N m"),
         ('<motor name="m" joint="hinge" gear="50"/>', ""),
-        ('<position name="m" joint="hinge" kp="3"/>', ""),
+        ('<position name="m" joint="hinge" kp="3"/>', "rad"),
+        ('<position name="m" joint="hinge" kp="3" gear="2"/>', ""),
     ],
 )
 def test_a_dead_zone_is_told_in_the_unit_of_the_command(actuator: str, unit: str) -> None:
