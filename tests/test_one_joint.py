@@ -305,7 +305,7 @@ def test_what_is_remembered_of_a_late_command_comes_late() -> None:
     """A pulse of 0.1 s that acts 50 ms after it was sent has drawn less by its end, and as much 50 ms later."""
     t = np.arange(0.0, 0.5, 0.01)
     commands = ((t >= 0.1) & (t < 0.2)).astype(float)[:, None]
-    run, still = Recording("r", t, commands, np.zeros((len(t), 1)), ("m",), ("p",)), windows().motions[0]
+    run = Recording("r", t, commands, np.zeros((len(t), 1)), ("m",), ("p",))
     still = Motion(t, *(np.zeros((len(t), 1)) for _ in range(3)), np.zeros(1))
     document = Document(mjcf.from_text(slide()))
     sag = {"gain": 1.0, "back": 0.0, "drop": 0.2, "current": 1.0, "time_constant": 0.02}

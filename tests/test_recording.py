@@ -316,13 +316,9 @@ def test_a_servo_is_asked_for_angles(tmp_path: Path) -> None:
 def test_units_of_commands(actuator: str, unit: str) -> None:
     model = mjcf.compile(RIG.replace("<actuator>", f"<actuator>{actuator}"))
     assert of_command(model, "a") == unit
-    for name in ("pos", "vel"):  # which are inputs of others
-        assert (
-            of_command(
-                mjcf.compile(RIG.replace("<actuator>", f"<actuator>{actuator}").replace('"a"', f'"{name}"')), name
-            )
-            == unit
-        )
+    for name in ("pos", "vel"):  # as inputs of others are called
+        text = RIG.replace("<actuator>", f"<actuator>{actuator}").replace('"a"', f'"{name}"')
+        assert of_command(mjcf.compile(text), name) == unit
 
 
 def test_each_input_of_an_actuator_has_its_unit() -> None:
