@@ -28,6 +28,8 @@ RATES = {
     mujoco.mjtSensor.mjSENS_TENDONVEL: mujoco.mjtSensor.mjSENS_TENDONPOS,
     mujoco.mjtSensor.mjSENS_ACTUATORVEL: mujoco.mjtSensor.mjSENS_ACTUATORPOS,
 }
+# What a column that should be in this unit is most likely in, in words and for --unit.
+INSTEAD = {"rad": ("degrees", "deg"), "m": ("millimetres", "mm")}
 
 
 def noise(recording: Recording) -> NDArray[np.float64]:
@@ -212,7 +214,8 @@ def _odd_unit(name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> 
         usual = DEGREES.beyond * float(np.max(np.abs(model.jnt_range[joint])))
     if peak <= usual:
         return []
-    unit, word, short = ("rad", "degrees", "deg") if hinge else ("m", "millimetres", "mm")
+    unit = "rad" if hinge else "m"
+    word, short = INSTEAD[unit]
     return [f"sensor {name!r} reaches {peak:.4g} {unit}; if these are {word}, say --unit {name}={short}"]
 
 
@@ -221,11 +224,11 @@ def _odd_commands(recording: Recording, model: mujoco.MjModel) -> list[str]:
     found: list[str] = []
     for name, values in zip(recording.actuator_names, recording.commands.T, strict=True):
         unit, joint = of_command(model, name), int(model.actuator_trnid[commanded_by(model, name), 0])
-        if COMMAND + name in recording.told or unit not in ("rad", "m") or not model.jnt_limited[joint]:
+        if COMMAND + name in recording.told or unit not in INSTEAD or not model.jnt_limited[joint]:
             continue
         peak, reach = float(np.max(np.abs(values))), float(np.max(np.abs(model.jnt_range[joint])))
         if peak > CHECKS.far_command * reach:
-            word, short = ("degrees", "deg") if unit == "rad" else ("millimetres", "mm")
+            word, short = INSTEAD[unit]
             key = COMMAND + name if name in recording.sensor_names else name
             found.append(
                 f"command {name!r} asks for {peak:.4g} {unit} of a joint that goes no further than {reach:.4g}; if "
