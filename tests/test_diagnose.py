@@ -308,10 +308,8 @@ def test_a_limit_that_refitted_parameters_spread_over_all_windows_is_found() -> 
     assert found.recalibrated == ()
 
 
-@pytest.mark.parametrize("friction", ["", ' frictionloss="3"'])
-def test_what_the_model_itself_simulated_is_consistent_with_it(friction: str) -> None:
-    """MuJoCo's own step is coarse beside this encoder, and so is its dry friction."""
-    text = NOMINAL.replace('damping="40"', f'damping="40"{friction}')
+def simulated(text: str) -> Recording:
+    """What the encoder of a cart reads that MuJoCo simulates as its file asks for."""
     model, rng = mujoco.MjModel.from_xml_string(text), np.random.default_rng(0)
     data, driven = mujoco.MjData(model), run(1, 12, 0.0)
     sensed = np.empty_like(driven.sensors)
@@ -319,14 +317,54 @@ def test_what_the_model_itself_simulated_is_consistent_with_it(friction: str) ->
         sensed[k], data.ctrl[:] = data.qpos, volts
         mujoco.mj_step(model, data, 2)
     sensed = np.round((sensed + rng.normal(0, 3e-6, sensed.shape)) / 2e-5) * 2e-5
+    return replace(driven, sensors=sensed, sha256="")
+
+
+OF_A_SIMULATION = "These recordings look simulated by MuJoCo, at the model's own step of 1 ms"
+
+
+@pytest.mark.parametrize("friction", ["", ' frictionloss="3"'])
+def test_what_the_model_itself_simulated_is_consistent_with_it(friction: str) -> None:
+    """MuJoCo's own step is coarse beside this encoder, and so is its dry friction."""
+    text = NOMINAL.replace('damping="40"', f'damping="40"{friction}')
     names = ("timing.delay", "friction.coulomb", "friction.stribeck", "motor.inductance", "load.constant")
-    found = diagnose(
-        mjcf.from_text(text), [replace(driven, sensors=sensed, sha256="")], effects=[catalogue()[n] for n in names]
-    )
+    found = diagnose(mjcf.from_text(text), [simulated(text)], effects=[catalogue()[n] for n in names])
     assert found.verdict == "consistent", found.sentence
     assert found.held_out is not None
     assert found.held_out.nominal < 1.2
-    assert any(note.startswith("At its own step of 1 ms") for note in found.notes)
+    assert any(note.startswith(OF_A_SIMULATION) for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("given", "hidden", "expected"),
+    [
+        ("", ' frictionloss="3"', "friction.coulomb"),
+        ("", ' stiffness="60"', "load.spring"),
+        (' frictionloss="3"', ' stiffness="60"', "load.spring"),
+    ],
+)
+def test_what_was_hidden_in_a_simulation_is_found_as_mujoco_has_it(given: str, hidden: str, expected: str) -> None:
+    """Soft friction and the half step of its Euler integrator are no bristles, no gap, and nothing unknown."""
+    names = (
+        *("friction.coulomb", "friction.stribeck", "friction.stribeck:presliding", "load.spring", "load.swinging"),
+        *("timing.delay", "disturbance.periodic"),
+    )
+    nominal = NOMINAL.replace('damping="40"', f'damping="40"{given}')
+    recorded = simulated(nominal.replace('damping="40"', f'damping="40"{hidden}'))
+    found = diagnose(mjcf.from_text(nominal), [recorded], effects=[catalogue()[n] for n in names])
+    assert [m.effect for m in found.missing] == [expected], found.sentence
+    assert found.verdict == "explained"
+    (missing,) = found.missing
+    value = missing.parameters["level" if expected == "friction.coulomb" else "stiffness"]["value"]
+    assert value == pytest.approx(3.0 if expected == "friction.coulomb" else 60.0, rel=0.02)
+    assert any(note.startswith(OF_A_SIMULATION) for note in found.notes)
+    again = mujoco.MjModel.from_xml_string(found.improved)
+    assert again.dof_solref[0] == pytest.approx([0.02, 1.0]), "stiff friction is what MuJoCo did not simulate"
+
+
+def test_recordings_of_a_rig_are_not_taken_for_a_simulation() -> None:
+    found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], effects=[catalogue()["friction.coulomb"]])
+    assert not any(note.startswith(OF_A_SIMULATION) for note in found.notes)
 
 
 def test_a_late_encoder_is_the_same_as_late_commands_to_a_single_joint() -> None:

@@ -36,10 +36,13 @@ class Document:
 
     Args:
         source: a scanned model.
+
+    Attributes:
+        simulated: whether MuJoCo itself is modelled, and not a rig: dry friction is as soft as it is there.
     """
 
     def __init__(self, source: Source) -> None:
-        self.source = source
+        self.source, self.simulated = source, False
         self._layout: dict[str, str] = {}  # start tag as ElementTree writes it -> as its author did
         self.root, self.head, self.tail = self._parse(source.text)
         self._inline(self.root)
@@ -48,6 +51,12 @@ class Document:
         """A copy to edit."""
         twin = copy.copy(self)
         twin.root = copy.deepcopy(self.root)
+        return twin
+
+    def of_a_simulation(self) -> Document:
+        """A copy for recordings that MuJoCo made."""
+        twin = self.copy()
+        twin.simulated = True
         return twin
 
     def _parse(self, text: str) -> tuple[ET.Element, str, str]:

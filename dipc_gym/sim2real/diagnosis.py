@@ -129,7 +129,7 @@ def _found(
     tell(f"{len(case.prepared.problem.windows)} windows of {case.prepared.length:g} s")
     base = baseline(case)
     _check_conventions(case, base, tell)
-    searched, located = _search(case, base, effects, guarded)
+    base, searched, located = _search(case, base, effects, guarded)
     searched, concluded = _conclude(searched, guarded)
     judged, concluded = judgement(case, base, test, searched, concluded, located, guarded)
     proposed: Design | None = None
@@ -141,11 +141,19 @@ def _found(
 
 def _search(
     case: Case, base: Baseline, effects: Sequence[Effect], guarded: Guarded
-) -> tuple[Searched, Sequence[Located]]:
-    """What a search comes to, also where Ctrl-C or an error ended it, and where the mismatch sits."""
+) -> tuple[Baseline, Searched, Sequence[Located]]:
+    """What a search comes to, also where Ctrl-C or an error ended it, and where the mismatch sits.
+
+    Where what it finds shows that MuJoCo made the recordings, it begins anew in the steps that MuJoCo took.
+    """
     search, located = begin_search(case, base, effects, guarded.stop)
     guarded("Whether more is missing", search.run, lambda: base.recalibrated)
-    return search.outcome, located
+    if not search.simulated:
+        return base, search.outcome, located
+    found = search.progress.current
+    guarded.stop.tell(f"note: {sentences.own_step(case.given.physics.model.opt.timestep, found.error)}")
+    again = baseline(case, found.error)
+    return _search(case, again, effects, guarded)
 
 
 def _conclude(searched: Searched, guarded: Guarded) -> tuple[Searched, Conclusion]:

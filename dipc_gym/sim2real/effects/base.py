@@ -464,7 +464,13 @@ def shield(document: Document, element: ET.Element) -> None:
 
 
 def dry(document: Document, joint: str, level: float) -> None:
-    """Dry friction that holds: stiff within two steps, and iterated so that joints do not creep."""
+    """Dry friction that holds: stiff within two steps, and iterated so that joints do not creep.
+
+    Where recordings are a simulation's, MuJoCo's own: soft, as whoever writes `frictionloss` gets it.
+    """
+    if document.simulated:
+        document.set(document.joint(joint), frictionloss=level)
+        return
     document.set(document.joint(joint), frictionloss=level, solreffriction=(2 * document.timestep, 1))
     document.at_least(noslip_iterations=3, iterations=100)
 

@@ -7,13 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit, fit
-from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.selection import partitioning, ranking
+from dipc_gym.sim2real.selection import partitioning, ranking, simulated
 from dipc_gym.sim2real.selection.case import Case
 from dipc_gym.sim2real.selection.progress import Partition
-from dipc_gym.sim2real.selection.settings import SCORE, WINDOWS
-from dipc_gym.sim2real.simulation.batch import Stepping
 
 
 @dataclass(frozen=True)
@@ -24,8 +21,8 @@ class Baseline:
         partition: which windows serve for what; outlier windows are among those that are fitted.
         nominal: the model as given, initial states fitted.
         recalibrated: its parameters fitted as well.
-        fine: error of the model as given in fine steps, in units of noise, where it predicts to the noise in its own
-            and all windows are therefore simulated in these; None elsewhere.
+        fine: error in fine steps, in units of noise, of a structure that predicts to the noise in the model's own: all
+            windows are therefore simulated in these. None elsewhere.
     """
 
     partition: Partition
@@ -34,21 +31,30 @@ class Baseline:
     fine: float | None
 
 
-def baseline(case: Case) -> Baseline:
-    """Part the windows, and fit the model as given and recalibrated."""
-    structure, own = case.prepared.structure, Stepping(case.given.physics.model.opt.timestep)
+def baseline(case: Case, fine: float | None = None) -> Baseline:
+    """Part the windows, and fit the model as given and recalibrated.
+
+    Args:
+        case: windows and model.
+        fine: see `Baseline`, where a search found that; the model itself is asked else.
+    """
+    structure = case.prepared.structure
     whole = case.prepared.problem
     late = whole.windows.start >= case.borders[whole.windows.source]
     problem, comparison, aside = partitioning.split(whole.pick(~late))
     aside, first = aside.join(whole.pick(late)), case.first
-    nominal, fine = fit(problem, structure), None
-    if _predicts_better(replace(problem, stepping=own), nominal):
-        fine = nominal.error
-        parts = problem, comparison, aside, first
-        problem, comparison, aside, first = (replace(part, stepping=own) for part in parts)
-        nominal = fit(problem, structure)
+    if fine is not None:
+        problem, comparison, aside, first = (
+            simulated.in_own_steps(p, structure) for p in (problem, comparison, aside, first)
+        )
+        structure = simulated.as_simulated(structure)
+    nominal = fit(problem, structure)
+    if simulated.look_simulated(problem, nominal):
+        return baseline(case, nominal.error)
     free = replace(structure, model_parameters=case.given.model_parameters)
     recalibrated = fit(problem, free, initial=nominal.initial, most=ESTIMATION.from_afar)
+    if simulated.look_simulated(problem, recalibrated):
+        return baseline(case, recalibrated.error)
     outliers = partitioning.outliers_aside(aside, recalibrated)
     if len(outliers):
         problem, others = problem.join(aside.pick(outliers)), np.delete(np.arange(len(aside.windows)), outliers)
@@ -57,14 +63,3 @@ def baseline(case: Case) -> Baseline:
         recalibrated = fit(problem, recalibrated.structure, recalibrated.z, nominal.initial)
     partition = Partition(problem, comparison, aside, first, case.borders, ranking.subset(recalibrated.mse))
     return Baseline(partition, nominal, recalibrated, fine)
-
-
-def _predicts_better(problem: Problem, fitted: Fit) -> bool:
-    """Whether a structure comes down to the noise in the steps of `problem`, and in those it was fitted in does not.
-
-    By every third window; where these do not show what the step costs, others show something else.
-    """
-    some = np.arange(0, len(problem.windows), WINDOWS.every)
-    if fitted.pick(some).error <= SCORE.at_floor:
-        return False
-    return fit(problem.pick(some), fitted.structure, fitted.z).error <= SCORE.at_floor

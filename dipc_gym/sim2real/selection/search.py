@@ -20,7 +20,7 @@ from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.model.structure import Structure, names
-from dipc_gym.sim2real.selection import beginnings, beside, choice, kinds, rounds
+from dipc_gym.sim2real.selection import beginnings, beside, choice, kinds, rounds, simulated
 from dipc_gym.sim2real.selection.events import attend
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
@@ -125,13 +125,16 @@ class Search:
         journal: has the fit without effects, and then where the search stands.
         stop: whether Ctrl-C ended it.
         phase: what kinds of law are asked for.
+
+    Attributes:
+        simulated: whether what it found shows the recordings to be a simulation's; there it ended.
     """
 
     def __init__(
         self, question: Question, scorer: Scorer, journal: Journal, stop: Stop, phase: Phase = Phase.FORMULAS
     ) -> None:
         self.question, self.fitter, self.journal = question, Fitter(scorer), journal
-        self.stop, self.phase = stop, phase
+        self.stop, self.phase, self.simulated = stop, phase, False
 
     @property
     def outcome(self) -> Searched:
@@ -164,7 +167,7 @@ class Search:
         """
         found = self._run()
         past = [effect for effect in self.question.effects if effect.of_the_past]
-        if not past or self.stop.asked or beginnings.left(self.partition.first, found) is None:
+        if not past or self._ended or beginnings.left(self.partition.first, found) is None:
             return found
         self.tell("little is left but how recordings begin; asking for what goes with the past")
         scorer, journal = replace(self.scorer, small=False), Journal(self.progress.with_first(), self.tell)
@@ -176,7 +179,7 @@ class Search:
     def _run(self) -> Fit:
         """What all but the beginnings of recordings show."""
         found = self._add()
-        if self.stop.asked or self.scorer.small or not any(effect.free for effect in self.question.effects):
+        if self._ended or self.scorer.small or not any(effect.free for effect in self.question.effects):
             return found
         if self._done(found):
             self.journal.correct(kinds.shaped(self.question, self.fitter, found, self.tell))
@@ -188,7 +191,7 @@ class Search:
         except BaseException:  # whoever goes on without what failed, or after Ctrl-C, goes on from what was found
             self._best_of(formulas)
             raise
-        return self._best_of(formulas) if self.stop.asked else found
+        return self._best_of(formulas) if self._ended else found
 
     def _best_of(self, formulas: tuple[Fit, ...]) -> Fit:
         """What formulas came to, or laws, which begin anew: where these did not come to their end, the better one."""
@@ -209,13 +212,13 @@ class Search:
             self._back_to(formulas)
             found, ends = self._add(), []
         if self._done(found):
-            if not self.stop.asked:  # a law of no kind that came with another effect, or was coarse, may have one now
+            if not self._ended:  # a law of no kind that came with another effect, or was coarse, may have one now
                 self.journal.correct(self._named(found))
             return self.progress.current
         self.tell("no law of a kind comes down to the noise; modelling what is left")
         self.phase = Phase.NO_KIND
         found = self._modelled([self.progress.path, *ends])
-        if self.stop.asked:
+        if self._ended:
             return found
         found = self._named(found)
         begin = self.progress.path[0]  # not an earlier one: what is left asked for more windows
@@ -237,7 +240,7 @@ class Search:
                 self._back_to(end)
             self._add(len(self.question.joints))
             found.append(self.progress.path)
-            if self.stop.asked:
+            if self._ended:
                 break
         self.journal.go_back(choice.of_ends(self.scorer, [self.progress.informed(path) for path in found]))
         return self.progress.current
@@ -259,8 +262,13 @@ class Search:
         places = {term.at for fitted in accepted for term in fitted.structure.terms}
         return len(self.question.joints) > 1 and places >= set(self.question.joints)
 
+    @property
+    def _ended(self) -> bool:
+        """Whether nothing more is to be tried, whatever is left."""
+        return self.stop.asked or self.simulated
+
     def _done(self, found: Fit) -> bool:
-        return found.error <= SCORE.at_floor or self.stop.asked
+        return found.error <= SCORE.at_floor or self._ended
 
     def replace_last(self, better: Fit) -> Fit:
         """Put a fit in the place of the one that `run` came to, and add what earns its place beside it."""
@@ -283,7 +291,7 @@ class Search:
         if len(self.partition.problem.windows) > known:  # they may ask for more of a law than those did that it had
             self.journal.correct(self._finer(self.progress.current))
         before = self.progress.current
-        if enough(self.progress.path[0], before):
+        if self.simulated or enough(self.progress.path[0], before):
             return False
         better = rounds.addition(self.question, self.phase, self.fitter, self.journal)
         if better is None:
@@ -294,6 +302,7 @@ class Search:
         self.tell(StageEnd(f"added {new}", "round"))
         pruned = self._finer(prune(self.question, self.fitter, better, self.tell))
         self.journal.correct(pruned)
+        self.simulated = simulated.look_simulated(self.partition.problem, pruned)
         return added in names(pruned.structure.terms) or self.scorer.compare(pruned, before).clear
 
     def _finer(self, fitted: Fit) -> Fit:

@@ -367,10 +367,16 @@ def step_costs(said: AsWritten, *, dropped: Sequence[str], alone: bool, stiff: b
 
 
 def own_step(step: float, fine: float) -> str:
-    """Note on recordings that the model predicts as it steps, and not as it would move; the error of fine steps."""
+    """Note on recordings that the model, with what it lacks, predicts as it steps and not as it would move.
+
+    Args:
+        step: of the model, s.
+        fine: error of fine steps, in units of noise.
+    """
     return (
-        f"At its own step of {1e3 * step:g} ms and with its integrator the model predicts these recordings to the "
-        f"noise, in fine steps to {fine:.3g} times the noise: they look simulated at that step, and are judged at it."
+        f"These recordings look simulated by MuJoCo, at the model's own step of {1e3 * step:g} ms and with its "
+        f"integrator: they are predicted to the noise there, in fine steps to {fine:.3g} times the noise. They are "
+        "judged at that step, and dry friction is taken to be as soft as MuJoCo's."
     )
 
 

@@ -1,0 +1,71 @@
+"""Whether recordings are a simulation's: MuJoCo's, with the model's own integrator at its own step.
+
+Who tries a diagnosis hides something in a model, lets MuJoCo simulate it, and gives the rest. What a step costs, and
+how soft MuJoCo's dry friction is, are in such recordings like all else; no physics of a rig explains them, and what
+comes nearest (bristles, a load that swings) is not there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dipc_gym.sim2real.effects.friction_coulomb import Coulomb
+from dipc_gym.sim2real.estimation.fit import Fit, fit
+from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.model.structure import Structure, Term, carry
+from dipc_gym.sim2real.selection.score import compare
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH, WINDOWS
+from dipc_gym.sim2real.simulation.batch import Stepping
+
+
+def look_simulated(problem: Problem, fitted: Fit) -> bool:
+    """Whether a structure comes down to the noise in the model's own steps, and in those it was fitted in does not.
+
+    Dry friction is asked for as MuJoCo has it: what was accepted may be what made up for that. Every third window
+    tells; where these do not show what the step costs, others show something else.
+
+    Args:
+        problem: windows.
+        fitted: to these.
+    """
+    some = np.arange(0, len(problem.windows), WINDOWS.every)
+    few, found = problem.pick(some), fitted.pick(some)
+    if few.stepping.integrator is None:
+        return False
+    plain = _with_coulomb(fitted)
+    if plain is not None:
+        found = fit(few, plain, carry(fitted.structure, fitted.z, plain), found.initial)
+    if min(found.error, fitted.error if plain is None else np.inf) <= SCORE.at_floor:
+        return False
+    own, structure = in_own_steps(few, found.structure), as_simulated(found.structure)
+    simulated = fit(own, structure, found.z, most=SEARCH.sketch_steps)
+    return (
+        simulated.error <= SCORE.at_floor
+        and compare(simulated.mse, found.mse, few.blocks).matters
+        and not compare(fitted.mse[some], simulated.mse, few.blocks).clear
+    )
+
+
+def in_own_steps(problem: Problem, structure: Structure) -> Problem:
+    """Windows in the steps and with the integrator of a model's file."""
+    return replace(problem, stepping=Stepping(structure.document.timestep), halved=None)
+
+
+def as_simulated(structure: Structure) -> Structure:
+    """A structure whose dry friction is as soft as MuJoCo makes it."""
+    return replace(structure, document=structure.document.of_a_simulation())
+
+
+def _with_coulomb(fitted: Fit) -> Structure | None:
+    """A structure with Coulomb friction in the place of forms of dry friction that contain it; None if it has none."""
+    structure, terms = fitted.structure, list[Term]()
+    for term in structure.terms:
+        if term.effect.one_of == Coulomb.one_of and Coulomb.id in term.effect.contains:
+            values = structure.term_values(fitted.z, term)
+            level = float(np.mean([values[name] for name in term.effect.levels]))
+            terms.append(Term(Coulomb(), term.at, {"level": level}))
+        else:
+            terms.append(term)
+    return None if tuple(terms) == structure.terms else replace(structure, terms=tuple(terms))
