@@ -372,7 +372,6 @@ def test_scalar_sensors_leave_out_vectors_and_the_unnamed() -> None:
         (rig(beside=f"<body><freejoint name='f'/>{MASS}</body>"), "joint 'f' is a free joint"),
         (rig(inside=f"<body><joint type='ball'/>{MASS}</body>"), "joint number 1 is a ball joint"),
         (rig(beside="<flexcomp name='f' type='grid' count='3 3 1' spacing='.1 .1 .1' dim='2' mass='1'/>"), "flex"),
-        (rig().replace('<jointpos name="cart"', "<jointpos"), "no named scalar sensor"),
         ("<mujoco/>", "no joints"),
         (rig(inside="<geom name='a' size='1'/>", beside="<geom size='1'/>"), "can touch"),
     ],
@@ -381,6 +380,18 @@ def test_what_is_not_supported_is_said(text: str, said: str) -> None:
     with pytest.raises(mjcf.MjcfError, match=f"^rig.xml: .*{said}") as caught:
         mjcf.check_supported(mjcf.compile(text), "rig.xml")
     assert "Supported are models with hinge and slide joints" in str(caught.value)
+
+
+def test_a_model_without_sensors_is_told_which_ones_to_write() -> None:
+    """Most models of robots have none; what the message says, put where it says, is what is lacking."""
+    text = f"""<mujoco><worldbody><body><joint name="hip" axis="0 1 0"/>{MASS}
+    <body><joint name="knee" type="slide" axis="1 0 0"/>{MASS}</body></body></worldbody></mujoco>"""
+    with pytest.raises(mjcf.MjcfError, match=r"^leg.xml: .*no named scalar sensor.* before </mujoco>: ") as caught:
+        mjcf.check_supported(mjcf.compile(text), "leg.xml")
+    lines = str(caught.value).split("</mujoco>: ")[1]
+    model = mjcf.compile(text.replace("</mujoco>", f"{lines}</mujoco>"))
+    mjcf.check_supported(model, "leg.xml")
+    assert mjcf.scalar_sensors(model) == ["hip", "knee"]
 
 
 GEOM = st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(0, 4))

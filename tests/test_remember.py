@@ -157,6 +157,17 @@ def test_the_engine_says_what_mujoco_says(effect: str) -> None:
     assert off[1] < max(off[0], 2e-4)
 
 
+@pytest.mark.parametrize("step", [0.01, 0.02, 0.05])
+def test_a_long_step_follows_what_is_forgotten_at_once(step: float) -> None:
+    """Rest is forgotten within 4 ms of going on; in steps of 10 ms that swung up, until an exponential overflowed."""
+    rig = with_entry("friction.resting")
+    rig.model.opt.timestep, data = step, mujoco.MjData(rig.model)
+    (extra,) = rig.remembering
+    for k in range(round(4.0 / step)):
+        rig.step(data, np.array([sweep(4.0)(k * step)]))
+        assert 0 <= data.userdata[extra.slot] <= (k + 1) * step
+
+
 @pytest.mark.parametrize("effect", REMEMBER)
 def test_sensitivities_are_limits_of_differences(effect: str) -> None:
     ready = prepared(CART, [record(with_entry(effect), sweep(4.0), 2.0, noise=(1e-5,))])

@@ -253,7 +253,12 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
     if not model.nv:
         raise MjcfError(f"{name}: the model has no joints, so nothing in it moves. {SUPPORTED}")
     if not scalar_sensors(model):
-        raise MjcfError(f"{name}: the model has no named scalar sensor, such as <jointpos name=.../>. {SUPPORTED}")
+        joints = [model.joint(k).name or f"name of joint {k}" for k in range(model.njnt)]
+        lines = "".join(f'<jointpos name="{joint}" joint="{joint}"/>' for joint in joints)
+        raise MjcfError(
+            f"{name}: the model has no named scalar sensor. Write one for each joint that was recorded, under the name "
+            f"of its column, before </mujoco>: <sensor>{lines}</sensor>"
+        )
     controls(model, name)
     for flag in ("constraint", "frictionloss"):
         if model.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}"):

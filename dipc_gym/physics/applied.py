@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.physics import entries
 from dipc_gym.physics.entries import Extra, Stage
-from dipc_gym.physics.formulas import Moment, moment
+from dipc_gym.physics.formulas import SOONEST, Moment, moment
 
 Array = NDArray[np.float64]
 
@@ -146,10 +147,9 @@ class Physics:
         before = state.userdata[..., extra.slot]
         if not step:
             return replace(now, memory=before)
-        now = replace(now, speed=speed + step / 2 * state.qacc[..., j], memory=before)
-        now = replace(now, memory=before + step / 2 * extra.grows(now))
-        state.userdata[..., extra.slot] = before + step * extra.grows(now)
-        return now
+        now = replace(now, speed=speed + step / 2 * state.qacc[..., j])
+        middle, state.userdata[..., extra.slot] = _gone_on(extra, now, before, step)
+        return replace(now, memory=middle)
 
     def _seen(self, extra: Extra, state: mujoco.MjData, step: float) -> tuple[Array, ...]:
         """What a law depends on, two numbers; positions are those of the middle of a step that begins now."""
@@ -174,6 +174,25 @@ class Physics:
         for _ in range(nstep):
             self.act(data, self.model.dof_frictionloss, data.qfrc_applied, self.model.opt.timestep)
             mujoco.mj_step(self.model, data)
+
+
+def _gone_on(extra: Extra, now: Moment, before: Array, step: float) -> tuple[Array, Array]:
+    """What an entry remembers in the middle of a step and at its end, by the midpoint rule.
+
+    A memory may fade faster than a long step lasts, and would swing up; then it takes several.
+
+    Args:
+        extra: what remembers.
+        now: the middle of the step.
+        before: what it remembers at its beginning.
+        step: s.
+    """
+    parts = max(math.ceil(step / SOONEST - 1e-9), 1)
+    middle = after = np.array(before, dtype=float)
+    for _ in range(parts):
+        middle = after + step / parts / 2 * extra.grows(replace(now, memory=after))
+        after = after + step / parts * extra.grows(replace(now, memory=middle))
+    return (middle if parts == 1 else (before + after) / 2), after
 
 
 def _follow(before: Array, followed: Array, after: Array, dt: float, tau: Array) -> Array:

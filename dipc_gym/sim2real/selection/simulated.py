@@ -14,6 +14,7 @@ import numpy as np
 from dipc_gym.sim2real.effects.friction_coulomb import Coulomb
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
+from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH, WINDOWS
@@ -42,7 +43,7 @@ def look_simulated(problem: Problem, fitted: Fit) -> bool:
     own, structure = in_own_steps(few, found.structure), as_simulated(found.structure)
     simulated = fit(own, structure, found.z, most=SEARCH.sketch_steps)
     return (
-        simulated.error <= SCORE.at_floor
+        common_error(simulated.mse) <= SCORE.at_floor
         and compare(simulated.mse, found.mse, few.blocks).matters
         and not compare(fitted.mse[some], simulated.mse, few.blocks).clear
     )
