@@ -97,8 +97,8 @@ class Errors:
         scale = max(self.nominal, 1e-12)
         return {
             "nominal": 1.0,
-            "recalibrated": _significant(self.recalibrated / scale),
-            "improved": _significant(self.improved / scale),
+            "recalibrated": significant(self.recalibrated / scale),
+            "improved": significant(self.improved / scale),
         }
 
     def in_noise(self) -> dict[str, float]:
@@ -467,7 +467,7 @@ class Diagnosis:
                 "comparison": self.comparison.relative(),
                 "held_out": self.held_out.relative(),
                 "held_out_was_fitted": self.held_out_was_fitted,
-                "noise_floor": _significant(1 / max(self.held_out.nominal, 1e-12)),
+                "noise_floor": significant(1 / max(self.held_out.nominal, 1e-12)),
                 "held_out_in_noise": self.held_out.in_noise(),
                 "held_out_force": {
                     at: errors.rounded(5) for at, errors in self.force.items() if np.isfinite(errors.nominal)
@@ -499,7 +499,7 @@ class Diagnosis:
         }
 
 
-def _significant(value: float) -> float:
+def significant(value: float) -> float:
     """To six digits: a share of a model that is far off is small, and is divided by another one as small."""
     return float(f"{value:.6g}")
 

@@ -20,7 +20,7 @@ from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.settings import MODEL
 from dipc_gym.sim2real.model.structure import Term, names
-from dipc_gym.sim2real.result import Errors, Missing
+from dipc_gym.sim2real.result import Errors, Missing, significant
 from dipc_gym.sim2real.selection.partitioning import evenly
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
@@ -298,7 +298,7 @@ def _rival(rival: stand_ins.Rival, test: Problem, as_given: float) -> dict[str, 
     """One of the other effects that were tried, with its error on test data relative to that of the model as given."""
     return {
         **_name(rival.term),
-        "held_out": round(untouched.error_on(test, rival.fitted) / max(as_given, 1e-12), 6),
+        "held_out": significant(untouched.error_on(test, rival.fitted) / max(as_given, 1e-12)),
         "ruled_out": rival.ruled_out,
     }
 
