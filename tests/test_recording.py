@@ -660,6 +660,16 @@ def test_suspect_units_are_noted(tmp_path: Path, model: mujoco.MjModel) -> None:
     assert "--unit pole=deg" in noted(tmp_path, limited, pole=6 * columns["pole"])
 
 
+def test_who_records_a_rig_against_its_stops_is_told(tmp_path: Path) -> None:
+    limited = mjcf.compile(RIG.replace('name="pole" axis', 'range="-10 10" name="pole" axis'))
+    swing = 0.2 * np.sin(2 * math.pi * run(2000)["time"])  # past 10 degrees twice a second
+    times = 2 * round(run(2000)["time"][-1])
+    assert f"goes beyond the limits of its joint, -0.1745 to 0.1745, {times} times" in noted(
+        tmp_path, limited, pole=swing
+    )
+    assert "limits of its joint" not in noted(tmp_path, limited, pole=0.8 * swing)
+
+
 @settings(deadline=None, max_examples=60)
 @given(
     start=st.floats(-math.pi, math.pi),

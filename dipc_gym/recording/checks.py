@@ -144,7 +144,8 @@ def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:
         odd = [] if name in recording.told else _odd_unit(name, values, model)
         # Degrees are foretold by no model in radians: where accelerations agree with it, a pole goes round.
         found += odd if odd and not _goes_round(recording, model, name) else []
-    return (*found, *_odd_commands(recording, model), *_odd_rates(recording, model), *_beyond_limits(recording, model))
+    found += [*_odd_commands(recording, model), *_odd_rates(recording, model), *_beyond_limits(recording, model)]
+    return (*found, *_at_limits(recording, model))
 
 
 def _sampling(time: NDArray[np.float64]) -> list[str]:
@@ -294,6 +295,24 @@ def _beyond_limits(recording: Recording, model: mujoco.MjModel) -> list[str]:
             found.append(
                 f"command {name!r} leaves its ctrlrange {low:g} to {high:g} in {share:.2%} of the samples, where the "
                 "simulation clamps it; check its unit and the model"
+            )
+    return found
+
+
+def _at_limits(recording: Recording, model: mujoco.MjModel) -> list[str]:
+    """Joints that meet a limit of the model: a motion after an impact depends on less than readings tell."""
+    found = []
+    for name, values in zip(recording.sensor_names, recording.sensors.T, strict=True):
+        kind, joint = int(model.sensor(name).type[0]), int(model.sensor(name).objid[0])
+        if kind != mujoco.mjtSensor.mjSENS_JOINTPOS or not model.jnt_limited[joint]:
+            continue
+        low, high = model.jnt_range[joint]
+        outside = (values < low) | (values > high)
+        times = int(np.sum(np.diff(outside, prepend=False) & outside))
+        if times and not _odd_unit(name, values, model):
+            found.append(
+                f"sensor {name!r} goes beyond the limits of its joint, {low:.4g} to {high:.4g}, {times} times; what "
+                "follows an impact depends on less than readings tell, and may pass for a push: record within them"
             )
     return found
 
