@@ -362,6 +362,52 @@ def test_what_was_hidden_in_a_simulation_is_found_as_mujoco_has_it(given: str, h
     assert again.dof_solref[0] == pytest.approx([0.02, 1.0]), "stiff friction is what MuJoCo did not simulate"
 
 
+ARM = """<mujoco>
+  <option timestep="0.001" integrator="RK4"/>
+  <worldbody>
+    <body>
+      <joint name="shoulder" axis="0 1 0" damping="0.05"/>
+      <inertial pos="0 0 -0.2" mass="1" diaginertia="0.013 0.013 0.001"/>
+      <body pos="0 0 -0.4">
+        <joint name="elbow" axis="0 1 0" damping="0.02"/>
+        <inertial pos="0 0 -0.17" mass="0.5" diaginertia="0.005 0.005 0.0003"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="up" joint="shoulder" gear="3"/><motor name="fore" joint="elbow"/></actuator>
+  <sensor><jointpos name="shoulder" joint="shoulder"/><jointpos name="elbow" joint="elbow"/></sensor>
+</mujoco>
+"""
+
+
+def test_rotors_that_drawings_leave_out_are_found() -> None:
+    """Behind their gears they weigh as much as the links that they turn, and no mass makes up for that."""
+    true, rng = {"shoulder": 0.05, "elbow": 0.01}, np.random.default_rng(5)
+    text = ARM
+    for joint, inertia in true.items():
+        text = text.replace(f'name="{joint}" axis', f'name="{joint}" armature="{inertia}" axis')
+    model = mujoco.MjModel.from_xml_string(text.replace('timestep="0.001"', 'timestep="0.0005"'))
+    data, time = mujoco.MjData(model), 0.005 * np.arange(3000)
+    tones = rng.uniform(0.1, 2.5, (5, 2)), rng.uniform(0, 6, (5, 2))
+    commands = 0.3 * sum(np.sin(2 * np.pi * rate * time[:, None] + begin) for rate, begin in zip(*tones, strict=True))
+    sensed = np.empty((len(time), 2))
+    for k, command in enumerate(commands):
+        sensed[k], data.ctrl[:] = data.qpos, command
+        mujoco.mj_step(model, data, 10)
+    sensed += rng.normal(0, 2e-4, sensed.shape)
+    driven = Recording("arm", time, commands, sensed, ("up", "fore"), ("shoulder", "elbow"))
+    names = ("load.inertia", "load.swinging", "timing.delay", "friction.viscous", "load.position", "friction.coulomb")
+    found = diagnose(mjcf.from_text(ARM), [driven], effects=[catalogue()[n] for n in names])
+    assert {(m.effect, m.at) for m in found.missing} == {("load.inertia", joint) for joint in true}, found.sentence
+    assert found.verdict == "explained"
+    for missing in found.missing:
+        printed = missing.parameters["inertia"]
+        assert printed["value"] == pytest.approx(true[missing.at], rel=0.02)
+        assert printed["unit"] == "kg m^2"
+    again = mujoco.MjModel.from_xml_string(found.improved)
+    assert again.dof_armature == pytest.approx(list(true.values()), rel=0.02)
+
+
 def test_recordings_of_a_rig_are_not_taken_for_a_simulation() -> None:
     found = diagnose(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], effects=[catalogue()["friction.coulomb"]])
     assert not any(note.startswith(OF_A_SIMULATION) for note in found.notes)

@@ -18,7 +18,7 @@ def effects(rig: Rig) -> list[Effect]:
     found = _motor(rig) + _drive(rig)
     for joint in range(rig.count):
         found += _joint(rig, joint)
-    return found
+    return found + (_rotor(rig) if rig.count > 1 else [])
 
 
 def _units(rig: Rig, joint: int) -> tuple[str, str]:
@@ -192,6 +192,16 @@ def _mass(rig: Rig) -> Effect:
     return Effect(
         "inertia.mass", at, (Parameter("mass", "kg" if rig.linear else "kg m^2", index("m0"), 0.003 * own, 0.4 * own),)
     )
+
+
+def _rotor(rig: Rig) -> list[Effect]:
+    """A flywheel that turns with the first pole; on the driven body it would be more of its mass."""
+    of = rig.parameters
+    carries = (
+        of[index("m1")] * of[index("com1")] ** 2 + of[index("inertia1")] + of[index("m2")] * of[index("length1")] ** 2
+    )
+    extra = Parameter("inertia", "kg m^2", index("inertia1"), 0.003 * carries, 0.4 * carries)
+    return [Effect("load.inertia", rig.joints[1], (extra,))]
 
 
 def _motor(rig: Rig) -> list[Effect]:

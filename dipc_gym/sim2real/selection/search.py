@@ -163,9 +163,15 @@ class Search:
     def run(self) -> Fit:
         """Add effects until none earns its place, or Ctrl-C; take out those that later ones made idle.
 
-        At last what the beginnings of recordings alone show.
+        At last what the beginnings of recordings alone show, and whether all is better told by a simulation's steps.
         """
-        found = self._run()
+        found = self._with_the_past(self._run())
+        if found.structure.terms and not self._ended:
+            self.simulated = simulated.look_simulated(self.partition.problem, found, at_noise=True)
+        return found
+
+    def _with_the_past(self, found: Fit) -> Fit:
+        """A fit with what the beginnings of recordings alone show."""
         past = [effect for effect in self.question.effects if effect.of_the_past]
         if not past or self._ended or beginnings.left(self.partition.first, found) is None:
             return found

@@ -21,30 +21,32 @@ from dipc_gym.sim2real.selection.settings import SCORE, SEARCH, WINDOWS
 from dipc_gym.sim2real.simulation.batch import Stepping
 
 
-def look_simulated(problem: Problem, fitted: Fit) -> bool:
+def look_simulated(problem: Problem, fitted: Fit, *, at_noise: bool = False) -> bool:
     """Whether a structure comes down to the noise in the model's own steps, and in those it was fitted in does not.
 
-    Dry friction is asked for as MuJoCo has it: what was accepted may be what made up for that. Every third window
-    tells; where these do not show what the step costs, others show something else.
+    Dry friction is asked for as MuJoCo has it: what was accepted may be what made up for that. Far from the noise every
+    third window tells; near it, all of them.
 
     Args:
         problem: windows.
         fitted: to these.
+        at_noise: whether to ask that also where fine steps are at the noise: parameters fitted in these may make up for
+            what steps cost, and then predict other windows worse.
     """
-    some = np.arange(0, len(problem.windows), WINDOWS.every)
-    few, found = problem.pick(some), fitted.pick(some)
-    if few.stepping.integrator is None:
+    if problem.stepping.integrator is None:
         return False
+    some = np.arange(0, len(problem.windows), WINDOWS.every if fitted.error > SEARCH.in_reach else 1)
+    few, found = problem.pick(some), fitted.pick(some)
     plain = _with_coulomb(fitted)
     if plain is not None:
         found = fit(few, plain, carry(fitted.structure, fitted.z, plain), found.initial)
-    if min(found.error, fitted.error if plain is None else np.inf) <= SCORE.at_floor:
+    if found.error <= SCORE.at_floor and not at_noise:
         return False
     own, structure = in_own_steps(few, found.structure), as_simulated(found.structure)
     simulated = fit(own, structure, found.z, most=SEARCH.sketch_steps)
     return (
         common_error(simulated.mse) <= SCORE.at_floor
-        and compare(simulated.mse, found.mse, few.blocks).matters
+        and compare(simulated.mse, found.mse, few.blocks).clear
         and not compare(fitted.mse[some], simulated.mse, few.blocks).clear
     )
 
