@@ -144,16 +144,19 @@ def _search(
 ) -> tuple[Baseline, Searched, Sequence[Located]]:
     """What a search comes to, also where Ctrl-C or an error ended it, and where the mismatch sits.
 
-    Where what it finds shows that MuJoCo made the recordings, it begins anew in the steps that MuJoCo took.
+    Where what it finds shows that MuJoCo made the recordings, it goes on in the steps that MuJoCo took.
     """
     search, located = begin_search(case, base, effects, guarded.stop)
     guarded("Whether more is missing", search.run, lambda: base.recalibrated)
     if not search.simulated:
         return base, search.outcome, located
-    found = search.progress.current
+    found, before = search.progress.current, search.progress.rounds
     guarded.stop.tell(f"note: {sentences.own_step(case.given.physics.model.opt.timestep, found.error)}")
-    again = baseline(case, found.error)
-    return _search(case, again, effects, guarded)
+    base = baseline(case, found.error)
+    search, located = begin_search(case, base, effects, guarded.stop)
+    guarded("What was found, in a simulation's steps", lambda: search.carry_over(found, before), lambda: None)
+    guarded("Whether more is missing", search.run, lambda: base.recalibrated)
+    return base, search.outcome, located
 
 
 def _conclude(searched: Searched, guarded: Guarded) -> tuple[Searched, Conclusion]:

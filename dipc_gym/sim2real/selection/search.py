@@ -9,12 +9,15 @@ window counts alike and its standard error means something.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
@@ -28,6 +31,7 @@ from dipc_gym.sim2real.selection.progress import Journal, Partition, Progress
 from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.resolution import reaching, refined, within_data
 from dipc_gym.sim2real.selection.scorer import Scorer, enough, near
+from dipc_gym.sim2real.selection.screen import Tried
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.stages import StageEnd
@@ -169,6 +173,36 @@ class Search:
         if found.structure.terms and not self._ended:
             self.simulated = simulated.look_simulated(self.partition.problem, found, at_noise=True)
         return found
+
+    def carry_over(self, found: Fit, before: Sequence[Sequence[Tried]]) -> None:
+        """Go on from what a search found that took fine steps, where recordings are a simulation's.
+
+        Args:
+            found: by that search.
+            before: its rounds; what was fitted in them is fitted in these steps.
+        """
+        problem, begin = self.partition.problem, self.progress.path[0]
+
+        def here(structure: Structure, z: Array, most: int) -> Fit | None:
+            with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
+                return fit(problem, simulated.as_simulated(structure), z, most=most)
+            return None
+
+        fitted = here(*simulated.with_coulomb(found), SEARCH.polish_steps)
+        if fitted is None:
+            return
+        tried = [one for round_ in before for one in round_]
+        asked = [one.fitted and partial(here, one.fitted.structure, one.fitted.z, SEARCH.sketch_steps) for one in tried]
+        with self.fitter.side_by_side([task or (lambda: None) for task in asked], [found]) as result:
+            again = iter([result(k) for k in range(len(asked))])
+        rounds_here = tuple([self._as_tried(one, next(again)) for one in round_] for round_ in before)
+        self.journal.progress = replace(self.progress, path=(begin, fitted), rounds=rounds_here)
+        self.journal.correct(prune(self.question, self.fitter, fitted, self.tell))
+
+    def _as_tried(self, tried: Tried, again: Fit | None) -> Tried:
+        """A hypothesis with the fit to these windows, in these steps, that stands for another."""
+        sketch = again and again.pick(self.partition.subset).result()
+        return replace(tried.result(), sketch=sketch, fitted=again and again.result())
 
     def _with_the_past(self, found: Fit) -> Fit:
         """A fit with what the beginnings of recordings alone show."""

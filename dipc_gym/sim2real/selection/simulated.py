@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym.sim2real.effects.friction_coulomb import Coulomb
 from dipc_gym.sim2real.estimation.fit import Fit, fit
@@ -19,6 +20,8 @@ from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH, WINDOWS
 from dipc_gym.sim2real.simulation.batch import Stepping
+
+Array = NDArray[np.float64]
 
 
 def look_simulated(problem: Problem, fitted: Fit, *, at_noise: bool = False) -> bool:
@@ -37,9 +40,9 @@ def look_simulated(problem: Problem, fitted: Fit, *, at_noise: bool = False) -> 
         return False
     some = np.arange(0, len(problem.windows), WINDOWS.every if fitted.error > SEARCH.in_reach else 1)
     few, found = problem.pick(some), fitted.pick(some)
-    plain = _with_coulomb(fitted)
-    if plain is not None:
-        found = fit(few, plain, carry(fitted.structure, fitted.z, plain), found.initial)
+    plain, z = with_coulomb(fitted)
+    if plain is not fitted.structure:
+        found = fit(few, plain, z, found.initial)
     if found.error <= SCORE.at_floor and not at_noise:
         return False
     own, structure = in_own_steps(few, found.structure), as_simulated(found.structure)
@@ -61,8 +64,10 @@ def as_simulated(structure: Structure) -> Structure:
     return replace(structure, document=structure.document.of_a_simulation())
 
 
-def _with_coulomb(fitted: Fit) -> Structure | None:
-    """A structure with Coulomb friction in the place of forms of dry friction that contain it; None if it has none."""
+def with_coulomb(fitted: Fit) -> tuple[Structure, Array]:
+    """A structure with Coulomb friction in the place of forms of dry friction that contain it, and its mapped
+    parameters (p,); the very same if it has none of these.
+    """
     structure, terms = fitted.structure, list[Term]()
     for term in structure.terms:
         if term.effect.one_of == Coulomb.one_of and Coulomb.id in term.effect.contains:
@@ -71,4 +76,7 @@ def _with_coulomb(fitted: Fit) -> Structure | None:
             terms.append(Term(Coulomb(), term.at, {"level": level}))
         else:
             terms.append(term)
-    return None if tuple(terms) == structure.terms else replace(structure, terms=tuple(terms))
+    if tuple(terms) == structure.terms:
+        return structure, fitted.z
+    plain = replace(structure, terms=tuple(terms))
+    return plain, carry(structure, fitted.z, plain)
