@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 def look_simulated(problem: Problem, fitted: Fit, *, at_noise: bool = False) -> bool:
-    """Whether a structure comes down to the noise in the model's own steps, and in those it was fitted in does not.
+    """Whether the model's own steps predict to the noise, and clearly better than those that a structure was fitted in.
 
     Dry friction is asked for as MuJoCo has it: what was accepted may be what made up for that. Far from the noise every
     third window tells; near it, all of them.
@@ -36,22 +36,15 @@ def look_simulated(problem: Problem, fitted: Fit, *, at_noise: bool = False) -> 
         at_noise: whether to ask that also where fine steps are at the noise: parameters fitted in these may make up for
             what steps cost, and then predict other windows worse.
     """
-    if problem.stepping.integrator is None:
+    structure, z = with_coulomb(fitted)
+    near_enough = fitted.error <= SCORE.at_floor and structure is fitted.structure
+    if problem.stepping.integrator is None or (near_enough and not at_noise):
         return False
     some = np.arange(0, len(problem.windows), WINDOWS.every if fitted.error > SEARCH.in_reach else 1)
-    few, found = problem.pick(some), fitted.pick(some)
-    plain, z = with_coulomb(fitted)
-    if plain is not fitted.structure:
-        found = fit(few, plain, z, found.initial)
-    if found.error <= SCORE.at_floor and not at_noise:
-        return False
-    own, structure = in_own_steps(few, found.structure), as_simulated(found.structure)
-    simulated = fit(own, structure, found.z, most=SEARCH.sketch_steps)
-    return (
-        common_error(simulated.mse) <= SCORE.at_floor
-        and compare(simulated.mse, found.mse, few.blocks).clear
-        and not compare(fitted.mse[some], simulated.mse, few.blocks).clear
-    )
+    few = problem.pick(some)
+    simulated = fit(in_own_steps(few, structure), as_simulated(structure), z, most=SEARCH.sketch_steps)
+    better = compare(simulated.mse, fitted.mse[some], few.blocks)
+    return common_error(simulated.mse) <= SCORE.at_floor and better.clear
 
 
 def in_own_steps(problem: Problem, structure: Structure) -> Problem:
