@@ -189,7 +189,8 @@ class Compiled:
         for part in (0, 1):
             seen, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
             out[..., seen] = initial[..., part * nb : (part + 1) * nb]
-            out[..., behind] = out[..., lead] + np.where(kept, states[..., behind] - states[..., lead], 0.0)
+            with np.errstate(invalid="ignore"):  # a simulation that diverged on its way here is infinite
+                out[..., behind] = out[..., lead] + np.where(kept, states[..., behind] - states[..., lead], 0.0)
         self._places(out).stay_bent(self.model, out[..., :n] - states[..., :n])
         for _, lag, read, weights in self._lags:
             out[..., lag] += (out[..., read] - states[..., read]) @ weights
