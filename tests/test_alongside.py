@@ -46,6 +46,18 @@ def test_what_carries_a_joint_carries_no_more_for_a_part_beside_it(slides: bool,
     assert after == pytest.approx(before, abs=1e-7)
 
 
+@pytest.mark.parametrize(("effect", "at"), [("transmission.compliance", "m"), ("load.swinging", "b")])
+def test_inertia_of_a_joint_and_a_part_taken_from_it_add_up_in_either_order(effect: str, at: str) -> None:
+    one_way, other_way = arm(), arm()
+    with_effect(one_way, effect, at)
+    first = with_effect(one_way, "load.inertia", "b", inertia=0.05)
+    with_effect(other_way, "load.inertia", "b", inertia=0.05)
+    second = with_effect(other_way, effect, at)
+    alone = with_effect(arm(), effect, at)
+    armature = [model.dof_armature[model.joint("b").dofadr[0]] for model in (first, second, alone)]
+    assert armature[:2] == pytest.approx([armature[2] + 0.05] * 2)
+
+
 @pytest.mark.parametrize("behind", [False, True])
 def test_a_part_begins_where_its_joint_does_also_in_keyframes(behind: bool) -> None:
     keys = '<keyframe><key name="k" qpos="1 2 3" qvel="4 5 6"/></keyframe>'

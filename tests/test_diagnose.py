@@ -21,6 +21,7 @@ from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.diagnosis import diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation import unexplained
+from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.segments import prepare
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term
@@ -28,6 +29,7 @@ from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis, Errors, Located, Missing, SensorFit
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.score import Improvement, compare
+from dipc_gym.sim2real.selection.simulated import with_coulomb
 from dipc_gym.sim2real.simulation.batch import Stepping
 from dipc_gym.sim2real.verdict import judge, judgement, sentences
 from dipc_gym.sim2real.verdict.guarded import Guarded
@@ -359,6 +361,74 @@ def test_what_was_hidden_in_a_simulation_is_found_as_mujoco_has_it(given: str, h
     assert any(note.startswith(OF_A_SIMULATION) for note in found.notes)
     again = mujoco.MjModel.from_xml_string(found.improved)
     assert again.dof_solref[0] == pytest.approx([0.02, 1.0]), "stiff friction is what MuJoCo did not simulate"
+
+
+@pytest.mark.parametrize("failing", ["baseline", "carry_over"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, np.linalg.LinAlgError])
+def test_what_fails_in_a_simulations_steps_leaves_what_was_found(
+    failing: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Guarded, "strict", False)
+    asked = list[str]()
+
+    def fails(*_: object) -> None:
+        raise error
+
+    if failing == "baseline":
+        first = diagnosis.baseline
+        monkeypatch.setattr(diagnosis, "baseline", lambda case, *fine: fails() if fine else first(case))
+    else:
+        monkeypatch.setattr(diagnosis.Search, "carry_over", fails)
+    recorded = simulated(NOMINAL.replace('damping="40"', 'damping="40" frictionloss="3"'))
+    names = ("friction.coulomb", "load.constant")
+    found = diagnose(mjcf.from_text(NOMINAL), [recorded], effects=[catalogue()[n] for n in names], tell=asked.append)
+    assert [m.effect for m in found.missing if m.effect != "unknown"] == ["friction.coulomb"], found.sentence
+    assert not any(note.startswith(OF_A_SIMULATION) for note in found.notes)
+    ended = next(k for k, line in enumerate(asked) if "look simulated" in line)
+    assert not any(line.startswith("added") for line in asked[ended:]), asked[ended:]
+
+
+def test_finer_steps_than_the_search_takes_are_no_simulations() -> None:
+    """A cart on a stiff spring, whose model has steps of half a millisecond, and a rig that is just that."""
+    stiff = NOMINAL.replace('damping="40"', 'damping="4" stiffness="120000"')  # swings at 49 Hz
+    stiff = stiff.replace('timestep="0.001" integrator="implicitfast"', 'timestep="0.0005" integrator="RK4"')
+    model, rng = mujoco.MjModel.from_xml_string(stiff), np.random.default_rng(0)
+    model.opt.timestep = 5e-5
+    data, time = mujoco.MjData(model), 0.002 * np.arange(6000)
+    commands = 40 * np.sign(np.sin(2 * np.pi * 1.3 * time) + np.sin(2 * np.pi * 3.1 * time + 1))
+    sensed = np.empty(len(time))
+    for k, force in enumerate(commands):
+        sensed[k], data.ctrl[:] = data.qpos[0], force
+        mujoco.mj_step(model, data, 40)
+    sensed += rng.normal(0, 2e-6, len(time))
+    driven = Recording("stiff", time, commands[:, None], sensed[:, None], ("motor",), ("cart",))
+    found = diagnose(mjcf.from_text(stiff), [driven], effects=[catalogue()["friction.coulomb"]])
+    assert not any("look simulated" in note for note in found.notes), found.notes
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "plain"),
+    [
+        ("friction.stribeck", {"level": 2.0, "static": 3.0, "velocity": 0.1}, True),
+        ("friction.resting", {"level": 2.0, "rise": 1.0, "time": 0.1, "slow": 1e-3}, True),
+        ("friction.asymmetric", {"forward": 3.0, "backward": 1.0}, False),
+        ("friction.coulomb", {"level": 2.0}, False),
+    ],
+)
+def test_coulomb_friction_stands_for_what_elaborates_it_and_no_more(
+    effect: str, values: dict[str, float], plain: bool
+) -> None:
+    """A steady force, which friction by direction holds, is none of it."""
+    given, _ = gather(mjcf.from_text(NOMINAL), [run(1, 12, 3.0)], (), Wishes())
+    prepared = part(given, threads=1).prepared
+    structure = prepared.structure.with_term(Term(catalogue()[effect], "cart", values))
+    fitted = fit(prepared.problem.pick(np.arange(3)), structure, most=0)
+    coulomb = catalogue()["friction.coulomb"]
+    found, z = with_coulomb(fitted, coulomb)
+    assert (found is not structure) == plain
+    if plain:
+        assert found.term_values(z, found.terms[0]) == pytest.approx({"level": 2.0})
+    assert with_coulomb(fitted, None)[0] is structure
 
 
 ARM = """<mujoco>

@@ -668,6 +668,9 @@ def test_who_records_a_rig_against_its_stops_is_told(tmp_path: Path) -> None:
         tmp_path, limited, pole=swing
     )
     assert "limits of its joint" not in noted(tmp_path, limited, pole=0.8 * swing)
+    homed = mjcf.compile(RIG.replace('name="pole" axis', 'range="0 30" name="pole" axis'))
+    resting = np.maximum(swing, 0.0) + 1e-4 * np.random.default_rng(0).normal(size=len(swing))
+    assert "limits of its joint" not in noted(tmp_path, homed, pole=resting)
 
 
 @settings(deadline=None, max_examples=60)

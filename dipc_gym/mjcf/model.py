@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any, NamedTuple
+from xml.sax.saxutils import quoteattr
 
 import mujoco
 import numpy as np
@@ -253,11 +254,12 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
     if not model.nv:
         raise MjcfError(f"{name}: the model has no joints, so nothing in it moves. {SUPPORTED}")
     if not scalar_sensors(model):
-        joints = [model.joint(k).name or f"name of joint {k}" for k in range(model.njnt)]
-        lines = "".join(f'<jointpos name="{joint}" joint="{joint}"/>' for joint in joints)
+        joints = [model.joint(k).name for k in range(model.njnt)]
+        first = "" if all(joints) else "Give all joints that were recorded names. "
+        lines = "".join(f"<jointpos name={quoteattr(one)} joint={quoteattr(one)}/>" for one in joints if one)
         raise MjcfError(
-            f"{name}: the model has no named scalar sensor. Write one for each joint that was recorded, under the name "
-            f"of its column, before </mujoco>: <sensor>{lines}</sensor>"
+            f"{name}: the model has no named scalar sensor. {first}Write one for each joint that was recorded, under "
+            f"the name of its column, before </mujoco>: <sensor>{lines}</sensor>"
         )
     controls(model, name)
     for flag in ("constraint", "frictionloss"):

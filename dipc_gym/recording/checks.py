@@ -307,8 +307,11 @@ def _at_limits(recording: Recording, model: mujoco.MjModel) -> list[str]:
         if kind != mujoco.mjtSensor.mjSENS_JOINTPOS or not model.jnt_limited[joint]:
             continue
         low, high = model.jnt_range[joint]
-        outside = (values < low) | (values > high)
-        times = int(np.sum(np.diff(outside, prepend=False) & outside))
+        # As a share of the range, and from well within: at rest against a stop, noise goes to and fro.
+        beyond = np.maximum(low - values, values - high) / (high - low)
+        before = np.lib.stride_tricks.sliding_window_view(beyond, CHECKS.arrives)[:-1]
+        arrives = (beyond[CHECKS.arrives :] > CHECKS.past) & (before[:, -1] <= CHECKS.past)
+        times = int(np.sum(arrives & (before.min(axis=1) < -CHECKS.within)))
         if times and not _odd_unit(name, values, model):
             found.append(
                 f"sensor {name!r} goes beyond the limits of its joint, {low:.4g} to {high:.4g}, {times} times; what "

@@ -41,6 +41,9 @@ class CheckSettings:
     """Decision constants of what the owner of a recording is told of. None of it stops an analysis.
 
     Attributes:
+        arrives: samples in which a joint comes to its limit from within: one that stays there did not arrive
+        within: share of its range by which it was within before
+        past: share of its range by which it goes beyond: less is its zero or its noise
         switched: share of samples at either extreme, from which a channel is switched between two levels, not cut off
         slow: s between samples, beyond which time is more likely in milliseconds: no rig is recorded at less than 5 Hz
         rate: samples a second that the documentation asks for, Hz: within 5 ms a command that changes meanwhile moves
@@ -64,6 +67,9 @@ class CheckSettings:
         times: between which a rate goes the way of its position: less or more is a unit or a gear, not a calibration
     """
 
+    arrives: int = 10
+    within: float = 0.01
+    past: float = 1e-3
     switched: float = 0.95
     slow: float = 0.2
     rate: float = 200.0

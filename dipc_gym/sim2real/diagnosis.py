@@ -148,15 +148,19 @@ def _search(
     """
     search, located = begin_search(case, base, effects, guarded.stop)
     guarded("Whether more is missing", search.run, lambda: base.recalibrated)
-    if not search.simulated:
-        return base, search.outcome, located
-    found, before = search.progress.current, search.progress.rounds
+    found, so_far = search.simulated, (base, search.outcome, located)
+    if found is None or guarded.stop.asked:
+        return so_far
     guarded.stop.tell(f"note: {sentences.own_step(case.given.physics.model.opt.timestep, found.error)}")
-    base = baseline(case, found.error)
-    search, located = begin_search(case, base, effects, guarded.stop)
-    guarded("What was found, in a simulation's steps", lambda: search.carry_over(found, before), lambda: None)
-    guarded("Whether more is missing", search.run, lambda: base.recalibrated)
-    return base, search.outcome, located
+
+    def in_its_steps() -> tuple[Baseline, Searched, Sequence[Located]]:
+        own = baseline(case, found.error)
+        again, where = begin_search(case, own, effects, guarded.stop)
+        again.carry_over(found, search.progress.rounds)
+        again.run()
+        return own, again.outcome, where
+
+    return guarded("What was found, in the steps of a simulation,", in_its_steps, lambda: so_far)
 
 
 def _conclude(searched: Searched, guarded: Guarded) -> tuple[Searched, Conclusion]:
@@ -231,7 +235,7 @@ def begin_search(case: Case, base: Baseline, effects: Sequence[Effect], stop: St
     if small:
         stop.tell("the mismatch is small beside the motion, without a pattern: only what explains all of it will count")
     journal = Journal(Progress(partition, (recalibrated,), anchor), stop.tell)
-    return Search(question, replace(scorer, small=small), journal, stop), located
+    return Search(question, replace(scorer, small=small), journal, stop, asks_whence=True), located
 
 
 def _cannot_tell(why: CannotTell, given: Given, provenance: dict[str, Any]) -> Diagnosis:

@@ -38,8 +38,9 @@ class Inertia(Effect):
         return [{"inertia": float(np.clip(inertia, LEAST * evidence.inertia, MOST * evidence.inertia))}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
-        """Armature of the joint."""
-        document.set(document.joint(at), armature=values["inertia"])
+        """More armature of the joint; what swings on its own, or a rotor behind a soft coupling, has taken some out."""
+        joint = document.joint(at)
+        document.set(joint, armature=float(document.effective(joint, "armature", "0")) + values["inertia"])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

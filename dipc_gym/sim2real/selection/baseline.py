@@ -21,8 +21,8 @@ class Baseline:
         partition: which windows serve for what; outlier windows are among those that are fitted.
         nominal: the model as given, initial states fitted.
         recalibrated: its parameters fitted as well.
-        fine: error in fine steps, in units of noise, of a structure that predicts to the noise in the model's own: all
-            windows are therefore simulated in these. None elsewhere.
+        fine: error in fine steps, in units of noise, of a structure that predicts to the noise in the model's own, and
+            clearly better: all windows are therefore simulated in these. None elsewhere.
     """
 
     partition: Partition

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.sim2real.effects import Effect
 from dipc_gym.sim2real.effects.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
@@ -129,16 +130,25 @@ class Search:
         journal: has the fit without effects, and then where the search stands.
         stop: whether Ctrl-C ended it.
         phase: what kinds of law are asked for.
+        asks_whence: whether what it finds is asked for whether a simulation made the recordings.
 
     Attributes:
-        simulated: whether what it found shows the recordings to be a simulation's; there it ended.
+        simulated: the fit that shows the recordings to be a simulation's, where one does; there it ended.
     """
 
     def __init__(
-        self, question: Question, scorer: Scorer, journal: Journal, stop: Stop, phase: Phase = Phase.FORMULAS
+        self,
+        question: Question,
+        scorer: Scorer,
+        journal: Journal,
+        stop: Stop,
+        phase: Phase = Phase.FORMULAS,
+        *,
+        asks_whence: bool = False,
     ) -> None:
         self.question, self.fitter, self.journal = question, Fitter(scorer), journal
-        self.stop, self.phase, self.simulated = stop, phase, False
+        self.stop, self.phase, self._asks_whence = stop, phase, asks_whence
+        self.simulated: Fit | None = None
 
     @property
     def outcome(self) -> Searched:
@@ -171,8 +181,20 @@ class Search:
         """
         found = self._with_the_past(self._run())
         if found.structure.terms and not self._ended:
-            self.simulated = simulated.look_simulated(self.partition.problem, found, at_noise=True)
+            self._look(found, at_noise=True)
         return found
+
+    def _look(self, found: Fit, *, at_noise: bool = False) -> None:
+        """Note a fit that shows recordings to be a simulation's."""
+        if not self._asks_whence:
+            return
+        if simulated.look_simulated(self.partition.problem, found, self._coulomb, at_noise=at_noise):
+            self.simulated = found
+
+    @property
+    def _coulomb(self) -> Effect | None:
+        """Dry friction of a constant level, where that is asked for."""
+        return next((effect for effect in self.question.effects if effect.id == simulated.COULOMB), None)
 
     def carry_over(self, found: Fit, before: Sequence[Sequence[Tried]]) -> None:
         """Go on from what a search found that took fine steps, where recordings are a simulation's.
@@ -180,29 +202,34 @@ class Search:
         Args:
             found: by that search.
             before: its rounds; what was fitted in them is fitted in these steps.
+
+        Raises:
+            MjcfError, LinAlgError: what was found cannot be simulated in these.
         """
         problem, begin = self.partition.problem, self.progress.path[0]
+        document = begin.structure.document
 
-        def here(structure: Structure, z: Array, most: int) -> Fit | None:
+        def here(structure: Structure, z: Array) -> Fit:
+            return fit(problem, replace(structure, document=document), z, most=SEARCH.polish_steps)
+
+        def again(tried: Tried) -> Fit | None:
             with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
-                return fit(problem, simulated.as_simulated(structure), z, most=most)
+                return tried.fitted and here(tried.fitted.structure, tried.fitted.z).result()
             return None
 
-        fitted = here(*simulated.with_coulomb(found), SEARCH.polish_steps)
-        if fitted is None:
-            return
-        tried = [one for round_ in before for one in round_]
-        asked = [one.fitted and partial(here, one.fitted.structure, one.fitted.z, SEARCH.sketch_steps) for one in tried]
-        with self.fitter.side_by_side([task or (lambda: None) for task in asked], [found]) as result:
-            again = iter([result(k) for k in range(len(asked))])
-        rounds_here = tuple([self._as_tried(one, next(again)) for one in round_] for round_ in before)
+        fitted = here(*simulated.with_coulomb(found, self._coulomb))
+        with self.fitter.side_by_side([partial(again, one) for each in before for one in each], [begin]) as result:
+            fits = iter([result(k) for k in range(sum(map(len, before)))])
+        rounds_here = tuple([self._as_tried(one, next(fits)) for one in each] for each in before)
         self.journal.progress = replace(self.progress, path=(begin, fitted), rounds=rounds_here)
         self.journal.correct(prune(self.question, self.fitter, fitted, self.tell))
 
     def _as_tried(self, tried: Tried, again: Fit | None) -> Tried:
         """A hypothesis with the fit to these windows, in these steps, that stands for another."""
-        sketch = again and again.pick(self.partition.subset).result()
-        return replace(tried.result(), sketch=sketch, fitted=again and again.result())
+        if again is None:
+            return replace(tried.result(), sketch=None, fitted=None, score=np.inf)
+        (scored,) = choice.scored(self.scorer, [replace(tried.result(), fitted=again)])
+        return replace(scored, sketch=again.pick(self.partition.subset))
 
     def _with_the_past(self, found: Fit) -> Fit:
         """A fit with what the beginnings of recordings alone show."""
@@ -305,7 +332,7 @@ class Search:
     @property
     def _ended(self) -> bool:
         """Whether nothing more is to be tried, whatever is left."""
-        return self.stop.asked or self.simulated
+        return self.stop.asked or self.simulated is not None
 
     def _done(self, found: Fit) -> bool:
         return found.error <= SCORE.at_floor or self._ended
@@ -318,7 +345,7 @@ class Search:
     def _add(self, most: int = SEARCH.most_effects) -> Fit:
         try:
             for _ in range(most):
-                if not self._step():
+                if self._ended or not self._step():
                     break
         except KeyboardInterrupt:
             self.stop.ask("judging what was found so far")
@@ -331,7 +358,7 @@ class Search:
         if len(self.partition.problem.windows) > known:  # they may ask for more of a law than those did that it had
             self.journal.correct(self._finer(self.progress.current))
         before = self.progress.current
-        if self.simulated or enough(self.progress.path[0], before):
+        if enough(self.progress.path[0], before):
             return False
         better = rounds.addition(self.question, self.phase, self.fitter, self.journal)
         if better is None:
@@ -342,7 +369,7 @@ class Search:
         self.tell(StageEnd(f"added {new}", "round"))
         pruned = self._finer(prune(self.question, self.fitter, better, self.tell))
         self.journal.correct(pruned)
-        self.simulated = simulated.look_simulated(self.partition.problem, pruned)
+        self._look(pruned)
         return added in names(pruned.structure.terms) or self.scorer.compare(pruned, before).clear
 
     def _finer(self, fitted: Fit) -> Fit:

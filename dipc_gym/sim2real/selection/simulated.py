@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.friction_coulomb import Coulomb
+from dipc_gym.sim2real.effects.base import Effect
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.shooting import common_error
+from dipc_gym.sim2real.estimation.steps import controlled
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH, WINDOWS
@@ -23,8 +24,11 @@ from dipc_gym.sim2real.simulation.batch import Stepping
 
 Array = NDArray[np.float64]
 
+COULOMB = "friction.coulomb"
+ELABORATED = {COULOMB, "friction.stribeck"}
 
-def look_simulated(problem: Problem, fitted: Fit, *, at_noise: bool = False) -> bool:
+
+def look_simulated(problem: Problem, fitted: Fit, coulomb: Effect | None = None, *, at_noise: bool = False) -> bool:
     """Whether the model's own steps predict to the noise, and clearly better than those that a structure was fitted in.
 
     Dry friction is asked for as MuJoCo has it: what was accepted may be what made up for that. Far from the noise every
@@ -33,18 +37,25 @@ def look_simulated(problem: Problem, fitted: Fit, *, at_noise: bool = False) -> 
     Args:
         problem: windows.
         fitted: to these.
+        coulomb: dry friction of a constant level, where that is asked for.
         at_noise: whether to ask that also where fine steps are at the noise: parameters fitted in these may make up for
             what steps cost, and then predict other windows worse.
     """
-    structure, z = with_coulomb(fitted)
+    structure, z = with_coulomb(fitted, coulomb)
     near_enough = fitted.error <= SCORE.at_floor and structure is fitted.structure
     if problem.stepping.integrator is None or (near_enough and not at_noise):
         return False
     some = np.arange(0, len(problem.windows), WINDOWS.every if fitted.error > SEARCH.in_reach else 1)
-    few = problem.pick(some)
+    few, before = problem.pick(some), fitted.mse[some]
     simulated = fit(in_own_steps(few, structure), as_simulated(structure), z, most=SEARCH.sketch_steps)
-    better = compare(simulated.mse, fitted.mse[some], few.blocks)
-    return common_error(simulated.mse) <= SCORE.at_floor and better.clear
+    if common_error(simulated.mse) > SCORE.at_floor or not compare(simulated.mse, before, few.blocks).clear:
+        return False
+    # A model may have finer steps than the search, which a fast rig asks for: those are no simulation's.
+    finest = controlled(few, fitted.structure, fitted.z)
+    if finest is few:
+        return True
+    after = fit(finest, fitted.structure, fitted.z, fitted.initial[some], most=SEARCH.sketch_steps).mse
+    return compare(simulated.mse, after, few.blocks).clear
 
 
 def in_own_steps(problem: Problem, structure: Structure) -> Problem:
@@ -57,16 +68,16 @@ def as_simulated(structure: Structure) -> Structure:
     return replace(structure, document=structure.document.of_a_simulation())
 
 
-def with_coulomb(fitted: Fit) -> tuple[Structure, Array]:
-    """A structure with Coulomb friction in the place of forms of dry friction that contain it, and its mapped
-    parameters (p,); the very same if it has none of these.
+def with_coulomb(fitted: Fit, coulomb: Effect | None) -> tuple[Structure, Array]:
+    """A structure with Coulomb friction in the place of what elaborates it, and its mapped parameters (p,); the very
+    same if nothing does. Friction that holds more than that, as a steady force or a drag, stays.
     """
     structure, terms = fitted.structure, list[Term]()
     for term in structure.terms:
-        if term.effect.one_of == Coulomb.one_of and Coulomb.id in term.effect.contains:
+        if coulomb is not None and coulomb.id in term.effect.contains and {*term.effect.contains} <= ELABORATED:
             values = structure.term_values(fitted.z, term)
             level = float(np.mean([values[name] for name in term.effect.levels]))
-            terms.append(Term(Coulomb(), term.at, {"level": level}))
+            terms.append(Term(coulomb, term.at, {"level": level}))
         else:
             terms.append(term)
     if tuple(terms) == structure.terms:

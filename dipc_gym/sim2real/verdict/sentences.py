@@ -371,12 +371,12 @@ def own_step(step: float, fine: float) -> str:
 
     Args:
         step: of the model, s.
-        fine: error of fine steps, in units of noise.
+        fine: error of what was found in fine steps, in units of noise.
     """
     return (
         f"These recordings look simulated by MuJoCo, at the model's own step of {1e3 * step:g} ms and with its "
-        f"integrator: they are predicted to the noise there, in fine steps to {fine:.3g} times the noise. They are "
-        "judged at that step, and dry friction is taken to be as soft as MuJoCo's."
+        f"integrator: they are predicted to the noise there, and clearly worse in fine steps ({fine:.3g} times the "
+        "noise). They are judged at that step, and dry friction is taken to be as soft as MuJoCo's."
     )
 
 
