@@ -45,6 +45,8 @@ def look_simulated(problem: Problem, fitted: Fit, coulomb: Effect | None = None,
     near_enough = fitted.error <= SCORE.at_floor and structure is fitted.structure
     if problem.stepping.integrator is None or (near_enough and not at_noise):
         return False
+    if any(term.effect.needs_loader for term in structure.terms):  # MuJoCo alone has none of that
+        return False
     some = np.arange(0, len(problem.windows), WINDOWS.every if fitted.error > SEARCH.in_reach else 1)
     few, before = problem.pick(some), fitted.mse[some]
     simulated = fit(in_own_steps(few, structure), as_simulated(structure), z, most=SEARCH.sketch_steps)
