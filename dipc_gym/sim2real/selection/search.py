@@ -28,6 +28,7 @@ from dipc_gym.sim2real.selection import beginnings, beside, choice, kinds, round
 from dipc_gym.sim2real.selection.events import attend
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question
+from dipc_gym.sim2real.selection.parted import joined, parted
 from dipc_gym.sim2real.selection.progress import Journal, Partition, Progress
 from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.resolution import reaching, refined, within_data
@@ -149,6 +150,7 @@ class Search:
         self.question, self.fitter, self.journal = question, Fitter(scorer), journal
         self.stop, self.phase, self._asks_whence = stop, phase, asks_whence
         self.simulated: Fit | None = None
+        self._whole: Structure | None = None  # before friction that depends on direction was parted
 
     @property
     def outcome(self) -> Searched:
@@ -179,7 +181,11 @@ class Search:
 
         At last what the beginnings of recordings alone show, and whether all is better told by a simulation's steps.
         """
-        found = self._with_the_past(self._run())
+        self._run()
+        if self._whole is not None:
+            current = self.progress.current
+            self.journal.correct(joined(self.partition.problem, current, self._whole, self.question.effects))
+        found = self._with_the_past(self.progress.current)
         if found.structure.terms and not self._ended:
             self._look(found, at_noise=True)
         return found
@@ -360,6 +366,10 @@ class Search:
         before = self.progress.current
         if enough(self.progress.path[0], before):
             return False
+        apart = parted(self.partition.problem, before, self.question.effects)
+        if apart is not before:
+            self._whole, before = before.structure, apart
+            self.journal.correct(apart)
         better = rounds.addition(self.question, self.phase, self.fitter, self.journal)
         if better is None:
             return False
