@@ -310,14 +310,19 @@ def test_a_limit_that_refitted_parameters_spread_over_all_windows_is_found() -> 
     assert found.recalibrated == ()
 
 
+def stepped(model: mujoco.MjModel, commands: np.ndarray, steps: int) -> np.ndarray:
+    """Positions that MuJoCo comes to, before each of its commands acts for so many steps."""
+    data, positions = mujoco.MjData(model), np.empty((len(commands), model.nq))
+    for k, command in enumerate(commands):
+        positions[k], data.ctrl[:] = data.qpos, command
+        mujoco.mj_step(model, data, steps)
+    return positions
+
+
 def simulated(text: str) -> Recording:
     """What the encoder of a cart reads that MuJoCo simulates as its file asks for."""
-    model, rng = mujoco.MjModel.from_xml_string(text), np.random.default_rng(0)
-    data, driven = mujoco.MjData(model), run(1, 12, 0.0)
-    sensed = np.empty_like(driven.sensors)
-    for k, volts in enumerate(driven.commands):
-        sensed[k], data.ctrl[:] = data.qpos, volts
-        mujoco.mj_step(model, data, 2)
+    driven, rng = run(1, 12, 0.0), np.random.default_rng(0)
+    sensed = stepped(mujoco.MjModel.from_xml_string(text), driven.commands, 2)
     sensed = np.round((sensed + rng.normal(0, 3e-6, sensed.shape)) / 2e-5) * 2e-5
     return replace(driven, sensors=sensed, sha256="")
 
@@ -393,14 +398,11 @@ def test_finer_steps_than_the_search_takes_are_no_simulations() -> None:
     stiff = stiff.replace('timestep="0.001" integrator="implicitfast"', 'timestep="0.0005" integrator="RK4"')
     model, rng = mujoco.MjModel.from_xml_string(stiff), np.random.default_rng(0)
     model.opt.timestep = 5e-5
-    data, time = mujoco.MjData(model), 0.002 * np.arange(6000)
-    commands = 40 * np.sign(np.sin(2 * np.pi * 1.3 * time) + np.sin(2 * np.pi * 3.1 * time + 1))
-    sensed = np.empty(len(time))
-    for k, force in enumerate(commands):
-        sensed[k], data.ctrl[:] = data.qpos[0], force
-        mujoco.mj_step(model, data, 40)
-    sensed += rng.normal(0, 2e-6, len(time))
-    driven = Recording("stiff", time, commands[:, None], sensed[:, None], ("motor",), ("cart",))
+    time = 0.002 * np.arange(6000)
+    commands = 40 * np.sign(np.sin(2 * np.pi * 1.3 * time) + np.sin(2 * np.pi * 3.1 * time + 1))[:, None]
+    sensed = stepped(model, commands, 40)
+    sensed += rng.normal(0, 2e-6, sensed.shape)
+    driven = Recording("stiff", time, commands, sensed, ("motor",), ("cart",))
     found = diagnose(mjcf.from_text(stiff), [driven], effects=[catalogue()["friction.coulomb"]])
     assert not any("look simulated" in note for note in found.notes), found.notes
 
@@ -455,13 +457,10 @@ def test_rotors_that_drawings_leave_out_are_found() -> None:
     for joint, inertia in true.items():
         text = text.replace(f'name="{joint}" axis', f'name="{joint}" armature="{inertia}" axis')
     model = mujoco.MjModel.from_xml_string(text.replace('timestep="0.001"', 'timestep="0.0005"'))
-    data, time = mujoco.MjData(model), 0.005 * np.arange(3000)
+    time = 0.005 * np.arange(3000)
     tones = rng.uniform(0.1, 2.5, (5, 2)), rng.uniform(0, 6, (5, 2))
     commands = 0.3 * sum(np.sin(2 * np.pi * rate * time[:, None] + begin) for rate, begin in zip(*tones, strict=True))
-    sensed = np.empty((len(time), 2))
-    for k, command in enumerate(commands):
-        sensed[k], data.ctrl[:] = data.qpos, command
-        mujoco.mj_step(model, data, 10)
+    sensed = stepped(model, commands, 10)
     sensed += rng.normal(0, 2e-4, sensed.shape)
     driven = Recording("arm", time, commands, sensed, ("up", "fore"), ("shoulder", "elbow"))
     names = ("load.inertia", "load.swinging", "timing.delay", "friction.viscous", "load.position", "friction.coulomb")

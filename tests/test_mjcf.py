@@ -389,6 +389,9 @@ def test_a_model_without_sensors_is_told_which_ones_to_write() -> None:
     with pytest.raises(mjcf.MjcfError, match=r"^leg.xml: .*no named scalar sensor.* before </mujoco>: ") as caught:
         mjcf.check_supported(mjcf.compile(text), "leg.xml")
     lines = str(caught.value).split("</mujoco>: ")[1]
+    unnamed = lines.replace('name="hip" ', "").replace('name="knee" ', "")
+    with pytest.raises(mjcf.MjcfError, match="no named scalar sensor"):
+        mjcf.check_supported(mjcf.compile(text.replace("</mujoco>", f"{unnamed}</mujoco>")), "leg.xml")
     model = mjcf.compile(text.replace("</mujoco>", f"{lines}</mujoco>"))
     mjcf.check_supported(model, "leg.xml")
     assert mjcf.scalar_sensors(model) == ["hip", "knee"]

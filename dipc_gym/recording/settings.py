@@ -41,9 +41,6 @@ class CheckSettings:
     """Decision constants of what the owner of a recording is told of. None of it stops an analysis.
 
     Attributes:
-        arrives: samples in which a joint comes to its limit from within: one that stays there did not arrive
-        within: share of its range by which it was within before
-        past: share of its range by which it goes beyond: less is its zero or its noise
         switched: share of samples at either extreme, from which a channel is switched between two levels, not cut off
         slow: s between samples, beyond which time is more likely in milliseconds: no rig is recorded at less than 5 Hz
         rate: samples a second that the documentation asks for, Hz: within 5 ms a command that changes meanwhile moves
@@ -60,6 +57,9 @@ class CheckSettings:
         far_hinge: rad that a hinge without limits seldom goes beyond: two turns
         far_slide: m that a slide without limits seldom goes beyond: a room has no more
         far_command: times the range of a joint, that a servo is seldom asked for: it would stand at a stop
+        arrives: samples in which a joint comes to its limit from within: one that stays there did not arrive
+        within: share of its range by which it was within before
+        past: share of its range by which it goes beyond: less is its zero or its noise
         steady: rad a sample, below which an angle that starts again can be counted on: one that turns by more may have
             gone either way
         moves: times its noise: a position that moves less tells nothing of its rate
@@ -67,9 +67,6 @@ class CheckSettings:
         times: between which a rate goes the way of its position: less or more is a unit or a gear, not a calibration
     """
 
-    arrives: int = 10
-    within: float = 0.01
-    past: float = 1e-3
     switched: float = 0.95
     slow: float = 0.2
     rate: float = 200.0
@@ -83,6 +80,9 @@ class CheckSettings:
     far_hinge: float = 4 * math.pi
     far_slide: float = 5.0
     far_command: float = 3.0
+    arrives: int = 10
+    within: float = 0.01
+    past: float = 1e-3
     steady: float = math.pi / 2
     moves: float = 10.0
     like: float = 0.5

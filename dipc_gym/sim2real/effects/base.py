@@ -468,11 +468,10 @@ def dry(document: Document, joint: str, level: float) -> None:
 
     Where recordings are a simulation's, MuJoCo's own: soft, as whoever writes `frictionloss` gets it.
     """
-    if document.simulated:
-        document.set(document.joint(joint), frictionloss=level)
-        return
-    document.set(document.joint(joint), frictionloss=level, solreffriction=(2 * document.timestep, 1))
-    document.at_least(noslip_iterations=3, iterations=100)
+    document.set(document.joint(joint), frictionloss=level)
+    if not document.simulated:
+        document.set(document.joint(joint), solreffriction=(2 * document.timestep, 1))
+        document.at_least(noslip_iterations=3, iterations=100)
 
 
 def dry_beside(document: Document, joint: str, level: float) -> None:

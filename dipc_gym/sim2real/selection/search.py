@@ -150,7 +150,7 @@ class Search:
         self.question, self.fitter, self.journal = question, Fitter(scorer), journal
         self.stop, self.phase, self._asks_whence = stop, phase, asks_whence
         self.simulated: Fit | None = None
-        self._whole: Structure | None = None  # before friction that depends on direction was parted
+        self._parted = set[str]()  # where friction that depends on direction was
 
     @property
     def outcome(self) -> Searched:
@@ -182,9 +182,7 @@ class Search:
         At last what the beginnings of recordings alone show, and whether all is better told by a simulation's steps.
         """
         self._run()
-        if self._whole is not None:
-            current = self.progress.current
-            self.journal.correct(joined(self.partition.problem, current, self._whole, self.question.effects))
+        self._instead(joined(self.progress.current, self._parted, self.question.effects))
         found = self._with_the_past(self.progress.current)
         if found.structure.terms and not self._ended:
             self._look(found, at_noise=True)
@@ -218,15 +216,16 @@ class Search:
         def here(structure: Structure, z: Array) -> Fit:
             return fit(problem, replace(structure, document=document), z, most=SEARCH.polish_steps)
 
-        def again(tried: Tried) -> Fit | None:
+        def again(other: Fit) -> Fit | None:
             with contextlib.suppress(mjcf.MjcfError, np.linalg.LinAlgError):
-                return tried.fitted and here(tried.fitted.structure, tried.fitted.z).result()
+                return here(other.structure, other.z).result()
             return None
 
         fitted = here(*simulated.with_coulomb(found, self._coulomb))
-        with self.fitter.side_by_side([partial(again, one) for each in before for one in each], [begin]) as result:
-            fits = iter([result(k) for k in range(sum(map(len, before)))])
-        rounds_here = tuple([self._as_tried(one, next(fits)) for one in each] for each in before)
+        others = [one.fitted for each in before for one in each if one.fitted is not None]
+        with self.fitter.side_by_side([partial(again, other) for other in others], [begin]) as result:
+            fits = {id(other): result(k) for k, other in enumerate(others)}
+        rounds_here = tuple([self._as_tried(one, fits.get(id(one.fitted))) for one in each] for each in before)
         self.journal.progress = replace(self.progress, path=(begin, fitted), rounds=rounds_here)
         self.journal.correct(prune(self.question, self.fitter, fitted, self.tell))
 
@@ -366,10 +365,9 @@ class Search:
         before = self.progress.current
         if enough(self.progress.path[0], before):
             return False
-        apart = parted(self.partition.problem, before, self.question.effects)
-        if apart is not before:
-            self._whole, before = before.structure, apart
-            self.journal.correct(apart)
+        apart, places = parted(before, self.question.effects)
+        self._parted |= places
+        before = self._instead(apart)
         better = rounds.addition(self.question, self.phase, self.fitter, self.journal)
         if better is None:
             return False
@@ -381,6 +379,13 @@ class Search:
         self.journal.correct(pruned)
         self._look(pruned)
         return added in names(pruned.structure.terms) or self.scorer.compare(pruned, before).clear
+
+    def _instead(self, structure: Structure) -> Fit:
+        """The present fit with a structure that predicts the same."""
+        current = self.progress.current
+        if structure is not current.structure:
+            self.journal.correct(self.fitter.as_it_is(current, structure))
+        return self.progress.current
 
     def _finer(self, fitted: Fit) -> Fit:
         """A fit whose laws are as fine as its windows ask for, if little else can be missing then: a law that is finer
