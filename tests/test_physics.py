@@ -164,20 +164,27 @@ def sagging(*numbers: float, room: int = 1, text: str = SAGS) -> str:
 
 
 def test_a_supply_sags_as_a_first_order_lag_says() -> None:
-    """Under a command of 4 it loses 1 - exp(-t / T) of what it comes to lose; the momentum that is lacking tells."""
-    share, time, command = 0.05, 0.2, 4.0
-    rig = cart(sagging(1.0, 0.0, share, time), timestep=1e-3)
-    lost = share * command * (0.5 - time * (1.0 - math.exp(-0.5 / time)))
+    """It draws less the more it has sagged, so that what it loses goes to a share s / (1 + s) with T / (1 + s).
+
+    The momentum that is lacking tells.
+    """
+    per, time, command = 0.05, 0.2, 4.0
+    rig = cart(sagging(1.0, 0.0, per, time), timestep=1e-3)
+    share, sooner = per * command / (1.0 + per * command), time / (1.0 + per * command)
+    lost = share * (0.5 - sooner * (1.0 - math.exp(-0.5 / sooner)))
     assert run(rig, command, 500).qvel[0] == pytest.approx(command * (0.5 - lost) / MASS, rel=1e-3)
 
 
 def test_back_emf_spares_the_supply() -> None:
-    """A joint as fast as its command drives it draws nothing, and one that is driven back draws more."""
+    """A joint as fast as its command drives it draws nothing, and one that is driven back draws more.
+
+    Of a supply that has sagged by a tenth that is a slower one.
+    """
     rig = cart(sagging(1.0, 2.0, 0.1, 0.5))
     data = mujoco.MjData(rig.model)
-    for speed, drawn in ((2.0, 0.0), (0.0, 4.0), (-1.0, 6.0)):
-        data.ctrl[0], data.qvel[0], data.userdata[0] = 4.0, speed, 0.0
-        assert rig.grown(data)[0] == pytest.approx(drawn / 0.5)
+    for speed, drawn, of_late in ((2.0, 0.0, 0.0), (0.0, 4.0, 0.0), (-1.0, 6.0, 0.0), (1.8, 0.0, 1.0), (2.0, 0.4, 1.0)):
+        data.ctrl[0], data.qvel[0], data.userdata[0] = 4.0, speed, of_late
+        assert rig.grown(data)[0] == pytest.approx((drawn - of_late) / 0.5)
 
 
 @given(st.floats(-1e3, 1e3), st.floats(-1e6, 1e6))
@@ -192,12 +199,13 @@ def test_a_supply_never_gives_less_than_nothing_nor_more_than_it_has(command: fl
 
 
 def test_a_supply_that_sags_in_proportion_is_a_law_of_two_knots() -> None:
-    for memory in (0.0, 1.0, 3.0, 7.0, 30.0):
-        now = replace(formulas.moment(0.0), inputs=(np.asarray(4.0),), memory=np.asarray(memory))
-        plain = formulas.sagging_force(np.array([2.0, 0.5, 0.1, 0.7]), now)
-        assert formulas.sagging_force_by_law(np.array([2.0, 0.5, 0.7, 5.0, 0.1, 0.0, 0.5]), now) == pytest.approx(plain)
-        rates = formulas.sagging(np.array([2.0, 0.5, 0.1, 0.7]), now)
-        assert formulas.sagging_by_law(np.array([2.0, 0.5, 0.7, 5.0, 0.1, 0.0, 0.5]), now) == pytest.approx(rates)
+    """That one remembers the share that is lost, the plain one the current: a tenth for each unit of it."""
+    for of_late in (0.0, 1.0, 3.0, 7.0, 30.0):
+        now = replace(formulas.moment(0.0), inputs=(np.asarray(4.0),), memory=np.asarray(of_late))
+        shares = replace(now, memory=0.1 * now.memory)
+        plain, law = np.array([2.0, 0.5, 0.1, 0.7]), np.array([2.0, 0.5, 0.7, 5.0, 0.1, 0.0, 0.5])
+        assert formulas.sagging_force_by_law(law, shares) == pytest.approx(formulas.sagging_force(plain, now))
+        assert formulas.sagging_by_law(law, shares) == pytest.approx(0.1 * formulas.sagging(plain, now))
 
 
 @pytest.mark.parametrize(

@@ -229,28 +229,41 @@ def sagging_force(data: Array, now: Moment) -> Array:
 
     It remembers m, how large the current was of late, as the command that would drive it at rest.
     """
-    return -data[..., 0] * now.inputs[0] * np.minimum(np.maximum(data[..., 2] * now.memory, 0.0), 1.0)
+    return -data[..., 0] * now.inputs[0] * _lost(data[..., 2] * now.memory)
 
 
 def sagging(data: Array, now: Moment) -> Array:
-    """How fast that follows |u - back v|: a mean over the past, which fades with the time constant."""
-    return (np.abs(now.inputs[0] - data[..., 1] * now.speed) - now.memory) / data[..., 3]
+    """How fast that follows |u (1 - lost) - back v|: a mean over the past, which fades with the time constant.
+
+    What has sagged draws less: of a motor that runs, whose back-EMF takes most of the command, far less.
+    """
+    return (_drawn(data, now, _lost(data[..., 2] * now.memory)) - now.memory) / data[..., 3]
 
 
 def sagging_force_by_law(data: Array, now: Moment) -> Array:
-    """The same by a table; data: gain, back, time constant, largest m, what is lost for each m beyond, then shares.
+    """What a supply takes off that sags by a table; data: gain, back, time constant, largest current, then see below.
 
-    They are lost at equal distances of m from 0. Beyond the largest more is lost, up to all of it: what is drawn adds
-    up, and soon after the data end it is more than they held.
+    Then how much more is lost for each unit of current beyond the largest, and the shares that are lost under currents
+    at equal distances from 0. It remembers the share that is lost, up to all of it.
     """
-    most = data[..., 3]
-    lost = _tabulated(data[..., 5:], now.memory / most) + data[..., 4] * np.maximum(now.memory - most, 0.0)
-    return -data[..., 0] * now.inputs[0] * np.minimum(np.maximum(lost, 0.0), 1.0)
+    return -data[..., 0] * now.inputs[0] * _lost(now.memory)
 
 
 def sagging_by_law(data: Array, now: Moment) -> Array:
-    """How fast that follows |u - back v|, as `sagging`."""
-    return (np.abs(now.inputs[0] - data[..., 1] * now.speed) - now.memory) / data[..., 2]
+    """How fast that share follows what is lost in the end under the current that is drawn, as `sagging`."""
+    most, drawn = data[..., 3], _drawn(data, now, _lost(now.memory))
+    asked = _tabulated(data[..., 5:], drawn / most) + data[..., 4] * np.maximum(drawn - most, 0.0)
+    return (asked - now.memory) / data[..., 2]
+
+
+def _lost(share: Array) -> Array:
+    """Share of a supply that is lost: no more than all."""
+    return np.minimum(np.maximum(share, 0.0), 1.0)
+
+
+def _drawn(data: Array, now: Moment, lost: Array) -> Array:
+    """Size of the current, as the command that would drive it at rest."""
+    return np.abs(now.inputs[0] * (1.0 - lost) - data[..., 1] * now.speed)
 
 
 def _surface(data: Array, rows: Array, columns: Array, x: Array, y: Array) -> Array:

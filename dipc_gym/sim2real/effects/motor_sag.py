@@ -24,8 +24,8 @@ class Sag(Effect):
     """A supply that sags with past current: commands act with less of it the more was drawn of late.
 
     What it remembers is the mean current of the past, which fades with a time constant: a battery that tires, a
-    capacitor that empties. Current is told by the voltage across the winding, the command less the back-EMF; of an
-    actuator that takes a force, by the command.
+    capacitor that empties. Current is told by the voltage across the winding, what is left of the command less the
+    back-EMF; of an actuator that takes a force, by what is left of the command.
     """
 
     id = "motor.sag"

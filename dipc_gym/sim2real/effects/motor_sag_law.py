@@ -14,13 +14,13 @@ from dipc_gym.physics import SAG_BY_LAW
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.drives import drive_of
 from dipc_gym.sim2real.effects.increments import LawOfIncrements
-from dipc_gym.sim2real.effects.law import described, recalled
+from dipc_gym.sim2real.effects.law import described
 from dipc_gym.sim2real.effects.motor_sag import PACE, USUAL, drains, most_alike
 
 Array = NDArray[np.float64]
 
 FIRST = 4  # stretches between the knots of a law at first
-FURTHEST = 0.995  # quantile of how much was drawn of late, which the table goes up to
+FURTHEST = 0.995  # quantile of the current, which the table goes up to
 LEAST = 1e-2  # of all that it takes off, by which it takes off more from one knot to the next, to begin with
 
 
@@ -28,7 +28,8 @@ class SagOfAnyLaw(LawOfIncrements):
     """A supply that sags with past current as any function that grows with it; `motor.sag` in proportion.
 
     A battery's chemistry gives way at once under little and then hardly any more, a regulator not at all up to its
-    limit. It takes off all of the drive at most, so that it never drives.
+    limit, and what gets hot does so with the square. The law is one of the current itself, before the past is averaged,
+    so that short peaks may count for more than their mean. It takes off all of the drive at most, and never drives.
 
     Increments say how much more of the drive is lost with each stretch of the table, which is never less.
     """
@@ -61,15 +62,12 @@ class SagOfAnyLaw(LawOfIncrements):
         gain, back = drive_of(evidence.model, evidence.at)
         if not len(evidence.command) or not np.any(evidence.command):
             return []
-        found = []
-        for per, time in most_alike(evidence) or [(0.0, PACE)]:
-            tries = np.array([[gain, back, time, 1.0, 0.0, 0.0, 0.0]])
-            drawn = float(np.quantile(recalled(evidence, SAG_BY_LAW, tries, evidence.command)[0], FURTHEST))
-            if drawn > 0:
-                shares = np.full(FIRST, (per * drawn or USUAL) / FIRST)
-                beside = {"time_constant": time, "current": drawn, "gain": gain, "back": back}
-                found.append(self._shaped(beside, shares))
-        return found
+        drawn = float(np.quantile(np.abs(evidence.command - back * evidence.velocity), FURTHEST))
+        if not drawn:
+            return []
+        held = {"current": drawn, "gain": gain, "back": back}
+        tries = most_alike(evidence) or [(USUAL / drawn, PACE)]
+        return [self._shaped({**held, "time_constant": t}, np.full(FIRST, per * drawn / FIRST)) for per, t in tries]
 
     def reshaped(self, levels: Array, values: Values) -> tuple[Effect, Values]:
         """The law with other shares."""
@@ -83,15 +81,19 @@ class SagOfAnyLaw(LawOfIncrements):
         document.depends(SAG_BY_LAW, joint, [f"command {at}"])
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
-        """Which share of the drive is lost, by what was drawn of late."""
+        """Which share of the drive comes to be lost, by the current that is drawn."""
         levels, most = self.at_knots(values).tolist(), values["current"]
         knots = np.linspace(0.0, most, len(levels)).tolist()
         if levels[-1] < 1.0 and self._beyond(values) > 0:  # beyond the data it goes on so, until all is lost
             knots, levels = [*knots, most + (1.0 - levels[-1]) / self._beyond(values)], [*levels, 1.0]
-        inputs = [{"name": "drawn of late", "unit": unit["current"], "knots": knots}]
-        what = f"|command - {values['back']:.4g} speed of its joint|" if values["back"] else "the size of the command"
-        how = f"What was drawn of late follows {what} with a time constant of {values['time_constant']:.4g} s."
-        law = described("share of the drive that is lost", inputs, levels, "", passive=True, remembers=how)
+        inputs = [{"name": "current", "unit": unit["current"], "knots": knots}]
+        left = "the command times the share that is left"
+        what = f"|{left}, less {values['back']:.4g} times the speed of its joint|" if values["back"] else f"|{left}|"
+        how = (
+            f"The current is told as {what}. What is lost follows the law of it with a time constant of "
+            f"{values['time_constant']:.4g} s."
+        )
+        law = described("share of the drive that comes to be lost", inputs, levels, "", passive=True, remembers=how)
         return {**law, "supported": [[0.0, most]]}
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
