@@ -235,7 +235,8 @@ def smoothed(time: Array, values: Array, noise: float) -> Array:
 def unexplained_force(physics: Physics, recording: Recording, motion: Motion) -> tuple[Array, Array]:
     """Generalised force that the motion needs beyond what the model gives, by inverse dynamics.
 
-    Joints that follow others are taken to move with them, and what acts on them counts for their leaders.
+    Joints that follow others are taken to move with them, and what acts on them counts for their leaders. Where a joint
+    may rest, dry friction holds what it is asked to, up to its level: nothing is unexplained there that it can hold.
 
     Returns:
         The unexplained force (n, nb), N or N m, and the load that each base joint transmits (n, nb).
@@ -251,6 +252,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     model.tendon_stiffness[slips] = 0.0  # how far these are bent, the motion before says
     gaps = np.diff(motion.time, prepend=motion.time[0])
     needed, driven, biased = np.empty((3, n, model.nv))
+    held = np.zeros((n, model.nv))
     time, sent = motion.time.tolist(), data.ctrl[: recording.commands.shape[1]]
     qpos, qvel, qacc, act = data.qpos, data.qvel, data.qacc, data.act
     inverse, actuator, bias = data.qfrc_inverse, data.qfrc_actuator, data.qfrc_bias
@@ -270,6 +272,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
             qacc[:] = acceleration[k]
             mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
             needed[k] = inverse
+            _hold(data, held[k])
     moments = SimpleNamespace(
         time=motion.time, qpos=position, qvel=velocity, ctrl=commands, qfrc_actuator=driven, qfrc_bias=biased
     )
@@ -289,7 +292,35 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
         model.dof_frictionloss[:] = levels[k]
         mujoco.mj_inverse(model, data)
         needed[k] = inverse
-    return (needed - driven - pushed) @ out, (driven + biased) @ out
+        _hold(data, held[k])
+    lacking = (needed + held - driven - pushed) @ out
+    return lacking - _resisting(motion, lacking, held @ out, levels @ np.abs(out)), (driven + biased) @ out
+
+
+def _hold(data: mujoco.MjData, into: Array) -> None:
+    """Force of MuJoCo's dry friction on each joint that has some, (nv,), of inverse dynamics that were just done."""
+    dry = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+    into[data.efc_id[dry]] = data.efc_force[dry]
+
+
+def _resisting(motion: Motion, lacking: Array, soft: Array, level: Array) -> Array:
+    """Force of dry friction on each base joint, (n, nb): of what it may be, what leaves the least unexplained.
+
+    A joint that slides is resisted by its level. One that creeps may be resisted by less, as by MuJoCo's friction,
+    which is soft, and one that may rest by whatever it is asked to hold: what its estimated velocity says of a
+    direction is noise.
+
+    Args:
+        motion: of the base joints.
+        lacking: what the motion needs beyond all but friction, (n, nb).
+        soft: MuJoCo's friction, (n, nb).
+        level: of dry friction, (n, nb).
+    """
+    slides = -np.sign(motion.velocity) * level
+    rests = np.abs(motion.velocity) < motion.noise / ESTIMATION.moves
+    low = np.where(rests, -level, np.minimum(slides, soft))
+    high = np.where(rests, level, np.maximum(slides, soft))
+    return np.clip(lacking, low, high)
 
 
 def _delayed(delays: Array, recording: Recording) -> Array:
