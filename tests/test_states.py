@@ -282,3 +282,41 @@ def test_forces_in_the_model_file_are_not_unexplained() -> None:
     without, _ = states.unexplained_force(cart_pole(), run, motion)
     assert np.abs(with_it[50:-50, 0]).max() < 0.05
     assert np.abs(without[50:-50, 0]).max() > 1.9
+
+
+@pytest.mark.parametrize(("pushed", "unexplained"), [(2.0, 0.0), (-2.0, 0.0), (5.0, -2.0), (-5.0, 2.0)])
+def test_dry_friction_holds_a_joint_at_rest_up_to_its_level(pushed: float, unexplained: float) -> None:
+    """What its readings say of a direction is noise; what it cannot hold, something else does."""
+    rig, noise, rng = one_joint('frictionloss="3"'), 1e-5, np.random.default_rng(2)
+    recorder = Recorder(["motor"], ["cart"])
+    for time in np.arange(0.0, 2.0, 0.002):
+        recorder.append(time, [pushed], noise * rng.normal(size=1))
+    run = recorder.recording("at rest")
+    force, _ = states.unexplained_force(rig, run, states.estimate(run, rig, np.array([noise])))
+    assert np.mean(force) == pytest.approx(unexplained, abs=0.05)
+    assert np.quantile(np.abs(force - unexplained), 0.9) < (0.05 if abs(pushed) < 3.0 else 1.0)
+
+
+def test_a_joint_that_slides_is_resisted_by_the_level_of_its_friction() -> None:
+    """Held by half a newton too little or too much, it is said so, either way."""
+    noise, rng, t = 1e-6, np.random.default_rng(3), np.arange(0.0, 2.0, 0.002)
+    recorder = Recorder(["motor"], ["cart"])
+    for time, place in zip(t, 0.2 * np.sin(3 * t), strict=True):
+        push = -0.2 * 9 * np.sin(3 * time) + 3.0 * np.sign(np.cos(3 * time))
+        recorder.append(time, [push], place + noise * rng.normal(size=1))
+    run = recorder.recording("to and fro")
+    for level in (2.5, 3.0, 3.5):
+        rig = one_joint(f'frictionloss="{level}"')
+        motion = states.estimate(run, rig, np.array([noise]))
+        force, _ = states.unexplained_force(rig, run, motion)
+        fast = np.abs(motion.velocity[:, 0]) > 0.1
+        np.testing.assert_allclose(force[fast], (level - 3.0) * np.sign(motion.velocity[fast]), atol=0.1)
+
+
+def one_joint(joint: str) -> physics.Physics:
+    return physics.load(
+        f"""<mujoco><option timestep="0.001"/><worldbody><body>
+        <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="cart" type="slide" axis="1 0 0" {joint}/>
+        </body></worldbody><actuator><motor name="motor" joint="cart"/></actuator>
+        <sensor><jointpos name="cart" joint="cart"/></sensor></mujoco>"""
+    )
