@@ -28,6 +28,7 @@ from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects import law as shapes
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
+from dipc_gym.sim2real.effects.friction_load_law import UnderLoadOfAnyLaw
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
@@ -59,6 +60,9 @@ FOUND = {
     "friction.position@cart": FrictionOfPosition([-0.2, -0.05, 0.0, 0.3], [2.0, 1.5, 6.0, 2.5]),
     "friction.hysteresis@cart": Hysteresis([0.001, 0.004], [2.0, 1.0]),
     "friction.hysteresis@pole1": HysteresisOfAnyLaw({"bound": 2.0, "fall_1": 1e2, "fall_2": 4e2}),
+    "friction.load@cart": UnderLoadOfAnyLaw(
+        {"level": 1.0, "by_drive": 0.1, "by_weight": 0.0, "fastest": 0.5, "more_1": 0.1, "more_2": 0.4}
+    ),
     "friction.speed@cart": FrictionOfSpeed([0.0, 0.02, 0.4], [3.0, 2.0, 2.6]),
     "friction.time@cart": FrictionOfTime([0.0, 8.0, 40.0], [4.5, 2.5, 2.0]),
     "load.creeping@cart": CreepingSpringOfAnyLaw(0.05, {"stiffness": 40.0, "faster_1": 0.02, "faster_2": 0.08}),

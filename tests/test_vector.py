@@ -384,6 +384,10 @@ ROUGH = {
         "<keyframe>",
         '<numeric name="dipc_gym:friction.load_stribeck:cart" data="2 0.1 0.05 0.5 0.02"/>',
     ),
+    "friction under load that weakens with speed by a law": (
+        "<keyframe>",
+        '<numeric name="dipc_gym:friction.load_by_speed:cart" data="2 0.1 0.05 0.4 0.04 0.5 0.2 0"/>',
+    ),
 }
 
 

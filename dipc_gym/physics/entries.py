@@ -51,6 +51,7 @@ _NEVER_NEGATIVE = {"motor.deadzone": 0, "disturbance.pulse": 2}  # which number:
 _PLACED = (formulas.friction_along, formulas.friction_over_time, formulas.friction_wave, formulas.friction_rested)
 CREEPING, RESTING, HYSTERESIS = "load.creeping", "friction.resting", "friction.hysteresis"
 SAG, SAG_BY_LAW = "motor.sag", "motor.sag_by_law"
+LOAD_BY_SPEED = "friction.load_by_speed"
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
 RECENT = "residual.recent"  # the same of what went before
 
@@ -67,6 +68,7 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     "friction.wave": ("friction", formulas.friction_wave),
     "friction.load": ("friction", formulas.friction_under_load),
     "friction.load_stribeck": ("friction", formulas.friction_under_load_at_rest),
+    LOAD_BY_SPEED: ("friction", formulas.friction_under_load_by_speed),
     "disturbance.periodic": ("force", formulas.periodic_force),
     "disturbance.pulse": ("force", formulas.pulse_force),
     CREEPING: ("force", formulas.creeping_force),
@@ -279,6 +281,9 @@ def usable(extra: Extra) -> bool:
         return falls and bool(numbers[0] > CLOSEST) and numbers[-1] == 0
     if extra.effect == RESTING:
         return bool(np.all(numbers[2:] > CLOSEST))
+    if extra.effect == LOAD_BY_SPEED:
+        lasts = len(numbers) >= 3 + FEWEST_EVEN and bool(np.all(numbers[3:5] > CLOSEST))
+        return lasts and bool(np.all(numbers >= 0))
     # At its own numbers as positions a wave of no length shows itself.
     usual = np.unique([*numbers[:HEAD], numbers.min(), numbers.max(), *TRIED])
     try:

@@ -138,6 +138,18 @@ def friction_under_load_at_rest(data: Array, now: Moment) -> Array:
     return friction_under_load(data, now) * (1.0 + data[..., 3] * np.exp(-((now.speed / data[..., 4]) ** 2)))
 
 
+def friction_under_load_by_speed(data: Array, now: Moment) -> Array:
+    """Dry friction level + (by_drive |drive| + by_weight |weight|) (1 + more); data: these, fastest, slow, then more.
+
+    How much more lies at equal distances of s from 0 to 1, s = |v| (fastest + slow) / (fastest (|v| + slow)), so that
+    half of the knots lie below about the slow speed. Faster than the fastest it stays as it is there.
+    """
+    fastest, slow, speed = data[..., 3], data[..., 4], np.abs(now.speed)
+    more = _tabulated(data[..., 5:], speed * (fastest + slow) / (fastest * (speed + slow)))
+    loaded = data[..., 1] * np.abs(now.drive) + data[..., 2] * np.abs(now.weight)
+    return np.maximum(data[..., 0] + loaded * (1.0 + more), 0.0)
+
+
 def periodic_force(data: Array, now: Moment) -> Array:
     """Amplitude sin(2 pi frequency t + phase); data: amplitude, frequency, phase."""
     return data[..., 0] * np.sin(2 * np.pi * data[..., 1] * now.time + data[..., 2])

@@ -42,6 +42,7 @@ CUSTOM = """<custom><numeric name="dipc_gym:motor.deadzone:motor" data="0.4"/>
 <numeric name="dipc_gym:sensor.gain:pole2" data="1.01"/>
 <numeric name="dipc_gym:friction.load:pole1" data="0.001 0.01 0.01"/>
 <numeric name="dipc_gym:friction.load_stribeck:pole2" data="0.001 0.01 0.01 0.5 0.05"/>
+<numeric name="dipc_gym:friction.load_by_speed:cart" data="0.1 0.01 0.01 0.5 0.05 0.4 0.1 0"/>
 <numeric name="dipc_gym:disturbance.periodic:pole2" data="0.01 2 0.1"/>
 <numeric name="dipc_gym:motor.map:motor" data="-24 24 -23 23"/>
 <text name="dipc_gym:input:1:residual.force:cart" data="velocity cart"/>

@@ -19,7 +19,7 @@ from dipc_gym.sim2real.effects.motor_sag import PACE, USUAL, drains, most_alike
 
 Array = NDArray[np.float64]
 
-FIRST = 4  # stretches between the knots of a law at first
+FIRST = 8  # stretches between the knots of a law at first
 FURTHEST = 0.995  # quantile of the current, which the table goes up to
 LEAST = 1e-2  # of all that it takes off, by which it takes off more from one knot to the next, to begin with
 
