@@ -10,15 +10,19 @@ from test_diagnose import NOMINAL, run
 from test_search import begun
 
 from dipc_gym import mjcf
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real import diagnose
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import Problem
-from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.result import Beyond, Errors
 from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.selection.support import input_of
+from dipc_gym.sim2real.simulation.memory import swings, swung
+from dipc_gym.sim2real.simulation.motion import Motion
+from dipc_gym.sim2real.unseen.parts import loads
 from dipc_gym.sim2real.verdict import sentences
 from dipc_gym.sim2real.verdict.beyond import beyond
 from dipc_gym.trials.covered import error_within
@@ -124,3 +128,24 @@ def test_a_trial_judges_windows_that_go_no_further_than_its_recordings(tmp_path:
     files = [tmp_path / "seen.csv"], tmp_path / "asked.csv"
     assert error_within(*files, {"window": 1.0, "windows": windows}) == pytest.approx(np.sqrt(2.5))
     assert error_within(*files, {"window": 1.0, "windows": windows[2:]}) is None
+
+
+def test_how_wide_a_load_has_swung_fades_as_its_swing_does() -> None:
+    """Kicked once: while it rings out, its law may be asked where it was only known from wide swings."""
+    rate, ratio = 2 * np.pi * 2.0, 0.05
+    document = Document(mjcf.from_text(NOMINAL))
+    hangs = Term(catalogue()["load.swinging"], "cart", {"mass": 0.1, "frequency": 2.0, "damping_ratio": ratio})
+    structure = Structure(document, mjcf.compile(document.text()), ("cart",), (), (hangs,))
+    time = np.arange(0.0, 4.0, 0.002)
+    position = np.where(time < 0.1, 0.5 * (1 - np.cos(np.pi * time / 0.1)) * 0.02, 0.02)[:, None]
+    velocity = np.gradient(position[:, 0], time)[:, None]
+    motion = Motion(time, position, velocity, np.gradient(velocity, axis=0) / 0.002, np.array([1e-5]))
+    physics = structure.physics(structure.first)
+    (load,) = loads(physics.model).values()
+    apart = np.abs(swings([physics], load, 0, motion, time)[0, 0])
+    wide = swung(physics, 0, "cart", motion)
+    assert (wide >= apart - 1e-12).all()
+    ringing = time > 1.0
+    np.testing.assert_allclose(np.diff(np.log(wide[ringing])), -ratio * rate * 0.002, atol=ratio * rate * 0.002)
+    assert wide[-1] == pytest.approx(wide[time < 1.0].max() * np.exp(-ratio * rate * 3.3), rel=0.5)
+    assert swung(physics, 0, "pole", motion).max() == 0.0

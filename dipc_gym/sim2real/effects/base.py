@@ -302,7 +302,7 @@ class Effect(ABC):
         return None
 
     def inputs(self, at: str) -> tuple[str, ...]:
-        """What its law depends on, where it is a table, as `Evidence.inputs` names it: it knows nothing elsewhere."""
+        """What its law depends on, where it is a table, as `support.input_of` knows it: it knows nothing elsewhere."""
         return ()
 
     @abstractmethod

@@ -57,6 +57,10 @@ class SwingingLoadOfAnyLaw(Effect):
             )
         )
 
+    def inputs(self, at: str) -> tuple[str, ...]:
+        """How wide the load swings, which no sensor reads: where it never swung so wide, its spring is not known."""
+        return (f"swing {at}",)
+
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """Of springs that soften and of those that harden, the load that pulls most like the unexplained force."""
         found = []

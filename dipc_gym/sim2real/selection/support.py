@@ -9,6 +9,7 @@ from dipc_gym import mjcf
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.selection.settings import SEARCH
+from dipc_gym.sim2real.simulation.memory import swung
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -50,7 +51,10 @@ def _far(name: str, fitted: Fit, seen: Problem, asked: Problem) -> NDArray[np.bo
 
 
 def input_of(name: str, fitted: Fit, windows: Windows) -> Array:
-    """What a law depends on, at the samples of windows, (n, m): as `Evidence.inputs` calls it, a speed, or `time`."""
+    """What a law depends on, at the samples of windows, (n, m).
+
+    As `Evidence.inputs` calls it, a speed, how wide what hangs on a joint has swung of late, or `time`.
+    """
     if name == "time":
         return windows.start[:, None] + windows.times
     kind, _, at = name.partition(" ")
@@ -64,6 +68,10 @@ def input_of(name: str, fitted: Fit, windows: Windows) -> Array:
             taken = (end[which] for end in mjcf.command_ranges(fitted.structure.model))
             out[mine] = np.clip(recording.commands[k, which], *taken)
             continue
-        values = (motion.position if kind == "position" else motion.velocity)[:, fitted.structure.base.index(at)]
+        joint = fitted.structure.base.index(at)
+        if kind == "swing":
+            out[mine] = np.interp(time, motion.time, swung(fitted.structure.physics(fitted.z), joint, at, motion))
+            continue
+        values = (motion.position if kind == "position" else motion.velocity)[:, joint]
         out[mine] = np.interp(time, motion.time, np.abs(values) if kind == "speed" else values)
     return out

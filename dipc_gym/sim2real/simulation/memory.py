@@ -33,6 +33,7 @@ from dipc_gym.sim2real.unseen.play import play
 Array = NDArray[np.float64]
 
 INSTANT = 1e-9  # s, before and after a moment
+LEAST = 1e-12  # m or rad, of a swing
 
 
 def bends(variants: Sequence[Physics], tendon: int, motion: Motion, time: Array) -> Array:
@@ -84,6 +85,30 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
             along = swing(springs, drag, *moved, ground=ground)
             known[held] = np.stack([np.interp(time, motion.time, one) for one in along])
         out[:, v] = known[held]
+    return out
+
+
+def swung(physics: Physics, joint: int, leader: str, motion: Motion) -> Array:
+    """How wide the loads that hang on a joint have swung of late, at each sample of a motion, m or rad, (n,).
+
+    A wide swing counts for as long as it rings: it fades as a swing does.
+
+    Args:
+        physics: the model.
+        joint: that they hang on, among the base joints.
+        leader: its name.
+        motion: of the base joints.
+    """
+    model, out = physics.model, np.zeros(len(motion.time))
+    followers = mjcf.followers(model)
+    for name, load in loads(model).items():
+        if followers[name] != leader:
+            continue
+        _, drag, ground = load.held(model)
+        apart = np.abs(swings([physics], load, joint, motion, motion.time)[0, 0])
+        fades = 0.5 * (drag + ground) * (motion.time - motion.time[0])
+        widest = np.maximum.accumulate(np.log(np.maximum(apart, LEAST)) + fades)
+        out = np.maximum(out, np.exp(widest - fades))
     return out
 
 
