@@ -34,12 +34,14 @@ class Located:
         share: of the unexplained force, each joint's measured by what it transmits.
         where: region, in words.
         explained: share of the variance of its unexplained force that goes with one of velocity, position, load, time.
+        of_late: share of it that goes with velocity by a factor of how fast the joint was of late.
     """
 
     at: str
     share: float
     where: str
     explained: float
+    of_late: float = 0.0
 
 
 @dataclass(frozen=True)

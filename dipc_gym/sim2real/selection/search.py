@@ -375,7 +375,10 @@ class Search:
         added = better.structure.newest.key
         new = ", ".join(names(better.structure.terms[len(before.structure.terms) :])) or added
         self.tell(StageEnd(f"added {new}", "round"))
-        pruned = self._finer(prune(self.question, self.fitter, better, self.tell))
+        pruned = prune(self.question, self.fitter, better, self.tell)
+        if pruned.error > before.error and not self.scorer.compare(pruned, before).clear:
+            pruned = better  # each of a group may be spared beside the others, and their gain is lost with one of them
+        pruned = self._finer(pruned)
         self.journal.correct(pruned)
         self._look(pruned)
         return added in names(pruned.structure.terms) or self.scorer.compare(pruned, before).clear

@@ -17,7 +17,8 @@ def negligible(recalibrated: float, motion: float, located: Located) -> bool:
         motion: within a window, in units of noise.
         located: where the mismatch sits, the joint that carries most of it.
     """
-    return recalibrated < VERDICT.small * motion and located.explained < VERDICT.pattern
+    patterned = located.explained >= VERDICT.pattern or located.of_late >= VERDICT.of_late
+    return recalibrated < VERDICT.small * motion and not patterned
 
 
 def verdict(

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
+from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.result import Located
 from dipc_gym.sim2real.verdict.settings import VERDICT
@@ -24,11 +26,23 @@ def locate(scene: Scene, joints: Sequence[str]) -> list[Located]:
     return sorted(found, key=lambda x: -x.share)
 
 
-def _region(scene: Scene, j: int) -> tuple[str, float]:
-    """What the unexplained force at a joint goes with, and how far: the quantity whose bins explain most of it."""
+def _region(scene: Scene, j: int) -> tuple[str, float, float]:
+    """What the unexplained force at a joint goes with, and how far: with a quantity of the moment, and with what was of
+    late.
+    """
     force = scene.force[:, j]
     if not np.any(force):
-        return "nowhere", 0.0
+        return "nowhere", 0.0, 0.0
+    where, most = _instant(scene, j)
+    late = _of_late(scene, j)
+    if most < VERDICT.pattern and late > VERDICT.of_late:
+        where = f"goes with velocity, by how fast it was of late ({100 * late:.0f} % of its variance)"
+    return where, most, late
+
+
+def _instant(scene: Scene, j: int) -> tuple[str, float]:
+    """The quantity of the moment whose bins explain most of the unexplained force at a joint, and how much."""
+    force = scene.force[:, j]
     v, q, load, t = scene.velocity[:, j], scene.position[:, j], scene.load[:, j], scene.time
     explained = {
         name: _explained(force, quantity)
@@ -48,6 +62,42 @@ def _region(scene: Scene, j: int) -> tuple[str, float]:
     if step > VERDICT.step * slope or at_rest > VERDICT.stronger * np.mean(np.abs(force[~slow])):
         return f"changes sign with velocity, at reversals ({percent})", most
     return f"grows with velocity ({percent})", most
+
+
+def _of_late(scene: Scene, j: int) -> float:
+    """Share of the variance of the unexplained force that a drag explains which changes with how fast the joint was of
+    late: grease that thins, of whose force no bins of one quantity tell.
+
+    The rest of a drag is in every refit. Forces are means over stretches, for samples hold the noise of accelerations.
+    """
+    begins = np.flatnonzero(np.diff(scene.time, prepend=np.inf) <= 0)
+    runs = np.split(np.arange(len(scene.time)), begins[begins > 0])
+    period = float(np.median(np.diff(scene.time)))
+    each = max(1, round(ESTIMATION.averaged / period))
+
+    def means(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.concatenate([values[run[: len(run) // each * each]].reshape(-1, each).mean(axis=1) for run in runs])
+
+    def of_late(seconds: float) -> NDArray[np.float64]:
+        share = min(period / seconds, 1.0)
+        return np.concatenate([lfilter([share], [1.0, share - 1.0], np.abs(scene.velocity[run, j])) for run in runs])
+
+    force, velocity = means(scene.force[:, j]), means(scene.velocity[:, j])
+    plain = np.column_stack([np.ones_like(force), velocity])
+    left = _beside(plain, force)
+    if not left > 0:
+        return 0.0
+    shares = [
+        1.0 - _beside(np.column_stack([plain, velocity * means(of_late(seconds))]), force) / left
+        for seconds in VERDICT.late
+    ]
+    return max(shares)
+
+
+def _beside(columns: NDArray[np.float64], force: NDArray[np.float64]) -> float:
+    """Sum of squares that columns leave of a force."""
+    off = force - columns @ np.linalg.lstsq(columns, force, rcond=None)[0]
+    return float(off @ off)
 
 
 def _explained(force: NDArray[np.float64], quantity: NDArray[np.float64]) -> float:

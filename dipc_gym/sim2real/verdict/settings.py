@@ -95,6 +95,9 @@ class VerdictSettings:
             pattern, for every real recording holds a little
         pattern: share of the variance of the unexplained force that goes with something, from which it has one: chance
             leaves a few hundredths
+        late: s, over which what was of late is a mean
+        of_late: likewise, of a drag that changes with how fast the joint was: one number takes less by chance than bins
+            do, of the forces of 1,600 stretches a few thousandths
         refuted: times the error on validation data without an effect, from which it is not named after all: those are
             few, and a little is chance
         worse: times the error of a plainer model, from which a model predicts worse; less is how a fit ended
@@ -157,6 +160,8 @@ class VerdictSettings:
     known: float = 1.0
     small: float = 1e-3
     pattern: float = 0.1
+    late: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)
+    of_late: float = 0.05
     refuted: float = 1.05
     worse: float = 1.005
     coarse: float = 1.5
