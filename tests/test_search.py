@@ -295,7 +295,7 @@ def test_a_law_of_one_input_may_hold_a_plain_effect_as_well(asked: tuple[str, ..
 )
 def test_a_formula_that_leaves_a_little_gives_way_to_the_law_that_holds_it(uneven: float, kind: str) -> None:
     """It ends the search near the noise; only beside nothing else missing is what it leaves the law's."""
-    search = begun([run(5, 12, 3.0, uneven=(uneven, 0.2))], ("friction.coulomb", "friction.position:law"))
+    search = begun([run(4, 12, 3.0, uneven=(uneven, 0.2))], ("friction.coulomb", "friction.position:law"))
     plain = search._add(4)
     assert names(plain.structure.terms) == ["friction.coulomb@cart"]
     found = kinds.shaped(search.question, search.fitter, plain, print)

@@ -67,7 +67,7 @@ class EstimationSettings:
         probe: finite difference of a mapped parameter; smaller ones drown in the kinks of dry friction
         least_slope: of a scale: one that stands still or runs backwards has no inverse, and is taken to run on slowly
         newton: steps from a reading to what a straight scale would give: four for a wave, a few more for a table
-        moves: s, in which a joint that surely moves goes further than its noise: about as long as readings are smoothed
+        moves: samples, in which a joint that surely moves goes further than its noise; they are smoothed over more
         integration: root mean square, in units of noise, by which halving a step may change a window's readings: as
             much adds a thousandth to the error of a right model
         halvings: of a step at most: what converges no faster than a contact would take hours
@@ -115,7 +115,7 @@ class EstimationSettings:
     probe: float = 0.02
     least_slope: float = 0.1
     newton: int = 12
-    moves: float = 3e-3
+    moves: float = 1.5
     integration: float = 0.05
     halvings: int = 3
     stretch: float = 0.15

@@ -304,11 +304,10 @@ def _hold(data: mujoco.MjData, into: Array) -> None:
 
 
 def _resisting(motion: Motion, lacking: Array, soft: Array, level: Array) -> Array:
-    """Force of dry friction on each base joint, (n, nb): of what it may be, what leaves the least unexplained.
+    """Force of dry friction on each base joint, (n, nb).
 
-    A joint that slides is resisted by its level. One that creeps may be resisted by less, as by MuJoCo's friction,
-    which is soft, and one that may rest by whatever it is asked to hold: what its estimated velocity says of a
-    direction is noise.
+    Where a joint may rest it is whatever friction is asked to hold: what the estimated velocity says of a direction is
+    noise, and MuJoCo's friction, which is soft, would hold anything.
 
     Args:
         motion: of the base joints.
@@ -316,11 +315,9 @@ def _resisting(motion: Motion, lacking: Array, soft: Array, level: Array) -> Arr
         soft: MuJoCo's friction, (n, nb).
         level: of dry friction, (n, nb).
     """
-    slides = -np.sign(motion.velocity) * level
-    rests = np.abs(motion.velocity) < motion.noise / ESTIMATION.moves
-    low = np.where(rests, -level, np.minimum(slides, soft))
-    high = np.where(rests, level, np.maximum(slides, soft))
-    return np.clip(lacking, low, high)
+    period = float(np.median(np.diff(motion.time)))
+    rests = np.abs(motion.velocity) < motion.noise / (ESTIMATION.moves * period)
+    return np.where(rests, np.clip(lacking, -level, level), soft)
 
 
 def _delayed(delays: Array, recording: Recording) -> Array:
