@@ -127,7 +127,7 @@ def friction_wave(data: Array, now: Moment) -> Array:
 
 def friction_under_load(data: Array, now: Moment) -> Array:
     """Dry friction level + by_drive |drive| + by_weight |weight|; data: level, by_drive, by_weight."""
-    return data[..., 0] + data[..., 1] * np.abs(now.drive) + data[..., 2] * np.abs(now.weight)
+    return data[..., 0] + _under_load(data, now)
 
 
 def friction_under_load_at_rest(data: Array, now: Moment) -> Array:
@@ -146,8 +146,12 @@ def friction_under_load_by_speed(data: Array, now: Moment) -> Array:
     """
     fastest, slow, speed = data[..., 3], data[..., 4], np.abs(now.speed)
     more = _tabulated(data[..., 5:], speed * (fastest + slow) / (fastest * (speed + slow)))
-    loaded = data[..., 1] * np.abs(now.drive) + data[..., 2] * np.abs(now.weight)
-    return np.maximum(data[..., 0] + loaded * (1.0 + more), 0.0)
+    return np.maximum(data[..., 0] + _under_load(data, now) * (1.0 + more), 0.0)
+
+
+def _under_load(data: Array, now: Moment) -> Array:
+    """What the load adds to dry friction, by_drive |drive| + by_weight |weight|: the second and third numbers."""
+    return data[..., 1] * np.abs(now.drive) + data[..., 2] * np.abs(now.weight)
 
 
 def periodic_force(data: Array, now: Moment) -> Array:

@@ -257,6 +257,8 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     qpos, qvel, qacc, act = data.qpos, data.qvel, data.qacc, data.act
     inverse, actuator, bias = data.qfrc_inverse, data.qfrc_actuator, data.qfrc_bias
     position, velocity, acceleration = (x @ out.T for x in (motion.position, motion.velocity, motion.acceleration))
+    rests = _rests(motion)
+    still = set(np.flatnonzero(rests.any(axis=1)).tolist())
     # What holds a joint may depend on the forces of the moment, so it is known only after these.
     dry = bool(physics.stage("friction"))
     for k in range(n):
@@ -272,7 +274,8 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
             qacc[:] = acceleration[k]
             mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
             needed[k] = inverse
-            _hold(data, held[k])
+            if k in still:
+                _hold(data, held[k])
     moments = SimpleNamespace(
         time=motion.time, qpos=position, qvel=velocity, ctrl=commands, qfrc_actuator=driven, qfrc_bias=biased
     )
@@ -292,32 +295,25 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
         model.dof_frictionloss[:] = levels[k]
         mujoco.mj_inverse(model, data)
         needed[k] = inverse
-        _hold(data, held[k])
+        if k in still:
+            _hold(data, held[k])
     lacking = (needed + held - driven - pushed) @ out
-    return lacking - _resisting(motion, lacking, held @ out, levels @ np.abs(out)), (driven + biased) @ out
+    level_at = levels @ np.abs(out)
+    # At rest friction is whatever it is asked to hold: MuJoCo's, which is soft, would hold anything there.
+    resisting = np.where(rests, np.clip(lacking, -level_at, level_at), held @ out)
+    return lacking - resisting, (driven + biased) @ out
+
+
+def _rests(motion: Motion) -> NDArray[np.bool_]:
+    """Where a base joint may rest, (n, nb): what its estimated velocity says of a direction is noise."""
+    period = float(np.median(np.diff(motion.time)))
+    return np.asarray(np.abs(motion.velocity) < motion.noise / (ESTIMATION.moves * period))
 
 
 def _hold(data: mujoco.MjData, into: Array) -> None:
     """Force of MuJoCo's dry friction on each joint that has some, (nv,), of inverse dynamics that were just done."""
     dry = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
     into[data.efc_id[dry]] = data.efc_force[dry]
-
-
-def _resisting(motion: Motion, lacking: Array, soft: Array, level: Array) -> Array:
-    """Force of dry friction on each base joint, (n, nb).
-
-    Where a joint may rest it is whatever friction is asked to hold: what the estimated velocity says of a direction is
-    noise, and MuJoCo's friction, which is soft, would hold anything.
-
-    Args:
-        motion: of the base joints.
-        lacking: what the motion needs beyond all but friction, (n, nb).
-        soft: MuJoCo's friction, (n, nb).
-        level: of dry friction, (n, nb).
-    """
-    period = float(np.median(np.diff(motion.time)))
-    rests = np.abs(motion.velocity) < motion.noise / (ESTIMATION.moves * period)
-    return np.where(rests, np.clip(lacking, -level, level), soft)
 
 
 def _delayed(delays: Array, recording: Recording) -> Array:
