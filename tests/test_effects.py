@@ -25,6 +25,7 @@ from dipc_gym.sim2real.effects.base import Evidence, Parameter
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.friction_load_law import UnderLoadOfAnyLaw
+from dipc_gym.sim2real.effects.friction_resting_law import RestingOfAnyLaw
 from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.load_creeping import _stretch
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
@@ -183,7 +184,7 @@ def neutral(effect: Effect) -> Mapping[str, float]:
     # A stiffness, a bound or a time constant is never none; what goes by ratios of it is next to nothing.
     if not effect.free:
         return NEUTRAL[effect.id]
-    held = effect.first if isinstance(effect, SagOfAnyLaw | UnderLoadOfAnyLaw) else {}
+    held = effect.first if isinstance(effect, SagOfAnyLaw | UnderLoadOfAnyLaw | RestingOfAnyLaw) else {}
     return {p.name: held[p.name] if p.fixed else max(p.low, 1e-9) if p.log else 0.0 for p in effect.parameters}
 
 
@@ -605,6 +606,8 @@ def test_hostile_names_survive_every_effect(name: str) -> None:
         if isinstance(known, UnderLoadOfAnyLaw):
             held = {"level": 1.0, "by_drive": 0.1, "by_weight": 0.1, "fastest": 0.5}
             effect = UnderLoadOfAnyLaw({**held, "more_1": 0.1, "more_2": 0.2})
+        if isinstance(known, RestingOfAnyLaw):
+            effect = RestingOfAnyLaw({"level": 1.0, "longest": 0.5, "slow": 1e-3, "more_1": 0.1, "more_2": 0.2})
         if isinstance(known, SagOfAnyLaw):
             held = {"current": 1.0, "gain": 1.0, "back": 0.0}
             effect = SagOfAnyLaw({"time_constant": 1.0, "more_1": 0.1, "more_2": 0.2, **held})

@@ -30,6 +30,7 @@ from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.friction_load_law import UnderLoadOfAnyLaw
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
+from dipc_gym.sim2real.effects.friction_resting_law import RestingOfAnyLaw
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
@@ -62,6 +63,9 @@ FOUND = {
     "friction.hysteresis@pole1": HysteresisOfAnyLaw({"bound": 2.0, "fall_1": 1e2, "fall_2": 4e2}),
     "friction.load@cart": UnderLoadOfAnyLaw(
         {"level": 1.0, "by_drive": 0.1, "by_weight": 0.0, "fastest": 0.5, "more_1": 0.1, "more_2": 0.4}
+    ),
+    "friction.resting@cart": RestingOfAnyLaw(
+        {"level": 2.0, "longest": 0.8, "slow": 1e-3, "more_1": 0.5, "more_2": 0.3}
     ),
     "friction.speed@cart": FrictionOfSpeed([0.0, 0.02, 0.4], [3.0, 2.0, 2.6]),
     "friction.time@cart": FrictionOfTime([0.0, 8.0, 40.0], [4.5, 2.5, 2.0]),

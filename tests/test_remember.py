@@ -25,6 +25,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import entries
 from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
+from dipc_gym.sim2real.effects.friction_resting_law import RestingOfAnyLaw
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
 from dipc_gym.sim2real.effects.motor_sag_law import SagOfAnyLaw
 from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
@@ -48,7 +49,13 @@ SEEDS = {"load.creeping": 3, "friction.hysteresis": 3, "friction.resting": 5}
 ENTRIES = {"load.creeping": CREEPS, "friction.hysteresis": BENDS, "friction.resting": RESTS}
 SAGS = {"drop": 0.3, "time_constant": 0.3, "current": 3.0, "gain": 3.94, "back": 4.72}  # of the cart's own motor
 SAGS_BY_LAW = {"time_constant": 0.3, "more_1": 0.05, "more_2": 0.2, "current": 5.0, "gain": 3.94, "back": 4.72}
-REMEMBER = [*ENTRIES, "motor.sag", "motor.sag_by_law"]  # these two go with the command as well
+RESTS_BY_LAW = {"level": 1.5, "longest": 0.5, "slow": 3e-4, "more_1": 1.0, "more_2": 0.8}
+REMEMBER = [
+    *ENTRIES,
+    "friction.rested_by_law",
+    "motor.sag",
+    "motor.sag_by_law",
+]  # sags go with commands, too
 
 
 def with_entry(effect: str, numbers: tuple[float, ...] | None = None, text: str = CART) -> physics.Physics:
@@ -71,6 +78,8 @@ def term(effect: str) -> Term:
         return Term(catalogue()[effect], "motor", SAGS)
     if effect == "motor.sag_by_law":
         return Term(SagOfAnyLaw(SAGS_BY_LAW), "motor", SAGS_BY_LAW)
+    if effect == "friction.rested_by_law":
+        return Term(RestingOfAnyLaw(RESTS_BY_LAW), "cart", RESTS_BY_LAW)
     if effect == "friction.resting":
         return Term(catalogue()[effect], "cart", dict(zip(("level", "rise", "time", "slow"), RESTS, strict=True)))
     if effect == "load.creeping":
@@ -140,7 +149,7 @@ def test_the_engine_says_what_mujoco_says(effect: str) -> None:
     off = []
     for step in (4e-4, 1e-4):
         model = copy.copy(rig.model)
-        model.opt.timestep, model.opt.integrator = step, RK4 if effect != "friction.resting" else model.opt.integrator
+        model.opt.timestep, model.opt.integrator = step, RK4 if "friction.rest" not in effect else model.opt.integrator
         fine, data = physics.Physics(model, rig.extras), mujoco.MjData(model)
         track = []
         for k in range(round(1.0 / 0.01)):
@@ -444,6 +453,8 @@ def test_room_for_it_is_made_beside_what_the_user_keeps() -> None:
         ("friction.hysteresis", (0.0, 2.0, 1.0, 0.0), "out of range"),
         ("friction.resting", (1.0, 2.0, 0.0, 1e-3), "out of range"),
         ("friction.resting", (1.0, 2.0, 0.1, float("nan")), "out of range"),
+        ("friction.rested_by_law", (1.0, 0.5, 0.0, 1e-3, 0.0, 0.2), "out of range; .*longest, soon, slow"),
+        ("friction.rested_by_law", (1.0, 0.5, 0.05, 1e-3, 0.0), "too few"),
     ],
 )
 def test_a_law_that_would_give_energy_away_or_no_number_is_refused(

@@ -230,7 +230,7 @@ def test_a_force_that_the_model_does_not_know_is_recovered() -> None:
     rig, noise = cart_pole(), 1e-6
     run = swinging(rig, noise)
     motion = states.estimate(run, rig, np.full(2, noise))
-    force, load = states.unexplained_force(rig, run, motion)
+    force, load, _ = states.unexplained_force(rig, run, motion)
     expected = np.stack([extra_force(t) for t in run.time])
     inner = slice(50, -50)
     np.testing.assert_allclose(force[inner, 0], expected[inner, 0], atol=0.1)
@@ -264,7 +264,7 @@ def test_a_force_on_a_follower_counts_for_its_leader() -> None:
     run = swinging(cart_pole(), noise)
     heavy = cart_pole(custom='<text name="dipc_gym:follows:rotor" data="cart"/>', more=ROTOR)
     motion = states.estimate(run, heavy, np.full(2, noise))
-    force, _ = states.unexplained_force(heavy, run, motion)
+    force, _, _ = states.unexplained_force(heavy, run, motion)
     expected = np.array([extra_force(t)[0] for t in run.time]) + 0.1 * motion.acceleration[:, 0]
     np.testing.assert_allclose(force[50:-50, 0], expected[50:-50], atol=0.1)
 
@@ -278,8 +278,8 @@ def test_forces_in_the_model_file_are_not_unexplained() -> None:
         rig.step(data, np.array([0.5]), 2)
     run = recorder.recording("shaken")
     motion = states.estimate(run, rig, np.full(2, noise))
-    with_it, _ = states.unexplained_force(rig, run, motion)
-    without, _ = states.unexplained_force(cart_pole(), run, motion)
+    with_it, _, _ = states.unexplained_force(rig, run, motion)
+    without, _, _ = states.unexplained_force(cart_pole(), run, motion)
     assert np.abs(with_it[50:-50, 0]).max() < 0.05
     assert np.abs(without[50:-50, 0]).max() > 1.9
 
@@ -292,7 +292,7 @@ def test_dry_friction_holds_a_joint_at_rest_up_to_its_level(pushed: float, unexp
     for time in np.arange(0.0, 2.0, 0.002):
         recorder.append(time, [pushed], noise * rng.normal(size=1))
     run = recorder.recording("at rest")
-    force, _ = states.unexplained_force(rig, run, states.estimate(run, rig, np.array([noise])))
+    force, _, _ = states.unexplained_force(rig, run, states.estimate(run, rig, np.array([noise])))
     assert np.mean(force) == pytest.approx(unexplained, abs=0.05)
     assert np.quantile(np.abs(force - unexplained), 0.9) < (0.05 if abs(pushed) < 3.0 else 1.0)
 
@@ -308,7 +308,7 @@ def test_a_joint_that_slides_is_resisted_by_the_level_of_its_friction() -> None:
     for level in (2.5, 3.0, 3.5):
         rig = one_joint(f'frictionloss="{level}"')
         motion = states.estimate(run, rig, np.array([noise]))
-        force, _ = states.unexplained_force(rig, run, motion)
+        force, _, _ = states.unexplained_force(rig, run, motion)
         fast = np.abs(motion.velocity[:, 0]) > 0.1
         np.testing.assert_allclose(force[fast], (level - 3.0) * np.sign(motion.velocity[fast]), atol=0.1)
 

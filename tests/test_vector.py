@@ -377,6 +377,11 @@ ROUGH = {
         "<keyframe>",
         '<numeric name="dipc_gym:friction.resting:cart" data="2 3 0.1 1e-3"/></custom><size nuserdata="1"/><custom>',
     ),
+    "friction that grows at rest by a law": (
+        "<keyframe>",
+        '<numeric name="dipc_gym:friction.rested_by_law:cart" data="2 0.5 0.05 1e-3 0 1 1.5"/></custom>'
+        '<size nuserdata="1"/><custom>',
+    ),
     "frictionloss": ('name="cart" type="slide"', 'name="cart" type="slide" frictionloss="3" solreffriction="0.002 1"'),
     "friction along the way": ("<keyframe>", '<numeric name="dipc_gym:friction.position:cart" data="-0.4 0.4 2 5 1"/>'),
     "friction under load": ("<keyframe>", '<numeric name="dipc_gym:friction.load:cart" data="2 0.1 0.05"/>'),

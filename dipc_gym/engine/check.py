@@ -50,7 +50,7 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
     smooth[first + Joint.FRICTION : first + model.nv * Joint.SIZE : Joint.SIZE] = 0.0
     n, size, limited = model.nv, _sizes(model), model.tendon_limited.astype(bool)
     yielding = np.flatnonzero(model.tendon_plasticadr >= 0)
-    applied, levels = np.zeros(n), np.zeros(n)
+    applied, levels, slides = np.zeros(n), np.zeros(n), np.ones(n)
     low, high = (np.where(model.jnt_limited, model.jnt_range[:, k], sign * np.inf) for k, sign in ((0, -1), (1, 1)))
     inner = np.where(model.jnt_limited, model.jnt_margin + 1e-3 * (model.jnt_range[:, 1] - model.jnt_range[:, 0]), 0.0)
     low, high = low + inner, high - inner
@@ -72,7 +72,7 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
             mujoco.mj_forward(model, data)
         if source.acts:
             applied[:], levels[:] = 0.0, 0.0
-            source.act(data, levels, applied)
+            source.act(data, levels, applied, slides=slides)
             data.qfrc_applied[:] = applied - np.sign(data.qvel) * levels
             mujoco.mj_forward(model, data)
         if not _inert(model, data):
@@ -83,7 +83,7 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
         if len(yielding):
             states[2 * n + model.na : 2 * n + model.na + len(yielding)] = rests
         first = 2 * n + model.na + len(yielding)
-        remembered, grown = data.userdata.copy(), source.grown(data)
+        remembered, grown = data.userdata.copy(), source.grown(data, slides)
         states[first : first + len(grown)] = remembered[len(remembered) - len(grown) :]
         limits, length = model.tendon_range[limited], data.ten_length[limited]
         met = (length < limits[:, 0]) | (length > limits[:, 1])

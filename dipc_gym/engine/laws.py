@@ -162,7 +162,7 @@ def written(rule: Says, width: int = 0) -> bool:
     numbers, count = code.function.args
     now: Any = Moment
     try:
-        names = ("time", "position", "drive", "weight", "value", "speed", "memory")
+        names = ("time", "position", "drive", "weight", "value", "speed", "memory", "slides")
         of = now(**{name: code.value(0.0) for name in names}, inputs=(code.value(0.0), code.value(0.0)))
         code.value(rule(Table(code, Numbers(code, numbers, numbers), count), of))
     except Exception:  # whatever a law of somebody's does with numbers that are none yet

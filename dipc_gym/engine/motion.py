@@ -129,6 +129,7 @@ class _Rates:
                     weight=self.bias[joint],
                     value=code.value(0.0),
                     memory=self.states[code.at.select(code.below(memory, 0), integer(0), memory)],
+                    slides=code.value(0.0) if code.width else abs(self.directions[joint]),
                 )
 
             found = laws(code, self.program, self.numbers, self.rules, moment, self.rates)

@@ -103,7 +103,9 @@ class Physics:
         """Memory (2, ..., nsensordata) of lagging sensors at rest at these readings; None if no sensor lags."""
         return np.stack([sensordata, sensordata]) if self.stage("lag") else None
 
-    def act(self, state: Any, frictionloss: Array, applied: Array, step: float = 0.0) -> None:
+    def act(
+        self, state: Any, frictionloss: Array, applied: Array, step: float = 0.0, slides: Array | None = None
+    ) -> None:
         """Write friction and forces of this moment, or of a step that begins now.
 
         They are held over the step, so they are those of its middle: held from its beginning, a force that depends on
@@ -114,12 +116,13 @@ class Physics:
             frictionloss: where dry friction goes, (..., nv).
             applied: where generalised forces go, (..., nv).
             step: s.
+            slides: 1 for each joint that is known to slide, however slowly, (..., nv); None where speeds alone tell.
         """
         pushed: set[int] = set()
         for extra in self.extras:
             if extra.stage not in ("friction", "force"):
                 continue
-            j, now = extra.index, self._now(extra, state, step)
+            j, now = extra.index, self._now(extra, state, step, slides)
             if extra.stage == "friction":
                 frictionloss[..., j] = extra(now)
             else:
@@ -127,12 +130,12 @@ class Physics:
                 applied[..., j] = extra(now) + (applied[..., j] if j in pushed else 0.0)
                 pushed.add(j)
 
-    def grown(self, state: Any) -> Array:
-        """Rates of what entries remember, at this moment, (..., memories)."""
-        rates = [extra.grows(self._now(extra, state, 0.0)) for extra in self.remembering]
+    def grown(self, state: Any, slides: Array | None = None) -> Array:
+        """Rates of what entries remember, at this moment, (..., memories); see `act`."""
+        rates = [extra.grows(self._now(extra, state, 0.0, slides)) for extra in self.remembering]
         return np.stack(rates, axis=-1) if rates else np.zeros(0)
 
-    def _now(self, extra: Extra, state: Any, step: float) -> Moment:
+    def _now(self, extra: Extra, state: Any, step: float, slides: Array | None) -> Moment:
         """What an entry looks at in the middle of a step that begins now; what it remembers goes on to its end."""
         j, time = extra.index, state.time + step / 2
         speed = state.qvel[..., j]
@@ -142,6 +145,8 @@ class Physics:
         else:
             now = moment(time, q)
         now = replace(now, speed=speed, inputs=self._seen(extra, state, step) if extra.inputs else ())
+        if slides is not None:
+            now = replace(now, slides=slides[..., j])
         if not extra.remembers:
             return now
         before = state.userdata[..., extra.slot]

@@ -24,7 +24,7 @@ CLOSEST = 1e-12  # of a table's knots, as a share of what they are, or of 1
 SHORTEST_LAG, LONGEST_LAG = 1e-9, 1e6  # time constants, s
 TRIED = (-100.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 100.0)  # positions, forces, commands and times
 OUTERMOST = (-1e10, 1e10)  # MuJoCo bounds a state to this; what comes of it need but be a number
-MOST_KNOTS = 256  # of a table in a file
+MOST_KNOTS = 1024  # of a table in a file: 257 of the finest law, and as many beyond either end of it
 MOST_LEVELS = 4096  # of a surface
 FEWEST_EVEN = 4  # numbers of a table of equal distances: its ends, and two levels
 MOST_NUMBERS = 3 * MOST_LEVELS  # of any entry
@@ -48,10 +48,12 @@ _COUNTS = {
     "motor.sag": 4,
 }
 _NEVER_NEGATIVE = {"motor.deadzone": 0, "disturbance.pulse": 2}  # which number: a width, a duration
-_PLACED = (formulas.friction_along, formulas.friction_over_time, formulas.friction_wave, formulas.friction_rested)
-CREEPING, RESTING, HYSTERESIS = "load.creeping", "friction.resting", "friction.hysteresis"
+CREEPING, HYSTERESIS = "load.creeping", "friction.hysteresis"
+RESTING, RESTED_BY_LAW = "friction.resting", "friction.rested_by_law"
 SAG, SAG_BY_LAW = "motor.sag", "motor.sag_by_law"
 LOAD_BY_SPEED = "friction.load_by_speed"
+# Dry friction that no forces at its joint change.
+_PLACED = frozenset({"friction.position", "friction.time", "friction.wave", RESTING, RESTED_BY_LAW})
 RESIDUAL = "residual.force"  # what a model lacks that has no name: a force of whatever the data say
 RECENT = "residual.recent"  # the same of what went before
 
@@ -73,6 +75,7 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     "disturbance.pulse": ("force", formulas.pulse_force),
     CREEPING: ("force", formulas.creeping_force),
     RESTING: ("friction", formulas.friction_rested),
+    RESTED_BY_LAW: ("friction", formulas.friction_rested_by_law),
     HYSTERESIS: ("force", formulas.hysteresis_force),
     SAG: ("force", formulas.sagging_force),
     SAG_BY_LAW: ("force", formulas.sagging_force_by_law),
@@ -82,6 +85,7 @@ _rules: dict[str, tuple[Stage, Rule]] = {
 _memories: dict[str, Rule] = {
     CREEPING: formulas.creeping,
     RESTING: formulas.resting,
+    RESTED_BY_LAW: formulas.resting,
     HYSTERESIS: formulas.bending,
     SAG: formulas.sagging,
     SAG_BY_LAW: formulas.sagging_by_law,
@@ -153,7 +157,7 @@ class Extra:
     @property
     def pressed(self) -> bool:
         """Whether it is dry friction that may depend on the forces at its joint, and not on place and time alone."""
-        return self.stage == "friction" and _rules[self.effect][1] not in _PLACED
+        return self.stage == "friction" and self.effect not in _PLACED
 
     def __call__(self, now: Moment) -> Array:
         """Apply the rule."""
@@ -281,6 +285,8 @@ def usable(extra: Extra) -> bool:
         return falls and bool(numbers[0] > CLOSEST) and numbers[-1] == 0
     if extra.effect == RESTING:
         return bool(np.all(numbers[2:] > CLOSEST))
+    if extra.effect == RESTED_BY_LAW:
+        return len(numbers) >= 2 + FEWEST_EVEN and bool(np.all(numbers[1:4] > CLOSEST))
     if extra.effect == LOAD_BY_SPEED:
         lasts = len(numbers) >= 3 + FEWEST_EVEN and bool(np.all(numbers[3:5] > CLOSEST))
         return lasts and bool(np.all(numbers >= 0))

@@ -27,6 +27,7 @@ class Moment:
         speed: velocity of the joint it acts on, m/s or rad/s, (...); zeros for commands and sensors.
         inputs: what else a law depends on, in the order in which the file names them, (...) each.
         memory: what a law that remembers has come to, (...).
+        slides: 1 where a joint is known to slide, however slowly, (...); 0 where its speed alone tells.
     """
 
     time: Array
@@ -37,6 +38,7 @@ class Moment:
     speed: Any = 0.0
     inputs: tuple[Any, ...] = ()
     memory: Any = 0.0
+    slides: Any = 0.0
 
 
 def moment(
@@ -213,15 +215,34 @@ def bending(data: Array, now: Moment) -> Array:
 def friction_rested(data: Array, now: Moment) -> Array:
     """Dry friction level + rise (1 - exp(-rested / time)) (1 - |v| / slow); data: level, rise, time, slow.
 
-    What rest adds is gone from the speed `slow` on, and forgotten within milliseconds of going on faster.
+    What rest adds is gone from the speed `slow` on, and forgotten within milliseconds of going on faster. Where a joint
+    is known to have broken away it is gone at once.
     """
     added = data[..., 1] * (1.0 - np.exp(-now.memory / data[..., 2]))
-    return np.maximum(data[..., 0] + added * np.maximum(1.0 - np.abs(now.speed) / data[..., 3], 0.0), 0.0)
+    return np.maximum(data[..., 0] + added * _at_rest(data, now), 0.0)
+
+
+def friction_rested_by_law(data: Array, now: Moment) -> Array:
+    """Dry friction level + rise(rested) (1 - |v| / slow); data: level, longest, soon, slow, then the rises.
+
+    They lie at equal distances of s from 0 to 1, s = rested (longest + soon) / (longest (rested + soon)), so that half
+    of the knots lie below about the time `soon`. After the longest rest it stays as it is there.
+    """
+    longest, soon, rested = data[..., 1], data[..., 2], now.memory
+    rise = _tabulated(data[..., 4:], rested * (longest + soon) / (longest * (rested + soon)))
+    return np.maximum(data[..., 0] + rise * _at_rest(data, now), 0.0)
+
+
+def _at_rest(data: Array, now: Moment) -> Array:
+    """How much a joint rests, from 1 to 0 at the speed that is the fourth of the data."""
+    return (1.0 - now.slides) * np.maximum(1.0 - np.abs(now.speed) / data[..., 3], 0.0)
 
 
 def resting(data: Array, now: Moment) -> Array:
-    """How fast the time at rest grows: as fast as time, and back to none where the joint moves."""
-    moves = np.minimum(np.maximum(np.abs(now.speed) / data[..., 3] - 1.0, 0.0), 1.0)
+    """How fast the time at rest grows: as fast as time, and back to none where the joint moves; the fourth of the data
+    is the speed up to which it rests.
+    """
+    moves = np.maximum(np.minimum(np.maximum(np.abs(now.speed) / data[..., 3] - 1.0, 0.0), 1.0), now.slides)
     return 1.0 - moves * (1.0 + now.memory / SOONEST)
 
 

@@ -116,6 +116,7 @@ class Evidence:
         inputs: what a law may depend on, (n,) each: `position cart`, `velocity pole1`, `command motor`.
         misread: what is left of the sensor's readings; None where the place is no sensor.
         width: s, to which the force has to be smoothed, so that little of it is noise; see `effects.smoothing`.
+        resisting: force of the dry friction that the model has there already, N or N m, (n,); empty without.
     """
 
     model: mujoco.MjModel
@@ -135,6 +136,7 @@ class Evidence:
     inputs: Mapping[str, Array] = field(default_factory=dict)
     misread: Misread | None = None
     width: float = SMOOTHING.widest
+    resisting: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def force_scale(self) -> float:
@@ -173,6 +175,12 @@ class Evidence:
         return moved - self.force / self.inertia
 
     @property
+    def driven(self) -> Array:
+        """Force that drives the joint beside all dry friction, N or N m, (n,): at rest it is what friction holds."""
+        beside = self.inertia * self.foretold
+        return np.asarray(beside - self.resisting) if len(self.resisting) else beside
+
+    @property
     def dry_level(self) -> float:
         """Level of dry friction: the known one, or the part of the unexplained force that opposes motion."""
         if self.level is not None:
@@ -208,6 +216,7 @@ class Effect(ABC):
         linear: parameters in proportion to which, taken together, its response grows from nothing.
         levels: parameters that are levels of dry friction.
         valleys: parameters that a fit hardly moves from where it begins: each of their guesses is fitted.
+        by_steps: parameters that change readings by steps, if at all: a fit searches for them, for slopes tell nothing.
         free: whether its law takes any shape, as a table; such effects are asked where no formula comes to the noise.
         once: whether it happened once, so that other recordings cannot confirm it.
         of_no_kind: whether it only models what nothing accounts for, as a law that predicts it: asked last, no name.
@@ -233,6 +242,7 @@ class Effect(ABC):
     linear: tuple[str, ...] = ()
     levels: tuple[str, ...] = ()
     valleys: ClassVar[tuple[str, ...]] = ()
+    by_steps: tuple[str, ...] = ()
     free: ClassVar[bool] = False
     once: ClassVar[bool] = False
     of_the_clock: ClassVar[bool] = False

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import Shooting, mean_loss, project, rms, typical
+from dipc_gym.sim2real.estimation.stepwise import searched
 from dipc_gym.sim2real.model.structure import Structure
 
 Array = NDArray[np.float64]
@@ -199,6 +200,7 @@ def fit(
     z = structure.clip(structure.first if z is None else z)
     prior = structure.prior
     damping, steps, converged, exact = ESTIMATION.damping, 0, False, True
+    to_search = bool(structure.stepwise)
 
     def penalised(mse: Array, z: Array, scale: float) -> float:
         return mean_loss(mse, scale) + prior.penalty(z, problem.counts)
@@ -211,6 +213,12 @@ def fit(
         quadratics = Quadratics(np.swapaxes(J, 1, 2) @ J, np.einsum("nmk,nm->nk", J, r), np.einsum("nm,nm->n", r, r))
         mse = shooting.mse(r)
         if steps >= most or not len(z) or converged:
+            if to_search:
+                to_search, found = False, searched(shooting, z, s, residual, S)
+                if not np.array_equal(found, z):
+                    z, converged, exact, most = found, False, True, steps + most
+                    s, residual, columns, S = shooting.settled(z, s, parameters=True)
+                    continue
             break
         scale = typical(mse)
         w = 1.0 / (scale + mse) / problem.counts

@@ -44,6 +44,8 @@ class EstimationSettings:
             gap that goes too far
         rounds: steps of the initial states of what is drawn or reported: what is left falls as the square with each
         simulated: the same, at most, where several forms of a model are compared by how they come out
+        searched: lengths of the moves, in mapped parameters, by which parameters are searched that change readings by
+            steps: from a third of what is sizeable down to what forces tell
         hidden: times the spread of an initial state, where a sensor with a bias or a lag tells the state only through
             the model
         near: usual square error up to which a fit is near the noise, where derivatives can be believed
@@ -100,6 +102,7 @@ class EstimationSettings:
     shorter: float = 3.0
     rounds: int = 3
     simulated: int = 2
+    searched: tuple[float, ...] = (0.3, 0.1, 0.03)
     hidden: float = 1e3
     near: float = 2.0
     typical: float = 0.8

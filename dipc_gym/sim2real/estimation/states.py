@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -232,14 +233,25 @@ def smoothed(time: Array, values: Array, noise: float) -> Array:
     return parabola + solve(10**low)
 
 
-def unexplained_force(physics: Physics, recording: Recording, motion: Motion) -> tuple[Array, Array]:
+class Forces(NamedTuple):
+    """Generalised forces at base joints along a motion, (n, nb) each, N or N m.
+
+    Attributes:
+        unexplained: what the motion needs beyond what the model gives.
+        load: what each joint transmits.
+        resisting: of the model's dry friction.
+    """
+
+    unexplained: Array
+    load: Array
+    resisting: Array
+
+
+def unexplained_force(physics: Physics, recording: Recording, motion: Motion) -> Forces:
     """Generalised force that the motion needs beyond what the model gives, by inverse dynamics.
 
     Joints that follow others are taken to move with them, and what acts on them counts for their leaders. Where a joint
     may rest, dry friction holds what it is asked to, up to its level: nothing is unexplained there that it can hold.
-
-    Returns:
-        The unexplained force (n, nb), N or N m, and the load that each base joint transmits (n, nb).
     """
     model, out = copy.copy(physics.model), mjcf.spread_out(physics.model)  # others simulate the model as well
     data = mujoco.MjData(model)
@@ -301,7 +313,9 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     level_at = levels @ np.abs(out)
     # At rest friction is whatever it is asked to hold: MuJoCo's, which is soft, would hold anything there.
     resisting = np.where(rests, np.clip(lacking, -level_at, level_at), held @ out)
-    return lacking - resisting, (driven + biased) @ out
+    moving = -level_at * np.sign(motion.velocity)  # it is in what was needed already
+    friction = np.where(rests.any(axis=1, keepdims=True), resisting, moving)
+    return Forces(lacking - resisting, (driven + biased) @ out, friction)
 
 
 def _rests(motion: Motion) -> NDArray[np.bool_]:

@@ -38,6 +38,7 @@ class Scene:
         velocity: (n, nv).
         force: unexplained generalised force, (n, nv).
         load: that each joint transmits, (n, nv).
+        resisting: force of the model's dry friction, (n, nv).
         noise: that encoders leave in the force for each second squared, kg m or kg m^2 rad, (nv,).
         outliers: times at which outlier windows begin, the worst first, s.
         fitted: the windows of the fit, and the fit, whose model leaves that force.
@@ -50,6 +51,7 @@ class Scene:
     velocity: Array
     force: Array
     load: Array
+    resisting: Array
     noise: Array
     outliers: tuple[float, ...] = ()
     fitted: tuple[Windows, Fit] | None = None
@@ -96,6 +98,7 @@ class Scene:
             self._inputs,
             self._misread(name) if place == "sensor" else None,
             width_for(rms(self.force[:, j]), float(self.noise[j]), period),
+            self.resisting[:, j],
         )
 
     def _misread(self, sensor: str) -> Misread | None:
@@ -153,11 +156,11 @@ def scene(physics: Physics, recordings: Sequence[Recording], motions: Sequence[M
     model = physics.model
     parts = []
     for recording, motion in zip(recordings, motions, strict=True):
-        force, load = unexplained_force(physics, recording, motion)
-        parts.append((recording.time, motion.position, motion.velocity, force, load))
-    time, position, velocity, force, load = (np.concatenate(part) for part in zip(*parts, strict=True))
+        forces = unexplained_force(physics, recording, motion)
+        parts.append((recording.time, motion.position, motion.velocity, *forces))
+    time, position, velocity, force, load, resisting = (np.concatenate(part) for part in zip(*parts, strict=True))
     noise = np.hypot.reduce(base_inertia(model) * np.max([motion.noise for motion in motions], axis=0), axis=1)
-    return Scene(model, tuple(recordings), time, position, velocity, force, load, noise)
+    return Scene(model, tuple(recordings), time, position, velocity, force, load, resisting, noise)
 
 
 def _index(recording: Recording, share: float) -> int:
@@ -185,7 +188,7 @@ def force_errors(
     lacking: list[Array] = []
     transmitted: list[Array] = []
     for recording, motion in zip(recordings, motions, strict=True):
-        force, load = unexplained_force(physics, recording, motion)
+        force, load, _ = unexplained_force(physics, recording, motion)
         low, high = (_index(recording, x) for x in span)
         mean = max(1, round(ESTIMATION.averaged / recording.period))
         count = (high - low) // mean
@@ -209,7 +212,7 @@ def force_in_windows(physics: Physics, windows: Windows) -> Array:
         own = np.flatnonzero(windows.source == i)
         if not len(own):
             continue
-        force, _ = unexplained_force(physics, recording, motion)
+        force, _, _ = unexplained_force(physics, recording, motion)
         mean = max(1, round(ESTIMATION.averaged / recording.period))
         firsts = np.searchsorted(recording.time, windows.start[own] - 1e-9)
         for k, first, samples in zip(own, firsts, windows.valid[own].sum(axis=1), strict=True):

@@ -239,6 +239,13 @@ class Structure:
         )
         return low, high, np.array([slot.log for slot in self.slots], dtype=bool), scale, fine, origin
 
+    @property
+    def stepwise(self) -> list[list[int]]:
+        """Numbers of the mapped parameters of each effect that change readings by steps, see `Effect.by_steps`."""
+        number = {slot.key: i for i, slot in enumerate(self.slots)}
+        each = ([number[f"{term.key}.{name}"] for name in term.effect.by_steps] for term in self.terms)
+        return [own for own in each if own]
+
     def sizes(self, z: Array) -> Array:
         """What steps of the mapped parameters are measured by, (p,): 1, or a parameter as large as it is."""
         vanishing = np.array([slot.may_vanish for slot in self.slots], dtype=bool)

@@ -43,6 +43,9 @@ def choose(scorer: Scorer, done: Sequence[Tried], current: Fit, begin: Fit) -> F
     ]
     if not clear:
         return None
+    # What breaks away may seem pushed; a push is named where nothing else tells.
+    if any(t.term.effect.by_steps for t in clear):
+        clear = [t for t in clear if not t.term.effect.once]
     return _core(_named(_simplest(scorer, clear, current), clear, current), clear, current).fitted
 
 
@@ -117,10 +120,15 @@ def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]
 
 
 def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:
-    """The simplest of the fitted hypotheses, sorted by score, that predict as well as the first."""
+    """The simplest of the fitted hypotheses, sorted by score, that predict as well as the first.
+
+    None does that leaves windows standing out in which a joint breaks away.
+    """
     best = done[0].fitted
     assert best is not None
     alike = [t for t in done if t.fitted is not None and scorer.alike(best, t.fitted, current)]
+    if done[0].term.effect.by_steps:
+        alike = [t for t in alike if t.fitted is best or (t.fitted and not scorer.settles(best, t.fitted))]
     return min(alike, key=lambda t: (*ranking.cost(t.fitted), t.score))
 
 

@@ -126,11 +126,14 @@ class Scorer:
     def stands_out(self, term: Term, fitted: Fit, current: Fit) -> bool:
         """Whether a fit with one more effect is clearly better.
 
-        An event shows in a window or two, fitted or not; it is believed if all other windows are at the noise.
+        An event shows in a window or two, fitted or not; it is believed if all other windows are at the noise. So does
+        when a joint breaks away, where it seldom rests.
         """
         if term.effect.once:
             fall = np.log1p(self.mse(current)) - np.log1p(self.mse(fitted))
             return ranking.mostly_at_noise(current) and float(np.sum(fall)) > SEARCH.once
+        if term.effect.by_steps and self.follows(fitted, current):
+            return True
         return self.settles(fitted, current) or self.better(fitted, current)
 
     def settles(self, fitted: Fit, current: Fit) -> bool:

@@ -162,6 +162,10 @@ def _promise(problem: Problem, current: Fit, effect: Effect, response: Array) ->
         predicted_gain, (size,) = overlay.predicted_gain([0], [effect], beside=beside)
         if size != 0.0:
             found.append((predicted_gain, size))
+    if effect.by_steps:  # half of a guess does not do half of what it does
+        rows = current.left - response
+        after = np.einsum("nm,nm->n", rows, rows) / problem.counts
+        found.append((float(np.mean(np.log1p(current.mse) - np.log1p(after))), 1.0))
     return max(found, key=lambda each: each[0])
 
 

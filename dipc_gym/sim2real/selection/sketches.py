@@ -45,7 +45,8 @@ def in_turn(
     )
     # A law's shape is a guess from forces, right to a few per cent: where most windows are at the noise already, such
     # a guess gains nothing as it stands. Only its fit tells.
-    laws = [start for start in ranked if start.term.effect.free and start not in first]
+    # So it is with what changes by steps.
+    laws = [s for s in ranked if (s.term.effect.free or s.term.effect.by_steps) and s not in first]
     # What has no kind takes some of anything, and must not keep a law of a kind from being asked.
     of_a_kind = [start for start in laws if not start.term.effect.of_no_kind][: SEARCH.shapes]
     of_no_kind = [start for start in laws if start.term.effect.of_no_kind][: SEARCH.shapeless]

@@ -304,7 +304,7 @@ class _Runs:
             commanded[:] = ctrl[:, k]
             if pressed:
                 _forward_to_the_middle(sims, self.step)
-            physics.act(sims, level, forces, self.step)
+            physics.act(sims, level, forces, self.step, None if dry is None else np.abs(dry.sign))
             now = None if readings is None else readings[k]
             if dry is not None:
                 dry.step(forces, now, sensed)

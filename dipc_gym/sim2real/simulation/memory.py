@@ -20,7 +20,7 @@ from dipc_gym import mjcf
 from dipc_gym.engine.remember import recall
 from dipc_gym.engine.swing import Springs, swing
 from dipc_gym.physics import Physics
-from dipc_gym.physics.entries import RESTING
+from dipc_gym.physics.entries import RESTED_BY_LAW, RESTING
 from dipc_gym.physics.formulas import told_rests
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_at
@@ -165,7 +165,7 @@ def _sees(
     """
     law, model, follows = variant.remembering[which], variant.model, np.zeros(len(motion.time))
     velocity = motion.velocity[:, columns[law.at]]
-    if law.effect == RESTING:  # the noise of a reading would wake a joint that rests
+    if law.effect in (RESTING, RESTED_BY_LAW):  # the noise of a reading would wake a joint that rests
         velocity = told_rests(law.data, velocity)
     for kind, k in law.inputs:
         if kind == "command":
