@@ -36,7 +36,7 @@ def scene(thins: float, noise: float, seed: int = 0) -> Scene:
     velocity, force = np.concatenate(velocities)[:, None], np.concatenate(forces)[:, None]
     position = np.concatenate([np.cumsum(one) * PERIOD for one in velocities])[:, None]
     load = np.gradient(velocity[:, 0])[:, None] / PERIOD
-    return Scene(AXIS, (), np.tile(time, 2), position, velocity, force, load, np.ones(1))
+    return Scene(AXIS, (), np.tile(time, 2), position, velocity, force, load, 0 * force, np.ones(1))
 
 
 def test_a_drag_that_thins_is_told_beneath_the_noise_of_accelerations() -> None:

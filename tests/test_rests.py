@@ -65,18 +65,16 @@ def ramps(t: float) -> float:
     return way * 9.0 * max(phase - 0.25 - pause, 0.0)
 
 
-def rig(plain: bool = False) -> physics.Physics:
+def rig() -> physics.Physics:
     document = Document(mjcf.from_text(CART))
-    if not plain:
-        catalogue()["friction.resting"].edit(
-            document, "cart", {"level": LEVEL, "rise": RISE, "time": TIME, "slow": SLOW}
-        )
+    values = {"level": LEVEL, "rise": RISE, "time": TIME, "slow": SLOW}
+    catalogue()["friction.resting"].edit(document, "cart", values)
     return physics.load(document.text())
 
 
 @pytest.fixture(scope="module")
 def run() -> recording.Recording:
-    return record(rig(), ramps, 24.0, noise=(1e-5,), step=2e-5)
+    return record(rig(), ramps, 20.0, noise=(1e-5,), step=1e-4)
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -113,6 +111,19 @@ def test_a_fit_searches_where_slopes_tell_nothing(run: recording.Recording) -> N
     )
     assert found.error < 2.0
     assert stays.error > 4 * found.error
+    as_it_is = ready.structure.with_term(Term(catalogue()["friction.resting"], "cart", begin))
+    assert np.array_equal(fit(ready.problem, as_it_is, most=0).z, as_it_is.first)  # what is only to be judged stays
+
+
+def test_rests_that_tell_of_no_growth_make_a_guess_all_the_same() -> None:
+    """Friction that is withstood up to its level and never beyond, and none at all."""
+    ages = np.array([0.01, 0.1, 0.3])
+    rests = Rests(LEVEL, ages, 0.5 + 0 * ages, ages, LEVEL + np.array([0.1, 0.2, 0.3]), 0.5 + 0 * ages)
+    for rise, time in likely(rests):
+        assert 0 <= rise < 1.0
+        assert time > 0
+    assert not rests._replace(level=0.0).tell
+    assert not rests._replace(rested=ages[:2]).tell
 
 
 def test_a_law_finds_what_the_exponential_cannot_say(tmp_path: Path) -> None:

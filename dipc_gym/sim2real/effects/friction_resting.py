@@ -18,7 +18,6 @@ TIMES = (0.02, 0.1, 0.5)  # s, from which the nearest time constant is looked fo
 RATIOS = (0.63, 1.6, 2.5)  # of that, which are simulated as well
 SOONEST = 1e-3  # s, shortest time constant
 UNSEEN = 0.2  # s, time constant of a rise that is supposed
-FEWEST = 3  # rests that tell anything
 SLOW = 1e-3  # of the usual speed, up to which a joint rests: less than encoders tell from rest
 
 
@@ -51,7 +50,7 @@ class Resting(Effect):
         Quicker and slower ones as well, for rests leave room.
         """
         rests = Rests.of(evidence)
-        if len(rests.rested) < FEWEST:
+        if not rests.tell:
             return []
         slow = SLOW * evidence.speed_scale
         return [{"level": rests.level, "rise": rise, "time": time, "slow": slow} for rise, time in likely(rests)]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics.entries import RESTED_BY_LAW
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
-from dipc_gym.sim2real.effects.friction_resting import FEWEST, SLOW, Resting, likely
+from dipc_gym.sim2real.effects.friction_resting import SLOW, Resting, likely
 from dipc_gym.sim2real.effects.increments import LawOfIncrements
 from dipc_gym.sim2real.effects.law import described
 from dipc_gym.sim2real.effects.rests import Rests
@@ -55,7 +55,7 @@ class RestingOfAnyLaw(LawOfIncrements):
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """What rests and the forces that ended them tell, as nearly as a law can that never falls."""
         rests = Rests.of(evidence)
-        if len(rests.rested) < FEWEST:
+        if not rests.tell:
             return []
         longest = float(max(rests.rested.max(), rests.ages.max(initial=0.0)))
         held = {"level": rests.level, "longest": longest, "slow": SLOW * evidence.speed_scale}

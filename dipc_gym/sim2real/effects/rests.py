@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 STILL = 0.02  # of the usual speed, below which a joint seems to rest
 AROUND = 4  # samples before a rest and after it, at which a joint surely moves
 SHORTEST = 3  # samples, that a rest lasts of which anything is told
+FEWEST = 3  # rests that tell anything
 SURE = 0.05  # of the level in motion, by which a force may well be wrong
 PULL = 0.03  # weight of the middle between two forces, of which one was withstood and the other was not
 LEAST = 1e-3  # of the largest parameter of a law, that each has to begin with
@@ -45,6 +46,11 @@ class Rests(NamedTuple):
     rested: Array
     broke: Array
     before: Array
+
+    @property
+    def tell(self) -> bool:
+        """Whether there are enough of them to tell how friction grows."""
+        return len(self.rested) >= FEWEST and self.level > 0
 
     @classmethod
     def of(cls, evidence: Evidence) -> Rests:
@@ -96,7 +102,7 @@ class Rests(NamedTuple):
             short, over = np.maximum(self.held - bounds, 0.0), np.maximum(ends - self.broke, 0.0)
             return np.concatenate([pull * (ends - middle), short, over, even * np.diff(now)]) / (SURE * self.level)
 
-        size = np.maximum(begin, LEAST * begin.max())
+        size = np.maximum(begin, LEAST * (begin.max() or self.level))
         found = least_squares(wrong, size, bounds=(0.0, np.inf), loss="soft_l1", x_scale=size)
         return found.x, float(found.cost)
 
@@ -125,7 +131,7 @@ class _Moves(NamedTuple):
         for k in range(moving, len(self.time) - 1):
             slows = self.level - way * self.force[k]
             step = self.time[k + 1] - self.time[k]
-            if left <= slows * step:
+            if slows > 0 and left <= slows * step:
                 return float(self.time[k] + left / slows)
             left -= slows * step
         return float(self.time[-1])

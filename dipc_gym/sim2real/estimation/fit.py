@@ -200,7 +200,7 @@ def fit(
     z = structure.clip(structure.first if z is None else z)
     prior = structure.prior
     damping, steps, converged, exact = ESTIMATION.damping, 0, False, True
-    to_search = bool(structure.stepwise)
+    to_search = most > 0 and bool(structure.stepwise)
 
     def penalised(mse: Array, z: Array, scale: float) -> float:
         return mean_loss(mse, scale) + prior.penalty(z, problem.counts)
