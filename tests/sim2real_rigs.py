@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import mjcf, physics
+from dipc_gym import mjcf, physics, recording
 from dipc_gym.recording import Recorder, Recording
-from dipc_gym.sim2real.estimation import segments
+from dipc_gym.sim2real.effects.base import Evidence
+from dipc_gym.sim2real.estimation import segments, unexplained
 from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.trials import generate
+from dipc_gym.trials.secret import Plan
 
 Array = NDArray[np.float64]
 RK4 = mujoco.mjtIntegrator.mjINT_RK4
@@ -151,6 +155,18 @@ def prepared(
     source = mjcf.from_text(text)
     stepping = stepping or Stepping(0.001, RK4)
     return segments.prepare(source, physics.load(source), recordings, stepping, length=length, span=span)
+
+
+def hidden_on_a_cart(folder: Path, effect: str) -> tuple[Prepared, Evidence]:
+    """A cart of the trial of laws, whose simulator is written apart: its windows, and what is known at its joint."""
+    (folder / "sealed").mkdir()
+    generate.make_trial(folder, Plan(1, "single", "cart", effect, tuned=False, laws=True), 1)
+    trial = folder / "trials" / "t001_cart"
+    nominal = (trial / "nominal.xml").read_text()
+    cart = physics.load(nominal)
+    runs = [recording.read(trial / f"train_{k}.csv", cart.model) for k in (1, 2)]
+    ready = prepared(nominal, runs)
+    return ready, unexplained.scene(cart, runs, ready.motions).at("joint", "cart", {})
 
 
 RAIL = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="cart">

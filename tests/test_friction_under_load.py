@@ -9,17 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sim2real_rigs import RK4, prepared
+from sim2real_rigs import hidden_on_a_cart
 
-from dipc_gym import physics, recording
 from dipc_gym.physics import formulas
 from dipc_gym.sim2real import catalogue
-from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Term
-from dipc_gym.sim2real.simulation.batch import Stepping
-from dipc_gym.trials import generate
-from dipc_gym.trials.secret import Plan
 
 LEVEL, BY_DRIVE, BY_WEIGHT, FASTEST, SLOW = 0.6, 0.15, 0.1, 0.5, 0.05
 
@@ -47,14 +42,7 @@ def test_it_is_largest_at_rest_and_plain_when_fast() -> None:
 
 def test_a_law_finds_what_the_formula_cannot_say(tmp_path: Path) -> None:
     """Hidden by a simulator that is written apart: it falls by a stretched exponential, and its level does not."""
-    (tmp_path / "sealed").mkdir()
-    generate.make_trial(tmp_path, Plan(1, "single", "cart", "friction.load", tuned=False, laws=True), 1)
-    folder = tmp_path / "trials" / "t001_cart"
-    nominal = (folder / "nominal.xml").read_text()
-    rig = physics.load(nominal)
-    runs = [recording.read(folder / f"train_{k}.csv", rig.model) for k in (1, 2)]
-    ready = prepared(nominal, runs, stepping=Stepping(0.001, RK4))
-    evidence = unexplained.scene(rig, runs, ready.motions).at("joint", "cart", {})
+    ready, evidence = hidden_on_a_cart(tmp_path, "friction.load")
     left = {}
     for effect in ("friction.load:stribeck", "friction.load:law"):
         terms = [Term(shaped, "cart", begin) for shaped, begin in catalogue()[effect].proposals(evidence)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sim2real_rigs import CART, RK4, prepared, record
+from sim2real_rigs import CART, RK4, hidden_on_a_cart, prepared, record
 
 from dipc_gym import mjcf, physics, recording
 from dipc_gym.mjcf.edit import Document
@@ -23,8 +23,6 @@ from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation.batch import Stepping
-from dipc_gym.trials import generate
-from dipc_gym.trials.secret import Plan
 
 LEVEL, RISE, TIME, SLOW = 1.5, 2.0, 0.12, 3e-4
 LONGEST, SOON = 0.5, 0.05
@@ -128,14 +126,7 @@ def test_rests_that_tell_of_no_growth_make_a_guess_all_the_same() -> None:
 
 def test_a_law_finds_what_the_exponential_cannot_say(tmp_path: Path) -> None:
     """Hidden by a simulator that is written apart: it grows by a stretched exponential, fast at first and for long."""
-    (tmp_path / "sealed").mkdir()
-    generate.make_trial(tmp_path, Plan(1, "single", "cart", "friction.resting", tuned=False, laws=True), 1)
-    folder = tmp_path / "trials" / "t001_cart"
-    nominal = (folder / "nominal.xml").read_text()
-    cart = physics.load(nominal)
-    runs = [recording.read(folder / f"train_{k}.csv", cart.model) for k in (1, 2)]
-    ready = prepared(nominal, runs, stepping=Stepping(0.001, RK4))
-    evidence = unexplained.scene(cart, runs, ready.motions).at("joint", "cart", {})
+    ready, evidence = hidden_on_a_cart(tmp_path, "friction.resting")
     shaped, begin = catalogue()["friction.resting:law"].proposals(evidence)[0]
     found = fit(ready.problem, ready.structure.with_term(Term(shaped, "cart", begin)))
     plain = catalogue()["friction.coulomb"]

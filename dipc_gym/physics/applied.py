@@ -144,9 +144,8 @@ class Physics:
             now = moment(time, q, state.qfrc_actuator[..., j], state.qfrc_bias[..., j])
         else:
             now = moment(time, q)
-        now = replace(now, speed=speed, inputs=self._seen(extra, state, step) if extra.inputs else ())
-        if slides is not None:
-            now = replace(now, slides=slides[..., j])
+        inputs = self._seen(extra, state, step) if extra.inputs else ()
+        now = replace(now, speed=speed, inputs=inputs, slides=0.0 if slides is None else slides[..., j])
         if not extra.remembers:
             return now
         before = state.userdata[..., extra.slot]

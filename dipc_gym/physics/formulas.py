@@ -103,6 +103,11 @@ def _tabulated(table: Array, share: Array) -> Array:
     return np.asarray(at + (along - below) * (_entry(table, below + 1) - at))
 
 
+def _dense_share(x: Array, most: Array, near: Array) -> Array:
+    """Share of a table that is dense near 0: half of its knots lie below about `near`, and the last at the most."""
+    return x * (most + near) / (most * (x + near))
+
+
 def table(data: Array, x: Array) -> Array:
     """A table, piecewise linear and constant outside; data (..., 2 k): its knots, increasing, then its values there."""
     knots, values = np.split(data, 2, axis=-1)
@@ -147,7 +152,7 @@ def friction_under_load_by_speed(data: Array, now: Moment) -> Array:
     half of the knots lie below about the slow speed. Faster than the fastest it stays as it is there.
     """
     fastest, slow, speed = data[..., 3], data[..., 4], np.abs(now.speed)
-    more = _tabulated(data[..., 5:], speed * (fastest + slow) / (fastest * (speed + slow)))
+    more = _tabulated(data[..., 5:], _dense_share(speed, fastest, slow))
     return np.maximum(data[..., 0] + _under_load(data, now) * (1.0 + more), 0.0)
 
 
@@ -229,7 +234,7 @@ def friction_rested_by_law(data: Array, now: Moment) -> Array:
     of the knots lie below about the time `soon`. After the longest rest it stays as it is there.
     """
     longest, soon, rested = data[..., 1], data[..., 2], now.memory
-    rise = _tabulated(data[..., 4:], rested * (longest + soon) / (longest * (rested + soon)))
+    rise = _tabulated(data[..., 4:], _dense_share(rested, longest, soon))
     return np.maximum(data[..., 0] + rise * _at_rest(data, now), 0.0)
 
 

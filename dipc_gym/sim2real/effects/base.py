@@ -161,8 +161,7 @@ class Evidence:
     @property
     def runs(self) -> list[NDArray[np.intp]]:
         """Samples of each recording, one after another."""
-        begins = np.flatnonzero(np.diff(self.time, prepend=np.inf) <= 0)
-        return np.split(np.arange(len(self.time)), begins[begins > 0])
+        return runs_of(self.time)
 
     @property
     def foretold(self) -> Array:
@@ -188,6 +187,12 @@ class Evidence:
         level, _ = self.along(-self.direction, -self.velocity)
         low, high = EFFECTS.dry
         return float(np.clip(level, low * self.force_scale, high * self.force_scale))
+
+
+def runs_of(time: Array) -> list[NDArray[np.intp]]:
+    """Samples of each recording, of times (n,) that begin anew with each."""
+    begins = np.flatnonzero(np.diff(time, prepend=np.inf) <= 0)
+    return np.split(np.arange(len(time)), begins[begins > 0])
 
 
 def rms(values: Array) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 from dipc_gym.sim2real.effects.friction_load import UnderLoad
-from dipc_gym.sim2real.effects.increments import LawOfIncrements
+from dipc_gym.sim2real.effects.increments import LawOfIncrements, dense_knots
 from dipc_gym.sim2real.effects.law import at_joint, described
 
 Array = NDArray[np.float64]
@@ -65,8 +65,7 @@ class UnderLoadOfAnyLaw(LawOfIncrements):
     def curve(self, values: Values) -> tuple[Array, Array]:
         """Speeds from rest, (k,), and how many times friction under load is there what it is in fast motion."""
         times = 1.0 + self.at_knots(values)[::-1]
-        share = np.linspace(0.0, 1.0, len(times))
-        return values["fastest"] * SLOW * share / (1.0 + SLOW - share), times
+        return dense_knots(values["fastest"], SLOW, len(times)), times
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """How many times friction under load is at a speed what it is in fast motion."""

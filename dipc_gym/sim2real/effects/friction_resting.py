@@ -77,14 +77,19 @@ class Resting(Effect):
 
 def likely(rests: Rests) -> list[tuple[float, float]]:
     """Rises, N or N m, and time constants, s, of exponentials that grow as rests say, the nearest one first."""
-    tries = [rests.nearest(_grown, np.array([rests.level, time])) for time in TIMES]
-    (rise, best), _ = min(tries, key=lambda one: one[1])
-    best = max(float(best), SOONEST)
-    found = [(float(rise), best)]
+    rise, best = nearest(rests)
+    found = [(rise, best)]
     for time in best * np.array(RATIOS):
         (other,), _ = rests.nearest(partial(_grown, time=time), np.array([rise]))
         found.append((float(other), float(time)))
     return found
+
+
+def nearest(rests: Rests) -> tuple[float, float]:
+    """Rise, N or N m, and time constant, s, of the exponential that grows most nearly as rests say."""
+    tries = [rests.nearest(_grown, np.array([rests.level, time])) for time in TIMES]
+    (rise, time), _ = min(tries, key=lambda one: one[1])
+    return float(rise), max(float(time), SOONEST)
 
 
 def _grown(ages: Array, now: Array, time: float = 0.0) -> Array:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics.entries import RESTED_BY_LAW
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
-from dipc_gym.sim2real.effects.friction_resting import SLOW, Resting, likely
-from dipc_gym.sim2real.effects.increments import LawOfIncrements
+from dipc_gym.sim2real.effects.friction_resting import SLOW, Resting, nearest
+from dipc_gym.sim2real.effects.increments import LawOfIncrements, dense_knots
 from dipc_gym.sim2real.effects.law import described
 from dipc_gym.sim2real.effects.rests import Rests
 
@@ -59,9 +59,9 @@ class RestingOfAnyLaw(LawOfIncrements):
             return []
         longest = float(max(rests.rested.max(), rests.ages.max(initial=0.0)))
         held = {"level": rests.level, "longest": longest, "slow": SLOW * evidence.speed_scale}
-        at = _knots(held, FIRST + 1)
+        at = dense_knots(held["longest"], SOON, FIRST + 1)
         passed = np.arange(len(at)) > np.arange(FIRST)[:, None]  # stretches that lie before each knot
-        rise, time = likely(rests)[0]
+        rise, time = nearest(rests)
         begin = rise * np.diff(-np.expm1(-at / time))
         rises, _ = rests.nearest(lambda ages, now: np.interp(ages, at, now @ passed), begin, even=EVEN)
         return [self._shaped(held, rises)]
@@ -79,7 +79,8 @@ class RestingOfAnyLaw(LawOfIncrements):
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """What it takes to break away, by the time at rest."""
-        times, levels = _knots(values, len(self.at_knots(values))), values["level"] + self.at_knots(values)
+        rises = self.at_knots(values)
+        times, levels = dense_knots(values["longest"], SOON, len(rises)), values["level"] + rises
         inputs = [{"name": "time at rest", "unit": "s", "knots": times.tolist()}]
         how = "The time at rest grows while the joint stands, and is nothing as soon as it moves."
         kind = "force to break away"
@@ -88,7 +89,7 @@ class RestingOfAnyLaw(LawOfIncrements):
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         force, rises = unit["level"], self.at_knots(values)
-        half = float(np.interp(0.5 * rises[-1], rises, _knots(values, len(rises))))
+        half = float(np.interp(0.5 * rises[-1], rises, dense_knots(values["longest"], SOON, len(rises))))
         return (
             f"Dry friction at {at} that grows at rest by a law of its own: {values['level']:.3g} {force} in motion, "
             f"and up to {values['level'] + rises[-1]:.3g} {force} to break away after a rest of "
@@ -98,9 +99,3 @@ class RestingOfAnyLaw(LawOfIncrements):
     def _shaped(self, held: Values, rises: Array) -> tuple[Effect, Values]:
         begin = {**held, **self.by_name(np.maximum(rises, LEAST * float(np.sum(rises))))}
         return type(self)(begin), begin
-
-
-def _knots(values: Values, count: int) -> Array:
-    """Times at rest at which the law has its knots, s, (count,)."""
-    share = np.linspace(0.0, 1.0, count)
-    return values["longest"] * SOON * share / (1.0 + SOON - share)

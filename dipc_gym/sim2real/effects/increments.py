@@ -19,6 +19,12 @@ Array = NDArray[np.float64]
 MOST = 16  # stretches between the knots of such a law
 
 
+def dense_knots(most: float, near: float, count: int) -> Array:
+    """Knots from 0 to the most, dense near 0: half of them lie below about a share `near` of it, (count,)."""
+    share = np.linspace(0.0, 1.0, count)
+    return most * near * share / (1.0 + near - share)
+
+
 class LawOfIncrements(Effect):
     """An effect with a free shape that is monotone, as its increments are never negative.
 

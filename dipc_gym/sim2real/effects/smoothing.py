@@ -11,12 +11,11 @@ one of nanometres for a thousandth, and what is smoothed away is lost.
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from dipc_gym.sim2real.effects.base import runs_of
 from dipc_gym.sim2real.effects.settings import SMOOTHING
 
 Array = NDArray[np.float64]
@@ -61,8 +60,7 @@ def smoothing(time: Array, width: float) -> sparse.csr_array:
         >>> bool(np.allclose(mean @ np.ones(500), 1.0))
         True
     """
-    seams = np.append(np.flatnonzero(np.diff(time, prepend=np.inf) <= 0), len(time))
-    parts = [_of_one(time[begin:end], width) for begin, end in itertools.pairwise(seams.tolist())]
+    parts = [_of_one(time[run], width) for run in runs_of(time)]
     return sparse.csr_array(sparse.block_diag(parts, format="csr"))
 
 

@@ -41,14 +41,17 @@ def searched(shooting: Shooting, z: Array, initial: Array, residual: Array, S: A
     here = Shooting(shooting.problem.pick(some), shooting.structure)
     begin, slopes, scale, known = initial[some], S[some], typical(mse), mse.copy()
 
+    def penalised(mse: Array, one: Array) -> float:
+        return mean_loss(mse, scale) + shooting.structure.prior.penalty(one, shooting.problem.counts)
+
     def losses(tries: Sequence[Array]) -> Array:
         out = []
         for one, left in zip(tries, here.residuals(tries, begin[None]), strict=True):
             known[some] = here.mse(here.left(begin, left, slopes))
-            out.append(mean_loss(known, scale) + shooting.structure.prior.penalty(one, shooting.problem.counts))
+            out.append(penalised(known, one))
         return np.array(out)
 
-    now = mean_loss(mse, scale) + shooting.structure.prior.penalty(z, shooting.problem.counts)
+    now = penalised(mse, z)
     for share in ESTIMATION.searched:
         left = moves
         while len(left):

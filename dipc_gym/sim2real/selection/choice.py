@@ -128,7 +128,7 @@ def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:
     assert best is not None
     alike = [t for t in done if t.fitted is not None and scorer.alike(best, t.fitted, current)]
     if done[0].term.effect.by_steps:
-        alike = [t for t in alike if t.fitted is best or (t.fitted and not scorer.settles(best, t.fitted))]
+        alike = [t for t in alike if t.fitted is not None and not scorer.settles(best, t.fitted)]
     return min(alike, key=lambda t: (*ranking.cost(t.fitted), t.score))
 
 

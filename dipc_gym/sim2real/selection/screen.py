@@ -19,6 +19,7 @@ from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.base import Effect
 from dipc_gym.sim2real.estimation.fit import Fit, Quadratics, lowest
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict_with
+from dipc_gym.sim2real.estimation.shooting import mean_loss
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
 from dipc_gym.sim2real.selection.settings import SEARCH
 
@@ -165,7 +166,7 @@ def _promise(problem: Problem, current: Fit, effect: Effect, response: Array) ->
     if effect.by_steps:  # half of a guess does not do half of what it does
         rows = current.left - response
         after = np.einsum("nm,nm->n", rows, rows) / problem.counts
-        found.append((float(np.mean(np.log1p(current.mse) - np.log1p(after))), 1.0))
+        found.append((mean_loss(current.mse, 1.0) - mean_loss(after, 1.0), 1.0))
     return max(found, key=lambda each: each[0])
 
 

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.engine.remember import recall
 from dipc_gym.engine.swing import Springs, swing
-from dipc_gym.physics import Physics
-from dipc_gym.physics.entries import RESTED_BY_LAW, RESTING
-from dipc_gym.physics.formulas import told_rests
+from dipc_gym.physics import Physics, memory_of
+from dipc_gym.physics.formulas import resting, told_rests
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_at
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
@@ -165,7 +164,7 @@ def _sees(
     """
     law, model, follows = variant.remembering[which], variant.model, np.zeros(len(motion.time))
     velocity = motion.velocity[:, columns[law.at]]
-    if law.effect in (RESTING, RESTED_BY_LAW):  # the noise of a reading would wake a joint that rests
+    if memory_of(law.effect) is resting:  # the noise of a reading would wake a joint that rests
         velocity = told_rests(law.data, velocity)
     for kind, k in law.inputs:
         if kind == "command":

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from dipc_gym.sim2real.effects.base import runs_of
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.result import Located
@@ -70,8 +71,7 @@ def _of_late(scene: Scene, j: int) -> float:
 
     The rest of a drag is in every refit. Forces are means over stretches, for samples hold the noise of accelerations.
     """
-    begins = np.flatnonzero(np.diff(scene.time, prepend=np.inf) <= 0)
-    runs = np.split(np.arange(len(scene.time)), begins[begins > 0])
+    runs = runs_of(scene.time)
     period = float(np.median(np.diff(scene.time)))
     each = max(1, round(ESTIMATION.averaged / period))
 
