@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from sim2real_rigs import CART, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
-from dipc_gym.engine.swing import swing
+from dipc_gym.engine.swing import Spring, swing
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.effects.base import Effect
@@ -76,7 +76,7 @@ def test_a_load_swings_as_its_equation_says(ratio: float) -> None:
     rate, forced = 2 * np.pi * 1.7, 9.0
     t = np.linspace(0, 2, 2001)
     q, v = np.sin(forced * t), forced * np.cos(forced * t)
-    apart, faster = swing([(0.0, rate**2)], 2 * ratio * rate, q, v, t)
+    apart, faster = swing([Spring(0.0, rate**2)], 2 * ratio * rate, q, v, t)
     x, dx = 0.0, 0.0  # midpoint rule at a tenth of the step, an integrator of its own
     found = []
     for k in range(20001):
@@ -92,13 +92,13 @@ def test_a_load_swings_as_its_equation_says(ratio: float) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(
-    st.lists(st.tuples(st.floats(0.0, 0.3), st.floats(0.0, 400.0)), min_size=1, max_size=6),
+    st.lists(st.builds(Spring, st.floats(0.0, 0.3), st.floats(0.0, 400.0), st.floats(0.0, 900.0)), max_size=6),
     st.floats(0.0, 5.0),
     st.sampled_from([0.0, 20.0]),
     st.integers(0, 10_000),
 )
 def test_a_load_on_springs_with_slack_swings_as_its_equation_says(
-    springs: list[tuple[float, float]], drag: float, ground: float, seed: int
+    springs: list[Spring], drag: float, ground: float, seed: int
 ) -> None:
     """Against an integrator of its own, over any motion that is straight between samples."""
     rng = np.random.default_rng(seed)
@@ -109,7 +109,8 @@ def test_a_load_on_springs_with_slack_swings_as_its_equation_says(
 
     def rate(now: float, state: np.ndarray) -> list[float]:
         away, speed = state[0] - np.interp(now, t, q), state[1] - np.interp(now, t, v)
-        pull = sum(k * np.sign(away) * max(abs(away) - slack, 0.0) for slack, k in springs)
+        beyond = [max(abs(away) - slack, 0.0) for slack, _, _ in springs]
+        pull = np.sign(away) * sum(one.stiffness * x + one.cubic * x**3 for one, x in zip(springs, beyond, strict=True))
         return [state[1], -pull - drag * speed - ground * state[1]]
 
     begin = [q[0], 0.0 if ground else v[0]]
@@ -128,7 +129,7 @@ def test_a_load_on_springs_with_slack_swings_as_its_equation_says(
 def test_the_springs_of_a_law_pull_in_plain_mujoco_as_it_says(
     stretches: list[tuple[float, float]], away: float
 ) -> None:
-    """Between its knots and beyond the last of them, where it pulls as it does there; it never falls with stretch."""
+    """Between its knots and beyond the last of them, where it is as stiff as there; it never falls with stretch."""
     widths, slopes = zip(*stretches, strict=True)
     knots = np.append(0.0, np.cumsum(widths))
     values = {"mass": 0.2, "small_swing_frequency": 1.5, "damping_ratio": 0.1}
@@ -136,14 +137,34 @@ def test_the_springs_of_a_law_pull_in_plain_mujoco_as_it_says(
     law, document = SwingingLoadOfAnyLaw(knots.tolist(), values), Document(mjcf.from_text(CART))
     law.edit(document, "cart", values)
     model = mjcf.compile(document.text())
-    data = mujoco.MjData(model)
-    data.qpos[model.joint("cart_load").qposadr[0]] = away
-    mujoco.mj_forward(model, data)
+    data, load = mujoco.MjData(model), model.joint("cart_load")
+
+    def pull(away: float) -> float:
+        data.qpos[load.qposadr[0]] = away
+        mujoco.mj_forward(model, data)
+        return -float(data.qfrc_passive[load.dofadr[0]])
+
     table = law.law_of(values, {"mass": "kg"})["table"]
-    assert np.all(np.diff(table["levels"]) > 0)
-    pull = np.interp(abs(away), table["inputs"][0]["knots"], table["levels"])
-    passive = data.qfrc_passive[model.joint("cart_load").dofadr[0]]
-    assert passive == pytest.approx(-np.sign(away) * pull, rel=1e-6, abs=1e-9)
+    told, levels = table["inputs"][0]["knots"], np.array(table["levels"])
+    assert np.all(np.diff(levels) > 0)
+    np.testing.assert_allclose([pull(one) for one in told], levels, rtol=1e-6, atol=1e-9 * np.abs(levels).max())
+    # Between them lines follow the curve, which is steeper at one end of a stretch than at the other.
+    between = np.searchsorted(told, away)
+    assert levels[between - 1] <= pull(away) <= levels[between]
+
+
+@given(st.lists(st.tuples(st.floats(0.005, 0.1), st.floats(0.01, 30.0)), min_size=1, max_size=8))
+def test_a_law_of_a_swing_that_is_made_finer_is_the_same(stretches: list[tuple[float, float]]) -> None:
+    widths, slopes = zip(*stretches, strict=True)
+    values = {"mass": 0.2, "small_swing_frequency": 1.5, "damping_ratio": 0.1}
+    values |= {f"slope_{k + 1}": slope / slopes[0] for k, slope in enumerate(slopes) if k}
+    values = {name: min(max(value, 0.01), 30.0) for name, value in values.items()}  # as laws are bounded
+    law = SwingingLoadOfAnyLaw([0.0, *np.cumsum(widths).tolist()], values)
+    ((finer, same),) = law.finer(values)
+    before, after = (one.law_of(now, {"mass": "kg"})["table"] for one, now in ((law, values), (finer, same)))
+    told, finer_told = before["inputs"][0]["knots"], after["inputs"][0]["knots"]
+    again = np.interp(told, finer_told, after["levels"])
+    np.testing.assert_allclose(again, before["levels"], rtol=1e-6, atol=1e-9 * np.abs(again).max())
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
@@ -181,7 +202,7 @@ def test_a_creeping_spring_is_maxwells_element() -> None:
     stamps = np.arange(0.0, 2.0, step)
     held = np.minimum(stamps / 0.01, 1.0) * 0.02
     ground = float(model.dof_damping[1] / model.dof_armature[1])
-    behind, _ = swing([(0.0, ground / time)], 0.0, held, np.gradient(held, step), stamps, ground=ground)
+    behind, _ = swing([Spring(0.0, ground / time)], 0.0, held, np.gradient(held, step), stamps, ground=ground)
     later = np.searchsorted(stamps, [0.1, 0.5, 0.9])
     np.testing.assert_allclose(np.diff(np.log(-behind[later])), -0.4 / time, rtol=0.02)
     assert model.body_mass[-1] < 1e-8

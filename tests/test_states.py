@@ -182,6 +182,29 @@ def test_motion_comes_back_through_redundant_sensors() -> None:
     np.testing.assert_allclose(motion.at(np.array([halfway]))[0, :2], motion.position[1000:1002].mean(axis=0))
 
 
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("speed", [0.0, 0.4])
+def test_a_recording_begins_as_its_first_readings_say(seed: int, speed: float) -> None:
+    """A command jumps as it begins, and what it moves soon goes as fast as it can: rounder than the rest it is not.
+
+    What is smoothed is off by more than 0.03 m/s there.
+    """
+    rig, noise, time = cart_pole(), np.array([1e-5, 1e-5]), np.arange(3000) * 0.002
+    soon = 0.03
+    cart = speed * time + 0.6 * (time + soon * np.expm1(-time / soon)) + 0.1 * np.cos(3 * time)
+    sensors = np.stack([cart, 0.2 * np.cos(4 * time)], axis=1) + noise * np.random.default_rng(seed).normal(
+        size=(3000, 2)
+    )
+    motion = states.estimate(recorded(rig, time, sensors), rig, noise)
+    smooth = states.smoothed(time, sensors[:, 0], noise[0])
+    assert abs(np.gradient(smooth, time, edge_order=2)[0] - speed) > 0.03
+    assert motion.velocity[0, 1] == 0.0
+    if speed:
+        assert motion.velocity[0, 0] == pytest.approx(speed, abs=0.02)
+    else:
+        assert motion.velocity[0, 0] == 0.0
+
+
 def test_a_dead_sensor_does_where_nothing_else_sees_its_joint() -> None:
     rng = np.random.default_rng(3)
     rig, time = cart_pole(), stamps(rng, 1000, irregular=False)

@@ -6,7 +6,7 @@ import ctypes
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -18,20 +18,43 @@ from dipc_gym.engine.follow import write_following
 from dipc_gym.engine.values import INT, POINTER, REAL, Value, maximum, sign
 
 Array = NDArray[np.float64]
-Springs = Sequence[tuple[float, float]]
 
 TURN = 0.1  # rad of its fastest swing in a step: Runge-Kutta is then off by a ten-millionth of the swing
 LONGEST = 2e-3  # s: where slack ends within a step, its order is lost
 FADE = 0.25  # of the time in which its fastest part fades: a hundred-thousandth
 
 
+class Spring(NamedTuple):
+    """One that pulls back a load of unit inertia by a polynomial of what it is stretched beyond its slack, either way.
+
+    Attributes:
+        slack: m or rad.
+        stiffness: 1/s^2; below zero it softens others.
+        cubic: of the third power, 1/(m^2 s^2) or 1/(rad^2 s^2).
+    """
+
+    slack: float
+    stiffness: float
+    cubic: float = 0.0
+
+    def pull(self, stretch: Array) -> Array:
+        """Back, m/s^2 or rad/s^2, for stretches of any shape."""
+        beyond = np.maximum(np.abs(stretch) - self.slack, 0.0)
+        return np.sign(stretch) * beyond * (self.stiffness + self.cubic * beyond**2)
+
+    def slope(self, stretch: Array) -> Array:
+        """Of the pull, 1/s^2, for stretches of any shape from 0 on."""
+        beyond = stretch - self.slack
+        return np.where(beyond < 0, 0.0, self.stiffness + 3 * self.cubic * beyond**2)
+
+
 def swing(
-    springs: Springs, drag: float, position: Array, velocity: Array, stamps: Array, *, ground: float = 0.0
+    springs: Sequence[Spring], drag: float, position: Array, velocity: Array, stamps: Array, *, ground: float = 0.0
 ) -> Array:
     """Where a load on springs is against what it hangs on, and how fast; at rest at the first stamp.
 
     Args:
-        springs: of each the slack either way, m or rad, and stiffness per inertia, 1/s^2; below zero it softens others.
+        springs: that hold it.
         drag: damping per inertia, 1/s.
         position: of what it hangs on at the stamps, m or rad, (n,).
         velocity: m/s or rad/s, (n,).
@@ -43,11 +66,13 @@ def swing(
 
     Example:
         >>> t = np.linspace(0.0, 20.0, 2001)
-        >>> behind, _ = swing([(0.0, 25.0)], 2.0, 0.5 * t**2, t, t)  # hangs back by 1/25 m at 1 m/s^2
+        >>> behind, _ = swing([Spring(0.0, 25.0)], 2.0, 0.5 * t**2, t, t)  # hangs back by 1/25 m at 1 m/s^2
         >>> round(float(behind[-1]), 4)
         -0.04
     """
-    stiffest = sum(max(stiffness, 0.0) for _, stiffness in springs)
+    # They are stiffest where one of them begins to pull, or where the load is left as far behind as it can be.
+    ends = np.array([*(one.slack for one in springs), float(np.ptp(position))])
+    stiffest = float(np.max(sum((one.slope(ends) for one in springs), np.zeros(len(ends))), initial=1e-12))
     longest = min(LONGEST, TURN / math.sqrt(max(stiffest, 1e-12)), FADE / max(drag + ground, 1e-12))
     out = np.empty((2, len(stamps)))
     # Less where it begins, and less the speed then, which the load shares where nothing holds it back.
@@ -72,9 +97,9 @@ def _function() -> Any:
         _, place, speed = now
         apart, pull[0] = load[0] - place, 0.0
         with code.count(count) as spring:
-            at = springs.since(code.product(spring, 2))
+            at = springs.since(code.product(spring, len(Spring._fields)))
             beyond = maximum(abs(apart) - at[0], 0.0)
-            pull[0] = pull[0] + at[1] * sign(apart) * beyond
+            pull[0] = pull[0] + sign(apart) * beyond * (at[1] + at[2] * beyond * beyond)
         return load[1], -(pull[0] + drag * (load[1] - speed) + ground * load[1])
 
     load[0], load[1] = 0.0, 0.0

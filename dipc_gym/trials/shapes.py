@@ -2,7 +2,7 @@
 
 Shapes are sums of bell curves, powers and exponentials, with numbers at random. The tool writes laws as straight lines
 between knots, its formulas are sines, constants and squares, its friction with memory springs that slip, its loads hang
-on springs of straight pieces, its creeping springs creep by such: none of these is one of them but by approximation.
+on springs of cubic pieces, its creeping springs creep by lines: none of these is one of them but by approximation.
 """
 
 from __future__ import annotations

@@ -152,16 +152,19 @@ def _as_placed(document: Document, element: ET.Element, other: ET.Element) -> No
             document.set(element, **{attribute: other.get(attribute, "")})
 
 
-def couple(document: Document, name: str, rotor: str, load: str, stiffness: float, damping: float) -> None:
-    """A spring and a damper between rotor and load, as a fixed tendon."""
+def couple(
+    document: Document, name: str, rotor: str, load: str, stiffness: float, damping: float, cubic: float = 0.0
+) -> None:
+    """A spring, with a share of the third power if need be, and a damper between rotor and load, as a fixed tendon."""
+    pull = (stiffness, 0.0, cubic) if cubic else stiffness
     tendon = document.add(
-        "tendon", "fixed", name=document.fresh(name), stiffness=stiffness, damping=damping, springlength="0"
+        "tendon", "fixed", name=document.fresh(name), stiffness=pull, damping=damping, springlength="0"
     )
     document.plain(tendon, limited="auto", range="0 0", frictionloss="0", armature="0")
     _between(document, tendon, rotor, load)
 
 
-def bend(document: Document, name: str, rotor: str, load: str, slack: float, stiffness: float) -> None:
+def bend(document: Document, name: str, rotor: str, load: str, slack: float, stiffness: float, cubic: float) -> None:
     """A spring between rotor and load that pulls from some stretch on, either way, as a fixed tendon.
 
     Args:
@@ -171,9 +174,10 @@ def bend(document: Document, name: str, rotor: str, load: str, slack: float, sti
         load: joint.
         slack: stretch up to which it does not pull, m or rad.
         stiffness: beyond, N/m or N m/rad; below zero it softens another spring there.
+        cubic: of the third power of what it is stretched beyond, N/m^3 or N m/rad^3.
     """
-    ends = (-slack, slack)
-    tendon = document.add("tendon", "fixed", name=document.fresh(name), stiffness=stiffness, springlength=ends)
+    ends, pull = (-slack, slack), (stiffness, 0.0, cubic)
+    tendon = document.add("tendon", "fixed", name=document.fresh(name), stiffness=pull, springlength=ends)
     document.plain(tendon, limited="auto", range="0 0", frictionloss="0", armature="0", damping="0")
     _between(document, tendon, rotor, load)
 

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 Outside = Literal["constant", "parallel"]
 
+FAR = 100.0  # times its last knot, to where an exported table is told of a law that goes on straight
 BENT = 1e-5  # of the law's size, by which values begin off a line: a ramp that is nothing has no slope to fit by
 
 
@@ -111,7 +112,7 @@ def recalled(evidence: Evidence, effect: str, tries: Array, follows: Array | Non
 
 
 def halved(table: Array) -> Array:
-    """A table of equal distances (k,) with a value more in the middle of each stretch, (2 k - 1,)."""
+    """A table (k,) with a value more in the middle of each stretch, (2 k - 1,)."""
     places = np.arange(2 * len(table) - 1)
     return np.asarray(np.interp(places, places[::2], table))
 

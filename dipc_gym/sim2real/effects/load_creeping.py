@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.engine.swing import swing
+from dipc_gym.engine.swing import Spring, swing
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, rms
 from dipc_gym.sim2real.effects.coupling import couple, node
@@ -75,5 +75,5 @@ def _stretch(time: float, evidence: Evidence) -> Array:
     for run in evidence.runs:
         if len(run) >= 3:
             q, v, t = evidence.position[run], evidence.velocity[run], evidence.time[run]
-            out[run], _ = swing([(0.0, 1 / (time * SHARPEST))], 0.0, q, v, t, ground=1 / SHARPEST)
+            out[run], _ = swing([Spring(0.0, 1 / (time * SHARPEST))], 0.0, q, v, t, ground=1 / SHARPEST)
     return out

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.increments import MOST, LawOfIncrements
-from dipc_gym.sim2real.effects.law import at_joint, described, either_way, recalled
+from dipc_gym.sim2real.effects.law import FAR, at_joint, described, either_way, recalled
 from dipc_gym.sim2real.effects.load_creeping import FAST, TIMES, usual
 from dipc_gym.sim2real.effects.sought import Sought
 
@@ -21,7 +21,6 @@ ENTRY = "load.creeping"  # of <custom>
 BENDS = (0.05, 0.15, 0.5, 1e3)  # stretches over which it bends, in ranges of the joint's motion; the last is straight
 FIRST = 4  # stretches between the knots of a law at first
 FURTHEST = 0.995  # quantile of how far the spring is stretched, which the table goes up to
-FAR = 100.0  # times that, to where an exported table is told: it goes on in proportion
 LEAST = 1e-4  # of the fastest, by which it begins to give way faster from one knot to the next
 SLOWEST = 1e-6  # of the speed in the next line, which a first guess gives way by: next to nothing
 SHORTEST = 4e-3  # s, in which it may give way by as much as it is stretched

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.engine.swing import Spring
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.coupling import bend, beside, couple
-from dipc_gym.sim2real.effects.law import at_joint, described, either_way
-from dipc_gym.sim2real.effects.loads import DAMPED, FLATTEST, RATES, STEEPEST, Load, most_alike
+from dipc_gym.sim2real.effects.law import FAR, at_joint, described, either_way, halved
+from dipc_gym.sim2real.effects.loads import DAMPED, FLATTEST, RATES, STEEPEST, Load, most_alike, slope_of, smooth
 from dipc_gym.sim2real.effects.settings import LAWS
 
 Array = NDArray[np.float64]
@@ -21,17 +23,18 @@ SHARES = (0.35, 0.65, 0.85, 0.97)  # of all samples the load is nearer than a kn
 FINEST = 20  # stretches between knots: as many springs are followed in each simulation
 BENDS: tuple[Callable[[Array], Array], ...] = (np.tanh, np.sinh)  # a rope or a fluid softens, a link or rubber hardens
 WIDE = (1.0, 2.5)  # swings, in what they bend by
+TOLD = 3  # times that stretches of an exported table are halved, whose lines follow the curve
 FURTHER = 1.2  # times the widest swing, which the table goes up to: a fit may swing it a little wider
 
 
 class SwingingLoadOfAnyLaw(Effect):
     """One hidden mode whose spring is any rising function of its stretch: a load on a rope, a sloshing fluid, rubber.
 
-    As plain MJCF: `load.swinging`, and beside its spring others that pull or soften from some stretch on, either way.
-    Beyond the last knot it pulls as it does there.
+    As plain MJCF: `load.swinging`, and beside its spring others that pull or soften from some stretch on, either way,
+    all together a smooth curve. Beyond the last knot its slope stays as it is there.
 
     Args:
-        knots: stretches at which the slope of the spring changes, the first 0, m or rad; none in the catalogue.
+        knots: stretches that divide the curve, the first 0, m or rad; none in the catalogue.
         first: guess of the parameters of `load.swinging`, and of slopes.
     """
 
@@ -80,31 +83,37 @@ class SwingingLoadOfAnyLaw(Effect):
 
     def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
         """A slope more in each stretch of the table."""
-        slopes, knots = self._slopes(values), np.array(self.knots)
-        if 2 * len(slopes) > FINEST:
+        knots = halved(np.array(self.knots))
+        if len(knots) - 1 > FINEST:
             return []
-        finer = np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
-        return [self._shaped(finer.tolist(), values, np.repeat(slopes, 2)[1:].tolist())]
+        slope = slope_of(self.knots, self._slopes(values).tolist())
+        # A parabola over half a stretch is drawn by this, which leaves the curve as it is.
+        finer = 2 * slope(0.5 * (knots[1:] + knots[:-1])) - 0.5 * (slope(knots[1:]) + slope(knots[:-1]))
+        return [self._shaped(knots.tolist(), values, finer[1:].tolist())]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """A body beside the one that the joint moves, and springs between them."""
         mass, rate = values["mass"], 2 * np.pi * values["small_swing_frequency"]
         name = beside(document, f"{at}_load", at, mass)
-        couple(document, name, name, at, mass * rate**2, 2 * values["damping_ratio"] * rate * mass)
-        for slack, bent in zip(self.knots[1:], np.diff(self._slopes(values), append=0.0).tolist(), strict=True):
-            bend(document, name, name, at, slack, mass * rate**2 * bent)
+        (_, stiffness, cubic), *others = self._springs(values)
+        couple(document, name, name, at, stiffness, 2 * values["damping_ratio"] * rate * mass, cubic)
+        for other in others:
+            bend(document, name, name, at, *other)
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """What the spring pulls with, by its stretch."""
-        force, pulls = _force(unit), self._pulls(values).tolist()
-        inputs = [{"name": "stretch", "unit": at_joint("m", force), "knots": either_way(list(self.knots))}]
+        force, last = _force(unit), self.knots[-1]
+        knots = np.append(functools.reduce(lambda one, _: halved(one), range(TOLD), np.array(self.knots)), FAR * last)
+        inputs = [{"name": "stretch", "unit": at_joint("m", force), "knots": either_way(knots.tolist())}]
         damping = 2 * values["damping_ratio"] * 2 * np.pi * values["small_swing_frequency"] * values["mass"]
         how = (
             f"The stretch is how far a part of {values['mass']:.4g} {unit['mass']} has moved ahead of the joint that "
             "carries it; this force pulls that part back and the joint along, and so do "
             f"{damping:.4g} {force} for each {at_joint('m', force)}/s that the part is faster."
         )
-        return described("force", inputs, either_way(pulls), force, passive=True, remembers=how)
+        pulls = either_way(self._pulls(values, knots).tolist())
+        law = described("force", inputs, pulls, force, passive=True, remembers=how)
+        return {**law, "supported": [[-last, last]]}
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
@@ -125,9 +134,14 @@ class SwingingLoadOfAnyLaw(Effect):
     def _slopes(self, values: Values) -> Array:
         return np.array([1.0, *(values[p.name] for p in self.parameters[3:])])
 
-    def _pulls(self, values: Values) -> Array:
+    def _springs(self, values: Values) -> list[Spring]:
+        """What makes up the spring: slack, m or rad, N/m or N m/rad, and N/m^3 or N m/rad^3."""
         stiffness = values["mass"] * (2 * np.pi * values["small_swing_frequency"]) ** 2
-        return np.concatenate([[0.0], stiffness * np.cumsum(self._slopes(values) * np.diff(self.knots))])
+        return smooth(self.knots, (stiffness * self._slopes(values)).tolist())
+
+    def _pulls(self, values: Values, stretches: Array) -> Array:
+        """What it pulls with, N or N m, (n,)."""
+        return np.sum([one.pull(stretches) for one in self._springs(values)], axis=0)
 
 
 def _slope(k: int) -> str:

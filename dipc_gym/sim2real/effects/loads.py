@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 
-from dipc_gym.engine.swing import swing
+from dipc_gym.engine.swing import Spring, swing
 from dipc_gym.sim2real.effects.base import Evidence
 from dipc_gym.sim2real.effects.coupling import free_inertia
 from dipc_gym.sim2real.effects.sought import Sought, apart
@@ -31,8 +32,8 @@ class Load:
     Attributes:
         rate: of small swings, rad/s.
         ratio: of its damping.
-        knots: stretches between which its spring is straight, the first 0, m or rad, (k + 1,).
-        slopes: of these, against the first, (k,). Beyond the last knot it pulls as it does there.
+        knots: stretches that divide its spring, the first 0, m or rad, (k + 1,).
+        slopes: of the stretches between them, against the first, (k,).
     """
 
     rate: float
@@ -41,11 +42,10 @@ class Load:
     slopes: tuple[float, ...] = ()
 
     @property
-    def springs(self) -> list[tuple[float, float]]:
-        """Slack, m or rad, and stiffness, 1/s^2, of springs that make up its own."""
-        bends = np.diff(self.slopes, append=0.0).tolist() if self.slopes else []
-        others = zip(self.knots[1:], bends, strict=True)
-        return [(0.0, self.rate**2), *((slack, self.rate**2 * bend) for slack, bend in others)]
+    def springs(self) -> list[Spring]:
+        """What makes up its spring."""
+        whole = smooth(self.knots, self.slopes) if self.slopes else [Spring(0.0, 1.0)]
+        return [Spring(slack, self.rate**2 * a, self.rate**2 * c) for slack, a, c in whole]
 
     def swung(self, evidence: Evidence) -> tuple[Array, Array]:
         """Where it is against what carries it, m or rad, and its pull against one that is carried along, N, (n,)."""
@@ -57,14 +57,45 @@ class Load:
             q, v, t = evidence.position[run], evidence.velocity[run], evidence.time[run]
             away[run], faster = swing(springs, drag, q, v, t)
             pull[run] = np.gradient(v, t) + drag * faster
-        for slack, stiffness in springs:
-            pull += stiffness * np.sign(away) * np.maximum(np.abs(away) - slack, 0.0)
+        for spring in springs:
+            pull += spring.pull(away)
         return away, pull
 
     def like(self, numbers: Array) -> Load:
         """The same with another rate, damping ratio and slopes but the first, (2 + k - 1,)."""
         rate, ratio, *slopes = numbers.tolist()
         return Load(rate, ratio, self.knots, (*self.slopes[:1], *slopes))
+
+
+def slope_of(knots: Sequence[float], slopes: Sequence[float]) -> BSpline:
+    """The slope of a smooth spring over its stretch: parabolas end to end, between the slopes that they are drawn by.
+
+    It begins and ends level, so that the spring is as stiff beyond either end, and rises wherever slopes are positive.
+
+    Args:
+        knots: stretches that divide it, the first 0, (k + 1,).
+        slopes: of the stretches between them, (k,).
+    """
+    first, last = knots[1] - knots[0], knots[-1] + knots[-1] - knots[-2]
+    return BSpline([-first, -first, *knots, last, last], [slopes[0], *slopes, slopes[-1]], 2)
+
+
+def smooth(knots: Sequence[float], slopes: Sequence[float]) -> list[Spring]:
+    """The springs that together have such a slope, either way; see `slope_of`.
+
+    Straight pieces would not do: what a load does after ten swings shows where its spring was off by a thousandth.
+    Where the slope is made of parabolas, the pull is a sum of third powers, each from a knot on: MuJoCo's tendons have
+    these.
+
+    Example:
+        >>> springs = smooth([0.0, 0.1, 0.2], [1.0, 3.0])
+        >>> [round(float(sum(one.pull(np.array(x)) for one in springs)), 6) for x in (-0.1, 0.0, 0.2, 0.3)]
+        [-0.133333, 0.0, 0.4, 0.7]
+    """
+    stretches = np.array(knots)
+    bent = slope_of(knots, slopes).derivative(2)(0.5 * (stretches[1:] + stretches[:-1]))
+    cubic = np.diff(bent / 6, prepend=0.0, append=0.0)
+    return [Spring(float(slack), slopes[0] * (not k), float(cubic[k])) for k, slack in enumerate(knots)]
 
 
 def most_alike(

@@ -25,6 +25,8 @@ class EstimationSettings:
         rough_speed: share of the usual speed by which an initial velocity may be off as well: smoothing rounds off
             where motion turns round
         at_rest: standard deviations of an initial velocity, below which a joint may as well start at rest
+        begins: samples that tell with what velocity a recording begins, by a cubic: twice as many as it has numbers
+        surely: standard deviations of what these tell, from which that velocity is none, or another than estimated
         blown_up: times the noise; a simulation that blew up is no worse than this
         block: s, within which neighbouring windows count as one when errors are compared: what is wrong in one is as
             wrong in the next
@@ -87,6 +89,8 @@ class EstimationSettings:
     differenced: float = 0.002
     rough_speed: float = 0.05
     at_rest: float = 2.0
+    begins: int = 8
+    surely: float = 3.0
     blown_up: float = 1e6
     block: float = 1.0
     steps: int = 8

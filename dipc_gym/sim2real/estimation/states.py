@@ -150,14 +150,40 @@ def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
     for s in positional:
         smooth[:, s] = smoothed(recording.time, recording.sensors[:, s], noise[s])
     smooth = straightened(physics, smooth)
+    as_read = smooth.copy()
     _undo_lateness(physics, recording.time, smooth)
-    smooth = smooth[:, positional]
     inverse = inverse_map(P[positional], noise[positional])
-    position = (smooth - c[positional]) @ inverse.T
+    position = (smooth[:, positional] - c[positional]) @ inverse.T
     velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
     acceleration = np.gradient(velocity, recording.time, axis=0, edge_order=2)
     read = np.hypot.reduce(inverse * np.where(np.isfinite(noise), noise, 0.0)[positional], axis=1)
+    if np.array_equal(smooth, as_read):  # else its beginning was read before the recording began
+        raw = straightened(physics, recording.sensors[: ESTIMATION.begins])
+        first = (raw[:, positional] - c[positional]) @ inverse.T
+        velocity[0] = _first_speed(recording.time, first, velocity, read)
     return Motion(recording.time, position, velocity, acceleration, read)
+
+
+def _first_speed(time: Array, read: Array, velocity: Array, noise: Array) -> Array:
+    """Velocities (nb,) with which a recording begins, from what was read first.
+
+    A recording mostly begins at rest, and with a command that jumps: what is smoothed is then off by far more than its
+    noise, and a load that swings would remember that for seconds. Where the first readings tell the velocity well, it
+    is theirs, or none where that may be.
+
+    Args:
+        time: s, (n,).
+        read: first positions, (k, nb).
+        velocity: smoothed, (n, nb).
+        noise: of positions, (nb,).
+    """
+    if len(read) < ESTIMATION.begins:
+        return velocity[0]
+    inverse = np.linalg.pinv(np.vander(time[: len(read)] - time[0], 4))[2]
+    told, doubt = inverse @ read, np.linalg.norm(inverse) * noise
+    near = np.where(np.abs(velocity[0] - told) < ESTIMATION.surely * doubt, velocity[0], told)
+    first = np.where(np.abs(told) < ESTIMATION.surely * doubt, 0.0, near)
+    return np.where(doubt < ESTIMATION.rough_speed * velocity.std(axis=0), first, velocity[0])
 
 
 def inverse_map(P: Array, noise: Array) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.engine.remember import recall
-from dipc_gym.engine.swing import Springs, swing
+from dipc_gym.engine.swing import Spring, swing
 from dipc_gym.physics import Physics, memory_of
 from dipc_gym.physics.formulas import resting, told_rests
 from dipc_gym.recording import Recording
@@ -75,7 +75,7 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
         m or rad, then m/s or rad/s, (2, variants, n).
     """
     out = np.empty((2, len(variants), len(time)))
-    known: dict[tuple[Springs, float, float], Array] = {}
+    known: dict[tuple[tuple[Spring, ...], float, float], Array] = {}
     for v, variant in enumerate(variants):
         held = load.held(variant.model)
         if held not in known:

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym import mjcf
+from dipc_gym.engine.swing import Spring
 
 
 def yielding(model: mujoco.MjModel) -> list[int]:
@@ -34,14 +35,15 @@ class Load:
     at: int
     tendons: tuple[int, ...]
 
-    def held(self, model: mujoco.MjModel) -> tuple[tuple[tuple[float, float], ...], float, float]:
-        """What holds it, per inertia: slack and stiffness of springs, damping against the other joint, and of its own.
-
-        In m or rad and 1/s^2, 1/s and 1/s.
-        """
+    def held(self, model: mujoco.MjModel) -> tuple[tuple[Spring, ...], float, float]:
+        """What holds it, per inertia: springs, and damping against the other joint and of its own, 1/s."""
         inertia = max(float(model.dof_M0[self.at]), 1e-300)  # a leaf of the tree: the same wherever it is
         springs = tuple(
-            (float(np.ptp(model.tendon_lengthspring[t])) / 2, float(model.tendon_stiffness[t]) / inertia)
+            Spring(
+                float(np.ptp(model.tendon_lengthspring[t])) / 2,
+                float(model.tendon_stiffness[t]) / inertia,
+                float(model.tendon_stiffnesspoly[t, 1]) / inertia,
+            )
             for t in self.tendons
         )
         damping = float(sum(model.tendon_damping[t] for t in self.tendons))
@@ -56,7 +58,7 @@ def loads(model: mujoco.MjModel) -> dict[str, Load]:
         at, lead = (int(model.joint(one).dofadr[0]) for one in (name, leader))
         between = [t for t in range(model.ntendon) if {joint for joint, _ in along(model, t)} == {at, lead}]
         # Springs that pull either way alike; one that pulls at all without slack, and others that may do nothing.
-        alike = all(not np.sum(model.tendon_lengthspring[t]) for t in between)
+        alike = not any(np.sum(model.tendon_lengthspring[t]) or model.tendon_stiffnesspoly[t, 0] for t in between)
         taut = [t for t in between if model.tendon_stiffness[t] > 0 and not np.any(model.tendon_lengthspring[t])]
         if int(model.joint(name).id) not in driven and alike and len(taut) == 1:
             found[name] = Load(at, tuple(between))
