@@ -26,6 +26,7 @@ from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
+from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.parameters import Wishes
 from dipc_gym.sim2real.model.structure import Term, names
@@ -44,7 +45,7 @@ from dipc_gym.sim2real.selection.settings import SEARCH
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.simulation.windows import Windows
 from dipc_gym.sim2real.verdict.closed_form import Formula
-from dipc_gym.sim2real.verdict.law_formulas import _from_the_start
+from dipc_gym.sim2real.verdict.law_formulas import _from_the_start, _until_it_settles
 from dipc_gym.sim2real.verdict.withheld import gather
 
 PLAIN = ("friction.coulomb", "load.constant", "drag.quadratic", "motor.deadzone")
@@ -657,3 +658,26 @@ def test_a_formula_of_time_holds_from_the_start_if_that_predicts_beginnings(earl
     assert isinstance(after.effect, FrictionOfTime)
     assert (after.effect.knots[0] == 0.0) == taken
     assert after.effect.knots[-1] == 12.0
+
+
+@pytest.mark.parametrize(("kind", "parameters"), [("exponential", {"scale": 0.2}), ("power", {"power": 0.5})])
+def test_a_formula_of_the_past_holds_until_it_settles(kind: str, parameters: dict[str, float]) -> None:
+    """Beyond the data it is told as well, for nobody sees what was of late; what never settles is not."""
+    search = begun([run(9, 12, 4.0)], ("friction.coulomb",))
+    formula = Formula(-1.0, ((kind, (-2.0,), parameters),), (0.0, 0.36))
+    knots = np.linspace(0.0, 0.6, 7)
+    law = UnknownRecent(knots.tolist(), formula(knots**2).tolist(), ("velocity cart",) * 2, 1.0, 2.0, ("m/s",) * 2, 0.5)
+    term = Term(law, "cart", {**law.guess, "time_constant": 1.3})
+    problem, bare = search.partition.problem, search.progress.current
+    fitted = fit(problem, bare.structure.with_term(term), None, bare.initial, most=0)
+    after = _until_it_settles(fitted, problem, term, formula)
+    if kind == "power":
+        assert after is fitted
+        return
+    [longer] = after.structure.terms
+    assert isinstance(longer.effect, UnknownRecent)
+    assert longer.effect.places[-1] == pytest.approx(1.0)
+    values = after.structure.term_values(after.z, longer)
+    np.testing.assert_allclose(longer.effect.values(values), formula(longer.effect.places), rtol=1e-9)
+    assert values["time_constant"] == pytest.approx(1.3)
+    assert after.error == pytest.approx(fitted.error, rel=1e-3)

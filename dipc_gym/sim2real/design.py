@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,13 +179,15 @@ def propose(
     rig = _Rig(likeliest, problem, recordings[0], time, usual, low, high)
     if not rig.stays(np.zeros((1, len(time), len(recordings[0].actuator_names))))[0]:
         return _beside_a_controller(structures, rig, recordings, "leaves its range when left alone", seed)
-    found = [
-        (_worth(likeliest, rivals, rig, candidate), candidate) for candidate in _sized(rig, recordings, time, seed)
-    ]
-    if not found:
+    tried = list(_sized(rig, recordings, time, seed))
+    if not tried:
         why = "would leave its range under the smallest of the commands that were tried"
         return _beside_a_controller(structures, rig, recordings, why, seed)
-    worth, best = max(found, key=lambda pair: pair[0])
+    if rivals:
+        left = [_left_of(rivals, likeliest, rig, one) for one in tried]
+        worth, best = max(left), tried[int(np.argmax(left))]
+    else:
+        worth, best = math.nan, min(tried, key=partial(_doubt, *likeliest, rig))
     moved = np.ptp(rig.positions(rig.commands(best)[None])[0], axis=0)
     units = [_length(likeliest[0], name) for name in likeliest[0].base]
     reach = [f"{name} over {way:.3g} {u}" for name, way, u in zip(likeliest[0].base, moved, units, strict=True)]
@@ -193,14 +196,14 @@ def propose(
         f"{_question(structures)} send {recordings[0].actuator_names[best.actuator]} {best.words}, of "
         f"{best.reach}{_unit(likeliest[0], recordings[0], best.actuator)}, for {time[-1] + period:.0f} s, from rest "
         f"with {', '.join(begin)}. That moves {', '.join(reach)}, hardly further than the recordings did. "
-        + _outlook(worth, bool(rivals)),
+        + _outlook(worth),
         _recording(recordings[0], time, rig.commands(best)),
-        worth if rivals else math.nan,
+        worth,
     )
 
 
-def _outlook(worth: float, rivals: bool) -> str:
-    if not rivals:
+def _outlook(worth: float) -> str:
+    if math.isnan(worth):
         return "Of the commands tried it determines the parameters best."
     if worth < DESIGN.telling:
         return (
@@ -332,27 +335,25 @@ def _range(rig: _Rig, recordings: Sequence[Recording], actuator: int) -> tuple[f
     return min(max(0.0, low), high), (low + high) / 2, (high - low) / 2
 
 
-def _worth(
-    likeliest: tuple[Structure, Array],
-    rivals: Sequence[tuple[Structure, Array]],
-    rig: _Rig,
-    candidate: _Candidate,
+def _left_of(
+    rivals: Sequence[tuple[Structure, Array]], likeliest: tuple[Structure, Array], rig: _Rig, candidate: _Candidate
 ) -> float:
-    """Error that the closest rival is left with, in units of noise; with no rival, how well parameters are
-    determined.
-    """
+    """Error that the closest rival is left with, in units of noise."""
     would = rig.would_record(candidate)
-    if rivals:
-        return min(_apart(likeliest, rival, rig, candidate, would) for rival in rivals)
-    structure, z = likeliest
+    return min(_apart(likeliest, rival, rig, candidate, would) for rival in rivals)
+
+
+def _doubt(structure: Structure, z: Array, rig: _Rig, candidate: _Candidate) -> float:
+    """Standard deviation of the parameter that a recording would tell least, in what is sizeable for it."""
+    would = rig.would_record(candidate)
     if not structure.slots:
-        free = replace(structure, model_parameters=tuple(model_parameters(structure.document, structure.model)))
-        structure, z = free, free.first
+        structure = replace(structure, model_parameters=tuple(model_parameters(structure.document, structure.model)))
+        z = structure.first
     A = fit(would, structure, z, most=0).quadratics.A.sum(axis=0)
     precision = structure.prior.precision
     at_least = np.diag(np.maximum(1 / DESIGN.loosest**2 - np.diag(precision), 0.0))
     known = replace(structure.prior, precision=precision + at_least)
-    return -float(np.sqrt(np.diag(np.linalg.inv(known.in_covariance(A, np.ones(1)))).max()))
+    return float(np.sqrt(np.diag(np.linalg.inv(known.in_covariance(A, np.ones(1)))).max()))
 
 
 def _apart(

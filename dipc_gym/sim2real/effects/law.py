@@ -282,6 +282,10 @@ class Law(Effect):
         """The input at its values, as a formula has it, (k,)."""
         return np.array(self.knots)
 
+    def knot_at(self, place: float) -> float:
+        """The knot that has its value at such an input."""
+        return place
+
     def each(self, unit: str) -> str:
         """Unit of its values for each unit of what they are in proportion to, as a formula has it."""
         return unit

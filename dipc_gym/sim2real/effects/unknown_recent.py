@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -78,6 +79,10 @@ class UnknownRecent(UnknownProduct):
         """The mean over the past."""
         return np.array(self.knots) ** 2
 
+    def knot_at(self, place: float) -> float:
+        """The root of the mean over the past."""
+        return math.sqrt(place)
+
     def inputs(self, at: str) -> tuple[str, ...]:
         """What it is in proportion to; of the past of that no window tells."""
         return self.names[:1]
@@ -149,6 +154,11 @@ class UnknownRecent(UnknownProduct):
         """A knot more in each stretch, there where the law was."""
         found = super().finer(values, None if told is None else told[: len(self.knots)])
         return [(shaped, {**begin, "time_constant": values["time_constant"]}) for shaped, begin in found]
+
+    def reaching(self, values: Values, spans: Sequence[tuple[float, float]]) -> tuple[Effect, Values] | None:
+        """The same law for larger sizes, which begins as it was."""
+        found = super().reaching(values, spans)
+        return found and (found[0], {**found[1], "time_constant": values["time_constant"]})
 
     def shortened(self, values: Values, told: NDArray[np.bool_]) -> tuple[Effect, Values] | None:
         """The same law without sizes that no data tell; it begins at rest, whether they do or not."""

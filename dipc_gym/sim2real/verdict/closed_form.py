@@ -34,6 +34,7 @@ class Basis:
         bounds: of the same: smallest and largest, within which a term is seen as what it is called. The flank of a
             Gaussian far away is a curve, but nobody would say so.
         one_sided: whether it is a function of the size of the input alone, so that it needs one that begins at zero.
+        settles: of its nonlinear parameters: input beyond which it changes no more; infinite if it always does.
     """
 
     kind: str
@@ -42,6 +43,12 @@ class Basis:
     starts: Callable[[float, float], list[tuple[float, ...]]]
     bounds: Callable[[float, float], list[tuple[float, float]]]
     one_sided: bool = False
+    settles: Callable[[Sequence[float]], float] = lambda p: math.inf
+
+
+def _aside(p: Sequence[float]) -> float:
+    """A spot and a step are over so many widths beside where they are."""
+    return p[0] + FORMULAS.over * p[1]
 
 
 def _spots(low: float, high: float) -> list[tuple[float, ...]]:
@@ -65,8 +72,15 @@ def _column(x: Array) -> Array:
 
 GRAMMAR = (
     Basis("line", (), lambda x, _: _column(x), lambda low, high: [()], lambda low, high: []),
-    Basis("Gaussian", ("at", "width"), lambda x, p: _column(np.exp(-0.5 * ((x - p[0]) / p[1]) ** 2)), _spots, _seen),
-    Basis("step", ("at", "width"), lambda x, p: _column(np.tanh((x - p[0]) / p[1])), _spots, _seen),
+    Basis(
+        "Gaussian",
+        ("at", "width"),
+        lambda x, p: _column(np.exp(-0.5 * ((x - p[0]) / p[1]) ** 2)),
+        _spots,
+        _seen,
+        settles=_aside,
+    ),
+    Basis("step", ("at", "width"), lambda x, p: _column(np.tanh((x - p[0]) / p[1])), _spots, _seen, settles=_aside),
     Basis(
         "sine",
         ("wavelength",),
@@ -89,6 +103,7 @@ GRAMMAR = (
         lambda low, high: [(width * (high - low),) for width in FORMULAS.widths],
         _lengths,
         one_sided=True,
+        settles=lambda p: FORMULAS.over * p[0],
     ),
 )
 
@@ -100,10 +115,12 @@ class Formula:
     Attributes:
         constant: in the unit of the values.
         terms: kind, factors, and nonlinear parameters by name.
+        told: ends of the table that told it.
     """
 
     constant: float
     terms: tuple[tuple[str, tuple[float, ...], dict[str, float]], ...]
+    told: tuple[float, float]
 
     def __call__(self, x: Array) -> Array:
         """Values at inputs (m,)."""
@@ -112,6 +129,12 @@ class Formula:
             term = next(term for term in GRAMMAR if term.kind == kind)
             out = out + term.columns(x, list(parameters.values())) @ np.array(factors)
         return out
+
+    @property
+    def settles(self) -> float:
+        """Input beyond which it changes no more; infinite for one that always does."""
+        ends = ((next(one for one in GRAMMAR if one.kind == kind), p) for kind, _, p in self.terms)
+        return max((basis.settles(list(p.values())) for basis, p in ends), default=-math.inf)
 
     def text(self, unit: str, per: str) -> str:
         """In words.
@@ -227,4 +250,4 @@ def _fitted(terms: Sequence[Basis], x: Array, values: Array, root: Array) -> tup
         width = term.columns(x[:1], own).shape[1]
         said.append((term.kind, tuple(weights[at : at + width].tolist()), dict(zip(term.names, own, strict=True))))
         at += width
-    return Formula(float(weights[0]), tuple(said)), squares, count + len(weights)
+    return Formula(float(weights[0]), tuple(said), (low, high)), squares, count + len(weights)

@@ -198,6 +198,7 @@ def missing_effects(
         if law is not None and isinstance(effect, Law) and formula is not None:
             unit, per = effect.each(law["table"]["unit"]), law["table"]["inputs"][0]["unit"]
             law["formula"] = formula.to_dict(unit, per)
+            law["supported"][0] = list(formula.told)  # from there on the formula foretells the table
             sentence += f" Its shape is that of a formula: {formula.text(unit, per)}."
         # What happened once leaves no blocks to resample.
         known = np.full(len(final.z), np.inf) if term.effect.once else wide.of_names

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +38,8 @@ def in_closed_form(found: Conclusion, problem: Problem, first: Problem) -> Concl
                 said[term.key], fitted = plainest
                 if effect.of_the_clock:
                     fitted = _from_the_start(fitted, problem, first, term, said[term.key])
+                elif effect.of_the_past:
+                    fitted = _until_it_settles(fitted, problem, term, said[term.key])
     return replace(found, fitted=fitted, formulas=said)
 
 
@@ -54,25 +57,52 @@ def _plainest(fitted: Fit, problem: Problem, effect: Law, key: str) -> tuple[For
         z = fitted.z.copy()
         z[own] = [slots[i].mapped(value) for i, value in zip(own, effect.most * formula(places), strict=True)]
         there = fit(problem, fitted.structure, z, fitted.initial, most=0)
-        # Few windows tell of where a rig seldom was; their loss hides in a mean.
-        lost = compare(there.mse, fitted.mse, problem.blocks).worst < -SCORE.large
-        if not lost and compare(fitted.mse, there.mse, problem.blocks).alike:
+        if _as_well(there, fitted, problem):
             return formula, there
     return None
+
+
+def _as_well(one: Fit, other: Fit, problem: Problem) -> bool:
+    """Whether a fit predicts all windows as well as another, and those of where a rig seldom was, whose loss hides in a
+    mean.
+    """
+    lost = compare(one.mse, other.mse, problem.blocks).worst < -SCORE.large
+    return not lost and compare(other.mse, one.mse, problem.blocks).alike
 
 
 def _from_the_start(fitted: Fit, problem: Problem, first: Problem, term: Term, formula: Formula) -> Fit:
     """A fit whose law of time holds its formula from the start of recordings on, if their beginnings are predicted
     better so.
     """
-    effect = term.effect
-    assert isinstance(effect, Law)
-    longer = effect.reaching(fitted.structure.term_values(fitted.z, term), [(0.0, effect.knots[-1])])
-    if longer is None or not len(first.windows):
+    assert isinstance(term.effect, Law)
+    there = _over(fitted, problem, term, formula, (0.0, term.effect.knots[-1]))
+    if there is None or not len(first.windows):
         return fitted
-    shaped, _ = longer
-    assert isinstance(shaped, Law)
-    values = {p.name: float(v) for p, v in zip(shaped.parameters, formula(shaped.places), strict=True)}
-    there = fit(problem, *instead(fitted.structure, fitted.z, term, shaped, values), fitted.initial, most=0)
     before, after = (float(np.mean(evaluate(first, one.structure, one.z))) for one in (fitted, there))
     return there if after < before else fitted
+
+
+def _until_it_settles(fitted: Fit, problem: Problem, term: Term, formula: Formula) -> Fit:
+    """A fit whose law of the past holds its formula up to where that changes no more, if there is such a place.
+
+    No window tells how much there was of late, so that nobody sees when a recording goes beyond those of the fit.
+    """
+    if not math.isfinite(formula.settles):
+        return fitted
+    assert isinstance(term.effect, Law)
+    there = _over(fitted, problem, term, formula, (term.effect.knots[0], term.effect.knot_at(formula.settles)))
+    return there if there is not None and _as_well(there, fitted, problem) else fitted
+
+
+def _over(fitted: Fit, problem: Problem, term: Term, formula: Formula, span: tuple[float, float]) -> Fit | None:
+    """A fit whose law holds its formula from the first to the last of two knots; None where it goes as far."""
+    assert isinstance(term.effect, Law)
+    longer = term.effect.reaching(fitted.structure.term_values(fitted.z, term), [span])
+    if longer is None:
+        return None
+    shaped, begin = longer
+    assert isinstance(shaped, Law)
+    told = (shaped.most * formula(shaped.places)).tolist()
+    named = (p.name for p in shaped.parameters[: len(told)])  # a time constant comes after them
+    values = {**begin, **dict(zip(named, told, strict=True))}
+    return fit(problem, *instead(fitted.structure, fitted.z, term, shaped, values), fitted.initial, most=0)

@@ -53,6 +53,8 @@ class FormulaSettings:
         flattest: power, below which one is a step
         steepest: power, above which one is a wall
         singular: share of the largest, below which a direction of a table is not known at all
+        over: widths of a spot or a step, and lengths over which something falls, after which it changes by less than a
+            hundredth more
         followed: starts that are followed, of those that begin best: two terms have hundreds
         most_values: values of a formula that a start may ask for: those that have not settled by then, wander
     """
@@ -67,6 +69,7 @@ class FormulaSettings:
     flattest: float = 0.05
     steepest: float = 8.0
     singular: float = 1e-10
+    over: float = 5.0
     followed: int = 6
     most_values: int = 60
 
