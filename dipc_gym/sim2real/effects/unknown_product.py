@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, joint_of
-from dipc_gym.sim2real.effects.law import Array, Law, described, holding_new
+from dipc_gym.sim2real.effects.law import FAR, Array, Law, described, holding_new
 from dipc_gym.sim2real.effects.smoothing import smoothing
 from dipc_gym.sim2real.effects.tables import grow, odd_blocks
 from dipc_gym.sim2real.effects.unknown_force import BEYOND, driven_up_to, in_words, unit_of
@@ -122,14 +122,18 @@ class UnknownProduct(Law):
         shaped.parameters = holding_new(shaped.parameters, new)
         return shaped, shaped.guess
 
-    def _surface(self, values: Values) -> tuple[list[float], list[float], Array]:
-        """The same as a table of both: knots along the first and the second, and levels."""
-        levels = np.array(self.values(values))
-        return list(self.knots), [-self.most, self.most], np.stack([-levels, levels], axis=1)
+    def _surface(self, values: Values, across: Sequence[float]) -> tuple[list[float], list[float], Array]:
+        """The same as a table of both: knots along the first and some of the second, and levels."""
+        along, levels = self.written(values)
+        return along.tolist(), list(across), np.outer(levels, np.array(across) / self.most)
 
     def _numbers(self, values: Values) -> list[float]:
-        """The same as the loader reads it, with two knots along what it is in proportion to."""
-        along, across, levels = self._surface(values)
+        """The same as the loader reads it, with two knots along what it is in proportion to, beyond the data as well.
+
+        A drag does not let go of a joint that is faster, and what drives it fades there.
+        """
+        far = FAR * self.most
+        along, across, levels = self._surface(values, (-far, far))
         return [self.speed, len(along), len(across), *along, *across, *levels.ravel().tolist()]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
@@ -139,14 +143,15 @@ class UnknownProduct(Law):
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """A table of both inputs."""
-        along, across, levels = self._surface(values)
+        most, far = self.most, FAR * self.most
+        along, across, levels = self._surface(values, (-far, -most, most, far))
         inputs = [
             {"name": name, "unit": of, "knots": knots}
             for name, of, knots in zip(self.labels, self.units, (along, across), strict=True)
         ]
         per = unit[self.parameters[0].name]
-        passive = self.names[1].startswith("velocity") and bool(np.all(levels[:, 1] <= 0))
-        return described(
+        passive = self.names[1].startswith("velocity") and bool(np.all(levels[:, -1] <= 0))
+        law = described(
             self.kind,
             inputs,
             levels.tolist(),
@@ -155,6 +160,7 @@ class UnknownProduct(Law):
             driven_up_to=self.speed,
             remembers=self.remembered(values),
         )
+        return {**law, "supported": [law["supported"][0], [-most, most]]}
 
     def remembered(self, values: Values) -> str | None:
         """Of a law of the past, how its first input comes about."""

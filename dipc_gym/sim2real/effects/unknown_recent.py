@@ -140,11 +140,10 @@ class UnknownRecent(UnknownProduct):
         """The factor at other knots; those that it begins with lie evenly: no spline swings between these."""
         return np.asarray(CubicSpline(self.knots, self.values(values))(knots))
 
-    def _surface(self, values: Values) -> tuple[list[float], list[float], Array]:
+    def written(self, values: Values) -> tuple[Array, Array]:
         """Over the mean itself, in so many rows that it bends."""
         roots = between(np.array(self.knots), -(-ROWS // (len(self.knots) - 1)))
-        levels = self._at(roots, values)
-        return (roots**2).tolist(), [-self.most, self.most], np.stack([-levels, levels], axis=1)
+        return roots**2, self._at(roots, values)
 
     def values(self, values: Values) -> list[float]:
         """The values of the table, in the order of its knots."""

@@ -110,8 +110,9 @@ def law(law: Mapping[str, Any]) -> Chart:
     if "low" in table and not others:
         band = np.array(table["low"], dtype=float), np.array(table["high"], dtype=float)
     if others:
-        across_all = levels.shape[1]
-        picked = (0, across_all // 2, across_all - 1)
+        least, largest = law["supported"][1]
+        within = [k for k, knot in enumerate(others[0]["knots"]) if least <= knot <= largest]
+        picked = (within[0], within[len(within) // 2], within[-1])
         tones: tuple[Tone, ...] = ("nominal", "before", "after")
         lines = [(tone, levels[:, k]) for tone, k in zip(tones, picked, strict=True)]
         drawn_as = zip(("dashed", "orange", "blue"), picked, strict=True)
