@@ -205,6 +205,16 @@ def test_a_recording_begins_as_its_first_readings_say(seed: int, speed: float) -
         assert motion.velocity[0, 0] == 0.0
 
 
+def test_first_readings_far_apart_do_not_tell_how_a_recording_begins() -> None:
+    """At 50 Hz eight of them go once round with a pendulum of 5 Hz, and are no cubic; what is smoothed is nearer."""
+    rig, noise, time = cart_pole(), np.array([1e-4, 1e-4]), np.arange(500) * 0.02
+    rng, omega = np.random.default_rng(4), 2 * np.pi * 5
+    sensors = np.stack([0.1 * np.cos(3 * time), 0.1 * np.sin(omega * time)], axis=1) + noise * rng.normal(size=(500, 2))
+    motion = states.estimate(recorded(rig, time, sensors), rig, noise)
+    smooth = states.smoothed(time, sensors[:, 1], noise[1])
+    assert motion.velocity[0, 1] == np.gradient(smooth, time, edge_order=2)[0]
+
+
 def test_a_dead_sensor_does_where_nothing_else_sees_its_joint() -> None:
     rng = np.random.default_rng(3)
     rig, time = cart_pole(), stamps(rng, 1000, irregular=False)

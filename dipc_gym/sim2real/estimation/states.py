@@ -168,8 +168,8 @@ def _first_speed(time: Array, read: Array, velocity: Array, noise: Array) -> Arr
     """Velocities (nb,) with which a recording begins, from what was read first.
 
     A recording mostly begins at rest, and with a command that jumps: what is smoothed is then off by far more than its
-    noise, and a load that swings would remember that for seconds. Where the first readings tell the velocity well, it
-    is theirs, or none where that may be.
+    noise, and a load that swings would remember that for seconds. Where the first readings lie on a cubic and tell the
+    velocity well, it is theirs, or none where that may be.
 
     Args:
         time: s, (n,).
@@ -179,11 +179,15 @@ def _first_speed(time: Array, read: Array, velocity: Array, noise: Array) -> Arr
     """
     if len(read) < ESTIMATION.begins:
         return velocity[0]
-    inverse = np.linalg.pinv(np.vander(time[: len(read)] - time[0], 4))[2]
-    told, doubt = inverse @ read, np.linalg.norm(inverse) * noise
+    cubic = np.vander(time[: len(read)] - time[0], 4)
+    inverse = np.linalg.pinv(cubic)
+    told, doubt = inverse[2] @ read, np.linalg.norm(inverse[2]) * noise
     near = np.where(np.abs(velocity[0] - told) < ESTIMATION.surely * doubt, velocity[0], told)
     first = np.where(np.abs(told) < ESTIMATION.surely * doubt, 0.0, near)
-    return np.where(doubt < ESTIMATION.rough_speed * velocity.std(axis=0), first, velocity[0])
+    spare = len(read) - cubic.shape[1]
+    off = np.linalg.norm(read - cubic @ (inverse @ read), axis=0) / math.sqrt(spare)
+    well = (doubt < ESTIMATION.rough_speed * velocity.std(axis=0)) & (off < ESTIMATION.surely * noise)
+    return np.where(well, first, velocity[0])
 
 
 def inverse_map(P: Array, noise: Array) -> Array:
