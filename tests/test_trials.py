@@ -729,6 +729,25 @@ def test_a_law_and_the_effect_beside_it_are_judged_each_by_itself():
     assert (judged.unknown, judged.misnamed, judged.beside) == (False, True, True)
 
 
+def test_a_formula_is_right_if_it_is_the_truth_and_nothing_more():
+    thins = {"unknown@cart": {"thin_shear": {"value": 0.5, "unit": "m/s"}}}
+    hidden = sealed("unknown", [("unknown", "cart")], parameters=thins)
+
+    def judged(*terms, size=10.0):
+        law = {"law": {"formula": {"terms": list(terms)} if terms else None}}
+        return grade.grade(hidden | {"share_of_signal": size}, said(one("unknown") | law), FINE).formula
+
+    near, far = ({"kind": "exponential", "factors": [1.0], "scale": scale} for scale in (0.53, 0.56))
+    assert judged(near) is True
+    assert judged(far) is False
+    assert judged({"kind": "line", "factors": [1.0]}) is False
+    assert judged(near, {"kind": "line", "factors": [1e-9]}) is False
+    assert judged() is False
+    assert judged(near, size=1.0) is None
+    assert grade.grade(hidden, said(), FINE).formula is False
+    assert grade.grade(sealed("unknown", [("unknown", "cart")]), said(one("unknown")), FINE).formula is None
+
+
 def test_a_third_of_the_laws_stands_beside_what_machines_usually_have(tmp_path):
     plans = generate.plans(5, laws=True)
     assert 25 <= sum(plan.beside for plan in plans) <= 55

@@ -10,6 +10,8 @@ What counts as right:
 - *set*: every effect of the truth is named once by these rules, and nothing else, parts aside; one of several that
   by itself moves the held-out prediction by less than twice the noise may be left out.
 - *place*: the first effect stands where the truth does (or its equivalent, for an equivalent name).
+- *formula*: drag that thins does so exponentially; its law is said to be one exponential, falling over the true length
+  to a tenth of it, and nothing more.
 - *false alarm*: anything called missing, or a verdict of unexplained structure, where nothing is missing.
 - *held-out error reached*: between the refitted nominal model (0 %) and the true structure (100 %) on a recording
   that the tool never saw, both by the generator's integrator; the tool's model is replayed by `dipc-gym replay
@@ -28,6 +30,8 @@ import numpy as np
 CLEAR = 2.0
 """From this size on, in noise standard deviations, an effect is expected to be found."""
 STRUCTURE_LEFT = ("unexplained", "partly explained")
+AS_LONG = 0.1
+"""Share by which a length in a formula may be off and be called right."""
 BROKEN = "Please report this with the files"
 """Ends the note on a stage that failed inside; the diagnosis goes on without it."""
 
@@ -55,6 +59,7 @@ class Grade:
         renumbered: parameters called wrong where none are.
         unknown: unknown physics called unknown.
         misnamed: unknown physics given a known name.
+        formula: of drag that thins, the right formula is said.
         beside: an effect with a name that is hidden beside a law, and moves predictions by twice the noise or more
             beside it, is named at its place.
         reached: share of the reachable improvement on the held-out recording, converged simulation.
@@ -87,6 +92,7 @@ class Grade:
     renumbered: bool | None = None
     unknown: bool | None = None
     misnamed: bool | None = None
+    formula: bool | None = None
     beside: bool | None = None
     reached: float | None = None
     reached_own_step: float | None = None
@@ -267,6 +273,15 @@ def _grade_unknown(result: Grade, answer: Mapping[str, Any], said: Sequence[Mapp
     at = {place for m in answer["missing"] for place in (m["at"], *m["also_at"])}
     if said:
         result.place = said[0]["at"] in at
+    thins = [values["thin_shear"]["value"] for values in answer["parameters"].values() if "thin_shear" in values]
+    if thins and result.clear:
+        result.formula = any(_falls_over(thins[0], one) for one in said)
+
+
+def _falls_over(length: float, said: Mapping[str, Any]) -> bool:
+    """Whether a law is said to be one exponential that falls over so much of its input."""
+    terms = ((said.get("law") or {}).get("formula") or {}).get("terms") or []
+    return len(terms) == 1 and math.isclose(terms[0].get("scale", math.nan), length, rel_tol=AS_LONG)
 
 
 def _reached(answer: Mapping[str, Any], errors: Mapping[str, float] | None) -> float | None:

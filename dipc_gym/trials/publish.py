@@ -89,6 +89,7 @@ def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
         f"| wrong parameters called just that | {_share(s['wrong_numbers'])} |",
         f"| unknown physics of twice the noise or more called unknown | {_share(s['unknown'])} |",
         f"| unknown physics given a known name | {_share(s['unknown_misnamed'])} |",
+        f"| drag that thins exponentially said to be that, its length to a tenth | {_share(s['formula'])} |",
         f"| effects with a name beside a law, named | {_share(s['beside'])} |",
         f"| held-out error of unknown physics, times the noise, median (quartiles) | {_times(s['unknown_error'])} |",
         f"| the same in windows that go no further | {_times(s['unknown_error_within'])} |",

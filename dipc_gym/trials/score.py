@@ -83,6 +83,7 @@ def summarise(judged: Sequence[Grade]) -> dict[str, Any]:
         "wrong_numbers": _rate([j.name for j in judged if j.kind == "wrong"]),
         "unknown": _rate([j.unknown for j in unknown if j.clear]),
         "unknown_misnamed": _rate([j.misnamed for j in unknown]),
+        "formula": _rate([j.formula for j in judged]),
         "beside": _rate([j.beside for j in judged]),
         "close": _rate([j.error <= CLOSE for j in clear if j.error is not None]),
         "close_within": _rate([j.error_within <= CLOSE for j in clear if j.error_within is not None]),
