@@ -24,6 +24,7 @@ from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
 from dipc_gym.sim2real.simulation.windows import cut
+from dipc_gym.sim2real.unseen.parts import loads
 from dipc_gym.sim2real.unseen.play import play
 
 ELEMENTS = ((0.004, 0.02), (1.5, 2.5))  # m and N
@@ -151,6 +152,34 @@ def test_the_springs_of_a_law_pull_in_plain_mujoco_as_it_says(
     # Between them lines follow the curve, which is steeper at one end of a stretch than at the other.
     between = np.searchsorted(told, away)
     assert levels[between - 1] <= pull(away) <= levels[between]
+
+
+def test_what_a_file_gives_all_its_tendons_is_not_the_springs_of_a_load() -> None:
+    given = '<default><tendon stiffness="3 5 7" damping="2 3 4" limited="true" range="-9 9"/></default>'
+    plain, spoilt = (
+        Document(mjcf.from_text(CART)),
+        Document(mjcf.from_text(CART.replace("<worldbody>", given + "<worldbody>"))),
+    )
+    values = {"mass": 0.2, "small_swing_frequency": 1.5, "damping_ratio": 0.1, "slope_2": 2.0}
+    for document in (plain, spoilt):
+        SwingingLoadOfAnyLaw([0.0, 0.02, 0.05], values).edit(document, "cart", values)
+    one, other = (mjcf.compile(document.text()) for document in (plain, spoilt))
+    for name in ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "limited"):
+        np.testing.assert_array_equal(getattr(one, f"tendon_{name}"), getattr(other, f"tendon_{name}"))
+    assert list(loads(one)) == list(loads(other)) == ["cart_load"]
+
+
+@pytest.mark.parametrize("polynomial", ['stiffness="9 2 0"', 'stiffness="9 0 -4"', 'damping="1 2 0"'])
+def test_a_load_that_no_pass_follows_is_simulated_as_any_joint(polynomial: str) -> None:
+    """Its springs pull more on one side, push from some stretch on, or its dampers go with more than speed."""
+    document = Document(mjcf.from_text(CART))
+    catalogue()["load.swinging"].edit(document, "cart", hidden("load.swinging")[1])
+    assert list(loads(mjcf.compile(document.text()))) == ["cart_load"]
+    name, _, numbers = polynomial.partition("=")
+    tendon = document.root.find("tendon/fixed")
+    assert tendon is not None
+    tendon.set(name, numbers.strip('"'))
+    assert not loads(mjcf.compile(document.text()))
 
 
 @given(st.lists(st.tuples(st.floats(0.005, 0.1), st.floats(0.01, 30.0)), min_size=1, max_size=8))

@@ -205,6 +205,19 @@ def test_a_recording_begins_as_its_first_readings_say(seed: int, speed: float) -
         assert motion.velocity[0, 0] == 0.0
 
 
+@pytest.mark.parametrize("speed", [0.1, 0.2])
+def test_a_recording_cut_from_a_motion_begins_as_that_goes(speed: float) -> None:
+    """It never rested, slow as it is there."""
+    rig, noise, time = cart_pole(), np.array([5e-5, 5e-5]), np.arange(3000) * 0.002
+    omega, off = 2 * np.pi, []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        cart = 0.2 * np.sin(omega * time + np.arccos(speed / (0.2 * omega)))  # 0.9 m/s is usual
+        sensors = np.stack([cart, 0.2 * np.cos(4 * time)], axis=1) + noise * rng.normal(size=(3000, 2))
+        off.append(states.estimate(recorded(rig, time, sensors), rig, noise).velocity[0, 0] - speed)
+    assert np.sqrt(np.mean(np.square(off))) < 0.02
+
+
 def test_first_readings_far_apart_do_not_tell_how_a_recording_begins() -> None:
     """At 50 Hz eight of them go once round with a pendulum of 5 Hz, and are no cubic; what is smoothed is nearer."""
     rig, noise, time = cart_pole(), np.array([1e-4, 1e-4]), np.arange(500) * 0.02

@@ -733,11 +733,13 @@ def test_a_formula_is_right_if_it_is_the_truth_and_nothing_more():
     thins = {"unknown@cart": {"thin_shear": {"value": 0.5, "unit": "m/s"}}}
     hidden = sealed("unknown", [("unknown", "cart")], parameters=thins)
 
-    def judged(*terms, size=10.0):
-        law = {"law": {"formula": {"terms": list(terms)} if terms else None}}
-        return grade.grade(hidden | {"share_of_signal": size}, said(one("unknown") | law), FINE).formula
+    def judged(*terms, size=10.0, at="cart", of="recent velocity cart"):
+        law = {"law": {"of": [of], "formula": {"terms": list(terms)} if terms else None}}
+        return grade.grade(hidden | {"share_of_signal": size}, said(one("unknown", at) | law), FINE).formula
 
-    near, far = ({"kind": "exponential", "factors": [1.0], "scale": scale} for scale in (0.53, 0.56))
+    near, far = ({"kind": "exponential", "factors": [1.0], "scale": scale} for scale in (0.53, 0.555))
+    assert judged(near, at="pole1") is False
+    assert judged(near, of="time") is False
     assert judged(near) is True
     assert judged(far) is False
     assert judged({"kind": "line", "factors": [1.0]}) is False

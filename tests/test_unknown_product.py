@@ -78,6 +78,23 @@ def test_between_its_knots_a_factor_bends() -> None:
     assert np.abs(straight + np.exp(-sizes / 7.8)).max() > 8 * np.abs(written + np.exp(-sizes / 7.8)).max()
 
 
+def test_beyond_the_data_it_goes_on_in_proportion() -> None:
+    """A drag does not let go of a joint that is faster; what drives fades there, and the table says the same."""
+    law = UnknownProduct([0.0, 1.0], [-3.0, 2.0], ("position cart", "velocity cart"), 1.0, 5.0, ("m", "m/s"))
+    document = Document(mjcf.from_text(CART))
+    law.edit(document, "cart", law.guess)
+    (extra,) = physics.load(document.text()).extras
+    place, speed = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]), np.array([0.5, 1.0, 20.0, 0.5, 4.0, 20.0])
+    zero = 0 * speed
+    data = np.broadcast_to(extra.data, (len(speed), len(extra.data)))
+    moment = physics.Moment(zero, place, zero, zero, zero, speed, (place, speed))
+    np.testing.assert_allclose(formulas.force_of(data, moment), [-1.5, -3.0, -60.0, 1.0, 8.0, 0.0], atol=1e-9)
+    said = law.law_of(law.guess, {"value_1": "N"})
+    assert said["supported"] == [[0.0, 1.0], [-1.0, 1.0]]
+    across = said["table"]["inputs"][1]["knots"]
+    assert [np.interp(v, across, said["table"]["levels"][0]) for v in (0.5, 20.0)] == pytest.approx([-1.5, -60.0])
+
+
 @given(st.integers(3, 9), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
 def test_a_value_that_no_motion_tells_goes_on_as_its_neighbours_do(count: int, begin: float, slope: float) -> None:
     """All but the first are known and lie on a line: it is likeliest on that line, whatever it was guessed to be."""

@@ -70,14 +70,14 @@ def swing(
         >>> round(float(behind[-1]), 4)
         -0.04
     """
-    # They are stiffest where one of them begins to pull, or where the load is left as far behind as it can be.
-    ends = np.array([*(one.slack for one in springs), float(np.ptp(position))])
-    stiffest = float(np.max(sum((one.slope(ends) for one in springs), np.zeros(len(ends))), initial=1e-12))
-    longest = min(LONGEST, TURN / math.sqrt(max(stiffest, 1e-12)), FADE / max(drag + ground, 1e-12))
-    out = np.empty((2, len(stamps)))
     # Less where it begins, and less the speed then, which the load shares where nothing holds it back.
     shared = 0.0 if ground else velocity[0]
     carried = (position - position[0] - shared * (stamps - stamps[0]), velocity - shared)
+    # They are about stiffest where one begins to pull, or where the load is left as far behind as it was carried.
+    ends = np.array([*(one.slack for one in springs), float(np.ptp(carried[0]))])
+    stiffest = float(np.max(sum((one.slope(ends) for one in springs), np.zeros(len(ends))), initial=1e-12))
+    longest = min(LONGEST, TURN / math.sqrt(stiffest), FADE / max(drag + ground, 1e-12))
+    out = np.empty((2, len(stamps)))
     arrays = [np.ascontiguousarray(one, dtype=float) for one in (springs, *carried, stamps)]
     numbers = (ctypes.c_double(one) for one in (drag, ground, longest))
     _function()(*(one.ctypes.data for one in (*arrays, out)), len(springs), len(stamps), *numbers)

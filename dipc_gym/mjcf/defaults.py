@@ -21,6 +21,7 @@ _ACTUATORS = frozenset(
         "plugin",
     ]
 )
+_TENDONS = frozenset(["fixed", "spatial", "tendon"])
 
 
 def effective(root: ET.Element, element: ET.Element, attribute: str, default: str = "") -> str:
@@ -29,7 +30,7 @@ def effective(root: ET.Element, element: ET.Element, attribute: str, default: st
         return element.attrib[attribute]
     if root.find("default") is None:  # most files; a parent of every element is asked for below
         return default
-    tags = _ACTUATORS if element.tag in _ACTUATORS else {element.tag}
+    tags = next((shared for shared in (_ACTUATORS, _TENDONS) if element.tag in shared), {element.tag})
     for defaults in _classes(root, element):
         for entry in reversed(defaults):
             if entry.tag in tags and attribute in entry.attrib:

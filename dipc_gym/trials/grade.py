@@ -275,13 +275,16 @@ def _grade_unknown(result: Grade, answer: Mapping[str, Any], said: Sequence[Mapp
         result.place = said[0]["at"] in at
     thins = [values["thin_shear"]["value"] for values in answer["parameters"].values() if "thin_shear" in values]
     if thins and result.clear:
-        result.formula = any(_falls_over(thins[0], one) for one in said)
+        result.formula = any(one["at"] in at and _falls_over(thins[0], one) for one in said)
 
 
 def _falls_over(length: float, said: Mapping[str, Any]) -> bool:
-    """Whether a law is said to be one exponential that falls over so much of its input."""
-    terms = ((said.get("law") or {}).get("formula") or {}).get("terms") or []
-    return len(terms) == 1 and math.isclose(terms[0].get("scale", math.nan), length, rel_tol=AS_LONG)
+    """Whether a law without a name is said to be one exponential that falls over so large a speed of late."""
+    law = said.get("law") or {}
+    terms = (law.get("formula") or {}).get("terms") or []
+    if said["effect"] != "unknown" or len(terms) != 1 or not law["of"][0].startswith("recent velocity "):
+        return False
+    return abs(terms[0].get("scale", math.inf) - length) <= AS_LONG * length
 
 
 def _reached(answer: Mapping[str, Any], errors: Mapping[str, float] | None) -> float | None:

@@ -156,10 +156,8 @@ def couple(
     document: Document, name: str, rotor: str, load: str, stiffness: float, damping: float, cubic: float = 0.0
 ) -> None:
     """A spring, with a share of the third power if need be, and a damper between rotor and load, as a fixed tendon."""
-    pull = (stiffness, 0.0, cubic) if cubic else stiffness
-    tendon = document.add(
-        "tendon", "fixed", name=document.fresh(name), stiffness=pull, damping=damping, springlength="0"
-    )
+    pull, drag = (stiffness, 0.0, cubic), (damping, 0.0, 0.0)  # of fewer numbers a default class would add its own
+    tendon = document.add("tendon", "fixed", name=document.fresh(name), stiffness=pull, damping=drag, springlength="0")
     document.plain(tendon, limited="auto", range="0 0", frictionloss="0", armature="0")
     _between(document, tendon, rotor, load)
 
@@ -178,7 +176,7 @@ def bend(document: Document, name: str, rotor: str, load: str, slack: float, sti
     """
     ends, pull = (-slack, slack), (stiffness, 0.0, cubic)
     tendon = document.add("tendon", "fixed", name=document.fresh(name), stiffness=pull, springlength=ends)
-    document.plain(tendon, limited="auto", range="0 0", frictionloss="0", armature="0", damping="0")
+    document.plain(tendon, limited="auto", range="0 0", frictionloss="0", armature="0", damping="0 0 0")
     _between(document, tendon, rotor, load)
 
 
@@ -206,7 +204,7 @@ def limit(document: Document, name: str, rotor: str, load: str, gap: float, rate
         solreflimit=(-(rate**2), -2 * damping * rate),
         solimplimit=(IMPEDANCE, IMPEDANCE, 1.0),
     )
-    document.plain(tendon, margin="0", frictionloss="0", armature="0", stiffness="0", damping="0")
+    document.plain(tendon, margin="0", frictionloss="0", armature="0", stiffness="0 0 0", damping="0 0 0")
     _between(document, tendon, rotor, load)
 
 

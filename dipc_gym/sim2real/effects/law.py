@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 Outside = Literal["constant", "parallel"]
 
-FAR = 100.0  # times its last knot, to where an exported table is told of a law that goes on straight
+FAR = 100.0  # times the largest that data tell, to where a table goes of a law that goes on straight
 BENT = 1e-5  # of the law's size, by which values begin off a line: a ramp that is nothing has no slope to fit by
 
 

@@ -33,7 +33,7 @@ class Load:
         rate: of small swings, rad/s.
         ratio: of its damping.
         knots: stretches that divide its spring, the first 0, m or rad, (k + 1,).
-        slopes: of the stretches between them, against the first, (k,).
+        slopes: that draw it there, against the first, (k,); see `slope_of`.
     """
 
     rate: float
@@ -74,7 +74,7 @@ def slope_of(knots: Sequence[float], slopes: Sequence[float]) -> BSpline:
 
     Args:
         knots: stretches that divide it, the first 0, (k + 1,).
-        slopes: of the stretches between them, (k,).
+        slopes: that draw it from each to the next, (k,): it comes close to them, and goes through none.
     """
     first, last = knots[1] - knots[0], knots[-1] + knots[-1] - knots[-2]
     return BSpline([-first, -first, *knots, last, last], [slopes[0], *slopes, slopes[-1]], 2)

@@ -144,7 +144,7 @@ class UnknownProduct(Law):
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """A table of both inputs."""
         most, far = self.most, FAR * self.most
-        along, across, levels = self._surface(values, (-far, -most, most, far))
+        along, across, levels = self._surface(values, (-far, -most, 0.0, most, far))
         inputs = [
             {"name": name, "unit": of, "knots": knots}
             for name, of, knots in zip(self.labels, self.units, (along, across), strict=True)

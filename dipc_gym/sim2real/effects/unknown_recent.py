@@ -137,7 +137,7 @@ class UnknownRecent(UnknownProduct):
         return {p.name: v for p, v in zip(self.parameters, (*self.first, self.time), strict=True)}
 
     def _at(self, knots: Array, values: Values) -> Array:
-        """The factor at other knots; those that it begins with lie evenly: no spline swings between these."""
+        """The factor at other knots; those of its own lie evenly, or go on so: no spline swings between these."""
         return np.asarray(CubicSpline(self.knots, self.values(values))(knots))
 
     def written(self, values: Values) -> tuple[Array, Array]:

@@ -25,8 +25,12 @@ class EstimationSettings:
         rough_speed: share of the usual speed by which an initial velocity may be off as well: smoothing rounds off
             where motion turns round
         at_rest: standard deviations of an initial velocity, below which a joint may as well start at rest
-        begins: samples that tell with what velocity a recording begins, by a cubic: twice as many as it has numbers
-        surely: standard deviations of what these tell, from which that velocity is none, or another than estimated
+        begins: first samples that are asked with what velocity a recording begins, by a cubic: twice as many as it has
+            numbers
+        on_it: times the noise, up to which readings are off a curve that they lie on: of four, nine in ten times
+        surely: standard deviations of what they tell, from which that velocity is not none, and times the noise, from
+            which they are off the smoothed curve
+        sure: share of the usual speed, up to which they may leave it open so, to tell anything
         blown_up: times the noise; a simulation that blew up is no worse than this
         block: s, within which neighbouring windows count as one when errors are compared: what is wrong in one is as
             wrong in the next
@@ -90,7 +94,9 @@ class EstimationSettings:
     rough_speed: float = 0.05
     at_rest: float = 2.0
     begins: int = 8
+    on_it: float = 1.5
     surely: float = 3.0
+    sure: float = 0.15
     blown_up: float = 1e6
     block: float = 1.0
     steps: int = 8

@@ -150,44 +150,59 @@ def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
     for s in positional:
         smooth[:, s] = smoothed(recording.time, recording.sensors[:, s], noise[s])
     smooth = straightened(physics, smooth)
-    as_read = smooth.copy()
     _undo_lateness(physics, recording.time, smooth)
     inverse = inverse_map(P[positional], noise[positional])
     position = (smooth[:, positional] - c[positional]) @ inverse.T
     velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
-    acceleration = np.gradient(velocity, recording.time, axis=0, edge_order=2)
     read = np.hypot.reduce(inverse * np.where(np.isfinite(noise), noise, 0.0)[positional], axis=1)
-    if np.array_equal(smooth, as_read):  # else its beginning was read before the recording began
-        raw = straightened(physics, recording.sensors[: ESTIMATION.begins])
-        first = (raw[:, positional] - c[positional]) @ inverse.T
-        velocity[0] = _first_speed(recording.time, first, velocity, read)
+    acceleration = np.gradient(velocity, recording.time, axis=0, edge_order=2)
+    when, first = _first_readings(physics, recording, positional)
+    velocity[0] = _begins(recording.time, position, velocity, when, (first - c[positional]) @ inverse.T, read)
     return Motion(recording.time, position, velocity, acceleration, read)
 
 
-def _first_speed(time: Array, read: Array, velocity: Array, noise: Array) -> Array:
-    """Velocities (nb,) with which a recording begins, from what was read first.
+def _first_readings(physics: Physics, recording: Recording, which: NDArray[np.intp]) -> tuple[Array, Array]:
+    """When the first of what sensors read was so, s, (k,), and the readings of some of them, (k, m).
+
+    None where they are late by different times, or lag: what they read first was then before the recording.
+    """
+    delays, lags = mjcf.sensor_delays(physics.model)[which], {extra.index for extra in physics.stage("lag")}
+    if np.ptp(delays) > 0 or lags.intersection(mjcf.sensor_addresses(physics.model)[which].tolist()):
+        return np.zeros(0), np.zeros((0, len(which)))
+    begin = int(np.searchsorted(recording.time, recording.time[0] + delays[0] - 1e-9))
+    span = slice(begin, begin + ESTIMATION.begins)
+    return recording.time[span] - delays[0], straightened(physics, recording.sensors[span])[:, which]
+
+
+def _begins(time: Array, position: Array, velocity: Array, when: Array, read: Array, noise: Array) -> Array:
+    """Velocities (nb,) with which a recording begins, by its first readings.
 
     A recording mostly begins at rest, and with a command that jumps: what is smoothed is then off by far more than its
-    noise, and a load that swings would remember that for seconds. Where the first readings lie on a cubic and tell the
-    velocity well, it is theirs, or none where that may be.
+    noise, and a load that swings would remember that for seconds. Where the first readings lie on a cubic that tells
+    the velocity well, and not on the smoothed curve, it is theirs, or none where that may be. A little of it is none as
+    well, if they may say so.
 
     Args:
         time: s, (n,).
-        read: first positions, (k, nb).
+        position: smoothed, m or rad, (n, nb).
         velocity: smoothed, (n, nb).
-        noise: of positions, (nb,).
+        when: what was read first was so, s, (k,).
+        read: positions, (k, nb).
+        noise: of these, (nb,).
     """
-    if len(read) < ESTIMATION.begins:
+    count = ESTIMATION.begins
+    if len(read) < count:
         return velocity[0]
-    cubic = np.vander(time[: len(read)] - time[0], 4)
-    inverse = np.linalg.pinv(cubic)
-    told, doubt = inverse[2] @ read, np.linalg.norm(inverse[2]) * noise
-    near = np.where(np.abs(velocity[0] - told) < ESTIMATION.surely * doubt, velocity[0], told)
-    first = np.where(np.abs(told) < ESTIMATION.surely * doubt, 0.0, near)
-    spare = len(read) - cubic.shape[1]
-    off = np.linalg.norm(read - cubic @ (inverse @ read), axis=0) / math.sqrt(spare)
-    well = (doubt < ESTIMATION.rough_speed * velocity.std(axis=0)) & (off < ESTIMATION.surely * noise)
-    return np.where(well, first, velocity[0])
+    cubic = np.vander(when - when[0], 4)
+    inverse, usual = np.linalg.pinv(cubic), velocity.std(axis=0)
+    told, doubt = inverse[2] @ read, ESTIMATION.surely * np.linalg.norm(inverse[2]) * noise
+    off = np.linalg.norm(read - cubic @ (inverse @ read), axis=0) / math.sqrt(count - 4)
+    smooth = np.stack([np.interp(when, time, one) for one in position.T], axis=1)
+    refuted = np.sqrt(np.mean((read - smooth) ** 2, axis=0)) > ESTIMATION.surely * noise
+    rests = (np.abs(told) < doubt) & (refuted | (np.abs(velocity[0]) < ESTIMATION.rough_speed * usual))
+    begins = np.where(rests, 0.0, np.where(refuted, told, velocity[0]))
+    well = (off < ESTIMATION.on_it * noise) & (doubt < ESTIMATION.sure * usual)
+    return np.where(well, begins, velocity[0])
 
 
 def inverse_map(P: Array, noise: Array) -> Array:

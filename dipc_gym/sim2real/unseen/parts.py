@@ -10,6 +10,8 @@ import numpy as np
 from dipc_gym import mjcf
 from dipc_gym.engine.swing import Spring
 
+ROUNDING = 1e-9  # of third powers that cancel each other
+
 
 def yielding(model: mujoco.MjModel) -> list[int]:
     """Tendons whose springs yield, in the order of their states in the engine."""
@@ -57,8 +59,16 @@ def loads(model: mujoco.MjModel) -> dict[str, Load]:
     for name, leader in mjcf.followers(model).items():
         at, lead = (int(model.joint(one).dofadr[0]) for one in (name, leader))
         between = [t for t in range(model.ntendon) if {joint for joint, _ in along(model, t)} == {at, lead}]
-        # Springs that pull either way alike; one that pulls at all without slack, and others that may do nothing.
-        alike = not any(np.sum(model.tendon_lengthspring[t]) or model.tendon_stiffnesspoly[t, 0] for t in between)
+        # Springs that pull either way alike and never push, and dampers in proportion; one that pulls at all without
+        # slack, and others that may do nothing.
+        cubes = model.tendon_stiffnesspoly[between, 1]
+        alike = not (
+            np.any(model.tendon_lengthspring[between].sum(axis=1))
+            or np.any(model.tendon_stiffnesspoly[between, 0])
+            or np.any(model.tendon_dampingpoly[between])
+            or np.any(model.dof_dampingpoly[at])
+            or cubes.sum() < -ROUNDING * np.abs(cubes).sum()
+        )
         taut = [t for t in between if model.tendon_stiffness[t] > 0 and not np.any(model.tendon_lengthspring[t])]
         if int(model.joint(name).id) not in driven and alike and len(taut) == 1:
             found[name] = Load(at, tuple(between))

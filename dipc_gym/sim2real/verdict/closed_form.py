@@ -34,7 +34,8 @@ class Basis:
         bounds: of the same: smallest and largest, within which a term is seen as what it is called. The flank of a
             Gaussian far away is a curve, but nobody would say so.
         one_sided: whether it is a function of the size of the input alone, so that it needs one that begins at zero.
-        settles: of its nonlinear parameters: input beyond which it changes no more; infinite if it always does.
+        settles: of its nonlinear parameters: input beyond which it changes no more; infinite if it may always do, as
+            what sits somewhere does, for that may be beyond the table.
     """
 
     kind: str
@@ -44,11 +45,6 @@ class Basis:
     bounds: Callable[[float, float], list[tuple[float, float]]]
     one_sided: bool = False
     settles: Callable[[Sequence[float]], float] = lambda p: math.inf
-
-
-def _aside(p: Sequence[float]) -> float:
-    """A spot and a step are over so many widths beside where they are."""
-    return p[0] + FORMULAS.over * p[1]
 
 
 def _spots(low: float, high: float) -> list[tuple[float, ...]]:
@@ -72,15 +68,8 @@ def _column(x: Array) -> Array:
 
 GRAMMAR = (
     Basis("line", (), lambda x, _: _column(x), lambda low, high: [()], lambda low, high: []),
-    Basis(
-        "Gaussian",
-        ("at", "width"),
-        lambda x, p: _column(np.exp(-0.5 * ((x - p[0]) / p[1]) ** 2)),
-        _spots,
-        _seen,
-        settles=_aside,
-    ),
-    Basis("step", ("at", "width"), lambda x, p: _column(np.tanh((x - p[0]) / p[1])), _spots, _seen, settles=_aside),
+    Basis("Gaussian", ("at", "width"), lambda x, p: _column(np.exp(-0.5 * ((x - p[0]) / p[1]) ** 2)), _spots, _seen),
+    Basis("step", ("at", "width"), lambda x, p: _column(np.tanh((x - p[0]) / p[1])), _spots, _seen),
     Basis(
         "sine",
         ("wavelength",),
@@ -132,9 +121,9 @@ class Formula:
 
     @property
     def settles(self) -> float:
-        """Input beyond which it changes no more; infinite for one that always does."""
+        """Input beyond which it changes no more; infinite for one that may always do."""
         ends = ((next(one for one in GRAMMAR if one.kind == kind), p) for kind, _, p in self.terms)
-        return max((basis.settles(list(p.values())) for basis, p in ends), default=-math.inf)
+        return max((basis.settles(list(p.values())) for basis, p in ends), default=0.0)
 
     def text(self, unit: str, per: str) -> str:
         """In words.

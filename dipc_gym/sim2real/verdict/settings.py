@@ -53,8 +53,7 @@ class FormulaSettings:
         flattest: power, below which one is a step
         steepest: power, above which one is a wall
         singular: share of the largest, below which a direction of a table is not known at all
-        over: widths of a spot or a step, and lengths over which something falls, after which it changes by less than a
-            hundredth more
+        over: lengths over which something falls, after which less than a hundredth of it is left
         followed: starts that are followed, of those that begin best: two terms have hundreds
         most_values: values of a formula that a start may ask for: those that have not settled by then, wander
     """
