@@ -294,7 +294,7 @@ def test_a_load_that_swings_wide_is_found_with_the_law_of_its_spring() -> None:
     document = Document(mjcf.from_text(CART))
     catalogue()["load.swinging"].edit(document, "cart", {"mass": 0.25, "frequency": 1.6, "damping_ratio": 0.06})
     (spring,) = document.root.iter("fixed")
-    document.set(spring, stiffness=(float(spring.get("stiffness", "")), 0.0, 1e3))
+    document.set(spring, stiffness=(float(spring.get("stiffness", "").split()[0]), 0.0, 1e3))
     rig = physics.from_model(mjcf.compile(document.text()))
     runs = [record(rig, sweep(volts), 8.0, noise=(1e-4,)) for volts in (6.0, 4.0)]
     found = diagnose(mjcf.from_text(CART), runs)
