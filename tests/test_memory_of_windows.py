@@ -290,7 +290,7 @@ def test_sensitivities_go_through_yielding() -> None:
 
 
 def test_a_load_that_swings_wide_is_found_with_the_law_of_its_spring() -> None:
-    """Its spring hardens by MuJoCo's own polynomial, which no law of the tool's is."""
+    """Its spring hardens without end, by MuJoCo's own polynomial; a law of the tool's is level where data end."""
     document = Document(mjcf.from_text(CART))
     catalogue()["load.swinging"].edit(document, "cart", {"mass": 0.25, "frequency": 1.6, "damping_ratio": 0.06})
     (spring,) = document.root.iter("fixed")
