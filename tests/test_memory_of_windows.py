@@ -19,6 +19,7 @@ from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.effects.base import Effect
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
+from dipc_gym.sim2real.effects.loads import smooth
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term
@@ -149,17 +150,15 @@ def test_the_springs_of_a_law_pull_in_plain_mujoco_as_it_says(
     told, levels = table["inputs"][0]["knots"], np.array(table["levels"])
     assert np.all(np.diff(levels) > 0)
     np.testing.assert_allclose([pull(one) for one in told], levels, rtol=1e-6, atol=1e-9 * np.abs(levels).max())
-    # Between them lines follow the curve, which is steeper at one end of a stretch than at the other.
-    between = np.searchsorted(told, away)
-    assert levels[between - 1] <= pull(away) <= levels[between]
+    stiffness = values["mass"] * (2 * np.pi * values["small_swing_frequency"]) ** 2
+    along = smooth(knots.tolist(), [stiffness, *(stiffness * slope for slope in slopes[1:])])
+    expected = sum(float(one.pull(np.array(away))) for one in along)
+    assert pull(away) == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(levels).max())
 
 
 def test_what_a_file_gives_all_its_tendons_is_not_the_springs_of_a_load() -> None:
     given = '<default><tendon stiffness="3 5 7" damping="2 3 4" limited="true" range="-9 9"/></default>'
-    plain, spoilt = (
-        Document(mjcf.from_text(CART)),
-        Document(mjcf.from_text(CART.replace("<worldbody>", given + "<worldbody>"))),
-    )
+    plain, spoilt = (Document(mjcf.from_text(CART.replace("<worldbody>", f"{one}<worldbody>"))) for one in ("", given))
     values = {"mass": 0.2, "small_swing_frequency": 1.5, "damping_ratio": 0.1, "slope_2": 2.0}
     for document in (plain, spoilt):
         SwingingLoadOfAnyLaw([0.0, 0.02, 0.05], values).edit(document, "cart", values)

@@ -192,9 +192,8 @@ def test_a_recording_begins_as_its_first_readings_say(seed: int, speed: float) -
     rig, noise, time = cart_pole(), np.array([1e-5, 1e-5]), np.arange(3000) * 0.002
     soon = 0.03
     cart = speed * time + 0.6 * (time + soon * np.expm1(-time / soon)) + 0.1 * np.cos(3 * time)
-    sensors = np.stack([cart, 0.2 * np.cos(4 * time)], axis=1) + noise * np.random.default_rng(seed).normal(
-        size=(3000, 2)
-    )
+    rng = np.random.default_rng(seed)
+    sensors = np.stack([cart, 0.2 * np.cos(4 * time)], axis=1) + noise * rng.normal(size=(3000, 2))
     motion = states.estimate(recorded(rig, time, sensors), rig, noise)
     smooth = states.smoothed(time, sensors[:, 0], noise[0])
     assert abs(np.gradient(smooth, time, edge_order=2)[0] - speed) > 0.03

@@ -34,6 +34,7 @@ def described(
     outside: Outside = "constant",
     driven_up_to: float | None = None,
     remembers: str | None = None,
+    supported: Sequence[Sequence[float]] | None = None,
 ) -> dict[str, Any]:
     """A law as diagnosis.json holds it.
 
@@ -46,13 +47,14 @@ def described(
         outside: beyond the first and last knots it goes on as it ends, or parallel to its input.
         driven_up_to: speed of the joint beyond which it drives no further; from there to twice as fast it fades.
         remembers: of an input that no sensor reads, how it comes about, as sentences.
+        supported: range of the data along each input; None where knots go no further.
     """
     return {
         "of": [one["name"] for one in inputs],
         "kind": kind,
         "table": {"inputs": [dict(one) for one in inputs], "levels": levels, "unit": unit},
         "formula": None,
-        "supported": [[one["knots"][0], one["knots"][-1]] for one in inputs],
+        "supported": list(supported or ([one["knots"][0], one["knots"][-1]] for one in inputs)),
         "outside": outside,
         "driven_up_to": driven_up_to,
         "passive": passive,

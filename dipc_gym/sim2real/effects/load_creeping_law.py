@@ -112,8 +112,8 @@ class CreepingSpringOfAnyLaw(LawOfIncrements):
             "The stretch grows as fast as the joint moves, less this speed; the spring pulls the joint back with "
             f"{values['stiffness']:.4g} {unit['stiffness']} times the stretch."
         )
-        law = described("speed of creep", inputs, either_way(levels), f"{slide}/s", passive=True, remembers=how)
-        return {**law, "supported": [[-last, last]]}
+        told, per = [[-last, last]], f"{slide}/s"
+        return described("speed of creep", inputs, either_way(levels), per, passive=True, remembers=how, supported=told)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -16,6 +15,7 @@ from dipc_gym.sim2real.effects.coupling import bend, beside, couple
 from dipc_gym.sim2real.effects.law import FAR, at_joint, described, either_way, halved
 from dipc_gym.sim2real.effects.loads import DAMPED, FLATTEST, RATES, STEEPEST, Load, most_alike, slope_of, smooth
 from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.tables import between
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ SHARES = (0.35, 0.65, 0.85, 0.97)  # of all samples the load is nearer than a kn
 FINEST = 20  # stretches between knots: as many springs are followed in each simulation
 BENDS: tuple[Callable[[Array], Array], ...] = (np.tanh, np.sinh)  # a rope or a fluid softens, a link or rubber hardens
 WIDE = (1.0, 2.5)  # swings, in what they bend by
-TOLD = 3  # times that stretches of an exported table are halved, whose lines follow the curve
+TOLD = 8  # lines of an exported table that follow the curve from one knot to the next
 FURTHER = 1.2  # times the widest swing, which the table goes up to: a fit may swing it a little wider
 
 
@@ -103,7 +103,7 @@ class SwingingLoadOfAnyLaw(Effect):
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """What the spring pulls with, by its stretch."""
         force, last = _force(unit), self.knots[-1]
-        knots = np.append(functools.reduce(lambda one, _: halved(one), range(TOLD), np.array(self.knots)), FAR * last)
+        knots = np.append(between(np.array(self.knots), TOLD), FAR * last)
         inputs = [{"name": "stretch", "unit": at_joint("m", force), "knots": either_way(knots.tolist())}]
         damping = 2 * values["damping_ratio"] * 2 * np.pi * values["small_swing_frequency"] * values["mass"]
         how = (
@@ -112,8 +112,7 @@ class SwingingLoadOfAnyLaw(Effect):
             f"{damping:.4g} {force} for each {at_joint('m', force)}/s that the part is faster."
         )
         pulls = either_way(self._pulls(values, knots).tolist())
-        law = described("force", inputs, pulls, force, passive=True, remembers=how)
-        return {**law, "supported": [[-last, last]]}
+        return described("force", inputs, pulls, force, passive=True, remembers=how, supported=[[-last, last]])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -44,8 +44,10 @@ class Load:
     @property
     def springs(self) -> list[Spring]:
         """What makes up its spring."""
-        whole = smooth(self.knots, self.slopes) if self.slopes else [Spring(0.0, 1.0)]
-        return [Spring(slack, self.rate**2 * a, self.rate**2 * c) for slack, a, c in whole]
+        stiffness = self.rate**2
+        if not self.slopes:
+            return [Spring(0.0, stiffness)]
+        return smooth(self.knots, [stiffness * one for one in self.slopes])
 
     def swung(self, evidence: Evidence) -> tuple[Array, Array]:
         """Where it is against what carries it, m or rad, and its pull against one that is carried along, N, (n,)."""

@@ -93,8 +93,8 @@ class SagOfAnyLaw(LawOfIncrements):
             f"The current is told as {what}. What is lost follows the law of it with a time constant of "
             f"{values['time_constant']:.4g} s."
         )
-        law = described("share of the drive that comes to be lost", inputs, levels, "", passive=True, remembers=how)
-        return {**law, "supported": [[0.0, most]]}
+        kind, told = "share of the drive that comes to be lost", [[0.0, most]]
+        return described(kind, inputs, levels, "", passive=True, remembers=how, supported=told)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

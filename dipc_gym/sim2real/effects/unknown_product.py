@@ -151,7 +151,7 @@ class UnknownProduct(Law):
         ]
         per = unit[self.parameters[0].name]
         passive = self.names[1].startswith("velocity") and bool(np.all(levels[:, -1] <= 0))
-        law = described(
+        return described(
             self.kind,
             inputs,
             levels.tolist(),
@@ -159,8 +159,8 @@ class UnknownProduct(Law):
             passive=passive,
             driven_up_to=self.speed,
             remembers=self.remembered(values),
+            supported=[[along[0], along[-1]], [-most, most]],
         )
-        return {**law, "supported": [law["supported"][0], [-most, most]]}
 
     def remembered(self, values: Values) -> str | None:
         """Of a law of the past, how its first input comes about."""

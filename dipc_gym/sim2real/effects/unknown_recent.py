@@ -152,17 +152,17 @@ class UnknownRecent(UnknownProduct):
     def finer(self, values: Values, told: NDArray[np.bool_] | None = None) -> Sequence[tuple[Effect, Values]]:
         """A knot more in each stretch, there where the law was."""
         found = super().finer(values, None if told is None else told[: len(self.knots)])
-        return [(shaped, {**begin, "time_constant": values["time_constant"]}) for shaped, begin in found]
+        return [_as_long(shape, values) for shape in found]
 
     def reaching(self, values: Values, spans: Sequence[tuple[float, float]]) -> tuple[Effect, Values] | None:
         """The same law for larger sizes, which begins as it was."""
         found = super().reaching(values, spans)
-        return found and (found[0], {**found[1], "time_constant": values["time_constant"]})
+        return found and _as_long(found, values)
 
     def shortened(self, values: Values, told: NDArray[np.bool_]) -> tuple[Effect, Values] | None:
         """The same law without sizes that no data tell; it begins at rest, whether they do or not."""
         found = super().shortened(values, np.append(True, told[1:]))
-        return found and (found[0], {**found[1], "time_constant": values["time_constant"]})
+        return found and _as_long(found, values)
 
     def _begun(self, knots: Array, values: Array, new: NDArray[np.bool_]) -> tuple[Effect, Values]:
         shape = (knots.tolist(), values.tolist(), self.names, self.most, self.speed, self.units, self.time)
@@ -184,3 +184,9 @@ class UnknownRecent(UnknownProduct):
             f"to {what}, by {factors.min():.3g} to {factors.max():.3g} {per}, that depends on how large that was in "
             f"the last {values['time_constant']:.2g} s."
         )
+
+
+def _as_long(shape: tuple[Effect, Values], values: Values) -> tuple[Effect, Values]:
+    """A shape that begins with the time constant that was found."""
+    effect, begin = shape
+    return effect, {**begin, "time_constant": values["time_constant"]}

@@ -97,6 +97,10 @@ GRAMMAR = (
 )
 
 
+def _basis(kind: str) -> Basis:
+    return next(one for one in GRAMMAR if one.kind == kind)
+
+
 @dataclass(frozen=True)
 class Formula:
     """A constant and terms.
@@ -115,15 +119,13 @@ class Formula:
         """Values at inputs (m,)."""
         out = np.full(len(x), self.constant)
         for kind, factors, parameters in self.terms:
-            term = next(term for term in GRAMMAR if term.kind == kind)
-            out = out + term.columns(x, list(parameters.values())) @ np.array(factors)
+            out = out + _basis(kind).columns(x, list(parameters.values())) @ np.array(factors)
         return out
 
     @property
     def settles(self) -> float:
         """Input beyond which it changes no more; infinite for one that may always do."""
-        ends = ((next(one for one in GRAMMAR if one.kind == kind), p) for kind, _, p in self.terms)
-        return max((basis.settles(list(p.values())) for basis, p in ends), default=0.0)
+        return max((_basis(kind).settles(list(p.values())) for kind, _, p in self.terms), default=0.0)
 
     def text(self, unit: str, per: str) -> str:
         """In words.
