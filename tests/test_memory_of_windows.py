@@ -56,16 +56,18 @@ def written(effect: str) -> physics.Physics:
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.integers(0, 10_000), st.floats(0.01, 3.0))
-def test_what_is_dragged_is_never_left_farther_behind_and_forgets_small_loops(seed: int, width: float) -> None:
+@given(st.integers(0, 10_000), st.floats(0.01, 3.0), st.floats(-5.0, 5.0))
+def test_what_is_dragged_is_never_left_farther_behind_and_forgets_small_loops(
+    seed: int, width: float, begin: float
+) -> None:
     rng = np.random.default_rng(seed)
     x = np.cumsum(rng.normal(size=300))
-    at = play(x, np.array([width]), np.zeros(1))[:, 0]
+    at = play(x, np.array([width]), np.array([begin]))[:, 0]
     assert np.all(np.abs(x - at) <= width + 1e-12)
-    step = np.diff(at, prepend=0.0)
+    step = np.diff(at, prepend=begin)
     assert np.all((step >= 0) | (at >= x + width - 1e-9))  # it goes back only when dragged back
     assert np.all((step <= 0) | (at <= x - width + 1e-9))
-    by_hand, rest = [], 0.0
+    by_hand, rest = [], begin
     for now in x:
         rest = min(max(rest, now - width), now + width)
         by_hand.append(rest)

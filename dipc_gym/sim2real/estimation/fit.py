@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
@@ -152,8 +153,24 @@ def lowest(A: Array, b: Array, held: Mapping[int, float]) -> Array:
     gone, open_ = list(held), [i for i in range(len(b)) if i not in held]
     step[gone] = list(held.values())
     right = b[open_] - A[np.ix_(open_, gone)] @ step[gone]
-    step[open_] = np.linalg.lstsq(A[np.ix_(open_, open_)], right, rcond=ESTIMATION.singular)[0]
+    step[open_] = _shortest(A[np.ix_(open_, open_)], right)
     return step
+
+
+def _shortest(A: Array, b: Array) -> Array:
+    """The shortest x with A x = b as nearly as can be, A (p, p) symmetric and with no negative curvature.
+
+    The screen asks for thousands. Where all of A is well known, which the traces of it and of its inverse can tell,
+    Cholesky's factors do, in a tenth of the time of singular values.
+    """
+    factor, failed = lapack.dpotrf(A, lower=True)
+    if not failed and len(b):
+        inverse, failed = lapack.dpotri(factor, lower=True)
+        # Its largest curvature is at most the trace, and its least at least one over that of the inverse.
+        if not failed and np.trace(A) * np.trace(inverse) * ESTIMATION.singular < 1:
+            found, _ = lapack.dpotrs(factor, b, lower=True)
+            return np.asarray(found)
+    return np.asarray(np.linalg.lstsq(A, b, rcond=ESTIMATION.singular)[0])
 
 
 def holding(fitted: Fit, problem: Problem, held: Mapping[int, float]) -> Array:

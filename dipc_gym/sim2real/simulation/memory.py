@@ -27,7 +27,7 @@ from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatur
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows
 from dipc_gym.sim2real.unseen.parts import Load, along, loads, yielding
-from dipc_gym.sim2real.unseen.play import play
+from dipc_gym.sim2real.unseen.play import dragged, turned
 
 Array = NDArray[np.float64]
 
@@ -52,13 +52,14 @@ def bends(variants: Sequence[Physics], tendon: int, motion: Motion, time: Array)
     # What hides behind a gap is where its leader is, but for the gap.
     length = motion.position @ (np.array(coefficients) @ mjcf.spread_out(model)[list(joints)])
     wanted = np.interp(time, motion.time, length)
-    stamps = np.concatenate([motion.time, time])
-    order = np.argsort(stamps, kind="stable")
     bears = np.array([v.model.tendon_springyield[tendon] for v in variants])
     unbent = np.array([v.model.tendon_lengthspring[tendon, 0] for v in variants])
-    dragged = np.empty((len(stamps), len(variants)))
-    dragged[order] = play(np.concatenate([length, wanted])[order], bears, unbent)
-    return np.ascontiguousarray((wanted[:, None] - dragged[len(motion.time) :]).T)
+    (widths, rests), each = np.unique([bears, unbent], axis=1, return_inverse=True)
+    turns, where = turned(length, widths, rests)
+    # A time before the first sample sees the motion where it begins.
+    last = np.searchsorted(motion.time[turns], time, side="right") - 1
+    bent = wanted[:, None] - dragged(where[np.maximum(last, 0)], wanted, widths)
+    return np.ascontiguousarray(bent[:, each].T)
 
 
 def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, time: Array) -> Array:
@@ -138,15 +139,24 @@ def memories(
     moves = {name: name for name in base} | mjcf.followers(model)  # no recording has a rotor of its own
     columns = {joint: base.index(leader) for joint, leader in moves.items()}
     position = motion.position[:, columns[laws[0].at]]
-    sees = [_sees(one, which, late, recording, motion, columns) for one, late in zip(variants, delays, strict=True)]
-    out, alike = np.empty((len(variants), len(time))), dict[bytes, list[int]]()
-    for k, one in enumerate(sees):
-        alike.setdefault(one.tobytes(), []).append(k)
+    out, alike = np.empty((len(variants), len(time))), dict[tuple[bytes, ...], list[int]]()
+    for k, (variant, late) in enumerate(zip(variants, delays, strict=True)):
+        alike.setdefault((laws[k].data.tobytes(), *_commanded(variant, which, late)), []).append(k)
     for rows in alike.values():
-        numbers, each = np.unique([laws[k].data for k in rows], axis=0, return_inverse=True)
-        along = recall(laws[0].effect, numbers, motion.time, position, *sees[rows[0]])
-        out[rows] = np.stack([np.interp(time, motion.time, one) for one in along])[each]
+        k = rows[0]
+        sees = _sees(variants[k], which, delays[k], recording, motion, columns)
+        (along,) = recall(laws[k].effect, laws[k].data[None], motion.time, position, *sees)
+        out[rows] = np.interp(time, motion.time, along)
     return out
+
+
+def _commanded(variant: Physics, which: int, delays: Array) -> tuple[bytes, ...]:
+    """What tells the commands that a law of a variant follows from those of another variant."""
+    late = [delays[k].tobytes() for kind, k in variant.remembering[which].inputs if kind == "command"]
+    if not late:
+        return ()
+    ends = [np.asarray(end).tobytes() for end in variant.taken]
+    return (*late, *ends, *(extra.data.tobytes() for extra in variant.stage("command")))
 
 
 def _sees(

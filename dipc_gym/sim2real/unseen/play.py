@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,13 +25,25 @@ def play(length: Array, width: Array, begin: Array) -> Array:
         >>> play(np.array([0.0, 3.0, 2.5, 0.0]), np.array([1.0]), np.array([0.0])).ravel().tolist()
         [0.0, 2.0, 2.0, 1.0]
     """
-    out = np.empty((len(length), len(width)))
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(length)), prepend=0, append=0) != 0)
-    begins = [0, *(turns + 1).tolist(), len(length)]
-    for first, last in itertools.pairwise(begins):
-        if first == last:
-            continue
-        # One way only from here to there: the clip of each is the clip of the last.
-        out[first:last] = np.clip(begin, length[first:last, None] - width, length[first:last, None] + width)
-        begin = out[last - 1]
-    return out
+    turns, where = turned(length, width, begin)
+    return dragged(where[np.searchsorted(turns, np.arange(len(length)), side="right") - 1], length, width)
+
+
+def turned(length: Array, width: Array, begin: Array) -> tuple[NDArray[np.intp], Array]:
+    """Where a motion begins and turns round, (m,), and where what is dragged is then, (m, k); see `play`."""
+    turns = np.append(0, np.flatnonzero(np.diff(np.sign(np.diff(length))) != 0) + 1)
+    where = np.empty((len(turns), len(width)))
+    for k, at in enumerate(length[turns].tolist()):
+        where[k] = begin = np.minimum(np.maximum(begin, at - width), at + width)
+    return turns, where
+
+
+def dragged(last: Array, length: Array, width: Array) -> Array:
+    """Where it is after one way only, (n, k): the clip of each is the clip of the last.
+
+    Args:
+        last: where it was at the last turn, (n, k).
+        length: of what drags, now, (n,).
+        width: distance from which it drags, (k,).
+    """
+    return np.minimum(np.maximum(last, length[:, None] - width), length[:, None] + width)
