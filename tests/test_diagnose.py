@@ -856,6 +856,11 @@ def test_a_seed_below_none_is_refused_before_anything_is_fitted() -> None:
         diagnose(mjcf.from_text(NOMINAL), [run(5, 10, 0.0)], seed=-1, design=True)
 
 
+def test_a_name_in_the_place_of_an_effect_is_refused_before_anything_is_fitted() -> None:
+    with pytest.raises(TypeError, match=r"holds 'friction.coulomb', which is no effect: take catalogue\(\)"):
+        diagnose(mjcf.from_text(NOMINAL), [run(5, 10, 0.0)], effects=["friction.coulomb"])  # type: ignore[list-item]
+
+
 def test_parts_of_a_recording_may_be_held_out_where_they_do_not_overlap() -> None:
     fitted, rest = run(5, 10, 0.0).split(0.6)
     check_apart([fitted], [rest])

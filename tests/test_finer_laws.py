@@ -175,6 +175,17 @@ def test_new_knots_of_friction_over_speed_bend_a_little() -> None:
     assert np.all(np.abs(bends[new]) < 1e-3)
 
 
+@given(st.lists(st.floats(1e-3, 1.0), min_size=2, max_size=30), st.floats(0.1, 100.0))
+def test_a_law_is_held_as_brownian_motion_goes_however_fine_it_is(steps: list[float], size: float) -> None:
+    """Off the line between two places it goes by one standard deviation, whatever knots lie there."""
+    knots = np.append(0.0, np.cumsum(steps))
+    law = ForceOfPosition(knots.tolist(), np.full(len(knots), size).tolist())
+    values = size * LAWS.walks * np.sqrt(1 / knots[-1])  # standard deviation after unit way
+    covariance = (values / law.parameters[0].step) ** 2 * np.minimum.outer(knots, knots)
+    np.testing.assert_allclose(np.diag(law.bends @ covariance @ law.bends.T), 1.0)
+    np.testing.assert_allclose(law.bends @ (3.0 + knots), 0.0, atol=1e-9 * np.abs(law.bends).max() * knots[-1])
+
+
 @pytest.mark.parametrize("shape", [(3,), (3, 4)])
 def test_an_unknown_force_is_made_finer_along_either_input(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(0)

@@ -482,6 +482,20 @@ def test_effects_that_need_each_other_are_seen_together() -> None:
     assert both.error < 0.1 * refitted.error
 
 
+def test_one_effect_from_two_guesses_makes_no_pair() -> None:
+    S = ready(run(seconds=3.0))
+    alone = fit(S.problem, S.structure)
+    sag, subset = catalogue()["motor.sag"], np.arange(4)
+    terms = [
+        Term(sag, "motor", {"drop": drop, "time_constant": time, "current": 1.0, "gain": 1.0, "back": 0.0})
+        for drop, time in ((0.02, 0.1), (0.05, 2.0))
+    ]
+    tried = LaidOver(S.problem, alone, subset).tried(terms)
+    assert len(tried) == 2
+    assert tried[0].key == tried[1].key
+    assert pairs(S.problem, alone, tried, subset) == []
+
+
 def test_one_hypothesis_makes_no_pair() -> None:
     S = ready(run(seconds=3.0))
     alone = fit(S.problem, S.structure)

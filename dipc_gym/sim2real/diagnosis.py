@@ -69,6 +69,7 @@ def diagnose(
             and no unit was told.
         ValueError: a wish names no parameter of the model, a design is asked for and there is no actuator, or the seed
             is below 0.
+        TypeError: one of the effects is none, such as its name alone.
 
     Example:
         >>> from dipc_gym import recording
@@ -83,6 +84,10 @@ def diagnose(
     """
     if seed < 0:
         raise ValueError(f"seed is {seed}; it must be a whole number from 0 on")
+    asked = list(effects if effects is not None else catalogue().values())
+    for one in asked:
+        if not isinstance(one, Effect):  # whoever passes names would be told, minutes later, that nothing was found
+            raise TypeError(f"effects holds {one!r}, which is no effect: take catalogue()[...] of each name")
     began = time.monotonic()
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given, withheld = gather(source, recordings, held_out, wishes or Wishes())
@@ -91,7 +96,6 @@ def diagnose(
     for note in given.notes:  # minutes before the end: whoever made a mistake would rather know at once
         tell(f"note: {note}")
     provenance = _provenance(given, withheld, seed)
-    asked = list(effects if effects is not None else catalogue().values())
     give_back_freed()
     # Thousands of small matrices: threads of BLAS would wait for each other, and for those that simulate.
     with threadpool_limits(1, "blas"):

@@ -238,8 +238,15 @@ class Law(Effect):
 
     @property
     def bends(self) -> Array:
-        """Knots that hardly any motion comes near go on as their neighbours do."""
-        return bending(np.array(self.knots)) * LAWS.step / LAWS.bends if len(self.knots) > 2 else super().bends
+        """A law goes at random, as far off the line between two places as Brownian motion does between them: so a
+        finer table is held as a coarser one is, and what hardly any motion comes near goes on as its neighbours do.
+        """
+        if len(self.knots) < 3:
+            return super().bends
+        knots = np.array(self.knots)
+        before, after = np.diff(knots)[:-1], np.diff(knots)[1:]
+        apart = before * after / (before + after) / (knots[-1] - knots[0])
+        return bending(knots) * (LAWS.step / (LAWS.walks * np.sqrt(apart)))[:, None]
 
     def off(self, new: NDArray[np.bool_]) -> Array:
         """By how much each value that is new lies off the law through the others, as weights of all values, (n, k).

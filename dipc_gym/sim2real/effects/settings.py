@@ -61,8 +61,8 @@ class LawSettings:
         loose: standard deviation of a value's prior, in sizes of the whole law: it holds a knot that no motion comes
             near, and hardly any other
         new: of a knot that is put between two others: where no data are, the law stays as it was
-        bends: standard deviation, in sizes of the whole law, by which a value of a law lies off the line between
-            its neighbours: knots lie so close that it bends by less from one to the next
+        walks: standard deviation, in sizes of the whole law, of how far Brownian motion goes from one end of a law to
+            the other, as its values lie off the lines between their neighbours: about as far as the law itself goes
         narrowest: of a table's length: no stretch is bisected to less, for laws are written over as many even ones
         twice: times the narrowest stretch, from which one is bisected; two would leave out, by rounding, a stretch that
             is exactly twice as long
@@ -78,7 +78,7 @@ class LawSettings:
     step: float = 0.3
     loose: float = 5.0
     new: float = 0.3
-    bends: float = 0.5
+    walks: float = 1.0
     narrowest: int = 256
     twice: float = 1.9
     most_levels: int = 144

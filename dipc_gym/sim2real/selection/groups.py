@@ -88,7 +88,7 @@ def _with(structure: Structure, hypotheses: Sequence[Tried]) -> Structure:
     """A structure and all hypotheses that do not exclude each other."""
     for tried in hypotheses:
         here = [term.effect for term in structure.terms if term.at == tried.term.at]
-        if not any(excludes(one, tried.term.effect) or one.id == tried.term.effect.id for one in here):
+        if not any(excludes(one, tried.term.effect) for one in here):
             structure = structure.with_term(tried.term)
     return structure
 

@@ -79,7 +79,7 @@ def hypotheses(question: Question, phase: Phase, current: Fit, scene: Scene) -> 
         if phase >= Phase.SHAPES and clock and current.error > SEARCH.in_reach:
             continue
         for at in places(effect, current.structure.model, question.joints, scene.recordings[0]):
-            if any(t.at == at and (t.effect.id == effect.id or excludes(t.effect, effect)) for t in terms):
+            if any(t.at == at and excludes(t.effect, effect) for t in terms):
                 continue
             found.append(partial(_guessed, question, current, scene, effect, at))
     return found

@@ -315,7 +315,11 @@ def _within(A: Array, b: Array, low: Array, high: Array, count: int) -> Array:
 
 
 def excludes(present: Effect, other: Effect) -> bool:
-    """Whether one effect settles already what another would at that place: two laws of dry friction, two rotors."""
+    """Whether one effect settles already what another would at that place: itself from another guess, two laws of dry
+    friction, two rotors.
+    """
+    if present.id == other.id:
+        return True
     return other.id in present.contains or (present.one_of == other.one_of != "" and present.id not in other.contains)
 
 
