@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -356,13 +355,12 @@ def test_what_only_beginnings_show_is_found_or_told() -> None:
     document = Document(mjcf.from_text(CART))
     law.edit(document, "cart", law.guess)
     rig = physics.load(document.text())
-    runs = [record(rig, sweep(strength), 12.0, noise=(5e-5,)) for strength in (5.0, 7.0)]
+    runs = [record(rig, sweep(strength), 6.0, noise=(5e-5,)) for strength in (5.0, 7.0, 6.0)]
     few = [catalogue()[name] for name in ("friction.coulomb", "residual.force:recent")]
     with_law, without = (diagnose(mjcf.from_text(CART), runs, effects=asked, threads=1) for asked in (few, few[:1]))
     assert with_law.verdict == "modelled"
     (found,) = with_law.missing
-    (pace,) = re.findall(r"how large that was in the last ([0-9.]+) s", found.sentence)
-    assert float(pace) == pytest.approx(0.5, rel=0.1)  # to a tenth, as its size: one window of each run tells of it
+    assert "how large that was in the last 0.5 s" in found.sentence
     assert found.law["table"]["levels"][0][1] / found.law["table"]["inputs"][1]["knots"][1] == pytest.approx(-30, abs=3)
     assert without.verdict == "consistent", without.sentence
     assert any(note.startswith("The first moments of recordings") for note in without.notes)

@@ -244,8 +244,8 @@ class Law(Effect):
         if len(self.knots) < 3:
             return super().bends
         knots = np.array(self.knots)
-        before, after = np.diff(knots)[:-1], np.diff(knots)[1:]
-        apart = before * after / (before + after) / (knots[-1] - knots[0])
+        stretches = np.diff(knots)
+        apart = stretches[:-1] * stretches[1:] / (knots[2:] - knots[:-2]) / (knots[-1] - knots[0])
         return bending(knots) * (LAWS.step / (LAWS.walks * np.sqrt(apart)))[:, None]
 
     def off(self, new: NDArray[np.bool_]) -> Array:

@@ -318,9 +318,9 @@ def excludes(present: Effect, other: Effect) -> bool:
     """Whether one effect settles already what another would at that place: itself from another guess, two laws of dry
     friction, two rotors.
     """
-    if present.id == other.id:
+    if other.id in (present.id, *present.contains):
         return True
-    return other.id in present.contains or (present.one_of == other.one_of != "" and present.id not in other.contains)
+    return present.one_of == other.one_of != "" and present.id not in other.contains
 
 
 def _scaled(term: Term, size: float) -> Term:

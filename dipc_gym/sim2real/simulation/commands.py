@@ -1,4 +1,4 @@
-"""Recorded commands as the steps of a simulation feel them: their mean over each step, and their first moment."""
+"""Recorded commands as the steps of a simulation feel them, and what tells those of two models apart."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import stamps_between
 from dipc_gym.sim2real.simulation.windows import Windows
@@ -61,3 +62,8 @@ def first_moments(recording: Recording, edges: Array, control: int) -> Array:
         jump = command[at] - command[np.maximum(at - 1, 0)]
         moments[inside] += jump * (half[inside] ** 2 - (recording.time[at] - middle[inside]) ** 2) / 2
     return moments
+
+
+def changed_by(variant: Physics) -> bytes:
+    """What tells the commands that one variant of a model makes of recorded ones from another's."""
+    return b"".join(extra.data.tobytes() for extra in variant.stage("command"))

@@ -19,6 +19,7 @@ from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.physics import Moment, Physics
 from dipc_gym.recording import Recording
+from dipc_gym.sim2real.simulation.commands import changed_by
 from dipc_gym.sim2real.simulation.memory import Joints, Places, begin, remembering
 from dipc_gym.sim2real.simulation.motion import initial_states
 from dipc_gym.sim2real.unseen.parts import yielding
@@ -94,11 +95,11 @@ class Compiled:
         asked = np.cumsum(asked[:-1]) > 0
         made: dict[bytes, Array] = {}
         for variant in self.variants:
-            key = _of_commands(variant)
+            key = changed_by(variant)
             if key not in made:
                 made[key] = np.zeros_like(whole)
                 made[key][asked] = variant.command(whole[asked], time[asked])
-        return Commands(time, np.stack([made[_of_commands(variant)] for variant in self.variants]))
+        return Commands(time, np.stack([made[changed_by(variant)] for variant in self.variants]))
 
     def jobs(self, at: float, length: Array, times: Array, initial: Array, commands: Commands) -> Jobs:
         """Simulations of every window from `at` seconds after its start on.
@@ -227,11 +228,6 @@ class Compiled:
 def _end_to_end(recordings: tuple[Recording, ...]) -> tuple[Array, Array]:
     """Stamps (n,) and commands (n, nu) of all recordings; every simulation asks for them."""
     return np.concatenate([r.time for r in recordings]), np.concatenate([r.commands for r in recordings])
-
-
-def _of_commands(variant: Physics) -> bytes:
-    """What tells one variant's commands from another's."""
-    return b"".join(extra.data.tobytes() for extra in variant.stage("command"))
 
 
 def compiled(variants: Sequence[Physics], windows: Windows, base: Sequence[str], step: float) -> Compiled:

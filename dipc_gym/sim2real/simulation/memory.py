@@ -23,6 +23,7 @@ from dipc_gym.physics import Physics, memory_of
 from dipc_gym.physics.formulas import resting, told_rests
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_at
+from dipc_gym.sim2real.simulation.commands import changed_by
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows
@@ -155,8 +156,7 @@ def _commanded(variant: Physics, which: int, delays: Array) -> tuple[bytes, ...]
     late = [delays[k].tobytes() for kind, k in variant.remembering[which].inputs if kind == "command"]
     if not late:
         return ()
-    ends = [np.asarray(end).tobytes() for end in variant.taken]
-    return (*late, *ends, *(extra.data.tobytes() for extra in variant.stage("command")))
+    return (*late, *(end.tobytes() for end in variant.taken), changed_by(variant))
 
 
 def _sees(
