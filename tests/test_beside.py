@@ -11,8 +11,9 @@ from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit
-from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.model.structure import Term, names
 from dipc_gym.sim2real.selection import beside
+from dipc_gym.sim2real.selection.hypotheses import Phase
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Search
 from dipc_gym.sim2real.verdict import sentences
@@ -77,6 +78,41 @@ def test_a_name_that_leaves_most_of_it_does_not_go_before_a_law() -> None:
     structure = structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 0.3}))
     both = fit(stiff.partition.problem, structure, None, bare.initial)
     assert beside.names_alone(stiff.fitter, both, bare) is None
+
+
+def modelled(monkeypatch: pytest.MonkeyPatch, friction: float, forward: float, uneven: float = 0.0) -> Search:
+    """A search that modelled what is left, after formulas had found friction and no law had earned its place beside
+    it; only those that stand alone are asked.
+    """
+    search = begun(
+        [run(3, 20, friction, forward=forward, uneven=(uneven, 0.02))], ("friction.coulomb", "residual.force")
+    )
+    bare, add = search.progress.path[0], search._add
+    structure = bare.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": friction}))
+    formulas = (bare, fit(search.partition.problem, structure, None, bare.initial))
+    search.phase = Phase.NO_KIND
+    search.journal.go_back(formulas)
+    monkeypatch.setattr(search, "_add", lambda most: search.progress.current if search.progress.path[1:] else add(most))
+    search._modelled([search.progress.path], formulas)
+    return search
+
+
+def test_names_stand_before_laws_that_leave_far_less_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Friction explains most, and the law beside it drag in forward motion; how uneven friction is, neither says."""
+    found = modelled(monkeypatch, DRY, 0.4, uneven=0.1).progress.path
+    assert names(found[-1].structure.terms) == ["friction.coulomb@cart", "residual.force@cart"]
+    assert found[-1].error < 0.5 * found[-2].error
+    assert parts(found[-1])[0] == pytest.approx(DRY, rel=0.1)
+
+
+def test_laws_stand_alone_where_names_explain_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = modelled(monkeypatch, 0.1, 20.0).progress.path
+    assert names(found[-1].structure.terms) == ["residual.force@cart"]
+
+
+def test_names_stand_alone_where_laws_leave_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = modelled(monkeypatch, DRY, 0.0).progress.path
+    assert names(found[-1].structure.terms) == ["friction.coulomb@cart"]
 
 
 def test_friction_keeps_its_name_beside_a_table_that_could_do_the_same(search: Search) -> None:

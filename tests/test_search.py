@@ -555,7 +555,7 @@ def test_what_is_modelled_may_have_asked_for_more_windows(monkeypatch: pytest.Mo
     few = len(search.partition.problem.windows)
     counted: list[int] = []
 
-    def modelled(ends: Sequence[Sequence[Fit]]) -> Fit:
+    def modelled(ends: Sequence[Sequence[Fit]], formulas: tuple[Fit, ...]) -> Fit:
         search._go_on(search.progress.with_first())
         return search._add(1)
 

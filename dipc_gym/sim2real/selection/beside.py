@@ -56,17 +56,30 @@ def least(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     alone = names_alone(fitter, current, begin)
     if alone is None:
         return current
-    names = prune(question, fitter, alone, tell)
+    return rest(fitter, prune(question, fitter, alone, tell), current, begin, tell) or current
+
+
+def rest(fitter: Fitter, names: Fit, law: Fit, begin: Fit, tell: Callable[[str], None]) -> Fit | None:
+    """Effects with names, and beside them laws of no kind that do only what these cannot do; None where that predicts
+    worse than the laws did.
+
+    Args:
+        fitter: fits to the windows of the fits.
+        names: a fit with the names.
+        law: a fit with the laws.
+        begin: the fit without effects, against which gains are counted.
+        tell: called with a line if there is one.
+    """
     for hold in SEARCH.held_to:
         structure = names.structure
-        for term in current.structure.unnamed:
+        for term in law.structure.unnamed:
             structure = structure.with_term(_from_nothing(term, hold))
         z = carry(names.structure, names.z, structure)
         fitted = fit(fitter.problem, structure, z, names.initial, most=SEARCH.anew_steps)
-        if fitter.scorer.alike(current, fitted, begin):
+        if fitter.scorer.alike(law, fitted, begin):
             tell(f"what has no name does only what is left beside names: error {fitted.error:.3g} x noise")
             return fitted
-    return current
+    return None
 
 
 def _from_nothing(term: Term, hold: float) -> Term:

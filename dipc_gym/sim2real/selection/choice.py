@@ -100,8 +100,7 @@ def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]
     """Of several paths the one whose end predicts windows best that it was not fitted to, those that validate among
     them: a law may go astray where no other window is, and what leaves far more than another is out.
 
-    One with names alone goes before one with laws of no kind, see `before_unnamed`; nothing that stands beside a name
-    is left to be asked here, so it has to bring half of what a law of no kind does as log errors count it.
+    One with names alone goes before one with laws of no kind, see `goes_before`.
 
     Args:
         scorer: compares fits.
@@ -111,12 +110,35 @@ def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]
     losses, left = ranking.losses(compared), [rms(mse) for mse in compared]
     close = [k for k, error in enumerate(left) if error <= min(left) / SEARCH.far_better]
     best = min(close, key=lambda k: losses[k])
-    before = rms(scorer.unfitted_mse(paths[0][0]))
-    most = min(
-        before_unnamed(before, compared[best]), before ** (1 - SEARCH.main_part) * left[best] ** SEARCH.main_part
-    )
-    named = [k for k in close if not paths[k][-1].structure.unnamed and left[k] < most]
+    named = [
+        k
+        for k in close
+        if not paths[k][-1].structure.unnamed and goes_before(scorer, paths[k][-1], paths[best][-1], paths[0][0])
+    ]
     return paths[min(named, key=lambda k: losses[k], default=best)]
+
+
+def goes_before(scorer: Scorer, names: Fit, law: Fit, begin: Fit) -> bool:
+    """Whether a fit with names alone goes before one with laws of no kind, by windows that neither was fitted to.
+
+    Nothing that stands beside a name is left to be asked at the end of a search, so it has to bring half of what a law
+    of no kind does as log errors count it as well, see `before_unnamed`.
+
+    Args:
+        scorer: compares fits.
+        names: the one with names.
+        law: the one with laws.
+        begin: the fit without effects.
+    """
+    before, least = rms(scorer.unfitted_mse(begin)), scorer.unfitted_mse(law)
+    half = before ** (1 - SEARCH.main_part) * rms(least) ** SEARCH.main_part
+    return rms(scorer.unfitted_mse(names)) < min(before_unnamed(before, least), half)
+
+
+def far_better(scorer: Scorer, one: Fit, other: Fit) -> bool:
+    """Whether a fit predicts windows that neither was fitted to better than another by what no chance brings about."""
+    after, before = ranking.losses([scorer.unfitted_mse(fitted) for fitted in (one, other)])
+    return before - after > SCORE.large
 
 
 def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:

@@ -275,7 +275,7 @@ class Search:
         """What laws of any shape show, from the beginning on and beside formulas; what is left then is modelled."""
         self.phase = Phase.SHAPES
         # What a machine lacks at all its joints came first, and would come first again.
-        self.journal.go_back(formulas[: 2 if self._everywhere(formulas[1:2]) else 1])
+        self.journal.go_back(self._without_names(formulas))
         self._go_on(self.progress.with_spare())
         found = self._add()
         ends = [formulas]
@@ -289,7 +289,7 @@ class Search:
             return self.progress.current
         self.tell("no law of a kind comes down to the noise; modelling what is left")
         self.phase = Phase.NO_KIND
-        found = self._modelled([self.progress.path, *ends])
+        found = self._modelled([self.progress.path, *ends], formulas)
         if self._ended:
             return found
         found = self._named(found)
@@ -301,10 +301,12 @@ class Search:
         """A fit in which laws of a kind, where these do as well, stand in the place of one of no kind."""
         return kinds.named(self.question, self.fitter, found, self.progress.path[0], self.tell)
 
-    def _modelled(self, ends: Sequence[Sequence[Fit]]) -> Fit:
+    def _modelled(self, ends: Sequence[Sequence[Fit]], formulas: tuple[Fit, ...]) -> Fit:
         """What is left beside the ends of several paths, modelled; of these one, see `choice.of_ends`.
 
-        A law of a kind may fit better than formulas and stand in the way of what is left beside both.
+        A law of a kind may fit better than formulas and stand in the way of what is left beside both. And so may both:
+        where laws of no kind that stand alone leave far less, they take the place of all that was found, and formulas
+        stand before these where they explain enough.
         """
         found: list[tuple[Fit, ...]] = []
         for end in ends:
@@ -314,8 +316,31 @@ class Search:
             found.append(self.progress.path)
             if self._ended:
                 break
-        self.journal.go_back(choice.of_ends(self.scorer, [self.progress.informed(path) for path in found]))
+        best = choice.of_ends(self.scorer, [self.progress.informed(path) for path in found])
+        self.journal.go_back(best)
+        if self._ended or self._done(self.progress.current):
+            return self.progress.current
+        self.journal.go_back(self._without_names(formulas))
+        self._add(len(self.question.joints))
+        alone, names, best = (self.progress.informed(path) for path in (self.progress.path, formulas, best))
+        if not self._ended and choice.far_better(self.scorer, alone[-1], best[-1]):
+            best = self._beside(names, alone) or choice.of_ends(self.scorer, [best, alone])
+        self.journal.go_back(best)
         return self.progress.current
+
+    def _without_names(self, formulas: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        """Where laws begin: without what formulas came to, but for what a machine lacks at all its joints."""
+        return formulas[: 2 if self._everywhere(formulas[1:2]) else 1]
+
+    def _beside(self, names: tuple[Fit, ...], laws: tuple[Fit, ...]) -> tuple[Fit, ...] | None:
+        """A path to names, and to laws of no kind for what these leave; None where the names do not go before these
+        laws, or both together predict worse.
+        """
+        begin = names[0]
+        if not choice.goes_before(self.scorer, names[-1], laws[-1], begin):
+            return None
+        both = beside.rest(self.fitter, names[-1], laws[-1], begin, self.tell)
+        return None if both is None else (*names, both)
 
     def _back_to(self, path: Sequence[Fit]) -> None:
         """Go on from a path that was left, without what is told by when it acts alone: beside a law of the state it may
