@@ -121,8 +121,8 @@ def of_ends(scorer: Scorer, paths: Sequence[tuple[Fit, ...]]) -> tuple[Fit, ...]
 def goes_before(scorer: Scorer, names: Fit, law: Fit, begin: Fit) -> bool:
     """Whether a fit with names alone goes before one with laws of no kind, by windows that neither was fitted to.
 
-    Nothing that stands beside a name is left to be asked at the end of a search, so it has to bring half of what a law
-    of no kind does as log errors count it as well, see `before_unnamed`.
+    At the end of a search no other name is left to be asked beside these, so they have to bring half of what the laws
+    do as log errors count it as well, see `before_unnamed`.
 
     Args:
         scorer: compares fits.
@@ -135,8 +135,8 @@ def goes_before(scorer: Scorer, names: Fit, law: Fit, begin: Fit) -> bool:
     return rms(scorer.unfitted_mse(names)) < min(before_unnamed(before, least), half)
 
 
-def far_better(scorer: Scorer, one: Fit, other: Fit) -> bool:
-    """Whether a fit predicts windows that neither was fitted to better than another by what no chance brings about."""
+def leaves_far_less(scorer: Scorer, one: Fit, other: Fit) -> bool:
+    """Whether a fit predicts windows that neither was fitted to better than another, by `SCORE.large` at least."""
     after, before = ranking.losses([scorer.unfitted_mse(fitted) for fitted in (one, other)])
     return before - after > SCORE.large
 

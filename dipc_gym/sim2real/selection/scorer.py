@@ -191,8 +191,8 @@ def earned(after: Array, before: Array, *, small: bool) -> bool:
     """Whether mean square errors (n,) come down to the noise, or lose a good part of what they were above it.
 
     Real recordings hold structure that no catalogue has, and the best of dozens of effects always takes up a little of
-    it. A part is counted of the mean square, or of most windows by logarithms: where a rig comes to rest two windows
-    may make up the whole mean, whatever a law does to all others.
+    it. A part is counted of the mean square, or of most windows by logarithms, if that mean does not rise: where a
+    rig comes to rest two windows may make up the whole of it, whatever a law does to all others.
 
     Args:
         after: with an effect.
@@ -204,6 +204,8 @@ def earned(after: Array, before: Array, *, small: bool) -> bool:
         True
         >>> earned(np.array([3.0] * 9 + [99.0]) ** 2, np.array([9.0] * 9 + [99.0]) ** 2, small=False)
         True
+        >>> earned(np.array([3.0] * 9 + [150.0]) ** 2, np.array([9.0] * 9 + [99.0]) ** 2, small=False)
+        False
         >>> earned(np.array([9.0] * 9 + [98.0]) ** 2, np.array([9.0] * 9 + [99.0]) ** 2, small=False)
         False
     """
@@ -212,7 +214,7 @@ def earned(after: Array, before: Array, *, small: bool) -> bool:
     then, now, usual = rms(before), rms(after), min(typical(before), typical(after))
     fell = mean_loss(before, usual) - mean_loss(after, usual)
     by_squares, by_logs = then - now > SEARCH.earns * (then - 1), fell > -2 * math.log(1 - SEARCH.earns)
-    return not small and (by_squares or by_logs)
+    return not small and (by_squares or (by_logs and now <= then))
 
 
 def settled(after: Array, before: Array) -> bool:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -274,8 +274,7 @@ class Search:
     def _with_laws(self, formulas: tuple[Fit, ...]) -> Fit:
         """What laws of any shape show, from the beginning on and beside formulas; what is left then is modelled."""
         self.phase = Phase.SHAPES
-        # What a machine lacks at all its joints came first, and would come first again.
-        self.journal.go_back(self._without_names(formulas))
+        self.journal.go_back(self._laws_begin(formulas))
         self._go_on(self.progress.with_spare())
         found = self._add()
         ends = [formulas]
@@ -304,9 +303,8 @@ class Search:
     def _modelled(self, ends: Sequence[Sequence[Fit]], formulas: tuple[Fit, ...]) -> Fit:
         """What is left beside the ends of several paths, modelled; of these one, see `choice.of_ends`.
 
-        A law of a kind may fit better than formulas and stand in the way of what is left beside both. And so may both:
-        where laws of no kind that stand alone leave far less, they take the place of all that was found, and formulas
-        stand before these where they explain enough.
+        A law of a kind may fit better than formulas and stand in the way of what is left beside both; and so may all
+        that was found, see `_alone`.
         """
         found: list[tuple[Fit, ...]] = []
         for end in ends:
@@ -316,43 +314,65 @@ class Search:
             found.append(self.progress.path)
             if self._ended:
                 break
-        best = choice.of_ends(self.scorer, [self.progress.informed(path) for path in found])
-        self.journal.go_back(best)
-        if self._ended or self._done(self.progress.current):
-            return self.progress.current
-        self.journal.go_back(self._without_names(formulas))
-        self._add(len(self.question.joints))
-        alone, names, best = (self.progress.informed(path) for path in (self.progress.path, formulas, best))
-        if not self._ended and choice.far_better(self.scorer, alone[-1], best[-1]):
-            best = self._beside(names, alone) or choice.of_ends(self.scorer, [best, alone])
-        self.journal.go_back(best)
+        self.journal.go_back(choice.of_ends(self.scorer, [self.progress.informed(path) for path in found]))
+        if not self._done(self.progress.current):
+            laws = self._alone(formulas)
+            if laws is not None:
+                self.journal.go_back(self._beside(laws, formulas))
         return self.progress.current
 
-    def _without_names(self, formulas: tuple[Fit, ...]) -> tuple[Fit, ...]:
-        """Where laws begin: without what formulas came to, but for what a machine lacks at all its joints."""
+    def _alone(self, formulas: tuple[Fit, ...]) -> tuple[Fit, ...] | None:
+        """A path to laws of no kind without what was found, if it leaves far less than that. The search stands where it
+        stood, whatever happens.
+        """
+        before = self.progress
+        self.tell("asking for laws of no kind in the place of what was found")
+        try:
+            self.journal.go_back(self._laws_begin(formulas))
+            self._add(len(self.question.joints))
+            alone = self.progress.path
+        finally:
+            self._go_on(before)
+        if self._ended or not alone[-1].structure.unnamed:
+            return None
+        alone = self.progress.informed(alone)
+        return alone if choice.leaves_far_less(self.scorer, alone[-1], before.current) else None
+
+    def _beside(self, laws: tuple[Fit, ...], formulas: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        """A path to names and to laws of no kind for what they leave: to the names of the present fit or those that
+        formulas came to, where these go before the laws, and both together predict as well. Else the path to the laws
+        alone, or that of the present fit.
+        """
+        path, begin = self.progress.path, laws[0]
+        present = reduce(self.fitter.without, names(self.progress.current.structure.unnamed), self.progress.current)
+        plain = self._without_clocks(self.progress.informed(formulas)[-1])
+        both: list[tuple[Fit, ...]] = []
+        for way, named in ((path, present), (formulas, plain)):
+            if not named.structure.terms or not choice.goes_before(self.scorer, named, laws[-1], begin):
+                continue
+            named = prune(self.question, self.fitter, named, self.tell)
+            end = beside.rest(self.fitter, named, laws[-1], begin, self.tell)
+            if end is not None and choice.leaves_far_less(self.scorer, end, path[-1]):
+                both.append((*way, end))
+        return choice.of_ends(self.scorer, both or [path, laws])
+
+    def _laws_begin(self, formulas: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        """Where laws are asked from the beginning: without what formulas came to, but for what a machine lacks at all
+        its joints, which came first and would come first again.
+        """
         return formulas[: 2 if self._everywhere(formulas[1:2]) else 1]
 
-    def _beside(self, names: tuple[Fit, ...], laws: tuple[Fit, ...]) -> tuple[Fit, ...] | None:
-        """A path to names, and to laws of no kind for what these leave; None where the names do not go before these
-        laws, or both together predict worse.
-        """
-        begin = names[0]
-        if not choice.goes_before(self.scorer, names[-1], laws[-1], begin):
-            return None
-        both = beside.rest(self.fitter, names[-1], laws[-1], begin, self.tell)
-        return None if both is None else (*names, both)
-
     def _back_to(self, path: Sequence[Fit]) -> None:
-        """Go on from a path that was left, without what is told by when it acts alone: beside a law of the state it may
-        have nothing to do.
-        """
+        """Go on from a path that was left, see `_without_clocks`."""
         self.journal.go_back(tuple(path))
-        current = self.progress.current
-        clocks = [term.key for term in current.structure.terms if term.effect.leaves < EFFECTS.leaves]
-        for key in clocks:
-            current = self.fitter.without(current, key)
-        if clocks:
+        current = self._without_clocks(self.progress.current)
+        if current is not self.progress.current:
             self.journal.accept(current)
+
+    def _without_clocks(self, fitted: Fit) -> Fit:
+        """A fit without what is told by when it acts alone: beside a law of the state it may have nothing to do."""
+        clocks = [term.key for term in fitted.structure.terms if term.effect.leaves < EFFECTS.leaves]
+        return reduce(self.fitter.without, clocks, fitted)
 
     def _everywhere(self, accepted: Sequence[Fit]) -> bool:
         """Whether the first fit that was accepted has effects at all of several joints."""

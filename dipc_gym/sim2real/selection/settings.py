@@ -134,8 +134,8 @@ class SearchSettings:
             shape is no accident: it does not wait for the plain one
         in_reach: times the noise, from which a fit may yet come down to it: one that leaves more lacks something, not
             steps
-        earns: share of the excess error that an effect must remove where it does not come down to the noise: the best
-            of dozens takes up some of anything
+        earns: share of the excess error, or of the error of most windows, that an effect must remove where it does not
+            come down to the noise: the best of dozens takes up some of anything
         sketch_steps: steps of a sketch: enough to tell which hypotheses keep up, and no more
         hopeless: mean log square error, by which derivatives foretell a rival to stay behind (an error seven times as
             large) where it is not fitted on: what they foretell from afar is off by less
