@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from dipc_gym.sim2real.effects.settings import LAWS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
-from dipc_gym.sim2real.model.structure import Term, carry
+from dipc_gym.sim2real.model.structure import Term, carry, names
 from dipc_gym.sim2real.selection import choice
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Question
@@ -31,9 +31,7 @@ def names_alone(fitter: Fitter, current: Fit, begin: Fit) -> Fit | None:
     Returns:
         None where the fit has no law of no kind, or no name, or where the names alone leave too much.
     """
-    alone = current
-    for term in current.structure.unnamed:
-        alone = fitter.without(alone, term.key)
+    alone = fitter.without(current, *names(current.structure.unnamed))
     if alone is current or not alone.structure.terms:
         return None
     return alone if alone.error < choice.before_unnamed(begin.error, current.mse) else None
@@ -43,8 +41,7 @@ def least(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     """A fit whose laws of no kind do only what effects with names cannot do, where names go before these laws.
 
     Friction and a table over the same velocity share a force in any proportion, and how a search came to them says in
-    which. So the names are fitted alone, less those that are idle then, and the laws to what they leave, held to
-    nothing as tightly as predictions allow.
+    which. So the names are fitted alone, and the laws to what they leave, see `rest`.
 
     Args:
         question: has the effects that may be plainer than one that is idle.
@@ -56,26 +53,30 @@ def least(question: Question, fitter: Fitter, current: Fit, begin: Fit, tell: Ca
     alone = names_alone(fitter, current, begin)
     if alone is None:
         return current
-    return rest(fitter, prune(question, fitter, alone, tell), current, begin, tell) or current
+    return rest(question, fitter, alone, current, begin, tell) or current
 
 
-def rest(fitter: Fitter, names: Fit, law: Fit, begin: Fit, tell: Callable[[str], None]) -> Fit | None:
-    """Effects with names, and beside them laws of no kind that do only what these cannot do; None where that predicts
-    worse than the laws did.
+def rest(
+    question: Question, fitter: Fitter, named: Fit, law: Fit, begin: Fit, tell: Callable[[str], None]
+) -> Fit | None:
+    """Effects with names, less those that are idle, and laws of no kind for what these leave, held to nothing as
+    tightly as predictions allow; None where that predicts worse than the laws did.
 
     Args:
+        question: has the effects that may be plainer than one that is idle.
         fitter: fits to the windows of the fits.
-        names: a fit with the names.
+        named: a fit with the names.
         law: a fit with the laws.
         begin: the fit without effects, against which gains are counted.
         tell: called with a line if there is one.
     """
+    named = prune(question, fitter, named, tell)
     for hold in SEARCH.held_to:
-        structure = names.structure
+        structure = named.structure
         for term in law.structure.unnamed:
             structure = structure.with_term(_from_nothing(term, hold))
-        z = carry(names.structure, names.z, structure)
-        fitted = fit(fitter.problem, structure, z, names.initial, most=SEARCH.anew_steps)
+        z = carry(named.structure, named.z, structure)
+        fitted = fit(fitter.problem, structure, z, named.initial, most=SEARCH.anew_steps)
         if fitter.scorer.alike(law, fitted, begin):
             tell(f"what has no name does only what is left beside names: error {fitted.error:.3g} x noise")
             return fitted

@@ -273,10 +273,15 @@ class Fitter:
         """A structure with the parameters of a fit, which is not fitted on; what the fit lacks is at its guess."""
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.initial, most=0)
 
-    def without(self, current: Fit, key: str) -> Fit:
-        """Refit with one effect less, from the parameters that it has now: the fit before may have been stuck."""
-        structure = current.structure.without(key)
-        return fit(self.problem, structure, carry(current.structure, current.z, structure), current.initial)
+    def without(self, current: Fit, *keys: str) -> Fit:
+        """Refit with one effect less, and so on, from the parameters that it has now: the fit before may have been
+        stuck.
+        """
+        for key in keys:
+            structure = current.structure.without(key)
+            z = carry(current.structure, current.z, structure)
+            current = fit(self.problem, structure, z, current.initial)
+        return current
 
     def roughly_without(self, current: Fit, key: str) -> Fit:
         """A sketch with one effect less: enough to tell how much is lost without it."""

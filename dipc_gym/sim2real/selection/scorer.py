@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +23,7 @@ from dipc_gym.sim2real.simulation.windows import Windows
 from dipc_gym.sim2real.unseen.parts import loads
 
 Array = NDArray[np.float64]
+_OfFits = dict[int, tuple[weakref.ref[Fit], Array]]
 
 
 @dataclass(frozen=True)
@@ -35,9 +37,9 @@ class Scorer:
 
     partition: Partition
     small: bool = False
-    _known: dict[int, tuple[weakref.ref[Fit], Array]] = field(default_factory=dict, repr=False)
-    _unfitted: dict[int, tuple[weakref.ref[Fit], Array]] = field(default_factory=dict, repr=False)
-    _forces: dict[int, tuple[weakref.ref[Fit], Array]] = field(default_factory=dict, repr=False)
+    _known: _OfFits = field(default_factory=dict, repr=False)
+    _unfitted: _OfFits = field(default_factory=dict, repr=False)
+    _forces: _OfFits = field(default_factory=dict, repr=False)
 
     def over(self, partition: Partition) -> Scorer:
         """The same on other windows; what is known of those compared on stays, if they are the same."""
@@ -48,11 +50,7 @@ class Scorer:
 
     def comparison_mse(self, fitted: Fit) -> Array:
         """Mean square error of each comparison window, in units of noise, (n,)."""
-        of, mse = self._known.get(id(fitted), (lambda: None, np.zeros(0)))
-        if of() is not fitted:  # another may have had its place in memory
-            mse = evaluate(self.partition.comparison, fitted.structure, fitted.z)
-            self.know(fitted, mse)
-        return mse
+        return _once(self._known, fitted, lambda: evaluate(self.partition.comparison, fitted.structure, fitted.z))
 
     def know(self, fitted: Fit, mse: Array) -> None:
         """Note the mean square errors of the comparison windows that were worked out elsewhere, (n,)."""
@@ -62,14 +60,14 @@ class Scorer:
         """Mean square error of these and of the windows that validate, in units of noise, as they come out when
         simulated, (n,): where a law is steep, a straight line promises initial states that no simulation finds.
         """
-        of, known = self._unfitted.get(id(fitted), (lambda: None, np.zeros(0)))
-        if of() is not fitted:
+
+        def work() -> Array:
             compared, validation = self.partition.comparison, self.partition.validation
             problem = compared if validation is compared else compared.join(validation)
             begin = begun(problem, fitted.structure, fitted.z)
-            known = simulated(problem, fitted.structure, fitted.z, begin)
-            self._unfitted[id(fitted)] = (weakref.ref(fitted), known)
-        return known
+            return simulated(problem, fitted.structure, fitted.z, begin)
+
+        return _once(self._unfitted, fitted, work)
 
     def comparison_error(self, fitted: Fit) -> float:
         """Root mean square error on the comparison windows, in units of noise."""
@@ -103,12 +101,8 @@ class Scorer:
 
     def _force(self, fitted: Fit) -> Array:
         """Mean square of the force that a fit leaves unexplained in each window, fitted ones first, (n, nb)."""
-        of, known = self._forces.get(id(fitted), (lambda: None, np.zeros(0)))
-        if of() is not fitted:
-            partition = self.partition
-            known = _force_left(fitted, partition.problem.windows.join(partition.comparison.windows))
-            self._forces[id(fitted)] = (weakref.ref(fitted), known)
-        return known
+        windows = self.partition.problem.windows, self.partition.comparison.windows
+        return _once(self._forces, fitted, lambda: _force_left(fitted, windows[0].join(windows[1])))
 
     def compare_on_others(self, new: Fit, old: Fit) -> Improvement:
         """How much better `new` predicts the comparison windows, which neither was fitted to."""
@@ -159,6 +153,15 @@ class Scorer:
     def earns(self, fitted: Fit, current: Fit) -> bool:
         """Whether a fit comes down to the noise, or takes a good part of what is left."""
         return earned(self.mse(fitted), self.mse(current), small=self.small)
+
+
+def _once(known: _OfFits, fitted: Fit, work: Callable[[], Array]) -> Array:
+    """What is known of a fit, worked out where it is not."""
+    of, found = known.get(id(fitted), (lambda: None, np.zeros(0)))
+    if of() is not fitted:  # another may have had its place in memory
+        found = work()
+        known[id(fitted)] = (weakref.ref(fitted), found)
+    return found
 
 
 def _force_left(fitted: Fit, windows: Windows) -> Array:

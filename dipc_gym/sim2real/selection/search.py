@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -316,27 +316,24 @@ class Search:
                 break
         self.journal.go_back(choice.of_ends(self.scorer, [self.progress.informed(path) for path in found]))
         if not self._done(self.progress.current):
-            laws = self._alone(formulas)
-            if laws is not None:
+            begin = self._laws_begin(formulas)  # where an end began if nothing was found
+            asked = [path for end, path in zip(ends, found, strict=True) if len(end) == len(begin)]
+            laws = self.progress.informed(asked[0] if asked else self._alone(begin))
+            modelled = laws[-1].structure.unnamed and not self._ended
+            if modelled and choice.leaves_far_less(self.scorer, laws[-1], self.progress.current):
                 self.journal.go_back(self._beside(laws, formulas))
         return self.progress.current
 
-    def _alone(self, formulas: tuple[Fit, ...]) -> tuple[Fit, ...] | None:
-        """A path to laws of no kind without what was found, if it leaves far less than that. The search stands where it
-        stood, whatever happens.
-        """
+    def _alone(self, begin: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        """A path to laws of no kind from the beginning. The search stands where it stood, whatever happens."""
         before = self.progress
         self.tell("asking for laws of no kind in the place of what was found")
         try:
-            self.journal.go_back(self._laws_begin(formulas))
+            self.journal.go_back(begin)
             self._add(len(self.question.joints))
-            alone = self.progress.path
+            return self.progress.path
         finally:
             self._go_on(before)
-        if self._ended or not alone[-1].structure.unnamed:
-            return None
-        alone = self.progress.informed(alone)
-        return alone if choice.leaves_far_less(self.scorer, alone[-1], before.current) else None
 
     def _beside(self, laws: tuple[Fit, ...], formulas: tuple[Fit, ...]) -> tuple[Fit, ...]:
         """A path to names and to laws of no kind for what they leave: to the names of the present fit or those that
@@ -344,14 +341,13 @@ class Search:
         alone, or that of the present fit.
         """
         path, begin = self.progress.path, laws[0]
-        present = reduce(self.fitter.without, names(self.progress.current.structure.unnamed), self.progress.current)
+        present = self.fitter.without(path[-1], *names(path[-1].structure.unnamed))
         plain = self._without_clocks(self.progress.informed(formulas)[-1])
         both: list[tuple[Fit, ...]] = []
         for way, named in ((path, present), (formulas, plain)):
             if not named.structure.terms or not choice.goes_before(self.scorer, named, laws[-1], begin):
                 continue
-            named = prune(self.question, self.fitter, named, self.tell)
-            end = beside.rest(self.fitter, named, laws[-1], begin, self.tell)
+            end = beside.rest(self.question, self.fitter, named, laws[-1], begin, self.tell)
             if end is not None and choice.leaves_far_less(self.scorer, end, path[-1]):
                 both.append((*way, end))
         return choice.of_ends(self.scorer, both or [path, laws])
@@ -372,7 +368,7 @@ class Search:
     def _without_clocks(self, fitted: Fit) -> Fit:
         """A fit without what is told by when it acts alone: beside a law of the state it may have nothing to do."""
         clocks = [term.key for term in fitted.structure.terms if term.effect.leaves < EFFECTS.leaves]
-        return reduce(self.fitter.without, clocks, fitted)
+        return self.fitter.without(fitted, *clocks)
 
     def _everywhere(self, accepted: Sequence[Fit]) -> bool:
         """Whether the first fit that was accepted has effects at all of several joints."""
