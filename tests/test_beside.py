@@ -16,6 +16,7 @@ from dipc_gym.sim2real.selection import beside
 from dipc_gym.sim2real.selection.hypotheses import Phase
 from dipc_gym.sim2real.selection.score import compare
 from dipc_gym.sim2real.selection.search import Search
+from dipc_gym.sim2real.selection.settings import SEARCH
 from dipc_gym.sim2real.verdict import sentences
 from dipc_gym.sim2real.verdict.conclude import conclude, divided_over
 
@@ -176,3 +177,27 @@ def test_the_note_says_how_divided_they_are(gain: float, words: str) -> None:
     said = sentences.divided(Term(law, "cart", law.first), gain)
     assert said.startswith("residual.force@cart would explain more")
     assert words in said
+
+
+@pytest.mark.parametrize(("drag", "kept"), [(20.0, "residual.force@cart"), (0.0, "friction.coulomb@cart")])
+def test_laws_of_a_kind_are_given_up_where_one_of_no_kind_alone_leaves_far_less(
+    drag: float, kept: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two of a kind are taken to have come to what dry friction alone leaves, more of them would be asked for then."""
+    search, formulas = friction_found(0.1 if drag else DRY, drag, uneven=0.0 if drag else 0.5)
+    add, asked = search._add, list[int]()
+
+    def of_a_kind(most: int = SEARCH.most_effects) -> Fit:
+        if search.phase == Phase.NO_KIND:
+            return add(most)
+        asked.append(most)
+        if len(asked) == 1:
+            search.journal.accept(formulas[-1])
+            search.journal.accept(formulas[-1])
+        return search.progress.current
+
+    monkeypatch.setattr(search, "_add", of_a_kind)
+    end = search._with_laws(formulas)
+    assert asked[0] == SEARCH.kinds_lead
+    assert len(asked) == (1 if drag else 3)  # more laws, and laws beside formulas
+    assert kept in names(end.structure.terms)

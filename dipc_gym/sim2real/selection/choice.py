@@ -141,6 +141,14 @@ def leaves_far_less(scorer: Scorer, one: Fit, other: Fit) -> bool:
     return before - after > SCORE.large
 
 
+def leaves_a_part(scorer: Scorer, one: Fit, other: Fit) -> bool:
+    """Whether a fit leaves so little of what another does, of windows that neither was fitted to, that it is no
+    elaboration of that, by `SEARCH.far_better`.
+    """
+    after, before = (rms(scorer.unfitted_mse(fitted)) for fitted in (one, other))
+    return after < SEARCH.far_better * before
+
+
 def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:
     """The simplest of the fitted hypotheses, sorted by score, that predict as well as the first.
 

@@ -151,6 +151,7 @@ class Search:
         self.stop, self.phase, self._asks_whence = stop, phase, asks_whence
         self.simulated: Fit | None = None
         self._parted = set[str]()  # where friction that depends on direction was
+        self._of_no_kind: tuple[Fit, ...] = ()  # a path to laws of no kind alone, once it is known
 
     @property
     def outcome(self) -> Searched:
@@ -274,14 +275,22 @@ class Search:
     def _with_laws(self, formulas: tuple[Fit, ...]) -> Fit:
         """What laws of any shape show, from the beginning on and beside formulas; what is left then is modelled."""
         self.phase = Phase.SHAPES
-        self.journal.go_back(self._laws_begin(formulas))
+        begin = self._laws_begin(formulas)
+        self.journal.go_back(begin)
         self._go_on(self.progress.with_spare())
-        found = self._add()
+        found = self._add(SEARCH.kinds_lead)
         ends = [formulas]
-        if not self._done(found) and not self.scorer.compare(found, self.progress.informed(formulas)[-1]).clear:
-            self.tell("laws predict no better than formulas; asking for laws beside these")
+        if self._leads_astray(begin):
+            self.tell("one law of no kind leaves far less than laws of a kind do; giving these up")
             self._back_to(formulas)
-            found, ends = self._add(), []
+            found, ends = self.progress.current, []
+        else:
+            if self._since(begin) == SEARCH.kinds_lead:
+                found = self._add(SEARCH.most_effects - SEARCH.kinds_lead)
+            if not self._done(found) and not self.scorer.compare(found, self.progress.informed(formulas)[-1]).clear:
+                self.tell("laws predict no better than formulas; asking for laws beside these")
+                self._back_to(formulas)
+                found, ends = self._add(), []
         if self._done(found):
             if not self._ended:  # a law of no kind that came with another effect, or was coarse, may have one now
                 self.journal.correct(self._named(found))
@@ -292,8 +301,8 @@ class Search:
         if self._ended:
             return found
         found = self._named(found)
-        begin = self.progress.path[0]  # not an earlier one: what is left asked for more windows
-        self.journal.correct(beside.least(self.question, self.fitter, found, begin, self.tell))
+        bare = self.progress.path[0]  # not an earlier one: what is left asked for more windows
+        self.journal.correct(beside.least(self.question, self.fitter, found, bare, self.tell))
         return self.progress.current
 
     def _named(self, found: Fit) -> Fit:
@@ -324,15 +333,35 @@ class Search:
                 self.journal.go_back(self._beside(laws, formulas))
         return self.progress.current
 
+    def _leads_astray(self, begin: tuple[Fit, ...]) -> bool:
+        """Whether laws of a kind, of which there are several, leave far more than laws of no kind do alone. The third
+        takes up what the others did wrong, and so on, each in more time than the one before.
+        """
+        found = self.progress.current
+        if self._done(found) or self._since(begin) < SEARCH.kinds_lead or near(begin[0], found):
+            return False
+        return choice.leaves_a_part(self.scorer, self._alone(begin)[-1], found)
+
+    def _since(self, begin: tuple[Fit, ...]) -> int:
+        """How many rounds have added something to a path."""
+        return len(self.progress.path) - len(begin)
+
     def _alone(self, begin: tuple[Fit, ...]) -> tuple[Fit, ...]:
-        """A path to laws of no kind from the beginning. The search stands where it stood, whatever happens."""
-        before = self.progress
+        """A path to laws of no kind from the beginning, asked for once. The search stands where it stood, whatever
+        happens.
+        """
+        if self._of_no_kind:
+            return self._of_no_kind
+        before, phase = self.progress, self.phase
         self.tell("asking for laws of no kind in the place of what was found")
         try:
+            self.phase = Phase.NO_KIND
             self.journal.go_back(begin)
             self._add(len(self.question.joints))
-            return self.progress.path
+            self._of_no_kind = self.progress.path
+            return self._of_no_kind
         finally:
+            self.phase = phase
             self._go_on(before)
 
     def _beside(self, laws: tuple[Fit, ...], formulas: tuple[Fit, ...]) -> tuple[Fit, ...]:

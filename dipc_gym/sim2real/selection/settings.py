@@ -126,6 +126,8 @@ class SearchSettings:
         shapes: laws of a kind but of any shape that are sketched in a round whatever their predicted gain: that is told
             from a force known roughly
         shapeless: laws of no kind that are sketched beside these
+        kinds_lead: laws of a kind after which they are compared with laws of no kind alone: where few things are
+            missing, as many come near the noise
         once: improvement of the log square errors, summed over windows, by which an event that happened once stands
             out: it has no other blocks that could confirm it
         main_part: share of the improvement that a plain effect must bring to go before one that elaborates it: else it
@@ -177,6 +179,7 @@ class SearchSettings:
     names: int = 3
     shapes: int = 6
     shapeless: int = 3
+    kinds_lead: int = 2
     once: float = 1.5
     main_part: float = 0.5
     far_better: float = 0.3
