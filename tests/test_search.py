@@ -165,6 +165,24 @@ def test_what_nobody_asked_for_is_left(sprung: Search) -> None:
     assert max(one.predicted_gain for one in sprung.progress.rounds[0]) > 0.02
 
 
+def test_a_full_fit_that_a_later_phase_asks_for_again_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = begun([run(1, 12, 3.0)], ("friction.coulomb",))
+    fitter, base = search.fitter, search.progress.current
+    structure = base.structure.with_term(Term(catalogue()["friction.coulomb"], "cart", {"level": 1.0}))
+    sketch = fitter.sketch(base, structure)
+    assert sketch is not None
+    with fitter.fitted([(base, sketch, base)]) as fit_of:
+        made = fit_of(0)
+    assert made is not None
+    monkeypatch.setattr(Fitter, "full", lambda *_: pytest.fail("fitted again"))
+    with fitter.fitted([(base, sketch.result(), base)]) as fit_of:
+        assert fit_of(0) is made
+    monkeypatch.undo()
+    fewer = search.progress.keeping(np.arange(len(base.mse) + len(search.partition.comparison.windows)) > 0)
+    with fitter.over(fewer.partition).fitted([(fewer.current, sketch, fewer.current)]) as fit_of:
+        assert fit_of(0) is not made
+
+
 @pytest.mark.parametrize("off", [-3.0, -1.0, 1.0, 3.0])
 def test_several_effects_that_stay_above_the_noise_are_begun_anew(off: float) -> None:
     """What one took on while the other was missing holds no fit in a wrong valley."""

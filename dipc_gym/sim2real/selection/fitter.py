@@ -29,6 +29,8 @@ T = TypeVar("T")
 
 # A sketch: what it begins at, as text, what is free, steps and run-up, the windows, and whether it is a rival's.
 _Asked = tuple[int, str, tuple[str, ...], tuple[float, float], bytes, bool]
+# A full fit: what its sketch begins at, which fit that is and which it competes with, and the windows.
+_AskedFully = tuple[int, int, str, tuple[str, ...], bytes, bytes, bool]
 
 
 @dataclass(frozen=True)
@@ -43,12 +45,13 @@ class Fitter:
     _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
     _begun: dict[_Asked, tuple[Fit, Fit | None]] = field(default_factory=dict, repr=False)
     _staying: list[tuple[Fit, Fit, bytes]] = field(default_factory=list, repr=False)
+    _made: dict[_AskedFully, tuple[tuple[Fit, Fit | None], Fit | None]] = field(default_factory=dict, repr=False)
 
     def over(self, partition: Partition) -> Fitter:
         """The same to other windows; full fits that were kept stay for when these windows come back."""
         if partition is self.partition:
             return self
-        return Fitter(self.scorer.over(partition), self._kept, self._begun, self._staying)
+        return Fitter(self.scorer.over(partition), self._kept, self._begun, self._staying, self._made)
 
     @property
     def partition(self) -> Partition:
@@ -169,11 +172,12 @@ class Fitter:
     def fitted(
         self, asked: Sequence[tuple[Fit, Fit, Fit | None]], then: Callable[[Fit], Fit] = lambda fitted: fitted
     ) -> Iterator[Callable[[int], Fit | None]]:
-        """Full fits, compared, on all cores; see `full`.
+        """Full fits, compared, on all cores; see `full`. What an earlier phase asked for beside the same fit is made
+        once.
 
         Args:
             asked: base, sketch, and what each has to earn its place beside.
-            then: what else is done with each fit.
+            then: what else is done with each fit; the same for sketches with as many effects more than their base.
         """
 
         def compared(base: Fit, sketch: Fit, current: Fit | None) -> tuple[Fit, Array] | None:
@@ -183,17 +187,26 @@ class Fitter:
             made = then(made)
             return made.result(), self.scorer.comparison_mse(made)
 
-        bases = [fit for base, _, current in asked for fit in (base, current) if fit is not None]
-        with self.side_by_side([partial(compared, *each) for each in asked], bases) as result:
+        called = [self._asked_fully(*each) for each in asked]
+        new = [k for k, one in enumerate(called) if one not in self._made]
+        bases = [fit for k in new for fit in (asked[k][0], asked[k][2]) if fit is not None]
+        with self.side_by_side([partial(compared, *asked[k]) for k in new], bases) as result:
 
             def fitted(k: int) -> Fit | None:
-                found = result(k)
-                if found is None:
-                    return None
-                self.scorer.know(*found)
-                return found[0]
+                if called[k] not in self._made:
+                    found = result(new.index(k))
+                    if found is not None:
+                        self.scorer.know(*found)
+                    base, _, current = asked[k]
+                    self._made[called[k]] = (base, current), found and found[0]
+                return self._made[called[k]][1]
 
             yield fitted
+
+    def _asked_fully(self, base: Fit, sketch: Fit, current: Fit | None) -> _AskedFully:
+        structure, z = sketch.structure, sketch.z
+        free, windows = tuple(slot.key for slot in structure.slots), self.problem.labels.tobytes() + self._all_windows()
+        return id(base), id(current), structure.write(z).text(), free, z.tobytes(), windows, self.scorer.small
 
     def _rough(self, structure: Structure, z: Array, initial: Array, hopeless: float = math.inf) -> Fit:
         some = self.problem.pick(self.subset)
