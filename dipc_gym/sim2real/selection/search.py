@@ -275,35 +275,42 @@ class Search:
     def _with_laws(self, formulas: tuple[Fit, ...]) -> Fit:
         """What laws of any shape show, from the beginning on and beside formulas; what is left then is modelled."""
         self.phase = Phase.SHAPES
-        begin = self._laws_begin(formulas)
-        self.journal.go_back(begin)
-        self._go_on(self.progress.with_spare())
-        found = self._add(SEARCH.kinds_lead)
-        ends = [formulas]
-        if self._leads_astray(begin):
-            self.tell("one law of no kind leaves far less than laws of a kind do; giving these up")
-            self._back_to(formulas)
-            found, ends = self.progress.current, []
-        else:
-            if self._since(begin) == SEARCH.kinds_lead:
-                found = self._add(SEARCH.most_effects - SEARCH.kinds_lead)
-            if not self._done(found) and not self.scorer.compare(found, self.progress.informed(formulas)[-1]).clear:
-                self.tell("laws predict no better than formulas; asking for laws beside these")
-                self._back_to(formulas)
-                found, ends = self._add(), []
+        ends = self._of_a_kind(formulas)
+        found = self.progress.current
         if self._done(found):
             if not self._ended:  # a law of no kind that came with another effect, or was coarse, may have one now
                 self.journal.correct(self._named(found))
             return self.progress.current
         self.tell("no law of a kind comes down to the noise; modelling what is left")
         self.phase = Phase.NO_KIND
-        found = self._modelled([self.progress.path, *ends], formulas)
+        found = self._modelled(ends, formulas)
         if self._ended:
             return found
         found = self._named(found)
         bare = self.progress.path[0]  # not an earlier one: what is left asked for more windows
         self.journal.correct(beside.least(self.question, self.fitter, found, bare, self.tell))
         return self.progress.current
+
+    def _of_a_kind(self, formulas: tuple[Fit, ...]) -> list[tuple[Fit, ...]]:
+        """Paths to be led on from: the one where the search stands then, with laws of a kind from the beginning or beside
+        formulas, and that of the formulas alone where they are not in it.
+        """
+        begin = self._laws_begin(formulas)
+        self.journal.go_back(begin)
+        self._go_on(self.progress.with_spare())
+        found = self._add(SEARCH.kinds_lead)
+        if self._leads_astray(begin):
+            self.tell("laws of no kind alone leave far less than laws of a kind do; giving these up")
+            self._back_to(formulas)
+            return [self.progress.path]
+        if self._since(begin) == SEARCH.kinds_lead:
+            found = self._add(SEARCH.most_effects - SEARCH.kinds_lead)
+        if self._done(found) or self.scorer.compare(found, self.progress.informed(formulas)[-1]).clear:
+            return [self.progress.path, formulas]
+        self.tell("laws predict no better than formulas; asking for laws beside these")
+        self._back_to(formulas)
+        self._add()
+        return [self.progress.path]
 
     def _named(self, found: Fit) -> Fit:
         """A fit in which laws of a kind, where these do as well, stand in the place of one of no kind."""
@@ -340,7 +347,8 @@ class Search:
         found = self.progress.current
         if self._done(found) or self._since(begin) < SEARCH.kinds_lead or near(begin[0], found):
             return False
-        return choice.leaves_a_part(self.scorer, self._alone(begin)[-1], found)
+        alone = self._alone(begin)[-1]
+        return not self._ended and choice.leaves_a_part(self.scorer, alone, found)
 
     def _since(self, begin: tuple[Fit, ...]) -> int:
         """How many rounds have added something to a path."""
