@@ -292,7 +292,7 @@ class Search:
         return self.progress.current
 
     def _of_a_kind(self, formulas: tuple[Fit, ...]) -> list[tuple[Fit, ...]]:
-        """Paths to be led on from: the one where the search stands then, with laws of a kind from the beginning or beside
+        """Paths that lead on: the one where the search stands then, with laws of a kind from the beginning or beside
         formulas, and that of the formulas alone where they are not in it.
         """
         begin = self._laws_begin(formulas)
