@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -45,7 +46,7 @@ class Fitter:
     _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
     _begun: dict[_Asked, tuple[Fit, Fit | None]] = field(default_factory=dict, repr=False)
     _staying: list[tuple[Fit, Fit, bytes]] = field(default_factory=list, repr=False)
-    _made: dict[_AskedFully, tuple[tuple[Fit, Fit | None], Fit | None]] = field(default_factory=dict, repr=False)
+    _made: dict[_AskedFully, tuple[list[weakref.ref[Fit]], Fit | None]] = field(default_factory=dict, repr=False)
 
     def over(self, partition: Partition) -> Fitter:
         """The same to other windows; full fits that were kept stay for when these windows come back."""
@@ -187,21 +188,25 @@ class Fitter:
             made = then(made)
             return made.result(), self.scorer.comparison_mse(made)
 
-        called = [self._asked_fully(*each) for each in asked]
-        new = [k for k, one in enumerate(called) if one not in self._made]
-        bases = [fit for k in new for fit in (asked[k][0], asked[k][2]) if fit is not None]
+        called, of = [self._asked_fully(*each) for each in asked], [_fits(base, current) for base, _, current in asked]
+        new = [k for k, one in enumerate(called) if not self._is_made(one, of[k])]
+        bases = [fit for k in new for fit in of[k]]
         with self.side_by_side([partial(compared, *asked[k]) for k in new], bases) as result:
 
             def fitted(k: int) -> Fit | None:
-                if called[k] not in self._made:
+                if not self._is_made(called[k], of[k]):
                     found = result(new.index(k))
                     if found is not None:
                         self.scorer.know(*found)
-                    base, _, current = asked[k]
-                    self._made[called[k]] = (base, current), found and found[0]
+                    self._made[called[k]] = [weakref.ref(one) for one in of[k]], found and found[0]
                 return self._made[called[k]][1]
 
             yield fitted
+
+    def _is_made(self, called: _AskedFully, of: Sequence[Fit]) -> bool:
+        """Whether a full fit was made beside these very fits; others may have had their places in memory."""
+        refs, _ = self._made.get(called, ([], None))
+        return bool(refs) and all(ref() is one for ref, one in zip(refs, of, strict=True))
 
     def _asked_fully(self, base: Fit, sketch: Fit, current: Fit | None) -> _AskedFully:
         structure, z = sketch.structure, sketch.z
@@ -316,6 +321,11 @@ class Fitter:
         """What tells the fitted windows from others."""
         windows = self.problem.windows
         return windows.source.tobytes() + windows.start.tobytes()
+
+
+def _fits(*some: Fit | None) -> list[Fit]:
+    """Those of several fits that there are."""
+    return [one for one in some if one is not None]
 
 
 def _left(fitted: Fit) -> float:
