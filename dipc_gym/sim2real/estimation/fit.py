@@ -41,9 +41,9 @@ class Quadratics:
         return self.c - 2 * self.b @ step + np.einsum("i,nij,j->n", step, self.A, step)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted structure.
+    """A fitted structure; what is known of one is known of that very one.
 
     Attributes:
         structure: what was fitted.

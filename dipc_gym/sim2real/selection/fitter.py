@@ -31,7 +31,7 @@ T = TypeVar("T")
 # A sketch: what it begins at, as text, what is free, steps and run-up, the windows, and whether it is a rival's.
 _Asked = tuple[int, str, tuple[str, ...], tuple[float, float], bytes, bool]
 # A full fit: what its sketch begins at, which fit that is and which it competes with, and the windows.
-_AskedFully = tuple[int, int, str, tuple[str, ...], bytes, bytes, bool]
+_AskedFully = tuple[weakref.ref[Fit], weakref.ref[Fit] | None, str, tuple[str, ...], bytes, bytes, bool]
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Fitter:
     _kept: dict[tuple[frozenset[str], bytes], Fit] = field(default_factory=dict, repr=False)
     _begun: dict[_Asked, tuple[Fit, Fit | None]] = field(default_factory=dict, repr=False)
     _staying: list[tuple[Fit, Fit, bytes]] = field(default_factory=list, repr=False)
-    _made: dict[_AskedFully, tuple[list[weakref.ref[Fit]], Fit | None]] = field(default_factory=dict, repr=False)
+    _made: dict[_AskedFully, Fit | None] = field(default_factory=dict, repr=False)
 
     def over(self, partition: Partition) -> Fitter:
         """The same to other windows; full fits that were kept stay for when these windows come back."""
@@ -178,7 +178,7 @@ class Fitter:
 
         Args:
             asked: base, sketch, and what each has to earn its place beside.
-            then: what else is done with each fit; the same for sketches with as many effects more than their base.
+            then: what else is done with each fit; whoever does something else asks for other structures.
         """
 
         def compared(base: Fit, sketch: Fit, current: Fit | None) -> tuple[Fit, Array] | None:
@@ -188,30 +188,26 @@ class Fitter:
             made = then(made)
             return made.result(), self.scorer.comparison_mse(made)
 
-        called, of = [self._asked_fully(*each) for each in asked], [_fits(base, current) for base, _, current in asked]
-        new = [k for k, one in enumerate(called) if not self._is_made(one, of[k])]
-        bases = [fit for k in new for fit in of[k]]
+        called = [self._asked_fully(*each) for each in asked]
+        new = [k for k, one in enumerate(called) if one not in self._made]
+        bases = [fit for k in new for fit in (asked[k][0], asked[k][2]) if fit is not None]
         with self.side_by_side([partial(compared, *asked[k]) for k in new], bases) as result:
 
             def fitted(k: int) -> Fit | None:
-                if not self._is_made(called[k], of[k]):
+                if called[k] not in self._made:
                     found = result(new.index(k))
                     if found is not None:
                         self.scorer.know(*found)
-                    self._made[called[k]] = [weakref.ref(one) for one in of[k]], found and found[0]
-                return self._made[called[k]][1]
+                    self._made[called[k]] = found and found[0]
+                return self._made[called[k]]
 
             yield fitted
-
-    def _is_made(self, called: _AskedFully, of: Sequence[Fit]) -> bool:
-        """Whether a full fit was made beside these very fits; others may have had their places in memory."""
-        refs, _ = self._made.get(called, ([], None))
-        return bool(refs) and all(ref() is one for ref, one in zip(refs, of, strict=True))
 
     def _asked_fully(self, base: Fit, sketch: Fit, current: Fit | None) -> _AskedFully:
         structure, z = sketch.structure, sketch.z
         free, windows = tuple(slot.key for slot in structure.slots), self.problem.labels.tobytes() + self._all_windows()
-        return id(base), id(current), structure.write(z).text(), free, z.tobytes(), windows, self.scorer.small
+        beside = None if current is None else weakref.ref(current)
+        return weakref.ref(base), beside, structure.write(z).text(), free, z.tobytes(), windows, self.scorer.small
 
     def _rough(self, structure: Structure, z: Array, initial: Array, hopeless: float = math.inf) -> Fit:
         some = self.problem.pick(self.subset)
@@ -321,11 +317,6 @@ class Fitter:
         """What tells the fitted windows from others."""
         windows = self.problem.windows
         return windows.source.tobytes() + windows.start.tobytes()
-
-
-def _fits(*some: Fit | None) -> list[Fit]:
-    """Those of several fits that there are."""
-    return [one for one in some if one is not None]
 
 
 def _left(fitted: Fit) -> float:

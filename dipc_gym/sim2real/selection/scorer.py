@@ -23,7 +23,7 @@ from dipc_gym.sim2real.simulation.windows import Windows
 from dipc_gym.sim2real.unseen.parts import loads
 
 Array = NDArray[np.float64]
-_OfFits = dict[int, tuple[weakref.ref[Fit], Array]]
+_OfFits = weakref.WeakKeyDictionary[Fit, Array]
 
 
 @dataclass(frozen=True)
@@ -37,16 +37,16 @@ class Scorer:
 
     partition: Partition
     small: bool = False
-    _known: _OfFits = field(default_factory=dict, repr=False)
-    _unfitted: _OfFits = field(default_factory=dict, repr=False)
-    _forces: _OfFits = field(default_factory=dict, repr=False)
+    _known: _OfFits = field(default_factory=weakref.WeakKeyDictionary, repr=False)
+    _unfitted: _OfFits = field(default_factory=weakref.WeakKeyDictionary, repr=False)
+    _forces: _OfFits = field(default_factory=weakref.WeakKeyDictionary, repr=False)
 
     def over(self, partition: Partition) -> Scorer:
         """The same on other windows; what is known of those compared on stays, if they are the same."""
         if partition is self.partition:
             return self
         same = partition.comparison is self.partition.comparison
-        return Scorer(partition, self.small, self._known if same else {})
+        return Scorer(partition, self.small, self._known if same else weakref.WeakKeyDictionary())
 
     def comparison_mse(self, fitted: Fit) -> Array:
         """Mean square error of each comparison window, in units of noise, (n,)."""
@@ -54,7 +54,7 @@ class Scorer:
 
     def know(self, fitted: Fit, mse: Array) -> None:
         """Note the mean square errors of the comparison windows that were worked out elsewhere, (n,)."""
-        self._known[id(fitted)] = (weakref.ref(fitted), mse)
+        self._known[fitted] = mse
 
     def unfitted_mse(self, fitted: Fit) -> Array:
         """Mean square error of these and of the windows that validate, in units of noise, as they come out when
@@ -157,11 +157,9 @@ class Scorer:
 
 def _once(known: _OfFits, fitted: Fit, work: Callable[[], Array]) -> Array:
     """What is known of a fit, worked out where it is not."""
-    of, found = known.get(id(fitted), (lambda: None, np.zeros(0)))
-    if of() is not fitted:  # another may have had its place in memory
-        found = work()
-        known[id(fitted)] = (weakref.ref(fitted), found)
-    return found
+    if fitted not in known:
+        known[fitted] = work()
+    return known[fitted]
 
 
 def _force_left(fitted: Fit, windows: Windows) -> Array:
