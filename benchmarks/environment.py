@@ -21,7 +21,7 @@ from dipc_gym import compensators
 from dipc_gym.compensators import OutOfRangeWarning
 from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.runs import identify
-from dipc_gym.wrappers import ForceCommand
+from dipc_gym.wrappers import EstimateState, ForceCommand
 
 
 def free_steps_per_second(env, steps):
@@ -52,6 +52,14 @@ def best(measure, candidates, repeats):
         for name, candidate in candidates.items():
             rates[name] = max(rates[name], measure(candidate))
     return rates
+
+
+def compensated(run, name):
+    """An environment that commands force; the disturbance observer is in it where a compensator feeds its estimate."""
+    env, compensator = gymnasium.make(dipc_gym.ENV_ID), run.fit(name)
+    if compensator.observed_friction:
+        env = EstimateState(env, run.fit_estimator("disturbance"))
+    return ForceCommand(env, compensator)
 
 
 def start_up(repeats):
@@ -85,7 +93,7 @@ def main():
     run = identify()
     closed = {"voltage = force / gain, no wrapper": (gymnasium.make(ours), 0.25)}
     for name in compensators.names():
-        closed[f"ForceCommand, {name}"] = (ForceCommand(gymnasium.make(ours), run.fit(name)), 1.0)
+        closed[f"ForceCommand, {name}"] = (compensated(run, name), 1.0)
     rates = best(lambda pair: balancing_steps_per_second(pair[0], options.steps, pair[1]), closed, options.repeats)
     bare = rates[next(iter(closed))]
     print(f"\n{'closed loop under the LQR':36s} {'us/step':>8s} {'of it compensation':>20s}")
