@@ -98,10 +98,10 @@ def modelled(friction: float, forward: float, uneven: float) -> list[str]:
     search, formulas = friction_found(friction, forward, uneven)
     add, alone = search._add, list[Fit]()
 
-    def only_alone(most: int) -> Fit:
+    def only_alone(most: int, **named: bool) -> Fit:
         if search.progress.path[1:]:
             return search.progress.current
-        alone.append(add(most))
+        alone.append(add(most, **named))
         return alone[-1]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -130,7 +130,7 @@ def test_names_stand_alone_where_laws_leave_as_much() -> None:
 def test_what_was_found_is_not_lost_where_laws_are_asked_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
     search, formulas = friction_found(DRY, 0.4, uneven=0.1)
 
-    def broken(most: int) -> Fit:
+    def broken(most: int, **named: bool) -> Fit:
         if search.progress.path[1:]:
             return search.progress.current
         raise ValueError("math domain error")
@@ -187,9 +187,9 @@ def test_laws_of_a_kind_are_given_up_where_one_of_no_kind_alone_leaves_far_less(
     search, formulas = friction_found(0.1 if drag else DRY, drag, uneven=0.0 if drag else 0.5)
     add, asked = search._add, list[int]()
 
-    def of_a_kind(most: int = SEARCH.most_effects) -> Fit:
+    def of_a_kind(most: int = SEARCH.most_effects, **named: bool) -> Fit:
         if search.phase == Phase.NO_KIND:
-            return add(most)
+            return add(most, **named)
         asked.append(most)
         if len(asked) == 1:
             search.journal.accept(formulas[-1])

@@ -595,10 +595,10 @@ def test_an_interrupt_among_laws_leaves_what_formulas_explain(where: str, monkey
     search = begun([run(9, 12, 4.0, uneven=(0.4, 0.05))], ("friction.coulomb", "friction.position:law"))
     step, back = search._step, search.journal.go_back
 
-    def interrupted() -> bool:
+    def interrupted(**named: bool) -> bool:
         if search.phase > Phase.FORMULAS and where == "within a round":
             raise KeyboardInterrupt
-        return step()
+        return step(**named)
 
     def go_back(path: tuple[Fit, ...]) -> None:
         back(path)

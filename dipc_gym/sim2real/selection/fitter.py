@@ -287,14 +287,19 @@ class Fitter:
         """A structure with the parameters of a fit, which is not fitted on; what the fit lacks is at its guess."""
         return fit(self.problem, structure, carry(current.structure, current.z, structure), current.initial, most=0)
 
-    def without(self, current: Fit, *keys: str) -> Fit:
+    def without(self, current: Fit, *keys: str, hopeless: float = math.inf) -> Fit:
         """Refit with one effect less, and so on, from the parameters that it has now: the fit before may have been
         stuck.
+
+        Args:
+            current: a fit.
+            keys: of the effects.
+            hopeless: mean log square error, by which a fit that stays behind is not carried on.
         """
         for key in keys:
-            structure = current.structure.without(key)
+            structure, limit = current.structure.without(key), _left(current) + hopeless
             z = carry(current.structure, current.z, structure)
-            current = fit(self.problem, structure, z, current.initial)
+            current = fit(self.problem, structure, z, current.initial, hopeless=limit)
         return current
 
     def roughly_without(self, current: Fit, key: str) -> Fit:

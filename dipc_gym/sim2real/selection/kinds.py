@@ -97,6 +97,8 @@ def _as_good(
             if sketch is None or (fitter.behind(sketch, current) and not _may_be_finer(sketch, shapes, begin)):
                 continue
             fitted = fitter.full(current, sketch)
+            if fitted is not None and _lacks_more_than_knots(fitted, current):
+                continue
             for shaped in shapes:
                 fitted = fitted and refined(fitter, fitted, shaped.key)
             if fitted and fitter.scorer.alike(current, fitted, begin):
@@ -110,6 +112,13 @@ def _may_be_finer(sketch: Fit, shapes: Sequence[Term], begin: Fit) -> bool:
     """Whether a sketch leaves so little of the mismatch that its laws, begun as forces tell, may lack knots alone."""
     free = any(shaped.effect.free for shaped in shapes)
     return free and sketch.error < max(SEARCH.in_reach, SEARCH.earns * begin.error)
+
+
+def _lacks_more_than_knots(fitted: Fit, current: Fit) -> bool:
+    """Whether effects leave more, far from the noise, than laws that are lines between knots twice as far apart as they
+    should be: making them finer would take long, and come to nothing.
+    """
+    return current.error > SEARCH.in_reach and fitted.error > SEARCH.coarser * current.error
 
 
 def _formulas(question: Question, fitter: Fitter, fewer: Fit, term: Term) -> list[tuple[Term]]:

@@ -9,7 +9,7 @@ from operator import attrgetter
 import numpy as np
 
 from dipc_gym.sim2real.estimation.fit import Fit
-from dipc_gym.sim2real.selection import choice, groups, kinds, pairs, ranking, sketches
+from dipc_gym.sim2real.selection import choice, groups, pairs, ranking, sketches
 from dipc_gym.sim2real.selection.fitter import Fitter
 from dipc_gym.sim2real.selection.hypotheses import Phase, Question, screened, starts
 from dipc_gym.sim2real.selection.progress import Journal
@@ -63,8 +63,7 @@ def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal)
     journal.update(done)
     chosen = choice.choose(fitter.scorer, done, current, begin)
     if chosen is not None:
-        # Two laws of a kind, each alone far from the noise, are seen together as one of no kind.
-        return kinds.named(question, fitter, fitter.polish(chosen), begin, journal.tell)
+        return fitter.polish(chosen)
     tried_both = [*tried_early, *pairs.sketched(fitter, both[len(early) :], current)]
     found = pairs.best(fitter, tried_both, current, begin)
     # What a law of any shape leaves is its own bad fit as well, and two effects together take up some of anything.

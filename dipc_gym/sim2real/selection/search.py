@@ -334,11 +334,27 @@ class Search:
         if not self._done(self.progress.current):
             begin = self._laws_begin(formulas)  # where an end began if nothing was found
             asked = [path for end, path in zip(ends, found, strict=True) if len(end) == len(begin)]
-            laws = self.progress.informed(asked[0] if asked else self._alone(begin))
-            modelled = laws[-1].structure.unnamed and not self._ended
-            if modelled and choice.leaves_far_less(self.scorer, laws[-1], self.progress.current):
+            laws = self._where_far_better(self.progress.informed(asked[0] if asked else self._alone(begin)))
+            if laws is not None:
                 self.journal.go_back(self._beside(laws, formulas))
         return self.progress.current
+
+    def _where_far_better(self, laws: tuple[Fit, ...]) -> tuple[Fit, ...] | None:
+        """A path to laws of no kind, with kinds where they have any, if it leaves far less than the present fit."""
+
+        def better(path: tuple[Fit, ...]) -> bool:
+            modelled = bool(path[-1].structure.unnamed) and not self._ended
+            return modelled and choice.leaves_far_less(self.scorer, path[-1], self.progress.current)
+
+        if not better(laws):
+            return None
+        named = (*laws[:-1], self._with_names(laws[-1]))  # asked for only where it matters what kind the laws have
+        return named if better(named) else None
+
+    def _with_names(self, found: Fit) -> Fit:
+        """See `_named`; and without what is idle then."""
+        named = self._named(found)
+        return found if named is found else prune(self.question, self.fitter, named, self.tell)
 
     def _leads_astray(self, begin: tuple[Fit, ...]) -> bool:
         """Whether laws of a kind, of which there are several, leave far more than laws of no kind do alone. The third
@@ -365,7 +381,7 @@ class Search:
         try:
             self.phase = Phase.NO_KIND
             self.journal.go_back(begin)
-            self._add(len(self.question.joints))
+            self._add(len(self.question.joints), named=False)  # it is asked how far they come, and seldom for more
             self._of_no_kind = self.progress.path
             return self._of_no_kind
         finally:
@@ -425,16 +441,17 @@ class Search:
         self.journal.correct(self.fitter.polish(better))
         return self._add(SEARCH.most_effects - len(better.structure.terms))
 
-    def _add(self, most: int = SEARCH.most_effects) -> Fit:
+    def _add(self, most: int = SEARCH.most_effects, *, named: bool = True) -> Fit:
+        """What rounds come to, as many as that at most; laws of no kind get kinds in each, unless that is left out."""
         try:
             for _ in range(most):
-                if self._ended or not self._step():
+                if self._ended or not self._step(named=named):
                     break
         except KeyboardInterrupt:
             self.stop.ask("judging what was found so far")
         return self.progress.current
 
-    def _step(self) -> bool:
+    def _step(self, *, named: bool) -> bool:
         """Add what a round accepts, and prune; whether there may be more to add."""
         known = len(self.partition.problem.windows)
         self._go_on(attend(self.progress, self.scorer))
@@ -449,6 +466,8 @@ class Search:
         better = rounds.addition(self.question, self.phase, self.fitter, self.journal)
         if better is None:
             return False
+        if named:  # two laws of a kind, each alone far from the noise, are seen together as one of no kind
+            better = self._named(better)
         self.journal.accept(better)
         added = better.structure.newest.key
         new = ", ".join(names(better.structure.terms[len(before.structure.terms) :])) or added

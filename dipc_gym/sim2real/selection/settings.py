@@ -139,8 +139,8 @@ class SearchSettings:
         earns: share of the excess error, or of the error of most windows, that an effect must remove where it does not
             come down to the noise: the best of dozens takes up some of anything
         sketch_steps: steps of a sketch: enough to tell which hypotheses keep up, and no more
-        hopeless: mean log square error, by which derivatives foretell a rival to stay behind (an error seven times as
-            large) where it is not fitted on: what they foretell from afar is off by less
+        hopeless: mean log square error, by which derivatives foretell a rival, or a fit without an effect, to stay
+            behind (an error seven times as large) where it is not fitted on: from afar they are off by less
         onward_steps: steps of a sketch or fit that was still on its way, or whose windows are others now: a long valley
             takes more than a fit has elsewhere
         polish_steps: steps of a fit that goes on until nothing changes; few fits need as many
@@ -154,6 +154,8 @@ class SearchSettings:
             with names, the tightest first: the last hardly holds, as when the law was found
         short: share of the predicted gain of a pair that its sketch must bring: of less, the straight lines misled
         halvings: of the stretches between the knots of a law, at most: six make 64 of one, as many as forces tell apart
+        coarser: times the error that a law of lines leaves if its knots are twice as far apart: a chord misses a curve
+            by the square of its length
         beyond: share of the range of a law's input in the fitted windows, from which another input is far from all of
             these: what a law says there was never asked
         ahead: halvings that are tried before a law is as fine as it may be: a narrow spot shows only when knots lie as
@@ -196,6 +198,7 @@ class SearchSettings:
     held_to: tuple[float, ...] = (0.3, 1.0, 5.0)
     short: float = 0.5
     halvings: int = 6
+    coarser: float = 4.0
     beyond: float = 0.02
     ahead: int = 2
     fine_law: int = 32

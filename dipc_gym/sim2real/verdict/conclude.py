@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -14,10 +16,12 @@ from dipc_gym.sim2real.selection import beside, ranking
 from dipc_gym.sim2real.selection.prune import prune
 from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.search import Searched
-from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.verdict import sentences, sparse, stand_ins, untouched
 from dipc_gym.sim2real.verdict.closed_form import Formula
 from dipc_gym.sim2real.verdict.settings import VERDICT
+
+Asked = Callable[[Searched, Fit, Sequence[Term]], Generator[list[stand_ins.Rival], None, None]]
 
 
 @dataclass(frozen=True)
@@ -150,7 +154,7 @@ def without_idle(search: Searched, upheld: Fit) -> Fit:
     """
     while len(upheld.structure.terms) > 1 and search.scorer.comparison_error(upheld) <= SCORE.at_floor:
         asked = [term for term in upheld.structure.named if not term.effect.once]
-        lost = {key: gained.gain for key, gained in _gains(search, upheld, asked).items()}
+        lost = {key: gained.gain for key, gained in _gains(search, upheld, asked, SEARCH.hopeless).items()}
         least = min(lost, key=lambda key: lost[key], default="")
         if not least or lost[least] >= SCORE.worth:
             break
@@ -199,15 +203,23 @@ def _believable(
     return upheld, notes, frozenset(term.key for term in missed)
 
 
-def _gains(search: Searched, fitted: Fit, terms: Sequence[Term]) -> dict[str, Improvement]:
+def _gains(search: Searched, fitted: Fit, terms: Sequence[Term], hopeless: float = math.inf) -> dict[str, Improvement]:
     """`_gained` of several effects, by key."""
-    with search.fitter.side_by_side([partial(_gained, search, fitted, term) for term in terms], [fitted]) as result:
+    tasks = [partial(_gained, search, fitted, term, hopeless) for term in terms]
+    with search.fitter.side_by_side(tasks, [fitted]) as result:
         return {term.key: result(k) for k, term in enumerate(terms)}
 
 
-def _gained(search: Searched, fitted: Fit, term: Term) -> Improvement:
-    """How much better windows that no fit has touched are predicted with an effect than without, all else refitted."""
-    return untouched.on_untouched(search, fitted, search.fitter.without(fitted, term.key))
+def _gained(search: Searched, fitted: Fit, term: Term, hopeless: float = math.inf) -> Improvement:
+    """How much better windows that no fit has touched are predicted with an effect than without, all else refitted.
+
+    Args:
+        search: has the windows.
+        fitted: with the effect.
+        term: the effect.
+        hopeless: mean log square error, by which a fit that stays behind is not carried on.
+    """
+    return untouched.on_untouched(search, fitted, search.fitter.without(fitted, term.key, hopeless=hopeless))
 
 
 def divided_over(gained: Improvement) -> bool:
@@ -246,12 +258,16 @@ def _others(search: Searched, upheld: Fit, fewest: Fit) -> list[Fit]:
 
 
 def _rivals(
-    search: Searched, full: Fit, of: Callable[[Searched, Fit, Term], list[stand_ins.Rival]]
+    search: Searched,
+    full: Fit,
+    of: Callable[[Searched, Fit, Sequence[Term]], Generator[list[stand_ins.Rival], None, None]],
 ) -> dict[str, list[stand_ins.Rival]]:
     """What could stand in the place of each effect; nothing from when Ctrl-C ended that."""
-    found: dict[str, list[stand_ins.Rival]] = {}
-    for term in full.structure.terms:
-        asked = not (search.stop.asked or term.effect.of_no_kind)
-        stage = partial(of, search, full, term)
-        found[term.key] = search.stop.unless_pressed(stage, list[stand_ins.Rival]) if asked else []
+    found: dict[str, list[stand_ins.Rival]] = {term.key: [] for term in full.structure.terms}
+    asked = [term for term in full.structure.terms if not term.effect.of_no_kind]
+    with closing(of(search, full, asked)) as each:
+        for term in asked:
+            if search.stop.asked:
+                break
+            found[term.key] = search.stop.unless_pressed(partial(next, each), list[stand_ins.Rival])
     return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
 
@@ -41,49 +41,67 @@ class Rival:
     better: bool = False
 
 
-def rivals(search: Searched, full: Fit, term: Term) -> list[Rival]:
-    """Try other effects in the place of one.
+def rivals(search: Searched, full: Fit, asked: Sequence[Term]) -> Generator[list[Rival], None, None]:
+    """Try other effects in the place of one, of each that is asked for in turn.
 
     Those that came close in its round, those it is mistaken for, a single effect that stands for it and another one,
     and two that stand for it alone.
     """
-    search.tell(f"what could stand in for {term.key}?")
-    error = search.scorer.comparison_error(full)
-    found: list[Rival] = []
     search.fitter.remember(full)
-    asked = list(_stand_ins(search, full, term, provisional=error > SCORE.at_floor))
-    tasks = [partial(_swapped, search, full, structure, before) for _, structure, before in asked]
+    provisional = search.scorer.comparison_error(full) > SCORE.at_floor
+    tried = [list(_stand_ins(search, full, term, provisional=provisional)) for term in asked]
+    tasks = [partial(_swapped, search, full, structure, before) for each in tried for _, structure, before in each]
     with search.fitter.side_by_side(tasks, [full]) as result:
-        for k, (others, structure, before) in enumerate(asked):
-            known = before.fitted if before else search.fitter.remembered(structure)
-            swapped, compared = result(k) if known is None else (known, None)
-            if swapped is None:
-                continue
-            if known is None and compared is None:
-                if len(others) == 1:
-                    found.append(Rival(others[0], swapped, same=False, ruled_out=True))
-                continue
-            if compared is not None:
-                search.scorer.know(swapped, compared)
-            search.fitter.remember(swapped)
-            difference = search.scorer.compare(full, swapped)
-            reached = search.scorer.comparison_error(swapped)
-            close = difference.alike and difference.gain < VERDICT.told_apart * SCORE.worth
-            same = close and difference.gain < SCORE.worth and reached < max(SCORE.at_floor, VERDICT.same * error)
-            better = len(others) == 1 and _better(search, swapped, full)
-            if same or len(others) == 1:
-                found += [Rival(other, swapped.result(), same, not close, better) for other in others]
+        numbers = itertools.count()
+        for term, each in zip(asked, tried, strict=True):
+            search.tell(f"what could stand in for {term.key}?")
+            yield _judged(search, full, [(partial(result, next(numbers)), *one) for one in each])
+
+
+def _judged(
+    search: Searched,
+    full: Fit,
+    stand_ins: Sequence[tuple[Callable[[], tuple[Fit | None, Array | None]], list[Term], Structure, Tried | None]],
+) -> list[Rival]:
+    """Rivals in the place of one effect, given what gives the fit of each, see `_swapped`."""
+    error, found = search.scorer.comparison_error(full), list[Rival]()
+    for result, others, structure, before in stand_ins:
+        known = before.fitted if before else search.fitter.remembered(structure)
+        swapped, compared = result() if known is None else (known, None)
+        if swapped is None:
+            continue
+        if known is None and compared is None:
+            if len(others) == 1:
+                found.append(Rival(others[0], swapped, same=False, ruled_out=True))
+            continue
+        if compared is not None:
+            search.scorer.know(swapped, compared)
+        search.fitter.remember(swapped)
+        difference = search.scorer.compare(full, swapped)
+        reached = search.scorer.comparison_error(swapped)
+        close = difference.alike and difference.gain < VERDICT.told_apart * SCORE.worth
+        same = close and difference.gain < SCORE.worth and reached < max(SCORE.at_floor, VERDICT.same * error)
+        better = len(others) == 1 and _better(search, swapped, full)
+        if same or len(others) == 1:
+            found += [Rival(other, swapped.result(), same, not close, better) for other in others]
     return found
 
 
-def unseen(search: Searched, full: Fit, term: Term) -> list[Rival]:
-    """Effects that hold one in them, and more that no window tells: they are the same model here.
+def unseen(search: Searched, full: Fit, asked: Sequence[Term]) -> Generator[list[Rival], None, None]:
+    """Effects that hold one in them, and more that no window tells, of each that is asked for in turn: they are the
+    same model here.
 
     Asked at the noise, with what would matter elsewhere and without a fit, which would only make it vanish.
     """
-    error = search.scorer.comparison_error(full)
+    at_noise = search.scorer.comparison_error(full) <= SCORE.at_floor
+    for term in asked:
+        yield _wider(search, full, term) if at_noise else []
+
+
+def _wider(search: Searched, full: Fit, term: Term) -> list[Rival]:
+    """See `unseen`."""
     wider = [effect for effect in search.question.effects if term.effect.id in effect.contains]
-    if error > SCORE.at_floor or not wider:
+    if not wider:
         return []
     scene, plain = search.question.look(full), full.structure.term_values(full.z, term)
     found: list[Rival] = []
