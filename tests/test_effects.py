@@ -491,11 +491,14 @@ def test_bristles_are_springs_until_they_slip() -> None:
     count=st.floats(2.0, 90.0),
     phase=st.floats(0.0, 6.28),
     along=st.booleans(),
+    off=st.floats(-10.0, 10.0),
     seed=st.integers(0, 2**32 - 1),
 )
 @settings(max_examples=30, deadline=None)
-def test_waves_are_found_under_noise_ten_times_as_large(count: float, phase: float, along: bool, seed: int) -> None:
-    """Over the whole of a recording; the direction of motion may carry them."""
+def test_waves_are_found_under_noise_ten_times_as_large(
+    count: float, phase: float, along: bool, off: float, seed: int
+) -> None:
+    """Over the whole of a recording; the direction of motion may carry them, and the inertia may be off."""
     rng = np.random.default_rng(seed)
     # Noise leaves a wave's count a standard error of sqrt(24 / n) / (2 pi) times itself over the wave (Cramer and Rao),
     # and the counts that are tried lie a tenth apart: of 40 s, a quarter is half of the one and five of the other.
@@ -503,11 +506,13 @@ def test_waves_are_found_under_noise_ten_times_as_large(count: float, phase: flo
     x = 0.5 * np.sin(1.7 * t) + 0.5 * np.sin(0.61 * t + 1)
     v = np.gradient(x, t)
     seen = unexplained.scene(physics.load(CART), [recorded("cart")], ready("cart").motions)
-    scene = replace(seen.at("joint", "cart", {}), position=x, velocity=v, force=np.zeros_like(x))
+    # So heavy a joint moves as it does whatever the force.
+    still = np.zeros_like(x)
+    scene = replace(seen.at("joint", "cart", {}), time=t, position=x, velocity=v, force=still, inertia=1e9)
     reach = float(np.ptp(x))
     carrier = -scene.direction if along else np.ones_like(x)
     wave = carrier * np.sin(2 * np.pi * count / reach * x + phase)
-    scene = replace(scene, force=wave + rng.normal(0, 10, len(x)))
+    scene = replace(scene, force=wave + off * np.gradient(v, t) + rng.normal(0, 10, len(x)))
     found = waves(scene, 0.5, carrier if along else None)
     assert reach / found[0]["wavelength"] == pytest.approx(count, abs=0.25)
     assert np.hypot(found[0]["sine"], found[0]["cosine"]) == pytest.approx(1.0, abs=0.6)

@@ -26,8 +26,9 @@ def waves(evidence: Evidence, fewest: float, carrier: Array | None = None) -> li
     """
     x, v = evidence.position, evidence.velocity
     reach = max(float(np.ptp(x)), 1e-9)
-    # Dry friction would hide a wave; what goes with velocity is taken out of the force, and below out of the waves.
-    known = np.stack([v, evidence.direction, np.ones_like(v)], axis=1)
+    # Friction would hide a wave, and so would an inertia that is a little off: what goes with velocity, its direction
+    # and acceleration is taken out of the force, and below out of the waves.
+    known = np.stack([evidence.foretold, v, evidence.direction, np.ones_like(v)], axis=1)
     f = evidence.force - known @ np.linalg.lstsq(known, evidence.force, rcond=None)[0]
     c = np.ones_like(x) if carrier is None else carrier
     most = min(WAVES.most, WAVES.resolved * reach / evidence.period / evidence.speed_scale)
