@@ -329,6 +329,26 @@ def test_forces_in_the_model_file_are_not_unexplained() -> None:
     assert np.abs(without[50:-50, 0]).max() > 1.9
 
 
+@pytest.mark.parametrize("late", [0.0, 0.0007, 0.002])
+def test_a_command_that_holds_is_not_taken_for_an_early_one(late: float) -> None:
+    """What motion tells of a moment is what went on before and after it: half a sample off, slopes stay unexplained."""
+    rig, noise, period, parts = one_joint(""), 1e-7, 0.002, 20
+    rig.model.actuator_delay[:] = late
+    stamps = period * np.arange(1000)
+    sent, step = 3.0 * np.sin(40.0 * stamps), period / parts
+    acts = np.roll(np.repeat(sent, parts), round(late / step))  # it begins and ends at nothing
+    speed = np.append(0.0, np.cumsum(acts) * step)
+    place = np.append(0.0, np.cumsum(speed[:-1] * step + 0.5 * acts * step**2))[:-1:parts]
+    recorder, rng = Recorder(["motor"], ["cart"]), np.random.default_rng(1)
+    for time, command, reading in zip(stamps, sent, place, strict=True):
+        recorder.append(time, [command], [reading + noise * rng.normal()])
+    run = recorder.recording("driven")
+    force, _, _ = states.unexplained_force(rig, run, states.estimate(run, rig, np.array([noise])))
+    slope = 120.0 * np.cos(40.0 * (stamps - late))
+    early = -(slope[20:-20] @ force[20:-20, 0]) / (slope[20:-20] @ slope[20:-20])
+    assert early == pytest.approx(0.0, abs=0.1 * period)
+
+
 @pytest.mark.parametrize(("pushed", "unexplained"), [(2.0, 0.0), (-2.0, 0.0), (5.0, -2.0), (-5.0, 2.0)])
 def test_dry_friction_holds_a_joint_at_rest_up_to_its_level(pushed: float, unexplained: float) -> None:
     """What its readings say of a direction is noise; what it cannot hold, something else does."""

@@ -23,7 +23,7 @@ from scipy.linalg import solveh_banded
 from dipc_gym import mjcf
 from dipc_gym.physics import Extra, Moment, Physics
 from dipc_gym.recording import Recording
-from dipc_gym.recording.held import held_at
+from dipc_gym.recording.held import held_mean
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.simulation.compiled import BESIDE
 from dipc_gym.sim2real.simulation.memory import bends, memories
@@ -303,7 +303,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     level, stiffness = model.dof_frictionloss.copy(), model.tendon_stiffness.copy()
     n = len(motion.time)
     late = mjcf.control_delays(model)
-    commands = physics.command(_delayed(late, recording), recording.time)
+    commands = physics.command(acting(late, recording), recording.time)
     model.actuator_delay[:] = 0
     slips = yielding(model)
     model.tendon_stiffness[slips] = 0.0  # how far these are bent, the motion before says
@@ -375,12 +375,18 @@ def _hold(data: mujoco.MjData, into: Array) -> None:
     into[data.efc_id[dry]] = data.efc_force[dry]
 
 
-def _delayed(delays: Array, recording: Recording) -> Array:
-    """Commands (n, nu) as they act at their time stamps, each control's delay (nu,) later than they were given."""
-    commands = recording.commands.copy()
-    for c in np.flatnonzero(delays[: commands.shape[1]] > 0):
-        commands[:, c] = held_at(recording, recording.time - delays[c] + 1e-9)[:, c]
-    return commands
+def acting(delays: Array, recording: Recording) -> Array:
+    """Commands (n, nu) that act around each time stamp, each control's delay (nu,) later than they were given.
+
+    One holds from its stamp to the next, and what motion tells of a moment is what went on before and after it: the
+    command that begins to hold there would come half a sample early.
+    """
+    half = 0.5 * recording.period
+    around = recording.time[:, None] + np.array([-half, half])
+    each = [
+        held_mean(recording, around - late, c)[:, 0] for c, late in enumerate(delays[: recording.commands.shape[1]])
+    ]
+    return np.stack(each, axis=1) if each else recording.commands
 
 
 def _relaxed(model: mujoco.MjModel, data: mujoco.MjData, step: float) -> Array:

@@ -19,7 +19,7 @@ from dipc_gym.sim2real.effects.coupling import base_inertia, inertia_at
 from dipc_gym.sim2real.effects.smoothing import width_for
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.estimation.states import straightened, unexplained_force
+from dipc_gym.sim2real.estimation.states import acting, straightened, unexplained_force
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows
 
@@ -124,8 +124,8 @@ class Scene:
 
     @functools.cached_property
     def _commands(self) -> Array:
-        """Commands (n, nu) as actuators take them: a log may hold more."""
-        sent = np.concatenate([r.commands for r in self.recordings])
+        """Commands (n, nu) as actuators take them around each sample: a log may hold more."""
+        sent = np.concatenate([acting(np.zeros(r.commands.shape[1]), r) for r in self.recordings])
         low, high = (end[: sent.shape[1]] for end in mjcf.command_ranges(self.model))
         return np.clip(sent, low, high)
 
