@@ -326,7 +326,9 @@ def test_c_gives_the_voltages_of_python_where_a_filter_sees(tmp_path: Path, name
         given = in_c(compiled(tmp_path, program, single=single), wild)
         assert (np.abs(given) <= SUPPLY).all()  # also that there is no NaN among them
         if not single:
-            np.testing.assert_allclose(given, in_numpy(program, wild, dtype), rtol=0, atol=1e-9)
+            # NumPy's sines differ in their last bit from processor to processor: so may what follows from them.
+            wanted, rounded = (in_numpy(program, one, dtype) for one in (wild, np.nextafter(wild, np.inf)))
+            assert (np.abs(given - wanted) <= 1e-9 + 10 * np.abs(rounded - wanted).max()).all()
 
 
 @pytest.mark.parametrize("name", SEEN)

