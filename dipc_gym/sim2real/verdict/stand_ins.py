@@ -20,6 +20,8 @@ from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
 Array = NDArray[np.float64]
+_StandIn = tuple[list[Term], Structure, Tried | None]  # effects, the structure with them, what a round made of it
+_Swapped = tuple[Fit | None, Array | None]  # a fit, and its mean square errors on the windows compared on
 
 
 @dataclass(frozen=True)
@@ -55,19 +57,17 @@ def rivals(search: Searched, full: Fit, asked: Sequence[Term]) -> Generator[list
         numbers = itertools.count()
         for term, each in zip(asked, tried, strict=True):
             search.tell(f"what could stand in for {term.key}?")
-            yield _judged(search, full, [(partial(result, next(numbers)), *one) for one in each])
+            yield _judged(search, full, each, [partial(result, next(numbers)) for _ in each])
 
 
 def _judged(
-    search: Searched,
-    full: Fit,
-    stand_ins: Sequence[tuple[Callable[[], tuple[Fit | None, Array | None]], list[Term], Structure, Tried | None]],
+    search: Searched, full: Fit, stand_ins: Sequence[_StandIn], fits: Sequence[Callable[[], _Swapped]]
 ) -> list[Rival]:
-    """Rivals in the place of one effect, given what gives the fit of each, see `_swapped`."""
+    """Rivals in the place of one effect, and what gives the fit of each."""
     error, found = search.scorer.comparison_error(full), list[Rival]()
-    for result, others, structure, before in stand_ins:
+    for (others, structure, before), swap in zip(stand_ins, fits, strict=True):
         known = before.fitted if before else search.fitter.remembered(structure)
-        swapped, compared = result() if known is None else (known, None)
+        swapped, compared = swap() if known is None else (known, None)
         if swapped is None:
             continue
         if known is None and compared is None:
@@ -117,9 +117,7 @@ def _wider(search: Searched, full: Fit, term: Term) -> list[Rival]:
     return found
 
 
-def _swapped(
-    search: Searched, full: Fit, structure: Structure, before: Tried | None
-) -> tuple[Fit | None, Array | None]:
+def _swapped(search: Searched, full: Fit, structure: Structure, before: Tried | None) -> _Swapped:
     """A structure with a rival fitted to all windows, and its mean square errors on those compared on; a sketch, and
     nothing, where that was enough to rule it out.
     """
@@ -142,9 +140,7 @@ def _better(search: Searched, swapped: Fit, full: Fit) -> bool:
     return closely and gained.told and search.scorer.compare_on_others(swapped, full).gain > 0
 
 
-def _stand_ins(
-    search: Searched, full: Fit, term: Term, *, provisional: bool
-) -> Iterator[tuple[list[Term], Structure, Tried | None]]:
+def _stand_ins(search: Searched, full: Fit, term: Term, *, provisional: bool) -> Iterator[_StandIn]:
     """Effects to try in the place of one, the structure with them, and what its round made of it if it was tried.
 
     Where structure is left, names are provisional, and fewer rivals are tried.
