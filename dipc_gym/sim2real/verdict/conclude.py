@@ -21,7 +21,7 @@ from dipc_gym.sim2real.verdict import sentences, sparse, stand_ins, untouched
 from dipc_gym.sim2real.verdict.closed_form import Formula
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
-Asked = Callable[[Searched, Fit, Sequence[Term]], Generator[list[stand_ins.Rival], None, None]]
+_Asks = Callable[[Searched, Fit, Sequence[Term]], Generator[list[stand_ins.Rival], None, None]]  # of each in turn
 
 
 @dataclass(frozen=True)
@@ -257,11 +257,7 @@ def _others(search: Searched, upheld: Fit, fewest: Fit) -> list[Fit]:
     return search.stop.unless_pressed(lambda: sparse.other_parameters(search, upheld, fewest), list[Fit])
 
 
-def _rivals(
-    search: Searched,
-    full: Fit,
-    of: Callable[[Searched, Fit, Sequence[Term]], Generator[list[stand_ins.Rival], None, None]],
-) -> dict[str, list[stand_ins.Rival]]:
+def _rivals(search: Searched, full: Fit, of: _Asks) -> dict[str, list[stand_ins.Rival]]:
     """What could stand in the place of each effect; nothing from when Ctrl-C ended that."""
     found: dict[str, list[stand_ins.Rival]] = {term.key: [] for term in full.structure.terms}
     asked = [term for term in full.structure.terms if not term.effect.of_no_kind]
