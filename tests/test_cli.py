@@ -120,15 +120,18 @@ def test_a_policy_behind_another_compensator_is_said_to_be(tmp_path: Path, capsy
 @pytest.mark.parametrize("controller", ["lqr_cart", OBSERVED])
 def test_a_run_is_recorded_through_an_estimator(controller: str, tmp_path: Path) -> None:
     """A policy brings its own, and its compensator. After 10 s the cart strays as docs/rejection.md has it, by the
-    worst of its rigs, for 95 % of the time: the most of a limit cycle differs by a fifth from processor to processor.
+    worst of its rigs: so does the middle one of five, for how far a limit cycle goes differs by a fifth by rounding.
     """
     out = tmp_path / "run.csv"
     seen = [] if controller == OBSERVED else ["--estimator", "disturbance"]
     behind = [] if controller == OBSERVED else ["--compensator", "observed"]
-    run = ["--controller", controller, *seen, *behind, "--seconds", "20"]
-    assert main(["record", "--out", str(out), *run]) == 0
-    cart = np.loadtxt(out, delimiter=",", skiprows=1)[:, 2]
-    assert np.quantile(np.abs(cart[len(cart) // 2 :]), 0.95) < (0.0115 if controller == "lqr_cart" else 0.045)
+    run = ["record", "--out", str(out), "--overwrite", "--controller", controller, *seen, *behind, "--seconds", "20"]
+    most = []
+    for seed in range(5):
+        assert main([*run, "--seed", str(seed)]) == 0
+        cart = np.loadtxt(out, delimiter=",", skiprows=1)[:, 2]
+        most.append(np.abs(cart[len(cart) // 2 :]).max())
+    assert np.median(most) < (0.0115 if controller == "lqr_cart" else 0.045)
 
 
 @pytest.mark.parametrize(
