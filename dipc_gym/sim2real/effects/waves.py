@@ -24,12 +24,9 @@ def waves(evidence: Evidence, fewest: float, carrier: Array | None = None) -> li
     Returns:
         `sine`, `cosine` (N or N m) and `wavelength` (m or rad) of each.
     """
-    x, v = evidence.position, evidence.velocity
+    x = evidence.position
     reach = max(float(np.ptp(x)), 1e-9)
-    # Friction would hide a wave, and so would an inertia that is a little off: what goes with velocity, its direction
-    # and acceleration is taken out of the force, and below out of the waves.
-    known = np.stack([evidence.foretold, v, evidence.direction, np.ones_like(v)], axis=1)
-    f = evidence.force - known @ np.linalg.lstsq(known, evidence.force, rcond=None)[0]
+    known, f = _beside(evidence)
     c = np.ones_like(x) if carrier is None else carrier
     most = min(WAVES.most, WAVES.resolved * reach / evidence.period / evidence.speed_scale)
     counted = np.arange(round(fewest * WAVES.finer), max(round(most * WAVES.finer), round(fewest * WAVES.finer)) + 1)
@@ -75,9 +72,7 @@ def eccentric(evidence: Evidence, fewest: float, known: Sequence[float] = ()) ->
     """
     x, v, a = evidence.position, evidence.velocity, evidence.foretold
     reach = max(float(np.ptp(x)), 1e-9)
-    # An encoder's gain, friction and a constant force would hide a wave.
-    beside = np.stack([a, v, evidence.direction, np.ones_like(v)], axis=1)
-    f = evidence.force - beside @ np.linalg.lstsq(beside, evidence.force, rcond=None)[0]
+    beside, f = _beside(evidence)
     first = max(round(fewest * WAVES.finer), 1)
     most = min(WAVES.most, WAVES.resolved * reach / evidence.period / evidence.speed_scale)
     turns = np.arange(first, max(round(most * WAVES.finer), first) + 1)
@@ -101,6 +96,16 @@ def eccentric(evidence: Evidence, fewest: float, known: Sequence[float] = ()) ->
     peaks = [j for j in range(len(power)) if power[j] >= power[max(0, j - WAVES.finer) : j + WAVES.finer + 1].max()]
     best = [2 * np.pi / k[j] for j in sorted(peaks, key=lambda j: -power[j])[: WAVES.kept]]
     return [_swaying(evidence, a, beside, float(wavelength)) for wavelength in [*known, *best]]
+
+
+def _beside(evidence: Evidence) -> tuple[Array, Array]:
+    """What would hide a wave, (n, 4), and the force less that, (n,): what goes with acceleration, for an inertia or an
+    encoder's gain may be a little off, friction, and a constant force. Whoever looks for waves takes it out of these,
+    too.
+    """
+    v = evidence.velocity
+    known = np.stack([evidence.foretold, v, evidence.direction, np.ones_like(v)], axis=1)
+    return known, evidence.force - known @ np.linalg.lstsq(known, evidence.force, rcond=None)[0]
 
 
 def _swaying(evidence: Evidence, a: Array, beside: Array, wavelength: float) -> dict[str, float]:
