@@ -19,14 +19,17 @@ from dipc_gym.sim2real.verdict.conventions import Convention
 
 RATED = HANGING.replace("</sensor>", '<jointvel name="rate2" joint="pole2"/></sensor>')
 SENSORS = ("cart", "pole1", "pole2", "rate2")
-EVERY = list(conventions.possible(physics.load(mjcf.from_text(RATED)), ("motor",), SENSORS))
+EVERY = list(conventions.possible(mjcf.from_text(RATED), physics.load(mjcf.from_text(RATED)), ("motor",), SENSORS))
 STEPPING = Stepping(0.002, RK4)
 
 
 def otherwise(run: Recording, convention: Convention) -> Recording:
     """The recording whose owner follows the convention."""
     sensors = np.linalg.solve(convention.sensors, (run.sensors - convention.shift).T).T
-    return replace(run, commands=run.commands / convention.commands, sensors=sensors)
+    columns = np.concatenate([run.commands / convention.commands, sensors], axis=1)
+    columns[:, convention.columns] = columns.copy()
+    commands, sensors = np.split(columns, [run.commands.shape[1]], axis=1)
+    return replace(run, commands=commands, sensors=sensors)
 
 
 @pytest.fixture(scope="module")
@@ -48,15 +51,27 @@ def test_every_convention_is_thought_of() -> None:
     said = [convention.words for convention in EVERY]
     assert said == [
         "count command 'motor' the other way round",
+        "count command 'motor' in thousandths (mV)",
         "count sensor 'cart' the other way round",
         "count sensor 'pole1' the other way round",
         "count sensor 'pole1' from half a turn away",
         "count sensors 'pole2' and 'rate2' the other way round",
         "count sensor 'pole2' from half a turn away",
+        "have command 'motor' and sensor 'cart' interchanged",
+        "have command 'motor' and sensor 'pole1' interchanged",
+        "have command 'motor' and sensor 'pole2' interchanged",
+        "have command 'motor' and sensor 'rate2' interchanged",
+        "have sensor 'cart' and sensor 'pole1' interchanged",
+        "have sensor 'cart' and sensor 'pole2' interchanged",
+        "have sensor 'cart' and sensor 'rate2' interchanged",
+        "have sensor 'pole1' and sensor 'pole2' interchanged",
+        "have sensor 'pole1' and sensor 'rate2' interchanged",
+        "have sensor 'pole2' and sensor 'rate2' interchanged",
     ]
     # Without the rate, which would need one of the joint before.
-    plain = conventions.possible(physics.load(mjcf.from_text(HANGING)), ("motor",), SENSORS[:3])
-    assert [convention.words for convention in plain][-2:] == [
+    hanging = mjcf.from_text(HANGING)
+    plain = conventions.possible(hanging, physics.load(hanging), ("motor",), SENSORS[:3])
+    assert [convention.words for convention in plain if convention.words.startswith("measure")] == [
         "measure at joint 'pole2' an absolute angle, and the model does not",
         "measure at joint 'pole2' an angle from 'pole1', and the model does not",
     ]
@@ -85,7 +100,9 @@ def test_absolute_and_relative_angles_are_told_apart(hanging: Recording, way: st
     plain = replace(hanging, sensors=hanging.sensors[:, :3], sensor_names=SENSORS[:3])
     (convention,) = (
         one
-        for one in conventions.possible(physics.load(mjcf.from_text(HANGING)), ("motor",), SENSORS[:3])
+        for one in conventions.possible(
+            mjcf.from_text(HANGING), physics.load(mjcf.from_text(HANGING)), ("motor",), SENSORS[:3]
+        )
         if one.words.startswith("measure") and way in one.words
     )
     others, error = found(HANGING, otherwise(plain, convention))
@@ -106,7 +123,9 @@ def test_nothing_else_is_told_of_recordings_that_differ(hanging: Recording) -> N
     said = diagnose(mjcf.from_text(RATED), [run])
     assert said.verdict == "cannot tell"
     assert "they seem to count sensor 'pole1' from half a turn away" in said.sentence
-    assert said.next_experiment.startswith("Add half a turn to the column, or give joint 'pole1' of the model ref=")
+    assert said.next_experiment.startswith(
+        "Add half a turn to the column, or give joint 'pole1' of the model ref=\"180\""
+    )
     mended = RATED.replace('name="pole1" type="hinge"', 'name="pole1" type="hinge" ref="180"')
     assert mended != RATED
     assert diagnose(mjcf.from_text(mended), [run]).verdict == "consistent"

@@ -515,11 +515,19 @@ def test_a_knock_hidden_under_friction_is_found() -> None:
     """
     runs = [run(7, 20, 5.0, knock=(6.0, 14.05, 0.08)), run(8, 20, 5.0)]
     names = ("disturbance.pulse", "load.constant", "friction.coulomb")
-    found = diagnose(mjcf.from_text(NOMINAL), runs, effects=[catalogue()[n] for n in names])
+    effects = [catalogue()[n] for n in names]
+    found = diagnose(mjcf.from_text(NOMINAL), runs, effects=effects)
     assert [m.effect for m in found.missing] == ["friction.coulomb", "disturbance.pulse"], found.sentence
     assert found.missing[1].parameters["start"]["value"] == pytest.approx(14.05, abs=0.03)
     assert f"That was in {runs[0].name}." in found.missing[1].sentence
     assert runs[0].name != runs[1].name
+    # Nor does it that nothing happened then in one that is held out.
+    judged = diagnose(mjcf.from_text(NOMINAL), runs[:1], runs[1:], effects=effects)
+    assert [m.effect for m in judged.missing] == ["friction.coulomb", "disturbance.pulse"], judged.sentence
+    assert judged.verdict == "explained"
+    assert judged.held_out.improved < 1.1
+    assert any(note.startswith("What pushed one recording pushed no other") for note in judged.notes)
+    assert not any("worse on the same held-out data" in note for note in judged.notes)
 
 
 def test_friction_in_every_joint_of_an_arm_is_named_at_once() -> None:

@@ -328,3 +328,17 @@ def test_a_load_begins_where_the_motion_brought_it_whatever_its_joint_is_correct
         at_first = simulate([rig, rig], wide, initial, stepping, base=["cart"])[:, 0, 0]
         assert at_first[1, 0] - at_first[0, 0] == pytest.approx(0.01, abs=1e-4)
         assert at_first[1, 1] == pytest.approx(at_first[0, 1], abs=1e-4)
+
+
+def test_a_tendon_round_sites_is_no_spring_of_a_load() -> None:
+    """Numbers of its sites are none of joints, and there may be more of them."""
+    document = Document(mjcf.from_text(CART))
+    catalogue()["load.swinging"].edit(document, "cart", HIDDEN["load.swinging"])
+    text = document.text()
+    sites = "".join(f'<site name="s{k}" pos="{k} 0 1"/>' for k in range(6))
+    text = text.replace("<worldbody>", f"<worldbody>{sites}")
+    winding = '<spatial name="rope" stiffness="3"><site site="s4"/><site site="s5"/></spatial>'
+    text = text.replace("</tendon>", f"{winding}</tendon>")
+    model = mjcf.compile(text)
+    assert model.ntendon == 2
+    assert list(loads(model)) == ["cart_load"]

@@ -58,17 +58,21 @@ class TorqueLimit(Effect):
     place = "actuator"
     rivals = ("motor.saturation", "motor.thermal", "drag.quadratic")
 
-    def __init__(self, least: float = 0.0) -> None:
-        self.parameters = (Parameter("limit", "N m", least),)
+    def __init__(self, least: float = 0.0, unit: str = "N m") -> None:
+        self.parameters = (Parameter("limit", unit, least),)
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """With a limit that leaves the drive a tenth of what it gave."""
         most = float(np.quantile(np.abs(evidence.load), 0.999)) / (abs(evidence.gear) or 1.0)
-        return [(TorqueLimit(LEAST * most), values) for values in self.guesses(evidence)]
+        unit = "N m" if is_dcmotor(evidence.model, evidence.at) else "N"
+        return [(TorqueLimit(LEAST * most, unit), values) for values in self.guesses(evidence)]
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
-        """On a DC motor; of a plain one, force and command are the same thing."""
-        return is_dcmotor(model, at)
+        """On a DC motor, and on a servo, whose force depends on where it is; of a plain one, force and command are the
+        same thing.
+        """
+        bias = model.actuator_biastype[model.actuator(at).id]
+        return is_dcmotor(model, at) or bool(bias == mujoco.mjtBias.mjBIAS_AFFINE)
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Four shares of the largest torque."""
@@ -76,8 +80,16 @@ class TorqueLimit(Effect):
         return [{"limit": share * most} for share in (0.95, 0.8, 0.6, 0.4)] if most > 0 else []
 
     def edit(self, document: Document, at: str, values: Values) -> None:
-        """The motor's torque limit."""
-        document.set(document.actuator(at), saturation=(max(values["limit"], 1e-9), 0, 0))
+        """The motor's torque limit; a servo's within the one that it has."""
+        actuator, limit = document.actuator(at), max(values["limit"], 1e-9)
+        if actuator.tag == "dcmotor":
+            document.set(actuator, saturation=(limit, 0, 0))
+            return
+        low, high = -limit, limit
+        given = document.limits(actuator, "force")
+        if given is not None and given[0] < given[1]:
+            low, high = (float(np.clip(end, *given)) for end in (low, high))
+        document.set(actuator, forcelimited="true", forcerange=(low, max(high, low + 1e-9)))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -19,10 +19,11 @@ def yielding(model: mujoco.MjModel) -> list[int]:
 
 
 def along(model: mujoco.MjModel, tendon: int) -> list[tuple[int, float]]:
-    """Degrees of freedom of a fixed tendon, and its coefficients."""
+    """Degrees of freedom of a fixed tendon, and its coefficients; none of a spatial one, which winds round sites."""
     first = int(model.tendon_adr[tendon])
     span = range(first, first + int(model.tendon_num[tendon]))
-    return [(int(model.jnt_dofadr[model.wrap_objid[w]]), float(model.wrap_prm[w])) for w in span]
+    joints = [w for w in span if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT]
+    return [(int(model.jnt_dofadr[model.wrap_objid[w]]), float(model.wrap_prm[w])) for w in joints]
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""Conventions: which way is positive, where zero is, and what an angle is measured from.
+"""Conventions: which way is positive, where zero is, what an angle is measured from, and which column is which.
 
 Whoever wires a rig decides them, and whoever writes its model decides them anew. Where the two differ, no physics
-makes up for that, and what is fitted is nonsense.
+makes up for that, and what is fitted is nonsense. So it is where a command is counted in thousandths.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
+from dipc_gym.recording.units import KINDS, of_command
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
@@ -29,6 +31,8 @@ from dipc_gym.sim2real.side_by_side import side_by_side
 from dipc_gym.sim2real.verdict.settings import CONVENTIONS
 
 Array = NDArray[np.float64]
+
+THOUSANDTH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,7 @@ class Convention:
         commands: factors of the commands, (nu,).
         sensors: what makes the model's readings of theirs, (ns, ns).
         shift: added to that, (ns,).
+        columns: of theirs, commands and then sensors, which one is each of the model's, (nu + ns,).
     """
 
     words: str
@@ -48,28 +53,44 @@ class Convention:
     commands: Array
     sensors: Array
     shift: Array
+    columns: NDArray[np.intp]
+
+    @property
+    def small(self) -> NDArray[np.bool_]:
+        """Which commands are counted in thousandths, (nu,)."""
+        return np.asarray(self.commands == THOUSANDTH)
+
+    def undriven(self) -> Convention:
+        """The same with none of what is small."""
+        return replace(self, commands=np.where(self.small, 0.0, self.commands))
 
     def applied(self, recording: Recording) -> Recording:
         """A recording as the model counts."""
-        return replace(
-            recording,
-            commands=recording.commands * self.commands,
-            sensors=recording.sensors @ self.sensors.T + self.shift,
-        )
+        whole = np.concatenate([recording.commands, recording.sensors], axis=1)[:, self.columns]
+        commands, sensors = np.split(whole, [len(self.commands)], axis=1)
+        return replace(recording, commands=commands * self.commands, sensors=sensors @ self.sensors.T + self.shift)
 
 
-def possible(physics: Physics, actuators: Sequence[str], sensors: Sequence[str]) -> Iterator[Convention]:
-    """Every convention by itself: signs of commands and joints, half turns, angles from the joint before or from afar.
+def possible(
+    source: mjcf.Source, physics: Physics, actuators: Sequence[str], sensors: Sequence[str]
+) -> Iterator[Convention]:
+    """Every convention by itself: signs of commands and joints, commands in thousandths, half turns, angles from the
+    joint before or from afar, and columns that are interchanged.
 
     Args:
-        physics: the model.
+        source: text of the model.
+        physics: the same, loaded.
         actuators: names of the commands.
         sensors: names of the sensors.
     """
-    same = Convention("", "", np.ones(len(actuators)), np.eye(len(sensors)), np.zeros(len(sensors)))
+    document, columns = Document(source), np.arange(len(actuators) + len(sensors))
+    same = Convention("", "", np.ones(len(actuators)), np.eye(len(sensors)), np.zeros(len(sensors)), columns)
     for name, unit in zip(actuators, np.eye(len(actuators)), strict=True):
         words, mend = f"count command {name!r} the other way round", _turn(name)
         yield replace(same, words=words, mend=mend, commands=1 - 2 * unit)
+        small = _thousandth(of_command(physics.model, name))
+        words, mend = f"count command {name!r} in thousandths ({small})", f"say --unit {name}={small}"
+        yield replace(same, words=words, mend=mend, commands=np.where(unit == 1, THOUSANDTH, 1.0))
     read = _read(physics)
     for joint, (places, rates) in read.items():
         names = [sensors[s] for s in (*places, *rates)]
@@ -79,7 +100,8 @@ def possible(physics: Physics, actuators: Sequence[str], sensors: Sequence[str])
         yield replace(same, words=words, mend=mend, sensors=turned)
         if mjcf.is_hinge(physics.model, joint):
             words = f"count {_listed(names[: len(places)])} from half a turn away"
-            mend = f'add half a turn to the column, or give joint {joint!r} of the model ref="180" (degrees)'
+            half = f'ref="{document.angle(document.joint(joint), math.pi):.8g}"'
+            mend = f"add half a turn to the column, or give joint {joint!r} of the model {half}"
             shift = np.zeros(len(sensors))
             shift[places] = math.pi
             yield replace(same, words=words, mend=mend, shift=shift)
@@ -93,6 +115,13 @@ def possible(physics: Physics, actuators: Sequence[str], sensors: Sequence[str])
                 mixed[of, before[0]] = sign
             words = f"measure at joint {other!r} {which}, and the model does not"
             yield replace(same, words=words, mend=f"{mend} what is read at {one!r} ({mend} the columns)", sensors=mixed)
+    labels = [*(f"command {name!r}" for name in actuators), *(f"sensor {name!r}" for name in sensors)]
+    for i, j in itertools.combinations(columns.tolist(), 2):
+        order = columns.copy()
+        order[[i, j]] = j, i
+        one, other = ([*actuators, *sensors][k] for k in (i, j))
+        words, mend = f"have {labels[i]} and {labels[j]} interchanged", f"say --map {one}={other} --map {other}={one}"
+        yield replace(same, words=words, mend=mend, columns=order)
 
 
 def differing(
@@ -138,10 +167,16 @@ def differing(
                 break
         return off
 
-    all_of = list(possible(physics, first.actuator_names, first.sensor_names))
+    all_of = list(possible(source, physics, first.actuator_names, first.sensor_names))
     with side_by_side([partial(error, convention) for convention in all_of], prepared.problem.threads) as result:
         tried = [(result(k), convention) for k, convention in enumerate(all_of)]
     tried = [(off, convention) for off, convention in tried if off < CONVENTIONS.decides * without]
+    # A drive that does nothing predicts a rig that sticks; what is small has to predict more than that.
+    tried = [
+        (off, convention)
+        for off, convention in tried
+        if not convention.small.any() or off < CONVENTIONS.decides * error(convention.undriven())
+    ]
     least = min((off for off, _ in tried), default=math.inf)
     return [convention for off, convention in tried if off < CONVENTIONS.alike * least], least
 
@@ -167,6 +202,11 @@ def _read(physics: Physics) -> dict[str, tuple[list[int], list[int]]]:
         for j, joint in enumerate(mjcf.base_joints(physics.model))
     }
     return {joint: sensors for joint, sensors in found.items() if sensors[0]}
+
+
+def _thousandth(unit: str) -> str:
+    """How `--unit` calls a thousandth of a unit."""
+    return next((name for name, number in KINDS[unit].items() if number == THOUSANDTH), f"{THOUSANDTH:g}")
 
 
 def _turn(*names: str) -> str:

@@ -220,17 +220,9 @@ def missing_effects(
 
 def _once(search: Searched, final: Fit, term: Term) -> str:
     """Of what happened once, in which of several recordings it did, and what that means for the model."""
-    windows, where = search.partition.problem.windows, ""
-    if len(windows.recordings) > 1:
-        without = search.fitter.as_it_is(final, final.structure.without(term.key))
-        gained = np.log1p(without.mse) - np.log1p(final.mse)
-        each = np.bincount(windows.source, gained, len(windows.recordings))
-        there = [
-            one.name
-            for one, gain in zip(windows.recordings, each, strict=True)
-            if gain >= VERDICT.happened * each.max()
-        ]
-        where = f" That was in {' and '.join(there)}."
+    where = ""
+    if len(search.partition.problem.windows.recordings) > 1:
+        where = f" That was in {' and '.join(one.name for one in untouched.happened(search, final, term))}."
     return f"{where} The model has it at this time in every simulation."
 
 

@@ -20,7 +20,7 @@ from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.shooting import common_error, rms
 from dipc_gym.sim2real.estimation.steps import controlled
-from dipc_gym.sim2real.model.structure import names
+from dipc_gym.sim2real.model.structure import carry, names
 from dipc_gym.sim2real.result import Beyond, Details, Diagnosis, Errors, Located, Missing, SensorFit, Verdict
 from dipc_gym.sim2real.selection import beginnings, beside
 from dipc_gym.sim2real.selection.baseline import Baseline
@@ -172,6 +172,10 @@ def _chosen(base: Baseline, test: Test, search: Searched, found: Conclusion, gua
     after that.
     """
     problem = replace(test.problem, stepping=base.partition.problem.stepping)
+    elsewhere = untouched.pushed_elsewhere(search, found.fitted, problem.windows)
+    if elsewhere.any() and not elsewhere.all():
+        problem = problem.pick(~elsewhere)
+        found = replace(found, notes=[*found.notes, sentences.pushed_elsewhere(int(elsewhere.sum()))])
     fine = _in_fine_steps(base, _Stage(search, found, problem), guarded)
     best, validation = _best(base, found.fitted, fine, guarded)
     last = _as_far_as_recorded(test, best, guarded)
@@ -475,7 +479,11 @@ def _force_errors(
     joints: Sequence[str],
     test: Test,
 ) -> dict[str, Errors]:
-    """Errors of the inverse models at each joint."""
-    tested = test.recordings, test.motions, test.span
-    forces = [unexplained.force_errors(f.structure.physics(f.z), *tested) for f in fits]
+    """Errors of the inverse models at each joint, without what happened once: not then, or in another recording."""
+    tested, forces = (test.recordings, test.motions, test.span), list[Array]()
+    for one in fits:
+        lasting = one.structure
+        for term in one.structure.terms:
+            lasting = lasting.without(term.key) if term.effect.once else lasting
+        forces.append(unexplained.force_errors(lasting.physics(carry(one.structure, one.z, lasting)), *tested))
     return {joint: Errors(*map(float, e)) for joint, e in zip(joints, np.stack(forces).T, strict=True)}

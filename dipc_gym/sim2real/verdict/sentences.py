@@ -366,6 +366,14 @@ def step_costs(said: AsWritten, *, dropped: Sequence[str], alone: bool, stiff: b
     return f"{note} With {steps} it predicts to {finer.error:.3g} times the noise."
 
 
+def pushed_elsewhere(count: int) -> str:
+    """Note on test windows that are left aside, so many."""
+    return (
+        f"What pushed one recording pushed no other: {count} window{'s' * (count > 1)} of other recordings at the same "
+        f"time on their clocks {'are' if count > 1 else 'is'} not tested with."
+    )
+
+
 def own_step(step: float, fine: float) -> str:
     """Note on recordings that the model, with what it lacks, predicts as it steps and not as it would move.
 

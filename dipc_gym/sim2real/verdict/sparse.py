@@ -35,13 +35,16 @@ def fewest_parameters(search: Searched, fitted: Fit) -> Fit:
     Parameters of which the owner knows that they are not nominal stay free.
     """
     reduced, k = _Reduced(search, fitted), len(fitted.structure.model_parameters)
-    order = _not_nominal(fitted)
-    known = len(order)
-    while len(order) < k:
-        order.append(min((i for i in range(k) if i not in order), key=lambda i: reduced.foretold([*order, i])[0]))
+    stay = _not_nominal(fitted)
+    known, kept, gone = len(stay), list(range(k)), list[int]()
+    while len(kept) > known:
+        least = min(set(kept).difference(stay), key=lambda i: reduced.foretold([j for j in kept if j != i])[0])
+        kept.remove(least)
+        gone.append(least)
+    order = [*stay, *reversed(gone)]
 
-    # The quadratics choose the order only: along a null space the fit may have come too far for them to tell whether
-    # nominal parameters would do.
+    # The quadratics choose the order only, from where all are free: along a null space the fit may have come too far
+    # for them to tell whether nominal parameters would do.
     @functools.cache
     def with_first(count: int) -> Fit | None:
         return reduced.refitted(order[:count])
@@ -54,7 +57,27 @@ def fewest_parameters(search: Searched, fitted: Fit) -> Fit:
     while high < k and not suffices(high):
         low, high = high + 1, max(2 * high, 1)
     fewest = bisect.bisect_left(range(k), True, lo=low, hi=min(high, k), key=suffices)
-    return with_first(fewest) or fitted
+    found = with_first(fewest)
+    return fitted if found is None else _without_needless(reduced, found)
+
+
+def _without_needless(reduced: _Reduced, found: Fit) -> Fit:
+    """A fit without the parameters that it does not need one by one: what is foretold from afar, where all are free,
+    orders them only roughly, and some come in before those that matter.
+
+    Args:
+        reduced: what all parameters come to.
+        found: with some of them free.
+    """
+    here, known = _Reduced(reduced.search, found), _not_nominal(found)
+    foretold = [(here.without(i), i) for i in range(here.count) if i not in known]
+    for loss, i in sorted(foretold):
+        if loss - here.loss > SCORE.worth:
+            break
+        less = here.refitted([k for k in range(here.count) if k != i])
+        if less is not None and reduced.suffices(less):
+            return _without_needless(reduced, less)
+    return found
 
 
 def other_parameters(search: Searched, fitted: Fit, fewest: Fit) -> list[Fit]:
@@ -133,6 +156,15 @@ class _Reduced:
         z = holding(self.fitted, whole, dict.fromkeys((i for i in range(self.count) if i not in free), 0.0))
         after = np.maximum(self.fitted.quadratics.after(z - self.fitted.z), 0)
         return float(np.mean(np.log1p(after / whole.counts))), z
+
+    @property
+    def loss(self) -> float:
+        """Mean loss as it is."""
+        return float(np.mean(np.log1p(self.fitted.mse)))
+
+    def without(self, parameter: int) -> float:
+        """Mean loss with one parameter nominal."""
+        return self.foretold([i for i in range(self.count) if i != parameter])[0]
 
     def refitted(self, free: Sequence[int]) -> Fit | None:
         """A fit with these parameters free; None where it cannot be simulated."""

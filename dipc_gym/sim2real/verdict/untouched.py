@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dipc_gym.recording import Recording
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.shooting import rms
+from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.selection.score import Improvement
 from dipc_gym.sim2real.selection.scorer import compare_on
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.selection.support import supported
+from dipc_gym.sim2real.simulation.windows import Windows
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
 
@@ -51,3 +55,36 @@ def on_untouched(search: Searched, new: Fit, old: Fit) -> Improvement:
 def refuted(without: float, error: float) -> bool:
     """Whether validation data speak against an effect: they are predicted clearly worse than without it."""
     return error > SCORE.at_floor and error > VERDICT.refuted * without
+
+
+def happened(search: Searched, fitted: Fit, term: Term) -> list[Recording]:
+    """In which recordings that were fitted something happened once, by the windows that are predicted better with it.
+
+    Args:
+        search: that has run.
+        fitted: with the effect, to the windows of the search.
+        term: the effect.
+    """
+    windows = search.partition.problem.windows
+    without = search.fitter.as_it_is(fitted, fitted.structure.without(term.key))
+    gained = np.log1p(without.mse) - np.log1p(fitted.mse)
+    each = np.bincount(windows.source, gained, len(windows.recordings))
+    found = zip(windows.recordings, each, strict=True)
+    return [recording for recording, gain in found if gain >= VERDICT.happened * each.max()]
+
+
+def pushed_elsewhere(search: Searched, fitted: Fit, windows: Windows) -> NDArray[np.bool_]:
+    """In which windows that nothing was fitted to a push of the model acts that happened in another recording, (n,):
+    each has a clock of its own.
+    """
+    found = np.zeros(len(windows), dtype=bool)
+    for term in fitted.structure.terms:
+        if term.effect.once:
+            values = fitted.structure.term_values(fitted.z, term)
+            there = {(one.name, one.path) for one in happened(search, fitted, term)}
+            own = np.array([(one.name, one.path) in there for one in windows.recordings])
+            before_its_end = windows.start < values["start"] + values["duration"]
+            found |= (
+                before_its_end & (windows.start + windows.times.max(axis=1) > values["start"]) & ~own[windows.source]
+            )
+    return found
