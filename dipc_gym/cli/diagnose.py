@@ -122,7 +122,11 @@ class Diagnose:
         print(f"\n{found.verdict.upper()}. {found.sentence}")
         for missing in found.missing:
             share = "?" if isnan(missing.share) else f"{100 * missing.share:.0f}"
-            print(f"  {missing.effect} at {missing.at}, {share} % of the improvement")
+            # What is not even modelled improves nothing; its share is what it leaves.
+            of = (
+                "of the mismatch, left" if missing.effect == "unknown" and missing.law is None else "of the improvement"
+            )
+            print(f"  {missing.effect} at {missing.at}, {share} % {of}")
         if found.next_experiment:
             print(f"Next: {found.next_experiment}")
         lacking = [f"{m.effect} at {m.at}" for m in found.missing if m.needs_loader]

@@ -118,3 +118,26 @@ class DegreesSettings:
 
 
 DEGREES = DegreesSettings()
+
+
+@dataclass(frozen=True)
+class GlitchSettings:
+    """Decision constants of which single samples are glitches.
+
+    Attributes:
+        far: times the noise that a sample is off by: chance and a last digit do not bring it there
+        beside: times the noise that its neighbours may be off by without it
+        left: share of what it is off by, that these may be off by instead: beside where a joint hits something, they
+            are off by a sixth
+        most: share of the samples: what happens more often is how the sensor reads
+        fewest: samples in which noise can be told from motion
+    """
+
+    far: float = 50.0
+    beside: float = 5.0
+    left: float = 0.05
+    most: float = 0.01
+    fewest: int = 20
+
+
+GLITCHES = GlitchSettings()

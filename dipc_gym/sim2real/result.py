@@ -52,7 +52,8 @@ class Missing:
         effect: id, or `unknown`.
         at: place.
         sentence: in plain words.
-        share: of the reachable improvement that is lost without it.
+        share: of the reachable improvement that is lost without it; of something unknown that is not modelled, of the
+            mismatch that is left.
         parameters: name -> value, interval and unit.
         same_here: other names for the same model on this rig with this data.
         rivals: other effects that were tried in its place.

@@ -16,6 +16,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.recording.checks import slowly
 from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
+from dipc_gym.recording.glitches import without_glitches
 from dipc_gym.recording.parts import check_apart, from_zero, until
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem
@@ -111,7 +112,7 @@ def gather(
     mjcf.check_supported(loaded.model, source.name)
     check_apart(recordings, held_out)
     refuse_degrees([*recordings, *held_out], loaded.model, mend=IN_PYTHON)
-    whole, tested = from_zero(recordings), from_zero(held_out)
+    whole, tested = (without_glitches(from_zero(each), loaded.model) for each in (recordings, held_out))
     notes = [f"{r.name}: {note}" for r in (*whole, *tested) for note in r.notes] + slowly([*whole, *tested])
     fitted = whole if tested else [until(r, WINDOWS.test) for r in whole]
     withheld = Withheld(tuple(tested or whole), (0.0 if tested else WINDOWS.test, 1.0))

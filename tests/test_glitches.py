@@ -1,0 +1,90 @@
+"""Single samples that jump and come back are taken from their neighbours; what a joint does is left as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sim2real_rigs import CART, NOISE, RK4, record, sweep
+
+from dipc_gym import mjcf, physics
+from dipc_gym.recording import Recording
+from dipc_gym.recording.glitches import glitches, without_glitches
+from dipc_gym.sim2real.diagnosis import diagnose
+
+SIGMA = 1e-4
+TIME = np.arange(500) * 0.004
+
+
+def moving(rng: np.random.Generator) -> np.ndarray:
+    """A joint that swings at up to 3 Hz, as an encoder reads it."""
+    rates, sizes, phases = rng.uniform(0.2, 3.0, 3), rng.uniform(0.1, 0.5, 3), rng.uniform(0, 6, 3)
+    angle = (sizes[:, None] * np.sin(2 * np.pi * rates[:, None] * TIME + phases[:, None])).sum(axis=0)
+    return np.asarray(angle + rng.normal(0, SIGMA, len(TIME)))
+
+
+@given(st.integers(0, 10_000), st.lists(st.integers(10, 480), min_size=1, max_size=4, unique_by=lambda k: k // 8))
+@settings(max_examples=60, deadline=None)
+def test_what_jumps_and_comes_back_is_found_and_nothing_else(seed: int, where: list[int]) -> None:
+    rng = np.random.default_rng(seed)
+    angle = moving(rng)
+    true = angle.copy()
+    jumps = rng.choice([-1, 1], len(where)) * rng.uniform(150, 3000, len(where)) * SIGMA
+    apart = [k for k in where if all(abs(k - other) > 4 for other in where if other != k)]
+    angle[where] += jumps
+    found, instead = glitches(TIME, angle, SIGMA)
+    assert set(apart) <= set(found.tolist()) <= set(where)
+    assert np.all(np.abs(instead - true[found]) < 8 * SIGMA)
+
+
+@pytest.mark.parametrize("bounces", [0.0, 0.7, 1.0])
+def test_an_impact_is_no_glitch(bounces: float) -> None:
+    """Against a stop a joint turns round within a sample, and goes on from there."""
+    for at in np.linspace(0.9, 0.904, 9):
+        angle = np.where(at > TIME, 4.0 * (TIME - at), -4.0 * bounces * (TIME - at))
+        found, _ = glitches(TIME, angle, SIGMA)
+        assert not len(found)
+
+
+def test_counts_and_steps_of_an_encoder_are_no_glitches() -> None:
+    count = 2 * np.pi / 4096
+    angle = np.round(0.3 * np.sin(7 * TIME) / count) * count
+    assert not len(glitches(TIME, angle, count / np.sqrt(12))[0])
+    moved = np.where(TIME < 1.0, 0.0, 0.2)  # another zero from there on
+    assert not len(glitches(TIME, moved + angle, count / np.sqrt(12))[0])
+
+
+def test_what_happens_often_is_how_the_sensor_reads() -> None:
+    angle = np.sin(3 * TIME)
+    angle[::40] += 0.2
+    assert not len(glitches(TIME, angle, SIGMA)[0])
+
+
+def test_a_rig_with_glitches_is_not_taken_for_one_that_lacks_physics() -> None:
+    rig = physics.load(mjcf.from_text(CART))
+    plain = record(rig, sweep(4.0), 10.0, noise=NOISE["cart"], integrator=RK4)
+    sensors = plain.sensors.copy()
+    sensors[[700, 1800, 3100, 4700], 0] += 0.02
+    run = replace(plain, sensors=sensors)
+    (mended,) = without_glitches([run], rig.model)
+    (note,) = mended.notes
+    assert note.startswith("sensor 'cart' jumps at 4 single samples and back, by up to 0.02")
+    assert np.abs(mended.sensors - plain.sensors).max() < 1e-3
+    said = diagnose(mjcf.from_text(CART), [run])
+    assert said.verdict == "consistent"
+    assert any("sensor 'cart' jumps at 4 single samples and back" in told for told in said.notes)
+    assert without_glitches([plain], rig.model)[0] is plain
+
+
+def test_a_rate_may_jump() -> None:
+    """A knock shows in a velocity for one sample."""
+    rig = physics.load(mjcf.from_text(CART.replace("</sensor>", '<jointvel name="rate" joint="cart"/></sensor>')))
+    run: Recording = record(rig, sweep(4.0), 6.0, noise=(*NOISE["cart"], 1e-3), integrator=RK4)
+    sensors = run.sensors.copy()
+    sensors[900, 1] += 1.0
+    (mended,) = without_glitches([replace(run, sensors=sensors)], rig.model)
+    assert mended.sensors[900, 1] == sensors[900, 1]
+    assert not mended.notes
