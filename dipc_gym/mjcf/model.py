@@ -163,8 +163,37 @@ def followers(model: mujoco.MjModel) -> dict[str, str]:
     return found
 
 
+def coupled(model: mujoco.MjModel) -> dict[str, tuple[str, float]]:
+    """Joints that an equality constraint holds in proportion to another, as gears and mirrored fingers are: for each
+    the one that leads it, and how many times as far it goes.
+
+    Of two the one that is driven leads; where both are, or where one of them is coupled elsewhere, neither does.
+
+    Example:
+        >>> body = '<body><joint name="{}" type="slide"/><geom size="1"/></body>'
+        >>> tie = '<equality><joint joint1="b" joint2="a" polycoef="0 -1 0 0 0"/></equality>'
+        >>> coupled(compile(f"<mujoco><worldbody>{body.format('a')}{body.format('b')}</worldbody>{tie}</mujoco>"))
+        {'b': ('a', -1.0)}
+    """
+    on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    driven = set(model.actuator_trnid[on_joints, 0].tolist())
+    found = dict[int, tuple[int, float]]()
+    for e in range(model.neq):
+        led, leader, (offset, ratio, *bends) = *map(int, (model.eq_obj1id[e], model.eq_obj2id[e])), model.eq_data[e, :5]
+        if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[e] or leader < 0 or not ratio:
+            continue
+        if led in driven:
+            led, leader, ratio = leader, led, 1 / ratio
+        scalar = np.isin(model.jnt_type[[led, leader]], (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE))
+        begins = model.qpos0[model.jnt_qposadr[[led, leader]]]
+        known = {led, leader} & (found.keys() | {one for one, _ in found.values()})
+        if led not in driven and scalar.all() and not (offset or any(bends) or begins.any() or known):
+            found[led] = leader, float(ratio)
+    return {model.joint(led).name: (model.joint(leader).name, ratio) for led, (leader, ratio) in found.items()}
+
+
 def base_joints(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names of the joints whose state is estimated: all but those that follow another one, unseen.
+    """Names of the joints whose state is estimated: all but those that follow another one, unseen or held to it.
 
     Raises:
         MjcfError: a joint without a name, or an entry of `<custom>` that ties joints which cannot be tied.
@@ -173,9 +202,15 @@ def base_joints(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def spread_out(model: mujoco.MjModel) -> Array:
-    """Matrix (nq, nb) from the base joints to all joints, with followers where their leaders are."""
-    base, leader = _ties(model)
-    return np.array([[float(leader[model.joint(j).name] == name) for name in base] for j in range(model.njnt)])
+    """Matrix (nq, nb) from the base joints to all joints, with followers where their leaders are, and what is coupled
+    to these in proportion.
+    """
+    base, ties = _ties(model)
+    out = np.zeros((model.njnt, len(base)))
+    for j in range(model.njnt):
+        leader, ratio = ties[model.joint(j).name]
+        out[j, base.index(leader)] = ratio
+    return out
 
 
 def mass_matrix(model: mujoco.MjModel) -> Array:
@@ -186,14 +221,17 @@ def mass_matrix(model: mujoco.MjModel) -> Array:
     return full
 
 
-def _ties(model: mujoco.MjModel) -> tuple[list[str], dict[str, str]]:
-    """The base joints, and for every joint the base joint that says where it is."""
+def _ties(model: mujoco.MjModel) -> tuple[list[str], dict[str, tuple[str, float]]]:
+    """The base joints, and for every joint the base joint that says where it is, and how many times as far."""
     names = [model.joint(j).name for j in range(model.njnt)]
     if "" in names:
         raise MjcfError(f"joint {names.index('')} of the model has no name; reports speak of joints, so name it")
-    leader = followers(model)
-    base = [name for name in names if name not in leader]
-    return base, leader | {name: name for name in base}
+    ties = coupled(model)
+    base = [name for name in names if name not in ties and name not in followers(model)]
+    ties |= {name: (name, 1.0) for name in base}
+    for follower, leader in followers(model).items():
+        ties[follower] = ties[leader]
+    return base, ties
 
 
 def texts(model: mujoco.MjModel) -> dict[str, str]:

@@ -245,7 +245,7 @@ class _Runs:
         Whatever hides behind a gap keeps its place relative to them, or is where they are if the recording begins only
         then; springs that yield stay as bent as they are.
         """
-        places, (_, hidden, leaders) = self._places(), self._joints
+        places, (_, hidden, leaders, *_) = self._places(), self._joints
         before = places.position.copy()
         each = (places.position, places.velocity)
         begun = self.windows.after_the_first(at * self.step)[:, None]

@@ -184,7 +184,7 @@ class Compiled:
         then; springs that yield stay as bent as they are, and what a sensor remembers moves along. All of it is linear,
         so tangents are put back in the same way.
         """
-        base, hidden, leaders = Joints.of(self.model, self.base)
+        base, hidden, leaders, *_ = Joints.of(self.model, self.base)
         n, nb = self.model.nv, len(base)
         out, kept = states.copy(), self.windows.after_the_first(at)[:, None]
         for part in (0, 1):

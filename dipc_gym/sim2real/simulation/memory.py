@@ -200,19 +200,27 @@ class Joints(NamedTuple):
         base: joints that initial states describe.
         hidden: behind a gap or a spring; no loads, which are where the motion before has brought them.
         leaders: the base joint that each of these follows.
+        coupled: held in proportion to a base joint by an equality constraint.
+        leading: those base joints.
+        ratios: how many times as far each of the coupled ones goes.
     """
 
     base: list[int]
     hidden: list[int]
     leaders: list[int]
+    coupled: list[int]
+    leading: list[int]
+    ratios: list[float]
 
     @classmethod
     def of(cls, model: mujoco.MjModel, base: Sequence[str]) -> Joints:
         """Those of a model, by the names of its base joints."""
         followed = mjcf.followers(model)
         hidden = sorted(followed.keys() - loads(model).keys())
-        each = (base, hidden, [followed[name] for name in hidden])
-        return cls(*([int(model.joint(name).dofadr[0]) for name in names] for names in each))
+        ties = mjcf.coupled(model)
+        leading, ratios = [leader for leader, _ in ties.values()], [ratio for _, ratio in ties.values()]
+        each = (base, hidden, [followed[name] for name in hidden], ties, leading)
+        return cls(*([int(model.joint(name).dofadr[0]) for name in names] for names in each), ratios)
 
 
 @dataclass(frozen=True)
@@ -239,6 +247,7 @@ class Places:
         nb = len(joints.base)
         for state, at in ((self.position, initial[..., :nb]), (self.velocity, initial[..., nb:])):
             state[..., joints.base] = at
+            state[..., joints.coupled] = state[..., joints.leading] * joints.ratios
             state[..., joints.hidden] = state[..., joints.leaders]
 
     def stay_bent(self, model: mujoco.MjModel, moved: Array) -> None:
