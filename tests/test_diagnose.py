@@ -1070,3 +1070,22 @@ def test_evidence_on_a_model_with_a_rotor_of_its_own() -> None:
                 assert all(math.isfinite(value) for value in guess.values())
                 asked.add(effect.name)
     assert len(asked) > 20
+
+
+def test_what_acts_in_held_out_data_alone_is_said_to() -> None:
+    compared = Errors(1.01, 1.0, 1.0)
+    said = sentences.in_one_sentence("unexplained", [], [], Errors(18.4, 18.4, 18.4), compared=compared)
+    assert "What was fitted is predicted to 1 times the noise: what is left acts in the held-out data alone" in said
+    both = Errors(18.0, 17.0, 16.0)
+    for left, fitted in ((18.4, both), (1.1, compared)):
+        said = sentences.in_one_sentence("unexplained", [], [], Errors(18.4, 18.4, left), compared=fitted)
+        assert "held-out data alone" not in said
+
+
+def test_a_rig_that_has_changed_in_what_is_held_out_is_said_to() -> None:
+    runs = [run(3, 12, 0.0), run(4, 12, 0.0, 1.5 * DRAG)]
+    said = diagnose(mjcf.from_text(NOMINAL), runs[:1], runs[1:], effects=[catalogue()["friction.coulomb"]])
+    assert said.verdict == "unexplained"
+    assert "what is left acts in the held-out data alone, where the rig is driven otherwise or has changed" in (
+        said.sentence
+    )

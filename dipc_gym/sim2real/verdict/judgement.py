@@ -99,6 +99,7 @@ def judgement(
             sensors=sensors,
             beyond=measured.beyond,
             later=measured.later,
+            compared=measured.comparison,
         ),
         located=tuple(located),
         missing=tuple(named.missing),

@@ -13,7 +13,7 @@ from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.result import AsWritten, Beyond, Errors, Missing, SensorFit, Verdict, scaled
-from dipc_gym.sim2real.selection.settings import SCORE
+from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 from dipc_gym.sim2real.verdict.conventions import Convention
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -48,6 +48,7 @@ def in_one_sentence(
     sensors: Sequence[SensorFit] = (),
     beyond: Beyond | None = None,
     later: float | None = None,
+    compared: Errors | None = None,
 ) -> str:
     """What happened, in words that a rig's owner understands.
 
@@ -61,6 +62,7 @@ def in_one_sentence(
         sensors: errors of each, in its own unit.
         beyond: held-out windows that go beyond what laws were fitted with.
         later: error of laws of time that were fitted to the held-out time as well, which no law of time foretells.
+        compared: on windows that were compared on, which are no test: whether what is left acts there as well.
     """
     goes = "falls" if errors.improved < errors.nominal else "goes"
     times = f"from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
@@ -86,6 +88,13 @@ def in_one_sentence(
         fall += (
             ". That is worse than as given: what was fitted does not hold there, where the rig is driven otherwise or "
             "has changed. Fit recordings of both, and hold out one of each"
+        )
+    fitted = math.inf if compared is None else min(compared.recalibrated, compared.improved)
+    if not worse and fitted <= SCORE.at_floor and telling.improved > SEARCH.in_reach:
+        fall += (
+            f". What was fitted is predicted to {fitted:.3g} times the noise: what is left acts in the "
+            "held-out data alone, where the rig is driven otherwise or has changed. Fit recordings of both, and hold "
+            "out one of each"
         )
     known = " ".join(m.sentence for m in missing if m.effect != "unknown" or m.law is not None)
     left = ""
