@@ -8,7 +8,7 @@ does for the heat of a winding. A recording is taken to begin with springs unben
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -215,12 +215,14 @@ class Joints(NamedTuple):
     @classmethod
     def of(cls, model: mujoco.MjModel, base: Sequence[str]) -> Joints:
         """Those of a model, by the names of its base joints."""
-        followed = mjcf.followers(model)
+        followed, ties = mjcf.followers(model), mjcf.coupled(model)
         hidden = sorted(followed.keys() - loads(model).keys())
-        ties = mjcf.coupled(model)
+
+        def at(names: Iterable[str]) -> list[int]:
+            return [int(model.joint(name).dofadr[0]) for name in names]
+
         leading, ratios = [leader for leader, _ in ties.values()], [ratio for _, ratio in ties.values()]
-        each = (base, hidden, [followed[name] for name in hidden], ties, leading)
-        return cls(*([int(model.joint(name).dofadr[0]) for name in names] for names in each), ratios)
+        return cls(at(base), at(hidden), at(followed[name] for name in hidden), at(ties), at(leading), ratios)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,91 @@
+"""Joints that an equality constraint holds in proportion to others: mirrored fingers, gears."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sim2real_rigs import RK4, prepared, record, sweep
+
+from dipc_gym import mjcf, physics
+from dipc_gym.sim2real import diagnose
+from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.simulation.batch import Stepping
+
+GRIPPER = """
+<mujoco model="gripper">
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body name="left">
+      <joint name="left" type="slide" axis="1 0 0" damping="2"/>
+      <inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/>
+    </body>
+    <body name="right">
+      <joint name="right" type="slide" axis="1 0 0" damping="2"/>
+      <inertial pos="0 0 0" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>
+    </body>
+  </worldbody>
+  <equality>
+    <joint joint1="right" joint2="left" polycoef="0 {ratio} 0 0 0" solref="0.002 1" solimp="0.9999 0.9999 0.001"/>
+  </equality>
+  <actuator>{motors}</actuator>
+  <sensor>{sensors}</sensor>
+</mujoco>
+"""
+LEFT, RIGHT = (f'<motor name="{side}_drive" joint="{side}" gear="4"/>' for side in ("left", "right"))
+SENSOR = '<jointpos name="{0}" joint="{0}"/>'
+
+
+def gripper(motors: str = LEFT, sensors: str = SENSOR.format("left"), ratio: float = -0.5) -> str:
+    """A driven finger, and one that mirrors half of its way."""
+    return GRIPPER.format(motors=motors, sensors=sensors, ratio=ratio)
+
+
+@pytest.mark.parametrize(
+    ("motors", "ties"),
+    [
+        (LEFT, {"right": ("left", -0.5)}),
+        (RIGHT, {"left": ("right", -2.0)}),
+        ("", {"right": ("left", -0.5)}),
+        (LEFT + RIGHT, {}),
+    ],
+    ids=["left", "right", "none", "both"],
+)
+def test_of_two_joints_the_driven_one_leads(motors: str, ties: dict[str, tuple[str, float]]) -> None:
+    model = mjcf.compile(gripper(motors))
+    assert mjcf.coupled(model) == ties
+    base = mjcf.base_joints(model)
+    assert set(base) == {"left", "right"} - ties.keys()
+    out = mjcf.spread_out(model)
+    assert out.shape == (2, len(base))
+    for led, (leader, ratio) in ties.items():
+        moved = out @ np.ones(1)
+        assert moved[model.joint(led).id] == ratio * moved[model.joint(leader).id]
+
+
+@pytest.mark.parametrize("text", ['polycoef="0.1 1 0 0 0"', 'polycoef="0 1 0.5 0 0"', 'active="false"'])
+def test_what_is_no_plain_proportion_ties_nothing(text: str) -> None:
+    plain = 'polycoef="0 -0.5 0 0 0"'
+    model = mjcf.compile(gripper().replace(plain, text if text.startswith("poly") else f"{plain} {text}"))
+    assert mjcf.coupled(model) == {}
+    assert mjcf.base_joints(model) == ("left", "right")
+
+
+@pytest.mark.parametrize("seen", ["left", "right"])
+def test_one_sensor_tells_where_both_fingers_are(seen: str) -> None:
+    text = gripper(sensors=SENSOR.format(seen))
+    rig = physics.load(mjcf.from_text(text))
+    run = record(rig, sweep(2.0), 4.0, noise=2e-5, step=5e-4, integrator=RK4)
+    cut = prepared(text, [run], stepping=Stepping(5e-4, RK4))
+    found = fit(cut.problem, cut.structure)
+    assert found.error < 1.2
+    # MuJoCo's constraint gives way a little, which its own readings show; the motion is a thousand times as large.
+    moved = cut.motions[0].position[:, 0] * (1.0 if seen == "left" else -0.5)
+    assert np.abs(moved - run.sensors[:, 0]).max() < 1e-3 * np.ptp(run.sensors[:, 0])
+
+
+def test_wrong_numbers_of_a_gripper_with_one_encoder_are_refitted() -> None:
+    true = gripper().replace('axis="1 0 0" damping="2"', 'axis="1 0 0" damping="5"')
+    run = record(physics.load(mjcf.from_text(true)), sweep(2.0), 4.0, noise=2e-5, step=5e-4, integrator=RK4)
+    said = diagnose(mjcf.from_text(gripper()), [run], effects=[])
+    assert said.verdict == "recalibrated"
+    assert said.held_out.improved < 1.5 < 100 < said.held_out.nominal
