@@ -32,7 +32,7 @@ from dipc_gym.sim2real.verdict.settings import CONVENTIONS
 
 Array = NDArray[np.float64]
 
-THOUSANDTH = 1e-3
+THOUSANDTH = 1e-3  # of a volt, a newton metre: the unit that drives log instead
 
 
 @dataclass(frozen=True)
