@@ -172,7 +172,8 @@ def coupled(model: mujoco.MjModel) -> dict[str, tuple[str, float]]:
     Example:
         >>> body = '<body><joint name="{}" type="slide"/><geom size="1"/></body>'
         >>> tie = '<equality><joint joint1="b" joint2="a" polycoef="0 -1 0 0 0"/></equality>'
-        >>> coupled(compile(f"<mujoco><worldbody>{body.format('a')}{body.format('b')}</worldbody>{tie}</mujoco>"))
+        >>> world = f"<worldbody>{body.format('a')}{body.format('b')}</worldbody>"
+        >>> coupled(mujoco.MjModel.from_xml_string(f"<mujoco>{world}{tie}</mujoco>"))
         {'b': ('a', -1.0)}
     """
     on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT

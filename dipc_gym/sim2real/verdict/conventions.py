@@ -32,8 +32,6 @@ from dipc_gym.sim2real.verdict.settings import CONVENTIONS
 
 Array = NDArray[np.float64]
 
-THOUSANDTH = 1e-3  # of a volt, a newton metre: the unit that drives log instead
-
 
 @dataclass(frozen=True)
 class Convention:
@@ -58,7 +56,7 @@ class Convention:
     @property
     def small(self) -> NDArray[np.bool_]:
         """Which commands are counted in thousandths, (nu,)."""
-        return np.asarray(self.commands == THOUSANDTH)
+        return np.asarray(self.commands == CONVENTIONS.thousandth)
 
     def undriven(self) -> Convention:
         """The same with none of what is small."""
@@ -90,7 +88,7 @@ def possible(
         yield replace(same, words=words, mend=mend, commands=1 - 2 * unit)
         small = _thousandth(of_command(physics.model, name))
         words, mend = f"count command {name!r} in thousandths ({small})", f"say --unit {name}={small}"
-        yield replace(same, words=words, mend=mend, commands=np.where(unit == 1, THOUSANDTH, 1.0))
+        yield replace(same, words=words, mend=mend, commands=np.where(unit == 1, CONVENTIONS.thousandth, 1.0))
     read = _read(physics)
     for joint, (places, rates) in read.items():
         names = [sensors[s] for s in (*places, *rates)]
@@ -206,7 +204,10 @@ def _read(physics: Physics) -> dict[str, tuple[list[int], list[int]]]:
 
 def _thousandth(unit: str) -> str:
     """How `--unit` calls a thousandth of a unit."""
-    return next((name for name, number in KINDS[unit].items() if number == THOUSANDTH), f"{THOUSANDTH:g}")
+    return next(
+        (name for name, number in KINDS[unit].items() if number == CONVENTIONS.thousandth),
+        f"{CONVENTIONS.thousandth:g}",
+    )
 
 
 def _turn(*names: str) -> str:

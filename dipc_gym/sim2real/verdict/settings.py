@@ -22,6 +22,7 @@ class ConventionSettings:
         parallel: cosine between two axes, from which readings about one could be of the other
         alike: times the least error, up to which conventions cannot be told apart: what the model lacks makes as much
             difference
+        thousandth: of a volt or a newton metre: the unit that drives log instead
     """
 
     decides: float = 0.5
@@ -31,6 +32,7 @@ class ConventionSettings:
     gross: float = 0.005
     parallel: float = 0.99
     alike: float = 1.1
+    thousandth: float = 1e-3
 
 
 CONVENTIONS = ConventionSettings()
