@@ -54,13 +54,14 @@ class Convention:
     columns: NDArray[np.intp]
 
     @property
-    def small(self) -> NDArray[np.bool_]:
-        """Which commands are counted in thousandths, (nu,)."""
-        return np.asarray(self.commands == CONVENTIONS.thousandth)
+    def other(self) -> NDArray[np.bool_]:
+        """Which commands drive otherwise than by their sign: counted in thousandths, or of another column, (nu,)."""
+        count = len(self.commands)
+        return np.asarray((self.commands == CONVENTIONS.thousandth) | (self.columns[:count] != np.arange(count)))
 
     def undriven(self) -> Convention:
-        """The same with none of what is small."""
-        return replace(self, commands=np.where(self.small, 0.0, self.commands))
+        """The same without these commands."""
+        return replace(self, commands=np.where(self.other, 0.0, self.commands))
 
     def applied(self, recording: Recording) -> Recording:
         """A recording as the model counts."""
@@ -155,28 +156,34 @@ def differing(
 
     as_counted = counted(None).problem
     without = min(common_error(evaluate(as_counted, one.structure, one.z)) for one in fits)
+    decides = CONVENTIONS.decides * without
 
-    def error(convention: Convention) -> float:
+    def error(convention: Convention) -> tuple[float, float]:
+        """Error with a convention, in units of noise, and how many of these would be as large beside what moves as it
+        is counted: in the column of a command a sensor seems to be noisy, and everything is small beside that.
+        """
         again = counted(convention)
         few = again.problem.pick(np.arange(0, len(again.problem.windows), CONVENTIONS.every))
-        for problem, most in ((few, CONVENTIONS.hopeless * CONVENTIONS.decides * without), (again.problem, math.inf)):
+        beside = as_counted.motion / max(again.problem.motion, 1e-12)
+        for problem, most in ((few, CONVENTIONS.hopeless * decides), (again.problem, math.inf)):
             off = common_error(evaluate(problem, again.structure, again.structure.first))
-            if off > most:
+            if off * beside > most:
                 break
-        return off
+        return off, off * beside
 
     all_of = list(possible(source, physics, first.actuator_names, first.sensor_names))
     with side_by_side([partial(error, convention) for convention in all_of], prepared.problem.threads) as result:
-        tried = [(result(k), convention) for k, convention in enumerate(all_of)]
-    tried = [(off, convention) for off, convention in tried if off < CONVENTIONS.decides * without]
-    # A drive that does nothing predicts a rig that sticks; what is small has to predict more than that.
+        tried = [(*result(k), convention) for k, convention in enumerate(all_of)]
+    tried = [each for each in tried if each[1] < decides]
+    # A drive that does nothing predicts a rig that sticks, and for a quarter of a second whatever is smooth.
     tried = [
-        (off, convention)
-        for off, convention in tried
-        if not convention.small.any() or off < CONVENTIONS.decides * error(convention.undriven())
+        (off, share, convention)
+        for off, share, convention in tried
+        if not convention.other.any() or off < CONVENTIONS.decides * error(convention.undriven())[0]
     ]
-    least = min((off for off, _ in tried), default=math.inf)
-    return [convention for off, convention in tried if off < CONVENTIONS.alike * least], least
+    least = min((share for _, share, _ in tried), default=math.inf)
+    found = [(off, convention) for off, share, convention in tried if share < CONVENTIONS.alike * least]
+    return [convention for _, convention in found], min((off for off, _ in found), default=math.inf)
 
 
 def _in_motion(recordings: Sequence[Recording], prepared: Prepared) -> list[Recording]:
