@@ -34,17 +34,49 @@ def fewest_parameters(search: Searched, fitted: Fit) -> Fit:
 
     Parameters of which the owner knows that they are not nominal stay free.
     """
-    reduced, k = _Reduced(search, fitted), len(fitted.structure.model_parameters)
-    stay = _not_nominal(fitted)
-    known, kept, gone = len(stay), list(range(k)), list[int]()
-    while len(kept) > known:
-        least = min(set(kept).difference(stay), key=lambda i: reduced.foretold([j for j in kept if j != i])[0])
-        kept.remove(least)
-        gone.append(least)
-    order = [*stay, *reversed(gone)]
+    reduced, known = _Reduced(search, fitted), len(_not_nominal(fitted))
+    best: Fit | None = None
+    # From nothing on, of a null space the one that does it all comes first; from all on, where all of it is right, what
+    # only made up for others goes first.
+    for order in (_from_none, _from_all):
+        found = _first_of(reduced, order(reduced), known)
+        if best is None or (found is not None and _freed(found) < _freed(best)):
+            best = found
+        if best is not None and _freed(best) <= known + 1:
+            break
+    return fitted if best is None else _without_needless(reduced, best)
 
-    # The quadratics choose the order only, from where all are free: along a null space the fit may have come too far
-    # for them to tell whether nominal parameters would do.
+
+def _freed(fitted: Fit) -> int:
+    return len(fitted.structure.model_parameters)
+
+
+def _from_none(reduced: _Reduced) -> list[int]:
+    """Model parameters, those first that are foretold to bring most beside those before them."""
+    order = _not_nominal(reduced.fitted)
+    while len(order) < reduced.count:
+        others = (i for i in range(reduced.count) if i not in order)
+        order.append(min(others, key=lambda i: reduced.foretold([*order, i])[0]))
+    return order
+
+
+def _from_all(reduced: _Reduced) -> list[int]:
+    """Model parameters, those last that are foretold to be missed least, one after another."""
+    stay, kept, gone = _not_nominal(reduced.fitted), list(range(reduced.count)), list[int]()
+    while len(kept) > len(stay):
+        others = (i for i in kept if i not in stay)
+        gone.append(min(others, key=lambda i: reduced.foretold([j for j in kept if j != i])[0]))
+        kept.remove(gone[-1])
+    return [*stay, *reversed(gone)]
+
+
+def _first_of(reduced: _Reduced, order: Sequence[int], known: int) -> Fit | None:
+    """A fit with as few of the first model parameters of an order as suffice, so many at least; None if none does.
+
+    The quadratics choose the order only: along a null space the fit may have come too far for them to tell whether
+    nominal parameters would do.
+    """
+
     @functools.cache
     def with_first(count: int) -> Fit | None:
         return reduced.refitted(order[:count])
@@ -54,11 +86,10 @@ def fewest_parameters(search: Searched, fitted: Fit) -> Fit:
 
     # Mostly none had to change, or few.
     low = high = known
-    while high < k and not suffices(high):
+    while high < reduced.count and not suffices(high):
         low, high = high + 1, max(2 * high, 1)
-    fewest = bisect.bisect_left(range(k), True, lo=low, hi=min(high, k), key=suffices)
-    found = with_first(fewest)
-    return fitted if found is None else _without_needless(reduced, found)
+    most = min(high, reduced.count)
+    return with_first(bisect.bisect_left(range(reduced.count), True, lo=low, hi=most, key=suffices))
 
 
 def _without_needless(reduced: _Reduced, found: Fit) -> Fit:
