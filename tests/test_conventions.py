@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -58,15 +59,7 @@ def test_every_convention_is_thought_of() -> None:
         "count sensors 'pole2' and 'rate2' the other way round",
         "count sensor 'pole2' from half a turn away",
         "have command 'motor' and sensor 'cart' interchanged",
-        "have command 'motor' and sensor 'pole1' interchanged",
-        "have command 'motor' and sensor 'pole2' interchanged",
-        "have command 'motor' and sensor 'rate2' interchanged",
-        "have sensor 'cart' and sensor 'pole1' interchanged",
-        "have sensor 'cart' and sensor 'pole2' interchanged",
-        "have sensor 'cart' and sensor 'rate2' interchanged",
         "have sensor 'pole1' and sensor 'pole2' interchanged",
-        "have sensor 'pole1' and sensor 'rate2' interchanged",
-        "have sensor 'pole2' and sensor 'rate2' interchanged",
     ]
     # Without the rate, which would need one of the joint before.
     hanging = mjcf.from_text(HANGING)
@@ -145,3 +138,68 @@ def test_on_a_symmetric_rig_command_and_sensor_are_alike_and_either_is_mended_by
     assert f"T{mend.format('motor')}or t{mend.format('cart')}and diagnose again" in said
     assert cli.main([*asked, str(tmp_path / "second"), "--unit", "motor=-V"]) == 0
     assert "Nothing is missing" in capsys.readouterr().out
+
+
+PENDULUM = """
+<mujoco model="pendulum">
+  <compiler angle="radian"/>
+  <option timestep="0.002" integrator="RK4"/>
+  <worldbody>
+    <body name="arm">
+      <joint name="hip" axis="0 1 0" damping="0.02"/>
+      <inertial pos="0 0 -{arm}" mass="0.5" diaginertia="0.006 0.006 0.0005"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="hip" joint="hip"/></actuator>
+  <sensor><jointpos name="hip" joint="hip"/></sensor>
+</mujoco>
+"""
+
+
+def test_a_command_that_never_changes_is_no_reading() -> None:
+    """A free swing of an arm whose length is wrong: nothing of it can be interchanged with the motor's zeros."""
+    swung = record(
+        physics.load(mjcf.from_text(PENDULUM.format(arm=0.3))), lambda time: 0.0, 8.0, noise=1e-3, start=(1.0,)
+    )
+    said = diagnose(mjcf.from_text(PENDULUM.format(arm=0.1)), [swung], effects=[])
+    assert said.verdict != "cannot tell"
+
+
+@pytest.mark.parametrize("wrong", ["interchanged", "thousandths"])
+def test_the_advice_mends_what_it_is_given_for(wrong: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also where a command and a sensor have one name, and in the model's own unit of angle."""
+    text = PENDULUM.format(arm=0.2)
+    run = record(
+        physics.load(mjcf.from_text(text)), lambda t: 0.3 * np.sin(4 * t) + 0.2 * np.sin(9 * t), 8.0, noise=1e-3
+    )
+    commands, sensors = run.commands, run.sensors
+    if wrong == "interchanged":
+        commands, sensors = sensors, commands
+    else:
+        commands = 1e3 * commands
+    (tmp_path / "arm.xml").write_text(text)
+    recording.write(replace(run, commands=commands, sensors=sensors), tmp_path / "run.csv")
+    asked = ["diagnose", str(tmp_path / "arm.xml"), str(tmp_path / "run.csv"), "--out"]
+    assert cli.main([*asked, str(tmp_path / "first")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert wrong in said
+    options = re.findall(r"--(?:map|unit) [^\s,)]+", said)
+    assert options == (
+        ["--map ctrl:hip=sensor:hip", "--map sensor:hip=ctrl:hip"]
+        if wrong == "interchanged"
+        else ["--unit ctrl:hip=mNm"]
+    )
+    assert cli.main([*asked, str(tmp_path / "second"), *" ".join(options).split()]) == 0
+    assert "Nothing is missing" in capsys.readouterr().out
+
+
+def test_half_a_turn_is_told_in_the_unit_of_the_file() -> None:
+    text = PENDULUM.format(arm=0.2)
+    for unit, half in (("radian", "3.1415927"), ("degree", "180")):
+        source = mjcf.from_text(text.replace("radian", unit))
+        (turned,) = (
+            one
+            for one in conventions.possible(source, physics.load(source), ("hip",), ("hip",))
+            if "half a turn" in one.words
+        )
+        assert f'ref="{half}"' in turned.mend

@@ -7,8 +7,9 @@ import pytest
 from sim2real_rigs import RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
-from dipc_gym.sim2real import diagnose
+from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation.batch import Stepping
 
 GRIPPER = """
@@ -68,6 +69,60 @@ def test_what_is_no_plain_proportion_ties_nothing(text: str) -> None:
     model = mjcf.compile(gripper().replace(plain, text if text.startswith("poly") else f"{plain} {text}"))
     assert mjcf.coupled(model) == {}
     assert mjcf.base_joints(model) == ("left", "right")
+
+
+@pytest.mark.parametrize("effect", ["transmission.backlash", "transmission.compliance"])
+def test_a_rotor_drives_for_the_joint_that_it_turns(effect: str) -> None:
+    """An effect that gives the motor a rotor of its own makes no other joint the leading one."""
+    source = mjcf.from_text(gripper(RIGHT, SENSOR.format("right")))
+    given, run = physics.load(source), record(physics.load(source), sweep(2.0), 2.0, noise=2e-5)
+    cut = prepared(source.text, [run], stepping=Stepping(5e-4, RK4))
+    values = {parameter.name: max(parameter.low, 1e-3) for parameter in catalogue()[effect].parameters}
+    values |= {name: value for name, value in (("stiffness", 1e5), ("rotor_inertia", 0.05)) if name in values}
+    with_it = cut.structure.with_term(Term(catalogue()[effect], "right_drive", values))
+    model = with_it.physics(with_it.first).model
+    assert mjcf.base_joints(model) == mjcf.base_joints(given.model) == ("right",)
+    assert mjcf.coupled(model) == {"left": ("right", -2.0)}
+    moved = mjcf.spread_out(model)[:, 0]
+    at = [model.joint(name).id for name in ("left", "right", *mjcf.followers(model))]
+    assert moved[at].tolist() == [-2.0, *[1.0] * (len(at) - 1)]
+
+
+THREE = """
+<mujoco><option>{flag}</option><worldbody>{bodies}</worldbody><equality>{ties}</equality></mujoco>
+"""
+BODY = '<body><joint name="{0}" type="slide"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+TIE = '<joint joint1="{0}" joint2="{1}" polycoef="0 {2} 0 0 0"/>'
+
+
+@pytest.mark.parametrize(
+    ("ties", "found"),
+    [
+        ([("b", "a", 2), ("c", "a", -3)], {"b": ("a", 2.0), "c": ("a", -3.0)}),
+        ([("b", "a", 2), ("c", "b", 3)], {"b": ("a", 2.0), "c": ("a", 6.0)}),
+        ([("c", "b", 3), ("b", "a", 2)], {"b": ("a", 2.0), "c": ("a", 6.0)}),
+        ([("b", "a", 2), ("a", "b", 0.5)], {"b": ("a", 2.0)}),
+    ],
+    ids=["two led", "chain", "chain backwards", "twice"],
+)
+def test_one_joint_may_lead_several(ties: list[tuple[str, str, float]], found: dict[str, tuple[str, float]]) -> None:
+    bodies, held = "".join(map(BODY.format, "abc")), "".join(TIE.format(*tie) for tie in ties)
+    model = mjcf.compile(THREE.format(flag="", bodies=bodies, ties=held))
+    assert mjcf.coupled(model) == found
+    q = mjcf.spread_out(model) @ np.ones(len(mjcf.base_joints(model)))
+    for led, (leader, ratio) in found.items():
+        assert q[model.joint(led).id] == ratio * q[model.joint(leader).id]
+    loose = THREE.format(flag='<flag equality="disable"/>', bodies=bodies, ties=held)
+    assert mjcf.coupled(mjcf.compile(loose)) == {}
+
+
+def test_what_is_coupled_to_a_follower_is_coupled_to_its_leader() -> None:
+    text = THREE.format(flag="", bodies="".join(map(BODY.format, "abc")), ties=TIE.format("c", "b", 3))
+    follows = '<custom><text name="dipc_gym:follows:b" data="a"/></custom>'
+    model = mjcf.compile(text.replace("</mujoco>", f"{follows}</mujoco>"))
+    assert mjcf.followers(model) == {"b": "a"}
+    assert mjcf.coupled(model) == {"c": ("a", 3.0)}
+    assert mjcf.spread_out(model)[:, 0].tolist() == [1.0, 1.0, 3.0]
 
 
 @pytest.mark.parametrize("seen", ["left", "right"])

@@ -57,6 +57,27 @@ def test_counts_and_steps_of_an_encoder_are_no_glitches() -> None:
     assert not len(glitches(TIME, moved + angle, count / np.sqrt(12))[0])
 
 
+def test_a_sample_between_gaps_is_left_as_it_is() -> None:
+    """Nothing near tells what it should have been."""
+    time = np.arange(0.0, 4.0, 0.004)
+    for gap in (0.048, 0.1):
+        kept = np.ones(len(time), dtype=bool)
+        for alone in np.arange(0.5, 3.5, 0.2):
+            kept &= (np.abs(time - alone) < 0.002) | (np.abs(time - alone) > gap)
+        angle = 0.5 * np.sin(2 * np.pi * 3 * time[kept])
+        assert not len(glitches(time[kept], angle, SIGMA)[0])
+
+
+def test_glitches_of_irregular_stamps_are_found() -> None:
+    rng = np.random.default_rng(5)
+    time = TIME + rng.uniform(-0.0012, 0.0012, len(TIME))
+    angle = np.sin(7 * time) + rng.normal(0, SIGMA, len(time))
+    angle[[100, 333]] += 0.05
+    found, instead = glitches(time, angle, SIGMA)
+    assert found.tolist() == [100, 333]
+    assert np.abs(instead - np.sin(7 * time[found])).max() < 10 * SIGMA
+
+
 def test_what_happens_often_is_how_the_sensor_reads() -> None:
     angle = np.sin(3 * TIME)
     angle[::40] += 0.2

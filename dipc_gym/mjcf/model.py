@@ -167,7 +167,7 @@ def coupled(model: mujoco.MjModel) -> dict[str, tuple[str, float]]:
     """Joints that an equality constraint holds in proportion to another, as gears and mirrored fingers are: for each
     the one that leads it, and how many times as far it goes.
 
-    Of two the one that is driven leads; where both are, or where one of them is coupled elsewhere, neither does.
+    Of two the one that is driven leads; where both are, neither does. One may lead several, also by way of others.
 
     Example:
         >>> body = '<body><joint name="{}" type="slide"/><geom size="1"/></body>'
@@ -176,21 +176,32 @@ def coupled(model: mujoco.MjModel) -> dict[str, tuple[str, float]]:
         >>> coupled(mujoco.MjModel.from_xml_string(f"<mujoco>{world}{tie}</mujoco>"))
         {'b': ('a', -1.0)}
     """
-    on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
-    driven = set(model.actuator_trnid[on_joints, 0].tolist())
-    found = dict[int, tuple[int, float]]()
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY:
+        return {}
+    following, found = followers(model), dict[str, tuple[str, float]]()
+    driven = {
+        following.get(name, name)  # a rotor is driven for the joint that it turns
+        for i in np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+        for name in [model.joint(int(model.actuator_trnid[i, 0])).name]
+    }
     for e in range(model.neq):
-        led, leader, (offset, ratio, *bends) = *map(int, (model.eq_obj1id[e], model.eq_obj2id[e])), model.eq_data[e, :5]
-        if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[e] or leader < 0 or not ratio:
+        joints = [int(model.eq_obj1id[e]), int(model.eq_obj2id[e])]
+        if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[e] or joints[1] < 0:
             continue
+        offset, ratio, *bends = model.eq_data[e, :5].tolist()
+        scalar = np.isin(model.jnt_type[joints], (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)).all()
+        if not (scalar and ratio) or offset or any(bends) or model.qpos0[model.jnt_qposadr[joints]].any():
+            continue
+        led, leader = (model.joint(joint).name for joint in joints)
         if led in driven:
             led, leader, ratio = leader, led, 1 / ratio
-        scalar = np.isin(model.jnt_type[[led, leader]], (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE))
-        begins = model.qpos0[model.jnt_qposadr[[led, leader]]]
-        known = {led, leader} & (found.keys() | {one for one, _ in found.values()})
-        if led not in driven and scalar.all() and not (offset or any(bends) or begins.any() or known):
-            found[led] = leader, float(ratio)
-    return {model.joint(led).name: (model.joint(leader).name, ratio) for led, (leader, ratio) in found.items()}
+        leader = following.get(leader, leader)
+        leader, times = found.get(leader, (leader, 1.0))
+        if led in driven or led in found or led in following or led == leader:
+            continue
+        ties = {name: (leader, further * ratio * times) for name, (of, further) in found.items() if of == led}
+        found |= {led: (leader, ratio * times), **ties}
+    return found
 
 
 def base_joints(model: mujoco.MjModel) -> tuple[str, ...]:

@@ -1,4 +1,8 @@
-"""Single samples that jump and come back: of an encoder or of the log, for no joint moves so."""
+"""Single samples that jump and come back: of an encoder or of the log, for no joint moves so.
+
+Two good samples on either side tell what one should have been; where samples are missing, or others beside it jump as
+well, nothing is told.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +78,7 @@ def glitches(
         ([40], True)
     """
     foretold = _from_neighbours(time, values)
-    off = np.abs(values - foretold)
+    off = np.where(_spans(time) < GLITCHES.span * np.median(np.diff(time)), np.abs(values - foretold), 0.0)
     far = np.flatnonzero(off > GLITCHES.far * noise)
     found = list[int]()
     for i in far.tolist():
@@ -84,8 +88,15 @@ def glitches(
         left = np.abs(without - _from_neighbours(time[near], without))[max(i - 2, 0) - near.start : i + 3 - near.start]
         if left.max() < max(GLITCHES.beside * noise, GLITCHES.left * off[i]):
             found.append(i)
-    where = np.array(found if len(found) <= GLITCHES.most * len(values) else [], dtype=np.intp)
+    where = np.array(found if len(found) <= max(1.0, GLITCHES.most * len(values)) else [], dtype=np.intp)
     return where, foretold[where]
+
+
+def _spans(time: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Time from the second sample before each to the second after, s, (n,); infinite at the ends."""
+    out = np.full(len(time), np.inf)
+    out[2:-2] = time[4:] - time[:-4]
+    return out
 
 
 def _from_neighbours(time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:

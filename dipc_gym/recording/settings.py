@@ -129,7 +129,8 @@ class GlitchSettings:
         beside: times the noise that its neighbours may be off by without it
         left: share of what it is off by, that these may be off by instead: beside where a joint hits something, they
             are off by a sixth
-        most: share of the samples: what happens more often is how the sensor reads
+        most: share of the samples, but for a single one: what happens more often is how the sensor reads
+        span: periods that two samples before and two after may be apart: of a longer gap a cubic foretells little
         fewest: samples in which noise can be told from motion
     """
 
@@ -137,6 +138,7 @@ class GlitchSettings:
     beside: float = 5.0
     left: float = 0.05
     most: float = 0.01
+    span: float = 6.0
     fewest: int = 20
 
 

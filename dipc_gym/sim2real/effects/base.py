@@ -304,6 +304,12 @@ class Effect(ABC):
         """
         return ()
 
+    def happened(self, values: Values) -> tuple[float, float]:
+        """From when and until when it acts, s on the clock of its recording, where it happened `once`: other recordings
+        are not held to that. Never, where it does not say.
+        """
+        return math.inf, -math.inf
+
     def forms(self) -> Sequence[Form]:
         """The same effect in other elements of MJCF: parameters of the same names, some of them fixed, another edit.
 

@@ -47,6 +47,10 @@ class Pulse(Effect):
                 )
         return found
 
+    def happened(self, values: Values) -> tuple[float, float]:
+        """While it pushes."""
+        return values["start"], values["start"] + values["duration"]
+
     def edit(self, document: Document, at: str, values: Values) -> None:
         """An entry for the loader."""
         document.custom(self.id, at, [values["force"], values["start"], values["duration"]])

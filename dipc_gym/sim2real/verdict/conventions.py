@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
-from dipc_gym.recording import Recording
-from dipc_gym.recording.units import KINDS, of_command
+from dipc_gym.recording import Recording, RecordingError
+from dipc_gym.recording.columns import COMMAND, SENSOR
+from dipc_gym.recording.units import KINDS, of_command, of_sensor
+from dipc_gym.sim2real.effects.base import joint_of, sensed_joint
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
@@ -44,6 +46,7 @@ class Convention:
         sensors: what makes the model's readings of theirs, (ns, ns).
         shift: added to that, (ns,).
         columns: of theirs, commands and then sensors, which one is each of the model's, (nu + ns,).
+        driving: which commands drive otherwise than by their sign: in thousandths, or by another column, (nu,).
     """
 
     words: str
@@ -52,16 +55,11 @@ class Convention:
     sensors: Array
     shift: Array
     columns: NDArray[np.intp]
-
-    @property
-    def other(self) -> NDArray[np.bool_]:
-        """Which commands drive otherwise than by their sign: counted in thousandths, or of another column, (nu,)."""
-        count = len(self.commands)
-        return np.asarray((self.commands == CONVENTIONS.thousandth) | (self.columns[:count] != np.arange(count)))
+    driving: NDArray[np.bool_]
 
     def undriven(self) -> Convention:
-        """The same without these commands."""
-        return replace(self, commands=np.where(self.other, 0.0, self.commands))
+        """The same without the commands that drive otherwise."""
+        return replace(self, commands=np.where(self.driving, 0.0, self.commands))
 
     def applied(self, recording: Recording) -> Recording:
         """A recording as the model counts."""
@@ -82,14 +80,16 @@ def possible(
         actuators: names of the commands.
         sensors: names of the sensors.
     """
-    document, columns = Document(source), np.arange(len(actuators) + len(sensors))
-    same = Convention("", "", np.ones(len(actuators)), np.eye(len(sensors)), np.zeros(len(sensors)), columns)
-    for name, unit in zip(actuators, np.eye(len(actuators)), strict=True):
+    document, (nu, ns) = Document(source), (len(actuators), len(sensors))
+    same = Convention("", "", np.ones(nu), np.eye(ns), np.zeros(ns), np.arange(nu + ns), np.zeros(nu, dtype=bool))
+    for name, unit in zip(actuators, np.eye(nu), strict=True):
         words, mend = f"count command {name!r} the other way round", _turn(name)
         yield replace(same, words=words, mend=mend, commands=1 - 2 * unit)
         small = _thousandth(of_command(physics.model, name))
-        words, mend = f"count command {name!r} in thousandths ({small})", f"say --unit {name}={small}"
-        yield replace(same, words=words, mend=mend, commands=np.where(unit == 1, CONVENTIONS.thousandth, 1.0))
+        key = COMMAND + name if name in sensors else name
+        words, mend = f"count command {name!r} in thousandths ({small})", f"say --unit {key}={small}"
+        factors = np.where(unit == 1, CONVENTIONS.thousandth, 1.0)
+        yield replace(same, words=words, mend=mend, commands=factors, driving=unit == 1)
     read = _read(physics)
     for joint, (places, rates) in read.items():
         names = [sensors[s] for s in (*places, *rates)]
@@ -114,13 +114,33 @@ def possible(
                 mixed[of, before[0]] = sign
             words = f"measure at joint {other!r} {which}, and the model does not"
             yield replace(same, words=words, mend=f"{mend} what is read at {one!r} ({mend} the columns)", sensors=mixed)
+    yield from _interchanged(physics.model, same, actuators, sensors)
+
+
+def _interchanged(
+    model: mujoco.MjModel, same: Convention, actuators: Sequence[str], sensors: Sequence[str]
+) -> Iterator[Convention]:
+    """Two columns in each other's place: of one unit, or a command and a sensor of what it drives."""
     labels = [*(f"command {name!r}" for name in actuators), *(f"sensor {name!r}" for name in sensors)]
-    for i, j in itertools.combinations(columns.tolist(), 2):
-        order = columns.copy()
+    shared = {*actuators} & {*sensors}
+    keys = [
+        prefix + name if name in shared else name
+        for prefix, names in ((COMMAND, actuators), (SENSOR, sensors))
+        for name in names
+    ]
+    units = [*(of_command(model, name) for name in actuators), *(of_sensor(model, name) for name in sensors)]
+    joints = [*(joint_of(model, name) for name in actuators), *(sensed_joint(model, name) for name in sensors)]
+    for i, j in itertools.combinations(range(len(labels)), 2):
+        drives = i < len(actuators) <= j
+        if joints[i] != joints[j] if drives else units[i] != units[j]:
+            continue
+        order = same.columns.copy()
         order[[i, j]] = j, i
-        one, other = ([*actuators, *sensors][k] for k in (i, j))
-        words, mend = f"have {labels[i]} and {labels[j]} interchanged", f"say --map {one}={other} --map {other}={one}"
-        yield replace(same, words=words, mend=mend, columns=order)
+        words = f"have {labels[i]} and {labels[j]} interchanged"
+        named = f"--map {keys[i]}={keys[j]} --map {keys[j]}={keys[i]} where they have these names"
+        mend = f"interchange the two columns ({named})"
+        driving = order[: len(actuators)] != np.arange(len(actuators))
+        yield replace(same, words=words, mend=mend, columns=order, driving=driving)
 
 
 def differing(
@@ -162,7 +182,10 @@ def differing(
         """Error with a convention, in units of noise, and how many of these would be as large beside what moves as it
         is counted: in the column of a command a sensor seems to be noisy, and everything is small beside that.
         """
-        again = counted(convention)
+        try:
+            again = counted(convention)
+        except RecordingError:  # a command that never changes is no reading
+            return math.inf, math.inf
         few = again.problem.pick(np.arange(0, len(again.problem.windows), CONVENTIONS.every))
         beside = as_counted.motion / max(again.problem.motion, 1e-12)
         for problem, most in ((few, CONVENTIONS.hopeless * decides), (again.problem, math.inf)):
@@ -179,7 +202,7 @@ def differing(
     tried = [
         (off, share, convention)
         for off, share, convention in tried
-        if not convention.other.any() or off < CONVENTIONS.decides * error(convention.undriven())[0]
+        if not convention.driving.any() or off < CONVENTIONS.decides * error(convention.undriven())[0]
     ]
     least = min((share for _, share, _ in tried), default=math.inf)
     found = [(off, convention) for off, share, convention in tried if share < CONVENTIONS.alike * least]

@@ -71,7 +71,8 @@ def _from_all(reduced: _Reduced) -> list[int]:
 
 
 def _first_of(reduced: _Reduced, order: Sequence[int], known: int) -> Fit | None:
-    """A fit with as few of the first model parameters of an order as suffice, so many at least; None if none does.
+    """A fit with as few of the first model parameters of an order as suffice, so many at least, or with all of them;
+    None where that cannot be simulated.
 
     The quadratics choose the order only: along a null space the fit may have come too far for them to tell whether
     nominal parameters would do.
