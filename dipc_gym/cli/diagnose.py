@@ -124,7 +124,9 @@ class Diagnose:
             share = "?" if isnan(missing.share) else f"{100 * missing.share:.0f}"
             # What is not even modelled improves nothing; its share is what it leaves.
             of = (
-                "of the mismatch, left" if missing.effect == "unknown" and missing.law is None else "of the improvement"
+                "of the mismatch is left"
+                if missing.effect == "unknown" and missing.law is None
+                else "of the improvement"
             )
             print(f"  {missing.effect} at {missing.at}, {share} % {of}")
         if found.next_experiment:

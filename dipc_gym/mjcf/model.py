@@ -176,7 +176,7 @@ def coupled(model: mujoco.MjModel) -> dict[str, tuple[str, float]]:
         >>> coupled(mujoco.MjModel.from_xml_string(f"<mujoco>{world}{tie}</mujoco>"))
         {'b': ('a', -1.0)}
     """
-    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY:
+    if not model.neq or model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY:
         return {}
     following, found = followers(model), dict[str, tuple[str, float]]()
     driven = {
