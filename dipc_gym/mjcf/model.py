@@ -238,12 +238,10 @@ def _ties(model: mujoco.MjModel) -> tuple[list[str], dict[str, tuple[str, float]
     names = [model.joint(j).name for j in range(model.njnt)]
     if "" in names:
         raise MjcfError(f"joint {names.index('')} of the model has no name; reports speak of joints, so name it")
-    ties = coupled(model)
-    base = [name for name in names if name not in ties and name not in followers(model)]
+    ties, following = coupled(model), followers(model)
+    base = [name for name in names if name not in ties and name not in following]
     ties |= {name: (name, 1.0) for name in base}
-    for follower, leader in followers(model).items():
-        ties[follower] = ties[leader]
-    return base, ties
+    return base, ties | {follower: ties[leader] for follower, leader in following.items()}
 
 
 def texts(model: mujoco.MjModel) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -35,13 +36,8 @@ class Saturation(Effect):
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The actuator's control range, within the one that it has."""
-        actuator, limit = document.actuator(at), values["limit"]
-        low, high = -limit, limit
-        given = document.limits(actuator, "ctrl")
-        if given is not None and given[0] < given[1]:
-            low, high = (float(np.clip(end, *given)) for end in (low, high))
-        # MuJoCo refuses an empty range, and a fit may pass through one.
-        document.set(actuator, ctrllimited="true", ctrlrange=(low, max(high, low + 1e-9)))
+        actuator = document.actuator(at)
+        document.set(actuator, ctrllimited="true", ctrlrange=_within(document, actuator, "ctrl", values["limit"]))
         if float(document.effective(actuator, "inheritrange", "0")):  # a range of its own takes the place of that
             document.set(actuator, inheritrange=0)
 
@@ -85,12 +81,19 @@ class TorqueLimit(Effect):
         if actuator.tag == "dcmotor":
             document.set(actuator, saturation=(limit, 0, 0))
             return
-        low, high = -limit, limit
-        given = document.limits(actuator, "force")
-        if given is not None and given[0] < given[1]:
-            low, high = (float(np.clip(end, *given)) for end in (low, high))
-        document.set(actuator, forcelimited="true", forcerange=(low, max(high, low + 1e-9)))
+        document.set(actuator, forcelimited="true", forcerange=_within(document, actuator, "force", limit))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         return f"{at} gives no more than {values['limit']:.3g} {unit['limit']}, less than its commands ask for."
+
+
+def _within(document: Document, actuator: ET.Element, what: str, limit: float) -> tuple[float, float]:
+    """A limit either way, within the range that the actuator has already; MuJoCo refuses an empty one, and a fit may
+    pass through one.
+    """
+    low, high = -limit, limit
+    given = document.limits(actuator, what)
+    if given is not None and given[0] < given[1]:
+        low, high = (float(np.clip(end, *given)) for end in (low, high))
+    return low, max(high, low + 1e-9)

@@ -84,17 +84,14 @@ def in_one_sentence(
         telling = replace(telling, improved=later)
         fall += f"; fitted to that time as well, which no law of time foretells, {later:.3g} times are left"
     worse = errors.improved > max(errors.nominal, SCORE.at_floor)
-    if worse:
-        fall += (
-            ". That is worse than as given: what was fitted does not hold there, where the rig is driven otherwise or "
-            "has changed. Fit recordings of both, and hold out one of each"
-        )
     fitted = math.inf if compared is None else min(compared.recalibrated, compared.improved)
-    if not worse and fitted <= SCORE.at_floor and telling.improved > SEARCH.in_reach:
+    changed_since = "where the rig is driven otherwise or has changed. Fit recordings of both, and hold out one of each"
+    if worse:
+        fall += f". That is worse than as given: what was fitted does not hold there, {changed_since}"
+    elif fitted <= SCORE.at_floor and telling.improved > SEARCH.in_reach:
         fall += (
-            f". What was fitted is predicted to {fitted:.3g} times the noise: what is left acts in the "
-            "held-out data alone, where the rig is driven otherwise or has changed. Fit recordings of both, and hold "
-            "out one of each"
+            f". What was fitted is predicted to {fitted:.3g} times the noise: what is left acts in the held-out data "
+            f"alone, {changed_since}"
         )
     known = " ".join(m.sentence for m in missing if m.effect != "unknown" or m.law is not None)
     left = ""

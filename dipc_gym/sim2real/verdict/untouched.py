@@ -80,11 +80,15 @@ def pushed_elsewhere(search: Searched, fitted: Fit, windows: Windows) -> NDArray
     found = np.zeros(len(windows), dtype=bool)
     for term in fitted.structure.terms:
         if term.effect.once:
-            values = fitted.structure.term_values(fitted.z, term)
-            there = {(one.name, one.path) for one in happened(search, fitted, term)}
-            own = np.array([(one.name, one.path) in there for one in windows.recordings])
-            before_its_end = windows.start < values["start"] + values["duration"]
-            found |= (
-                before_its_end & (windows.start + windows.times.max(axis=1) > values["start"]) & ~own[windows.source]
-            )
+            begin, end = term.effect.happened(fitted.structure.term_values(fitted.z, term))
+            there = happened(search, fitted, term)
+            own = np.array([any(_of_one(one, other) for other in there) for one in windows.recordings])
+            during = (windows.start < end) & (windows.start + windows.times.max(axis=1) > begin)
+            found |= during & ~own[windows.source]
     return found
+
+
+def _of_one(one: Recording, other: Recording) -> bool:
+    """Whether one of two recordings begins as the other does: what is tested with goes on where what is fitted ends."""
+    n = min(len(one), len(other))
+    return np.array_equal(one.time[:n], other.time[:n]) and np.array_equal(one.sensors[:n], other.sensors[:n])
