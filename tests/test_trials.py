@@ -373,7 +373,7 @@ def test_catalogue_covers_every_id():
     families = {
         "friction": "coulomb stribeck viscous asymmetric position load resting",
         "drag": "quadratic",
-        "load": "constant tilt spring inertia position swinging creeping",
+        "load": "constant tilt spring inertia position swinging creeping stop",
         "inertia": "mass",
         "motor": "deadzone saturation inductance back_emf cogging thermal",
         "timing": "delay sensor_lag",

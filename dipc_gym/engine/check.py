@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.engine.layout import Head, Joint
-from dipc_gym.engine.program import Program, Uncovered
+from dipc_gym.engine.program import Program, Uncovered, soft_limits, stiff_limits
 from dipc_gym.engine.run import rates
 from dipc_gym.physics import Physics
 
@@ -51,8 +51,9 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
     n, size, limited = model.nv, _sizes(model), model.tendon_limited.astype(bool)
     yielding = np.flatnonzero(model.tendon_plasticadr >= 0)
     applied, levels, slides = np.zeros(n), np.zeros(n), np.ones(n)
-    low, high = (np.where(model.jnt_limited, model.jnt_range[:, k], sign * np.inf) for k, sign in ((0, -1), (1, 1)))
-    inner = np.where(model.jnt_limited, model.jnt_margin + 1e-3 * (model.jnt_range[:, 1] - model.jnt_range[:, 0]), 0.0)
+    stiff, soft = stiff_limits(model), soft_limits(model)
+    low, high = (np.where(stiff, model.jnt_range[:, k], sign * np.inf) for k, sign in ((0, -1), (1, 1)))
+    inner = np.where(stiff, model.jnt_margin + 1e-3 * (model.jnt_range[:, 1] - model.jnt_range[:, 0]), 0.0)
     low, high = low + inner, high - inner
     compared = False
     for _ in range(STATES):
@@ -85,7 +86,8 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
         first = 2 * n + model.na + len(yielding)
         remembered, grown = data.userdata.copy(), source.grown(data, slides)
         states[first : first + len(grown)] = remembered[len(remembered) - len(grown) :]
-        limits, length = model.tendon_range[limited], data.ten_length[limited]
+        limits = np.concatenate([model.jnt_range[soft], model.tendon_range[limited]])
+        length = np.concatenate([data.qpos[soft], data.ten_length[limited]])
         met = (length < limits[:, 0]) | (length > limits[:, 1])
         found = rates(program, smooth, states, data.ctrl[:commanded].copy(), data.time, met.tolist())
         for what, ours, theirs in (

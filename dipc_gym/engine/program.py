@@ -121,7 +121,7 @@ class _Writer:
             ("states", layout.STATES, self.ints[Head.STATES]),
             ("controls", layout.CONTROLS, self.controls),
             ("sensors", layout.SENSORS, self.ints[Head.SENSORS]),
-            ("tendons with limits", layout.STOPS, self.ints[Head.STOPS]),
+            ("limits that are springs", layout.STOPS, self.ints[Head.STOPS]),
         ):
             if count > most:
                 raise Uncovered(f"{count} {what}, more than {most}")
@@ -151,9 +151,9 @@ class _Writer:
             self.numbers += [unbent, armature, friction, *self._range(k)]
 
     def _range(self, k: int) -> tuple[float, float]:
-        """Positions between which a joint's limit does not act."""
+        """Positions between which a joint's limit does not act, where a simulation has to end that leaves them."""
         model = self.model
-        if not model.jnt_limited[k]:
+        if not stiff_limits(model)[k]:
             return -_LIMITLESS, _LIMITLESS
         margin = float(model.jnt_margin[k])
         return float(model.jnt_range[k, 0]) + margin, float(model.jnt_range[k, 1]) - margin
@@ -181,7 +181,7 @@ class _Writer:
 
     def _tendons(self) -> list[list[int]]:
         model, elements = self.model, []
-        stops = []
+        stops = [self._stop_of_joint(int(k)) for k in soft_limits(model)]
         for t in range(model.ntendon):
             name = model.tendon(t).name
             dofs, coefficients = self._along(t)
@@ -202,22 +202,30 @@ class _Writer:
             elif any(stiffness) or any(damping) or low != high:
                 elements.append(self._element(Kind.SPRING, dofs, coefficients, spring))
             if model.tendon_limited[t]:
-                stops.append(self._stop(t, name, dofs, coefficients))
+                stops.append(self._stop_of_tendon(t, name, dofs, coefficients))
         self.ints[Head.STOPS] = len(stops)
         return elements + stops
 
-    def _stop(self, t: int, name: str, dofs: list[int], coefficients: list[float]) -> list[int]:
-        """A limit whose solver parameters make it a spring and a damper; see MuJoCo's documentation on solref."""
+    def _stop_of_tendon(self, t: int, name: str, dofs: list[int], coefficients: list[float]) -> list[int]:
         model = self.model
-        pull, drag = model.tendon_solref_lim[t]
-        least, most = model.tendon_solimp_lim[t][:2]
-        if pull >= 0 or drag > 0 or least != most or model.tendon_margin[t]:
+        solref, solimp = model.tendon_solref_lim[t], model.tendon_solimp_lim[t]
+        if not _is_spring(solref, solimp, model.tendon_margin[t]):
             raise Uncovered(f"tendon {name!r} has a limit that is no spring (solreflimit not negative, or a margin)")
-        share = float(np.clip(least, 1e-4, 0.9999))
-        low, high = (float(x) for x in model.tendon_range[t])
-        soft = (1 - share) / share * float(model.tendon_invweight0[t])
-        numbers = [low, high, -pull / share, 0.0, 0.0, -drag / share, 0.0, 0.0, soft, 0.0]
-        return self._element(Kind.STOP, dofs, coefficients, numbers)
+        return self._stop(dofs, coefficients, model.tendon_range[t], solref, solimp, float(model.tendon_invweight0[t]))
+
+    def _stop_of_joint(self, k: int) -> list[int]:
+        model = self.model
+        solref, solimp, weight = model.jnt_solref[k], model.jnt_solimp[k], float(model.dof_invweight0[k])
+        return self._stop([k], [1.0], model.jnt_range[k], solref, solimp, weight)
+
+    def _stop(
+        self, dofs: list[int], coefficients: list[float], ends: Array, solref: Array, solimp: Array, weight: float
+    ) -> list[int]:
+        """A limit whose solver parameters make it a spring and a damper; see MuJoCo's documentation on solref."""
+        (pull, drag), (low, high) = solref, ends
+        share = float(np.clip(solimp[0], 1e-4, 0.9999))
+        numbers = [low, high, -pull / share, 0.0, 0.0, -drag / share, 0.0, 0.0, (1 - share) / share * weight, 0.0]
+        return self._element(Kind.STOP, dofs, coefficients, [float(number) for number in numbers])
 
     def _actuators(self) -> list[list[int]]:
         ramps = self._ramps()
@@ -459,6 +467,25 @@ def _rules(known: tuple[tuple[str, physics.Stage, physics.Rule], ...]) -> tuple[
         if stage in ("friction", "force") and written(says) and (memory is None or written(memory)):
             found.append(Rule(effect, says, stage == "friction", memory))
     return tuple(found)
+
+
+def soft_limits(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Joints with limits that are springs and dampers, which the engine has; their indices."""
+    limited = np.flatnonzero(model.jnt_limited)
+    soft = [_is_spring(model.jnt_solref[k], model.jnt_solimp[k], model.jnt_margin[k]) for k in limited]
+    return limited[np.array(soft, dtype=bool)]
+
+
+def stiff_limits(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which joints have limits that only MuJoCo's solver knows, (joints,)."""
+    limited = model.jnt_limited.astype(bool)
+    limited[soft_limits(model)] = False
+    return limited
+
+
+def _is_spring(solref: Array, solimp: Array, margin: float) -> bool:
+    """Whether a limit is a spring and a damper: of a stiffness of its own, and no harder the deeper it is met."""
+    return bool(solref[0] < 0 and solref[1] <= 0 and solimp[0] == solimp[1] and not margin)
 
 
 def _check_covered(model: mujoco.MjModel) -> None:

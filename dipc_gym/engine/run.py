@@ -321,7 +321,7 @@ def rates(
         states: (nx,).
         commands: (controls,).
         time: s.
-        touching: which stops are met, in the order of tendons that have some.
+        touching: which stops are met: joints' limits that are springs in their order, then those of tendons.
     """
     n = program.codes[Head.JOINTS]
     function = _function(program.tree, False)

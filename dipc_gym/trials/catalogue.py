@@ -169,6 +169,11 @@ def _drive(rig: Rig) -> list[Effect]:
         creeping(rig),
         resting(rig),
     ]
+    if rig.name != "upright":  # which a stop throws off its balance
+        hard = Parameter("stiffness", f"{n}/{m}", index("stop_stiffness", 0), own * 60.0**2, own * 600.0**2)
+        soft = Parameter("drag", f"{n} s/{m}", index("stop_drag", 0), own * 20.0, own * 400.0)
+        ends = Parameter("position", m, index("stop", 0), 0.3 * span, span, "signed")
+        found.append(Effect("load.stop", at, (ends, hard, soft)))
     if rig.name != "motor_axis":
         found.append(
             Effect(

@@ -29,6 +29,7 @@ JOINT = (
     "force_size", "force_wave", "force_phase",
     "periodic_size", "periodic_rate", "periodic_phase", "pulse_size", "pulse_start", "pulse_length", "pulse_square",
     "bias", "gain", "lag", "filter",
+    "stop", "stop_stiffness", "stop_drag",  # where its way ends, on the side of its sign
 )  # fmt: skip
 JOINT_BASE = len(GLOBAL)
 JOINT_SIZE = len(JOINT)

@@ -334,6 +334,8 @@ def _values(answer: Mapping[str, Any], truth: str) -> dict[str, float]:
         values["gain"] += 1
     if effect == "load.spring":
         values["rest"] = 0.0
+    if effect == "load.stop":
+        values["high" if values["position"] > 0 else "low"] = values["position"]
     if effect in ("load.position", "sensor.eccentric") and "wave" in values:  # a law of any shape has none
         values["wavelength"] = 2 * math.pi / values["wave"]
     if effect == "motor.cogging":

@@ -36,6 +36,7 @@ from dipc_gym.trials.entries import GLOBAL, JOINT, JOINT_BASE, JOINT_SIZE, MAX_J
     PLACE_SIZE, PLACE_WAVE, PLACE_PHASE, PER_LOAD, CONSTANT, SPRING, FORCE_SIZE, FORCE_WAVE, FORCE_PHASE,
     PERIODIC_SIZE, PERIODIC_RATE, PERIODIC_PHASE, PULSE_SIZE, PULSE_START, PULSE_LENGTH, PULSE_SQUARE,
     BIAS, GAIN, LAG, FILTER,
+    STOP, STOP_STIFFNESS, STOP_DRAG,
 ) = range(len(JOINT))  # fmt: skip
 # The state: joint positions, joint velocities, rotor angle and speed, current, bristle, winding heat,
 # sloshing mass and its speed, creeping spring, hysteresis, how fast it moved and what it drew of late.
@@ -196,6 +197,11 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
         if p[b + PULSE_SIZE] != 0.0 and since >= 0.0 and since < p[b + PULSE_LENGTH]:
             round_pulse = np.sin(np.pi * since / p[b + PULSE_LENGTH])
             f += p[b + PULSE_SIZE] * (1.0 if p[b + PULSE_SQUARE] > 0.0 else round_pulse)
+        if p[b + STOP_STIFFNESS] > 0.0:
+            side = 1.0 if p[b + STOP] > 0.0 else -1.0
+            deep = side * (q - p[b + STOP])
+            if deep > 0.0:  # it only pushes, and does not hold what leaves it
+                f -= side * max(0.0, p[b + STOP_STIFFNESS] * deep + p[b + STOP_DRAG] * side * v)
         if mode[j] == 1 or mode[j] == -1:
             f -= mode[j] * _level(p, j, q, v, mode[j], time, drive)
         rhs[j] = f

@@ -58,6 +58,9 @@ def step_size(rig: Rig, parameters: Array, largest: float) -> float:
     stiffness, rotor, driven = parameters[[index("stiffness"), index("rotor"), index("m0")]]
     if stiffness > 0:
         step = min(step, 0.4 * np.sqrt(rotor * driven / (rotor + driven) / stiffness))
+    stop = max(parameters[index("stop_stiffness", joint)] for joint in range(rig.count))
+    if stop > 0:  # a blow is over within half a swing
+        step = min(step, 0.1 * np.sqrt(driven / stop))
     if any(parameters[index("pulse_size", joint)] for joint in range(rig.count)):
         step = min(step, 5e-4)
     if parameters[index("gap")] > 0:  # where in a step a contact begins, shows: only the same steps predict the same
