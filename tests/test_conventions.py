@@ -30,6 +30,7 @@ def otherwise(run: Recording, convention: Convention) -> Recording:
     columns = np.concatenate([run.commands / convention.commands, sensors], axis=1)
     columns[:, convention.columns] = columns.copy()
     commands, sensors = np.split(columns, [run.commands.shape[1]], axis=1)
+    commands = np.concatenate([np.repeat(commands[:1], convention.early, axis=0), commands])[: len(sensors)]
     return replace(run, commands=commands, sensors=sensors)
 
 
@@ -51,6 +52,9 @@ def found(text: str, run: Recording) -> tuple[list[Convention], float]:
 def test_every_convention_is_thought_of() -> None:
     said = [convention.words for convention in EVERY]
     assert said == [
+        "hold in each row what the command of that row led to, and not what it followed",
+        "give commands 2 rows later than they act",
+        "give commands 3 rows later than they act",
         "count command 'motor' the other way round",
         "count command 'motor' in thousandths (mV)",
         "count sensor 'cart' the other way round",
@@ -203,3 +207,48 @@ def test_half_a_turn_is_told_in_the_unit_of_the_file() -> None:
             if "half a turn" in one.words
         )
         assert f'ref="{half}"' in turned.mend
+
+
+DOUBLE = """
+<mujoco><option timestep="0.002" integrator="RK4"/><worldbody><body><joint name="a" axis="0 1 0" damping="0.02"/>
+  <inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.006 0.006 0.0005"/>
+  <body pos="0 0 -0.4"><joint name="b" axis="0 {way} 0" damping="0.01"/>
+    <inertial pos="0 0 -0.15" mass="0.2" diaginertia="0.002 0.002 0.0002"/></body></body></worldbody>
+<actuator><motor name="a" joint="a" gear="2"/>{geared}</actuator>
+<sensor><jointpos name="a" joint="a"/>{reads}</sensor></mujoco>
+"""
+PLAIN = '<jointpos name="b" joint="b"/>'
+GEARED = '<actuatorpos name="b" actuator="idle"/>'
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("reads", [PLAIN, GEARED], ids=["plain", "geared"])
+def test_angles_from_afar_are_those_of_a_pair_of_axes(way: int, reads: str) -> None:
+    """Of axes that point apart, what adds up is their difference; an encoder may turn thirty times as far."""
+    geared = '<motor name="idle" joint="b" gear="30"/>' if reads == GEARED else ""
+    source = mjcf.from_text(DOUBLE.format(way=way, reads=reads, geared=geared))
+    times = 30.0 if geared else 1.0
+    names = ("a", "idle") if geared else ("a",)
+    listed = list(conventions.possible(source, physics.load(source), names, ("a", "b")))
+    absolute = next(one for one in listed if "at joint 'b' an absolute angle" in one.words)
+    turned = next(one for one in listed if "'b' from half a turn" in one.words)
+    a, b = 0.7, -0.4
+    seen = np.array([[a, times * (b + way * a)]])  # the lower body against the world, about its own axis
+    assert seen @ absolute.sensors.T == pytest.approx(np.array([[a, times * b]]))
+    assert absolute.mend.startswith("subtract" if way > 0 else "add")
+    assert turned.shift == pytest.approx([0.0, times * np.pi])
+
+
+def test_the_advice_to_turn_a_sign_names_what_the_reader_takes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = PENDULUM.format(arm=0.2)
+    run = record(physics.load(mjcf.from_text(text)), lambda t: 0.3 * np.sin(4 * t) + 0.1, 8.0, noise=1e-3)
+    (tmp_path / "arm.xml").write_text(text)
+    recording.write(replace(run, commands=-run.commands), tmp_path / "run.csv")
+    asked = ["diagnose", str(tmp_path / "arm.xml"), str(tmp_path / "run.csv"), "--out"]
+    assert cli.main([*asked, str(tmp_path / "first")]) == 0
+    options = re.findall(r"--unit [^\s,)]+", capsys.readouterr().out)
+    assert options[0] == "--unit ctrl:hip=-1"
+    assert cli.main([*asked, str(tmp_path / "second"), *options[0].split()]) == 0
+    assert "Nothing is missing" in capsys.readouterr().out

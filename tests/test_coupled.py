@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from sim2real_rigs import RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.recording import write
 from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Term
+from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.simulation.batch import Stepping
 
 GRIPPER = """
@@ -144,3 +149,21 @@ def test_wrong_numbers_of_a_gripper_with_one_encoder_are_refitted() -> None:
     said = diagnose(mjcf.from_text(gripper()), [run], effects=[])
     assert said.verdict == "recalibrated"
     assert said.held_out.improved < 1.5 < 100 < said.held_out.nominal
+
+
+@pytest.mark.parametrize("at", ["left", "right"])
+@pytest.mark.parametrize("numbers", [(), (60.0, 0.05, 0.0, 0.01, 0.04, 0.15)], ids=["a load", "an entry"])
+def test_what_remembers_acts_on_a_joint_that_is_led_as_on_one_that_leads(
+    at: str, numbers: tuple[float, ...], tmp_path: Path
+) -> None:
+    """What it remembers follows the way that joint goes, which is the leader's times their ratio."""
+    document = Document(mjcf.from_text(gripper()))
+    if numbers:
+        document.remembering("load.creeping", at, numbers)
+    else:
+        catalogue()["load.creeping"].edit(document, at, {"stiffness": 60.0, "relaxation_time": 0.3})
+    creeps = physics.load(mjcf.from_text(document.text()))
+    run = record(creeps, sweep(2.0), 3.0, noise=2e-5, step=5e-4, integrator=RK4)
+    (tmp_path / "gripper.xml").write_text(document.text())
+    seen = replay(tmp_path / "gripper.xml", write(run, tmp_path / "run.csv"), step=5e-4)
+    assert seen.error < 1.5

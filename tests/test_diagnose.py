@@ -877,6 +877,20 @@ def test_parts_of_a_recording_may_be_held_out_where_they_do_not_overlap() -> Non
         check_apart([fitted], [run(5, 10, 0.0).slice(len(fitted) - 1, len(fitted) + 50)])
 
 
+def test_recordings_are_told_apart_by_what_they_hold(tmp_path: Path) -> None:
+    """Another file of the same numbers is the same recording; other numbers under the digest of a file are another."""
+    one = run(5, 10, 0.0)
+    rig = physics.load(mjcf.from_text(NOMINAL)).model
+    saved = [recording.read(recording.write(one, tmp_path / name), rig) for name in ("one.npz", "one.parquet")]
+    assert saved[0].sha256 != saved[1].sha256
+    with pytest.raises(RecordingError, match="held out, but the same as"):
+        check_apart(saved[:1], saved[1:])
+    other = replace(saved[0], sensors=saved[0].sensors + 1e-4)
+    assert other.sha256 == saved[0].sha256
+    check_apart(saved[:1], [other])
+    check_apart([*saved[:1], other], [])
+
+
 def test_an_error_at_the_end_of_a_search_leaves_shares_and_intervals(
     few: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1090,3 +1104,29 @@ def test_a_rig_that_has_changed_in_what_is_held_out_is_said_to() -> None:
     assert "what is left acts in the held-out data alone, where the rig is driven otherwise or has changed" in (
         said.sentence
     )
+
+
+def test_a_shaking_at_the_frequency_of_the_mains_may_be_hum_of_a_sensor() -> None:
+    force = catalogue()["disturbance.periodic"]
+    units = {"sine": "N m", "cosine": "N m", "frequency": "Hz"}
+    said = [force.sentence("arm", {"sine": 3.0, "cosine": 4.0, "frequency": f}, units) for f in (49.8, 60.2, 55.0)]
+    assert [text.startswith("A force of 5 N m at") for text in said] == [True] * 3
+    assert ["hum in the wires of a sensor would look the same" in text for text in said] == [True, True, False]
+
+
+def test_what_is_one_model_with_a_name_is_told_beside_it() -> None:
+    """But not what holds that and more, of which no window would have told."""
+
+    def missing(effect: str, *others: str) -> Missing:
+        same = tuple({"effect": name, "at": "cart"} for name in others)
+        return Missing(effect, "cart", "It is there.", 1.0, {}, same)
+
+    changed = [
+        {"parameter": "gear", "at": "motor", "was": 1.0, "value": 1.15, "low": 1.14, "high": 1.16, "unit": ""},
+        {"parameter": "mass", "at": "cart", "was": 1.0, "value": 1.01, "low": 0.98, "high": 1.04, "unit": "kg"},
+    ]
+    effects = [missing("friction.coulomb", "friction.resting"), missing("load.tilt", "sensor.bias")]
+    said = sentences.in_one_sentence("explained", effects, changed, Errors(9.0, 5.0, 1.0))
+    assert "resting" not in said
+    assert said.count("cannot tell that from sensor.bias at cart.") == 1
+    assert "Wrong as well was gear of motor (1.15, not 1)." in said

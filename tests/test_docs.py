@@ -253,3 +253,18 @@ def test_pages_count_what_the_code_has() -> None:
     assert set(re.findall(r"^\| \*([a-z ]+)\* \|", table, re.MULTILINE)) == set(VERDICTS)
     assert len(VERDICTS) == 7
     assert "one of [seven words]" in (pages.ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+
+
+def test_the_page_on_the_engine_has_every_file_of_it() -> None:
+    page = (pages.ROOT / "docs" / "engine.md").read_text()
+    for file in (pages.ROOT / "dipc_gym" / "engine").glob("*.py"):
+        assert file.name == "__init__.py" or f"`{file.name}`" in page, file.name
+
+
+def test_what_decides_is_where_the_page_on_the_method_says() -> None:
+    rows = re.findall(r"^\| wh.*", (pages.ROOT / "docs" / "sim2real" / "method.md").read_text(), re.MULTILINE)
+    named = [pair for row in rows for pair in re.findall(r"`(\w+/\w+)\.py`: `(\w+)`", row)]
+    assert len(named) >= 9
+    for file, name in named:
+        module = importlib.import_module(f"dipc_gym.sim2real.{file.replace('/', '.')}")
+        assert getattr(module, name).__module__ == module.__name__

@@ -347,8 +347,10 @@ def test_a_missing_reading_is_none_of_a_cart_that_stopped(made, rig, name):
 def test_estimates_begin_anew_with_the_episode(made, mode):
     envs = VectorEstimateState(vector(2, max_episode_steps=5, autoreset_mode=mode), made["disturbance"])
     envs.reset(seed=1)
+    anew = ended = 0
     for _ in range(12):
         seen, _, _, truncated, infos = envs.step(np.full((2, 1), 2.0))
+        anew, ended = anew + int(envs.unwrapped.began.any()), ended + int(truncated.any())
         if envs.unwrapped.began.any():
             assert (infos["friction_estimate"] == 0).all()
             assert (seen[:, 3:] == 0).all()
@@ -356,6 +358,8 @@ def test_estimates_begin_anew_with_the_episode(made, mode):
             last = np.stack(list(infos["final_obs"]))
             assert (last[:, 3] != 0).all()  # the estimate, and not what the encoders' filter says
             assert (infos["final_info"]["friction_estimate"] != 0).all()
+    assert anew == 2
+    assert ended == 2
 
 
 # In the loop

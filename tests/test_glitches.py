@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +12,12 @@ from hypothesis import strategies as st
 from sim2real_rigs import CART, NOISE, RK4, record, sweep
 
 from dipc_gym import mjcf, physics
-from dipc_gym.recording import Recording
+from dipc_gym.recording import Recording, write
 from dipc_gym.recording.glitches import glitches, without_glitches
 from dipc_gym.sim2real.diagnosis import diagnose
+from dipc_gym.sim2real.model.parameters import Wishes
+from dipc_gym.sim2real.replay import replay
+from dipc_gym.sim2real.verdict.withheld import gather
 
 SIGMA = 1e-4
 TIME = np.arange(500) * 0.004
@@ -109,3 +113,34 @@ def test_a_rate_may_jump() -> None:
     (mended,) = without_glitches([replace(run, sensors=sensors)], rig.model)
     assert mended.sensors[900, 1] == sensors[900, 1]
     assert not mended.notes
+
+
+def test_what_is_withheld_does_not_say_what_is_fitted() -> None:
+    """More jumps in the last quarter of a recording would be too many to be glitches, were they counted together."""
+    source = mjcf.from_text(CART)
+    plain = record(physics.load(source), sweep(4.0), 8.0, noise=NOISE["cart"], integrator=RK4)
+    few = plain.sensors.copy()
+    few[[300, 1500], 0] += 0.5
+    many = few.copy()
+    many[3100::30, 0] += 0.5
+    fitted = [
+        gather(source, [replace(plain, sensors=sensors)], [], Wishes())[0].recordings[0] for sensors in (few, many)
+    ]
+    assert np.array_equal(fitted[0].sensors, fitted[1].sensors)
+    assert np.abs(fitted[0].sensors - plain.sensors[: len(fitted[0])]).max() < 1e-3
+    given, withheld = gather(source, [replace(plain, sensors=few)], [], Wishes())
+    assert np.array_equal(withheld.recordings[0].sensors[: len(fitted[0])], given.recordings[0].sensors)
+    assert sum("jumps" in note for note in given.notes) == 1
+
+
+def test_a_replay_takes_glitches_as_a_diagnosis_does(tmp_path: Path) -> None:
+    rig = physics.load(mjcf.from_text(CART))
+    run = record(rig, sweep(4.0), 4.0, noise=NOISE["cart"], integrator=RK4)
+    (tmp_path / "cart.xml").write_text(CART)
+    sensors = run.sensors.copy()
+    sensors[[700, 1300], 0] += 0.02
+    for name, read in (("plain", run.sensors), ("jumps", sensors)):
+        write(replace(run, sensors=read), tmp_path / f"{name}.csv")
+    plain, mended = (replay(tmp_path / "cart.xml", tmp_path / f"{name}.csv") for name in ("plain", "jumps"))
+    assert mended.error == pytest.approx(plain.error, rel=0.05)
+    assert any("jumps at 2 single samples" in note for note in mended.recording.notes)

@@ -514,3 +514,25 @@ def test_custom_text_without_a_name_is_left_out() -> None:
     assert model.ntext == 2
     assert mjcf.texts(model) == {"note": "a"}
     assert mjcf.controls(model) == []
+
+
+def test_an_actuator_that_integrates_is_refused_and_one_that_follows_is_known() -> None:
+    body = '<worldbody><body><joint name="x" type="slide"/><geom size="1"/></body></worldbody>'
+    sensor = '<sensor><jointpos name="x" joint="x"/></sensor>'
+    drives = {
+        '<intvelocity name="drive" joint="x" kp="1" actrange="-1 1"/>': None,
+        '<general name="drive" joint="x" dyntype="filterexact" dynprm="0.2"/>': 0.2,
+        '<cylinder name="drive" joint="x" timeconst="0.05"/>': 0.05,
+        '<muscle name="drive" joint="x" lengthrange="0 1" timeconst="0.01 0.04"/>': 0.04,
+        '<motor name="drive" joint="x"/>': 0.0,
+    }
+    for drive, longest in drives.items():
+        model = mjcf.compile(f"<mujoco>{body}<actuator>{drive}</actuator>{sensor}</mujoco>")
+        if longest is None:
+            with pytest.raises(
+                mjcf.MjcfError, match="actuator 'drive' integrates its command, and where that has come to"
+            ):
+                mjcf.check_supported(model, "rig.xml")
+            continue
+        mjcf.check_supported(model, "rig.xml")
+        assert mjcf.slowest_activation(model) == pytest.approx(longest)

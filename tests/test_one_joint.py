@@ -295,8 +295,8 @@ def test_what_a_law_remembers_of_a_command_is_each_variants_own() -> None:
         catalogue()["motor.sag"].edit(document, "m", sag)
         made.append(physics.load(mjcf.from_text(document.text())))
     late = np.zeros((2, 1))
-    found = memories(made, 0, ("x",), late, recording, still, t)
-    alone = [memories([one], 0, ("x",), late[:1], recording, still, t)[0] for one in made]
+    found = memories(made, 0, late, recording, still, t)
+    alone = [memories([one], 0, late[:1], recording, still, t)[0] for one in made]
     np.testing.assert_array_equal(found, alone)
     assert found[0, -1] > 1.2 * found[1, -1]
 
@@ -311,7 +311,7 @@ def test_what_is_remembered_of_a_late_command_comes_late() -> None:
     sag = {"gain": 1.0, "back": 0.0, "drop": 0.2, "current": 1.0, "time_constant": 0.02}
     catalogue()["motor.sag"].edit(document, "m", sag)
     rig = physics.load(mjcf.from_text(document.text()))
-    prompt, late = memories([rig, rig], 0, ("x",), np.array([[0.0], [0.05]]), run, still, t)
+    prompt, late = memories([rig, rig], 0, np.array([[0.0], [0.05]]), run, still, t)
     assert prompt.max() > 0.5
     np.testing.assert_allclose(late[5:], prompt[:-5], atol=1e-9)
 

@@ -531,3 +531,28 @@ def test_a_residual_force_that_is_none_is_refused(
 ) -> None:
     with pytest.raises(mjcf.MjcfError, match=why):
         cart(entry("residual.force", "cart", *numbers) + depends(*inputs))
+
+
+def test_two_laws_of_dry_friction_at_one_joint_are_refused() -> None:
+    """Forces add up; two levels of one friction do not, and one would be lost."""
+    both = entry("friction.load", "cart", 0.3, 0.0, 0.0) + entry("friction.wave", "cart", 0.1, 0.0, 0.0, 1.0)
+    with pytest.raises(mjcf.MjcfError, match=r"friction.wave:cart': friction.load says how large .* already; keep one"):
+        cart(both)
+
+
+def test_what_a_law_depends_on_is_asked_of_any_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one's own as of ours; one that depends on nothing says so."""
+    for name in ("_rules", "_memories"):
+        monkeypatch.setattr(entries, name, dict(getattr(entries, name)))
+    physics.register("own.tie", "force", lambda data, now: -data[..., 0] * now.inputs[0])
+    names = f'<text name="{mjcf.INPUTS}1:own.tie:cart" data="{{}}"/>'
+    own = entry("own.tie", "cart", 2.0)
+    (extra,) = cart(own + names.format("position cart")).extras
+    assert extra.inputs == (("position", 0),)
+    with pytest.raises(mjcf.MjcfError, match="no 'position nowhere' in the model; there are cart"):
+        cart(own + names.format("position nowhere"))
+    with pytest.raises(mjcf.MjcfError, match=r"friction.load depends on nothing"):
+        cart(
+            entry("friction.load", "cart", 0.3, 0.0, 0.0)
+            + names.replace("own.tie", "friction.load").format("position cart")
+        )

@@ -19,7 +19,7 @@ from hypothesis.extra.numpy import arrays
 from dipc_gym import mjcf
 from dipc_gym import recording as recordings
 from dipc_gym.recording import Recorder, Recording, RecordingError, files, noise, read, resample_commands, tables, write
-from dipc_gym.recording.checks import counted_on, quantum
+from dipc_gym.recording.checks import counted_on, notes, quantum
 from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
 from dipc_gym.recording.held import ROUNDING
 from dipc_gym.recording.record import LARGEST
@@ -883,3 +883,39 @@ def test_a_gap_is_told_by_the_time_since_the_first_sample(tmp_path: Path, model:
     columns = {"time": time, "motor": np.sin(time), "cart": np.sin(3 * time), "pole": np.cos(time)}
     found = read(save(tmp_path / "r.csv", table(columns)), model)
     assert any("s after 0.995 s of recording" in note for note in found.notes)
+
+
+def test_npz_of_small_numbers_unfolds_into_no_more_either(
+    tmp_path: Path, model: mujoco.MjModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A byte in the file is eight of memory."""
+    columns = {**run(), **{name: np.zeros(200, dtype=np.int8) for name in ("motor", "cart")}}
+    path = npz(tmp_path / "r.npz", **columns)
+    read(path, model)
+    monkeypatch.setattr("dipc_gym.recording.tables.MAX_VALUES", 799)
+    assert "too many; split" in refused(path, model)
+
+
+@pytest.mark.parametrize("rows", [2, 5, 10])
+@pytest.mark.parametrize("count", [0.0, 2 * np.pi / 4096])
+def test_readings_that_are_made_up_between_others_are_noted(rows: int, count: float, model: mujoco.MjModel) -> None:
+    """Held from one reading to the next, or on a line; as a joint is that is read each row, nothing is said."""
+    time = 0.002 * np.arange(4000)
+    swing = 0.4 * np.sin(2.1 * time) + 0.3 * np.sin(7.3 * time) + np.random.default_rng(0).normal(0, 1e-4, len(time))
+    if count:
+        swing = np.round(swing / count) * count
+    held = swing[np.arange(len(time)) // rows * rows]
+    line = np.interp(time, time[::rows], swing[::rows])
+
+    def said(pole: np.ndarray) -> str:
+        whole = {**run(), "time": time, "motor": np.sin(5 * time), "cart": 0.1 * np.sin(3 * time), "pole": pole}
+        names = ("cart", "pole")
+        made = Recording(
+            "made up", time, whole["motor"][:, None], np.stack([whole[n] for n in names], 1), ["motor"], names
+        )
+        return " ".join(notes(made, model))
+
+    assert "rows" not in said(swing)
+    assert f"sensor 'pole' changes only every {rows} rows: it was read at {500 / rows:g} Hz" in said(held)
+    if rows > 2:
+        assert f"sensor 'pole' lies on straight lines over {rows} rows each" in said(line)

@@ -249,7 +249,7 @@ def test_a_rest_is_told_through_the_noise_of_a_reading() -> None:
     run = recording.Recording("run", time, none, none, ("motor",), ("cart",))
     for velocity, age in ((noise, 0.3), (noise + np.where(time > 0.2, 100 * RESTS[3], 0.0), 0.0)):
         motion = Motion(time, none, velocity[:, None], none, np.zeros(1))
-        (found,) = memories([rig], 0, ("cart",), np.zeros((1, 1)), run, motion, np.array([0.3]))
+        (found,) = memories([rig], 0, np.zeros((1, 1)), run, motion, np.array([0.3]))
         assert found[0] == pytest.approx(age, abs=5e-3)
 
 

@@ -603,3 +603,14 @@ def test_windows_are_approached_alike_by_the_engine_and_by_mujoco(
     np.testing.assert_allclose(there[0], readings, atol=1e-7)
     for exact, difference in zip(by_parameters, (there[1::2] - there[2::2]) / 2e-4, strict=True):
         np.testing.assert_allclose(exact, difference, atol=2e-3 * np.abs(difference).max() + 1e-9)
+
+
+@pytest.mark.parametrize("missing", [(100, 160), (500, 507), (125, 135), (0, 0)])
+def test_no_window_reaches_across_a_gap(missing: tuple[int, int]) -> None:
+    time = np.delete(np.arange(1001) * 0.002, np.arange(*missing))
+    windows = cut([blank(time)], np.ones(1), 0.25, (0.0, 1.0))
+    steps = np.where(windows.valid[:, 1:], np.diff(windows.times, axis=1), 0.0)
+    assert steps.max() < 0.003
+    seen = (windows.start[:, None] + windows.times)[windows.valid]
+    assert len(np.unique(seen)) == len(seen) > 700
+    assert seen.max() > 1.7  # it goes on behind it

@@ -385,3 +385,10 @@ def one_joint(joint: str) -> physics.Physics:
         </body></worldbody><actuator><motor name="motor" joint="cart"/></actuator>
         <sensor><jointpos name="cart" joint="cart"/></sensor></mujoco>"""
     )
+
+
+def test_a_sensor_of_what_a_command_does_at_once_is_refused() -> None:
+    """When within a step it was read, decides what it says; where the joints are, it does not say."""
+    pulled = cart_pole(CART + POLE + '<actuatorfrc name="pull" actuator="motor"/>')
+    with pytest.raises(states.Undetermined, match="sensor 'pull' reads what a command does at once"):
+        states.sensor_map(pulled)

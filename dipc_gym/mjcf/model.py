@@ -277,6 +277,24 @@ def latest_sensor(model: mujoco.MjModel) -> float:
     return float(sensor_delays(model).max(initial=0.0))
 
 
+def slowest_activation(model: mujoco.MjModel) -> float:
+    """Longest time constant of a filtered command, a muscle or a cylinder, s; 0 where there is none.
+
+    Example:
+        >>> body = '<worldbody><body><joint name="x" type="slide"/><geom size="1"/></body></worldbody>'
+        >>> drive = '<actuator><cylinder name="drive" joint="x" timeconst="0.05"/></actuator>'
+        >>> slowest_activation(mujoco.MjModel.from_xml_string(f"<mujoco>{body}{drive}</mujoco>"))
+        0.05
+    """
+    kinds, longest = mujoco.mjtDyn, 0.0
+    for kind, numbers in zip(model.actuator_dyntype.tolist(), model.actuator_dynprm, strict=True):
+        if kind in (kinds.mjDYN_FILTER, kinds.mjDYN_FILTEREXACT):
+            longest = max(longest, float(numbers[0]))
+        elif kind == kinds.mjDYN_MUSCLE:
+            longest = max(longest, *numbers[:2].tolist())
+    return longest
+
+
 def check_supported(model: mujoco.MjModel, name: str) -> None:
     """Refuse models that system identification cannot treat.
 
@@ -286,7 +304,7 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
 
     Raises:
         MjcfError: free or ball joints, flexible bodies, geoms that can touch, no joint, no named scalar sensor, an
-            actuator with a control and no name, or dry friction switched off.
+            actuator with a control and no name, one that integrates its commands, or dry friction switched off.
     """
     for joint in range(model.njnt):
         kind = int(model.jnt_type[joint])  # a NumPy integer in a tuple of MuJoCo's enums is not found
@@ -304,12 +322,23 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
     if not scalar_sensors(model):
         joints = [model.joint(k).name for k in range(model.njnt)]
         first = "" if all(joints) else "Give all joints that were recorded names. "
+        if not any(joints):
+            raise MjcfError(
+                f"{name}: the model has no named scalar sensor. {first}Then write one for each of them, under the name "
+                'of its column: <sensor><jointpos name="COLUMN" joint="JOINT"/></sensor>'
+            )
         lines = "".join(f"<jointpos name={quoteattr(one)} joint={quoteattr(one)}/>" for one in joints if one)
         raise MjcfError(
             f"{name}: the model has no named scalar sensor. {first}Write one for each joint that was recorded, under "
             f"the name of its column, before </mujoco>: <sensor>{lines}</sensor>"
         )
     controls(model, name)
+    for i in np.flatnonzero(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR):
+        raise MjcfError(
+            f"{name}: actuator {_label(model.actuator(i))} integrates its command, and where that has come to when a "
+            "recording begins is in no column. Write a <position> or <velocity> servo in its place, and give its "
+            "command that sum."
+        )
     for flag in ("constraint", "frictionloss"):
         if model.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}"):
             raise MjcfError(

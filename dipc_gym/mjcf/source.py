@@ -245,4 +245,6 @@ def _library() -> str:
 def _one_line(message: str) -> str:
     """MuJoCo's message on one line, of a thousand characters at most that can be printed: it says a value in full."""
     line = "; ".join(line.strip() for line in message.splitlines() if line.strip())[:1000]
+    if "plugin" in line and "not found" in line:
+        line += " (no plugin is loaded here, for that would run its code; write what it does in MJCF)"
     return "".join(character if character.isprintable() else "?" for character in line)

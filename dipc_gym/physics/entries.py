@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -82,6 +82,7 @@ _rules: dict[str, tuple[Stage, Rule]] = {
     RESIDUAL: ("force", formulas.force_of),
     RECENT: ("force", formulas.force_of_recent),
 }
+_ALONE = frozenset(_rules) - {RESIDUAL, RECENT, SAG, SAG_BY_LAW}  # they depend on nothing beyond their place
 _memories: dict[str, Rule] = {
     CREEPING: formulas.creeping,
     RESTING: formulas.resting,
@@ -186,6 +187,7 @@ def read(model: mujoco.MjModel) -> list[Extra]:
         stage = _rules[parts[1]][0]
         index, inputs = _index(model, name, stage, parts[2]), _inputs(model, parts[1], parts[2])
         extras.append(Extra(parts[1], parts[2], stage, index, model.numeric(i).data.copy(), inputs))
+    _one_dry_law_each(extras)
     extras = _with_slots(model, extras)
     for extra in extras:
         if not usable(extra):
@@ -195,6 +197,21 @@ def read(model: mujoco.MjModel) -> list[Extra]:
                 f"{_fault(extra)}; {rule.partition(chr(10))[0]}"
             )
     return extras
+
+
+def _one_dry_law_each(extras: Sequence[Extra]) -> None:
+    """Refuse two laws that both say how large the dry friction of one joint is.
+
+    Raises:
+        mjcf.MjcfError: there are two.
+    """
+    first = dict[str, str]()
+    for extra in extras:
+        if extra.stage == "friction" and first.setdefault(extra.at, extra.effect) != extra.effect:
+            raise mjcf.MjcfError(
+                f"<custom> entry '{mjcf.PREFIX}:{extra.effect}:{extra.at}': {first[extra.at]} says how large the dry "
+                f"friction of {extra.at!r} is already; keep one of them"
+            )
 
 
 def _with_slots(model: mujoco.MjModel, extras: list[Extra]) -> list[Extra]:
@@ -328,9 +345,11 @@ def _is_surface(numbers: Array, inputs: int) -> bool:
 
 def _inputs(model: mujoco.MjModel, effect: str, at: str) -> tuple[tuple[str, int], ...]:
     """What a law depends on beyond its place, as `<text>` of `<custom>` names it."""
-    if effect not in (RESIDUAL, RECENT, SAG, SAG_BY_LAW):
-        return ()
     texts = mjcf.texts(model)
+    if effect in _ALONE:
+        if (name := f"{mjcf.INPUTS}1:{effect}:{at}") in texts:
+            raise mjcf.MjcfError(f"<custom> entry {name!r}: {effect} depends on nothing beyond its place; take it out")
+        return ()
     joints = {model.joint(j).name: j for j in range(model.njnt)}
     commands = {control: k for k, control in enumerate(mjcf.controls(model))}
     found = []

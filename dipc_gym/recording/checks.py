@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf import is_hinge
-from dipc_gym.recording.columns import COMMAND
+from dipc_gym.recording.columns import COMMAND, SENSOR, called
 from dipc_gym.recording.degrees import turns
 from dipc_gym.recording.settings import CHECKS, DEGREES, NOISE
 from dipc_gym.recording.tables import RecordingError
@@ -141,7 +141,8 @@ def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:
         for name, values in zip(names, table.T, strict=True):
             found += _dead_or_clipped(f"{kind} {name!r}", values)
     for name, values in zip(recording.sensor_names, recording.sensors.T, strict=True):
-        odd = [] if name in recording.told else _odd_unit(name, values, model)
+        found += _repeated(f"sensor {name!r}", values, recording.period)
+        odd = [] if name in recording.told else _odd_unit(recording, name, values, model)
         # Degrees are foretold by no model in radians: where accelerations agree with it, a pole goes round.
         found += odd if odd and not _goes_round(recording, model, name) else []
     found += [*_odd_commands(recording, model), *_odd_rates(recording, model), *_beyond_limits(recording, model)]
@@ -182,6 +183,31 @@ def _dead_or_clipped(label: str, values: NDArray[np.float64]) -> list[str]:
     ]
 
 
+def _repeated(label: str, values: NDArray[np.float64], period: float) -> list[str]:
+    """Whether a channel is read less often than it is written: rows between repeat it, or lie on a line."""
+    steps = np.diff(values)
+    count = quantum(values)
+    held = np.diff(np.flatnonzero(np.abs(steps) > CHECKS.steps * count), prepend=-1)  # rows up to each large change
+    rows = int(np.argmax(np.bincount(held))) if len(held) >= CHECKS.refreshed else 1
+    # At rest a reading repeats as well; where it moves, each row is another.
+    still = float(np.mean(steps == 0)) * rows / max(rows - 1, 1)
+    if rows > 1 and min(np.mean(held % rows == 0), still) > CHECKS.regular:
+        return [
+            f"{label} changes only every {rows} rows: it was read at {1 / (rows * period):.4g} Hz and is late in "
+            "between, which no physics accounts for; log each row when it is read, or keep every "
+            f"{rows}th row"
+        ]
+    bends = np.flatnonzero(np.abs(np.diff(steps)) > CHECKS.straight * np.max(np.abs(steps), initial=0.0))
+    apart = np.diff(bends)
+    rows = int(np.argmax(np.bincount(apart))) if len(apart) >= CHECKS.refreshed else 1
+    if rows > 2 and np.mean(apart % rows == 0) > CHECKS.regular:
+        return [
+            f"{label} lies on straight lines over {rows} rows each: it seems to be interpolated from "
+            f"{1 / (rows * period):.4g} Hz, and what happened in between is made up; give the rows that were read"
+        ]
+    return []
+
+
 def clipped_share(values: NDArray[np.float64], extreme: float) -> float:
     """Share of the samples that lie on a plateau at `extreme` which the signal entered or left with a kink.
 
@@ -202,7 +228,7 @@ def clipped_share(values: NDArray[np.float64], extreme: float) -> float:
     return float(lengths[kinked].sum() / len(values))
 
 
-def _odd_unit(name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> list[str]:
+def _odd_unit(recording: Recording, name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> list[str]:
     """Whether a joint position is far beyond what its joint can do, or what one expects of it."""
     sensor = model.sensor(name).id
     if model.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_JOINTPOS:
@@ -216,8 +242,8 @@ def _odd_unit(name: str, values: NDArray[np.float64], model: mujoco.MjModel) -> 
     if peak <= usual:
         return []
     unit = "rad" if hinge else "m"
-    word, short = INSTEAD[unit]
-    return [f"sensor {name!r} reaches {peak:.4g} {unit}; if these are {word}, say --unit {name}={short}"]
+    (word, short), key = INSTEAD[unit], called(SENSOR, name, recording.actuator_names)
+    return [f"sensor {name!r} reaches {peak:.4g} {unit}; if these are {word}, say --unit {key}={short}"]
 
 
 def _odd_commands(recording: Recording, model: mujoco.MjModel) -> list[str]:
@@ -230,7 +256,7 @@ def _odd_commands(recording: Recording, model: mujoco.MjModel) -> list[str]:
         peak, reach = float(np.max(np.abs(values))), float(np.max(np.abs(model.jnt_range[joint])))
         if peak > CHECKS.far_command * reach:
             word, short = INSTEAD[unit]
-            key = COMMAND + name if name in recording.sensor_names else name
+            key = called(COMMAND, name, recording.sensor_names)
             found.append(
                 f"command {name!r} asks for {peak:.4g} {unit} of a joint that goes no further than {reach:.4g}; if "
                 f"these are {word}, say --unit {key}={short}"
@@ -312,7 +338,7 @@ def _at_limits(recording: Recording, model: mujoco.MjModel) -> list[str]:
         before = np.lib.stride_tricks.sliding_window_view(beyond, CHECKS.arrives)[:-1]
         arrives = (beyond[CHECKS.arrives :] > CHECKS.past) & (before[:, -1] <= CHECKS.past)
         times = int(np.sum(arrives & (before.min(axis=1) < -CHECKS.within)))
-        if times and not _odd_unit(name, values, model):
+        if times and not _odd_unit(recording, name, values, model):
             found.append(
                 f"sensor {name!r} goes beyond the limits of its joint, {low:.4g} to {high:.4g}, {times} times; what "
                 "follows an impact depends on less than readings tell, and may pass for a push: record within them"

@@ -12,6 +12,17 @@ from dipc_gym.safety.naming import suggestion
 COMMAND, SENSOR = "ctrl:", "sensor:"  # prefixes that tell an actuator and a sensor of one name apart
 
 
+def called(prefix: str, name: str, others: Sequence[str]) -> str:
+    """How `--unit` and `--map` call a command or a sensor: with its prefix where `others`, of the other kind, have one
+    of that name.
+
+    Example:
+        >>> called(COMMAND, "arm", ["arm"]), called(COMMAND, "motor", ["arm"])
+        ('ctrl:arm', 'motor')
+    """
+    return prefix + name if name in others else name
+
+
 def match_columns(
     where: str, names: Sequence[str], ctrl: Sequence[str], sensor: Sequence[str], mapping: Mapping[str, str]
 ) -> dict[str, str]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf import is_hinge
+from dipc_gym.recording.columns import SENSOR, called
 from dipc_gym.recording.settings import DEGREES
 from dipc_gym.recording.tables import RecordingError
 
@@ -71,7 +72,7 @@ def refuse_degrees(
                 peak = float(np.max(np.abs(recording.sensors[:, recording.sensor_names.index(name)])))
                 raise RecordingError(
                     f"{recording.path or recording.name}: sensor {name!r} reaches {peak:.4g} rad, which looks like "
-                    f"degrees; {mend.format(name=name)}"
+                    f"degrees; {mend.format(name=called(SENSOR, name, recording.actuator_names))}"
                 )
 
 

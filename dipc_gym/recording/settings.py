@@ -47,12 +47,17 @@ class CheckSettings:
             next to nothing
         few: share of it below which a recording is said to be sampled slowly: clocks are off by a little
         gap: times the usual, beyond which samples are missing between two: jitter is less
+        steady_clock: of the steps from sample to sample, the quantile that is usual still: where samples come when
+            something happens, few are longer than several times that
         spread: share of the usual time between samples, by which the middle nine tenths of them may differ: commands
             are averaged over steps from there on
         plateau: samples in a row at an extreme, and times the usual run, from which it is one: commands that move in
             steps have shorter runs everywhere
         kink: share of the largest change, above which a plateau is entered with a kink: what comes to rest slows down
         steps: of a quantised signal, that a change must exceed to be a kink: smaller ones are of rounding
+        refreshed: changes of a channel, or bends of it, from which it can be told how often it was read
+        regular: share of them that come the same number of rows apart, from which it was read every so many rows
+        straight: of the largest change from row to row, below which a channel does not bend
         clipped: share of the samples on plateaus, from which it is told: less spoils no fit
         far_hinge: rad that a hinge without limits seldom goes beyond: two turns
         far_slide: m that a slide without limits seldom goes beyond: a room has no more
@@ -72,10 +77,14 @@ class CheckSettings:
     rate: float = 200.0
     few: float = 0.9
     gap: float = 3.0
+    steady_clock: float = 0.95
     spread: float = 0.05
     plateau: int = 5
     kink: float = 0.05
     steps: float = 5.0
+    refreshed: int = 20
+    regular: float = 0.8
+    straight: float = 1e-6
     clipped: float = 0.01
     far_hinge: float = 4 * math.pi
     far_slide: float = 5.0

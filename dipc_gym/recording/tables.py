@@ -316,7 +316,11 @@ def _read_npz(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[
             wanted = list(choose(names))
             entries = dict(zip(names, archive.infolist(), strict=True))
             _check_size(path, sum(entries[name].file_size for name in wanted) // 8, 1)
-            columns = {name: _npy(path, name, _entry(path, archive, entries[name])) for name in wanted}
+            columns, values = {}, 0
+            for name in wanted:  # small numbers take less room in the file than in memory
+                column = _npy(path, name, _entry(path, archive, entries[name]))
+                _check_size(path, values := values + len(column), 1)
+                columns[name] = column.astype(np.float64)
     except RecordingError:
         raise
     except Exception as error:  # a corrupt archive can provoke any of a dozen classes
@@ -332,8 +336,8 @@ def _entry(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> byte
         return file.read(entry.file_size)
 
 
-def _npy(path: Path, name: str, data: bytes) -> NDArray[np.float64]:
-    """One array of the archive; nothing is unpickled, and no more is allocated than the file holds."""
+def _npy(path: Path, name: str, data: bytes) -> NDArray[np.generic]:
+    """One array of the archive as it is there; nothing is unpickled, and nothing allocated."""
     file = io.BytesIO(data)
     version = np.lib.format.read_magic(file)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -342,8 +346,7 @@ def _npy(path: Path, name: str, data: bytes) -> NDArray[np.float64]:
         raise RecordingError(f"{path}, column {name!r}: has shape {shape}; a column is one-dimensional")
     if dtype.kind not in "fiu":
         raise RecordingError(f"{path}, column {name!r}: holds {dtype}, not numbers")
-    values = np.frombuffer(data, dtype=dtype, count=shape[0], offset=file.tell())
-    return values.astype(np.float64)
+    return np.frombuffer(data, dtype=dtype, count=shape[0], offset=file.tell())
 
 
 def _write_npz(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.float64]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -203,13 +204,14 @@ def _check_conventions(case: Case, base: Baseline, tell: Callable[[str], None]) 
         tell(f"note: {sentences.own_step(given.physics.model.opt.timestep, base.fine)}")
     said = f"as given, the model is off by {nominal.error:.3g} x noise; recalibrated, by {recalibrated.error:.3g}"
     tell(StageEnd(said, "baseline"))
-    if recalibrated.error > CONVENTIONS.gross * base.partition.problem.motion:
+    if recalibrated.error > SCORE.at_floor:
         others, off = conventions.differing(
             given.source,
             given.physics,
             given.recordings,
             case.prepared,
             [nominal, recalibrated],
+            gross=recalibrated.error > CONVENTIONS.gross * base.partition.problem.motion,
         )
         if others:
             raise CannotTell(*sentences.conventions(others, nominal.error, off))
@@ -257,6 +259,9 @@ def _cannot_tell(why: CannotTell, given: Given, provenance: dict[str, Any]) -> D
 def _provenance(given: Given, withheld: Withheld, seed: int) -> dict[str, Any]:
     source = given.source
     inputs = {str(source.path.name if source.path else "model"): source.sha256}
-    inputs |= {str(r.path or r.name): r.sha256 for r in (*given.recordings, *withheld.recordings)}
+    for recording in (*given.recordings, *withheld.recordings):
+        label, digest = str(recording.path or recording.name), recording.sha256
+        names = itertools.chain([label], (f"{label} ({k})" for k in itertools.count(2)))  # some in memory share one
+        inputs[next(name for name in names if inputs.get(name, digest) == digest)] = digest
     step = given.physics.model.opt.timestep
     return made_with("mujoco", "numpy", "scipy", timestep=step, inputs=inputs, seed=seed)

@@ -23,6 +23,7 @@ from dipc_gym.drawing import style
 from dipc_gym.provenance import made_with
 from dipc_gym.recording import Recording
 from dipc_gym.recording import units as si
+from dipc_gym.recording.glitches import without_glitches
 from dipc_gym.recording.parts import from_zero
 from dipc_gym.safety.files import whole
 from dipc_gym.sim2real.estimation.fit import readings
@@ -273,7 +274,8 @@ def replay(
     source = mjcf.read(model)
     physics = custom.load(source)
     mjcf.check_supported(physics.model, source.name)
-    (read,) = from_zero([recordings.read(recording, physics.model, mapping=mapping, units=units)])
+    read = recordings.read(recording, physics.model, mapping=mapping, units=units)
+    (read,) = without_glitches(from_zero([read]), physics.model)
     stepping = Stepping(physics.model.opt.timestep, None)
     if step is not None:
         if not (math.isfinite(step) and step > 0):

@@ -466,9 +466,8 @@ def limit_the_drive(document: Document, joint: str) -> None:
         return
     low, high = sorted(limit / gear for limit in limits)
     if drive.tag == "dcmotor":
-        numbers = [float(x) for x in document.effective(drive, "saturation", "0 0 0").split()]
         if low == -high:
-            document.set(drive, saturation=[min(high, numbers[0] or high), *numbers[1:]])
+            limit_the_motor(document, drive, high)
             document.set(element, actuatorfrclimited="false")
         return
     own = document.limits(drive, "force")
@@ -477,6 +476,15 @@ def limit_the_drive(document: Document, joint: str) -> None:
     if low < high:
         document.set(drive, forcelimited="true", forcerange=(low, high))
         document.set(element, actuatorfrclimited="false")
+
+
+def limit_the_motor(document: Document, motor: ET.Element, torque: float) -> None:
+    """Limit a DC motor's torque, N m, within the limits that it has: of its torque, or of its current."""
+    given, *others = [float(x) for x in document.effective(motor, "saturation", "0 0 0").split()]
+    if not given and others and others[0]:
+        constant = float((document.effective(motor, "motorconst", "1").split() or ["1"])[0])
+        given = constant * others[0]
+    document.set(motor, saturation=[min(torque, given or torque), *others])
 
 
 def shield(document: Document, element: ET.Element) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
 
+FASTEST = 65.0  # Hz, of what shakes a rig: the mains are not above it
+MAINS = (50.0, 60.0)  # Hz
 FELT = 2.0  # Hz, from which a force turns round within a window of a quarter second, and moves less the faster it does
 
 
@@ -19,13 +21,20 @@ class Periodic(Effect):
     place = "joint"
     of_the_clock = True
     linear = ("sine", "cosine")
-    parameters = (
-        Parameter("sine", "N"),
-        Parameter("cosine", "N"),
-        Parameter("frequency", "Hz", 0.0, log=True, fine=0.01),
-    )
     rivals = ("load.position", "disturbance.pulse")
     needs_loader = True
+
+    def __init__(self, slowest: float = 0.0) -> None:
+        self.parameters = (
+            Parameter("sine", "N"),
+            Parameter("cosine", "N"),
+            Parameter("frequency", "Hz", slowest, log=True, fine=0.01),
+        )
+
+    def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
+        """With a frequency at which it comes round half in a recording at least: of less, a bend is all that shows."""
+        longest = max(float(np.ptp(evidence.time[run])) for run in evidence.runs)
+        return [(Periodic(0.5 / max(longest, 1e-9)), values) for values in self.guesses(evidence)]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The strongest lines of the unexplained force over time."""
@@ -61,8 +70,10 @@ class Periodic(Effect):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        size = float(np.hypot(values["sine"], values["cosine"]))
-        return f"A force of {size:.3g} {unit['sine']} at {values['frequency']:.3g} Hz shakes {at}."
+        size, frequency = float(np.hypot(values["sine"], values["cosine"])), values["frequency"]
+        hums = any(abs(frequency - mains) < 0.01 * mains for mains in MAINS)
+        hum = " That is the frequency of the mains: hum in the wires of a sensor would look the same." if hums else ""
+        return f"A force of {size:.3g} {unit['sine']} at {frequency:.3g} Hz shakes {at}.{hum}"
 
 
 def _lines(t: Array, force: Array, step: float, felt: float = np.inf) -> dict[float, tuple[float, float]]:
@@ -73,7 +84,7 @@ def _lines(t: Array, force: Array, step: float, felt: float = np.inf) -> dict[fl
     size = 8 * len(force)
     spectrum = np.fft.rfft(force * np.hanning(len(force)), size)
     frequency = np.fft.rfftfreq(size, step)
-    spectrum[frequency > min(50.0, 0.2 / step)] = 0
+    spectrum[(frequency > min(FASTEST, 0.2 / step)) | (frequency * step * len(force) < 1)] = 0  # at least once round
     spectrum /= 1 + (frequency / felt) ** 2
     found = {}
     for _ in range(2):

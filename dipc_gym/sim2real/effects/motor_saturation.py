@@ -7,9 +7,12 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor
+from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor, limit_the_motor
+
+Array = NDArray[np.float64]
 
 LEAST = 0.1  # of what was asked for, that a drive which saturates still gives
 
@@ -26,12 +29,12 @@ class Saturation(Effect):
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """With a limit that leaves the drive a tenth of its command: one that does nothing explains nothing."""
-        most = float(np.quantile(np.abs(evidence.command), 0.999)) if len(evidence.command) else 0.0
+        most = _most(evidence.command)
         return [(Saturation(LEAST * most), values) for values in self.guesses(evidence)]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Four shares of the largest command."""
-        most = float(np.quantile(np.abs(evidence.command), 0.999)) if len(evidence.command) else 0.0
+        most = _most(evidence.command)
         return [{"limit": share * most} for share in (0.95, 0.8, 0.6, 0.4)] if most > 0 else []
 
     def edit(self, document: Document, at: str, values: Values) -> None:
@@ -59,7 +62,7 @@ class TorqueLimit(Effect):
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """With a limit that leaves the drive a tenth of what it gave."""
-        most = float(np.quantile(np.abs(evidence.load), 0.999)) / (abs(evidence.gear) or 1.0)
+        most = _most(evidence.load) / (abs(evidence.gear) or 1.0)
         unit = "N m" if is_dcmotor(evidence.model, evidence.at) else "N"
         return [(TorqueLimit(LEAST * most, unit), values) for values in self.guesses(evidence)]
 
@@ -72,20 +75,25 @@ class TorqueLimit(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Four shares of the largest torque."""
-        most = float(np.quantile(np.abs(evidence.load), 0.999)) / (abs(evidence.gear) or 1.0)
+        most = _most(evidence.load) / (abs(evidence.gear) or 1.0)
         return [{"limit": share * most} for share in (0.95, 0.8, 0.6, 0.4)] if most > 0 else []
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The motor's torque limit; a servo's within the one that it has."""
         actuator, limit = document.actuator(at), max(values["limit"], 1e-9)
         if actuator.tag == "dcmotor":
-            document.set(actuator, saturation=(limit, 0, 0))
+            limit_the_motor(document, actuator, limit)
             return
         document.set(actuator, forcelimited="true", forcerange=_within(document, actuator, "force", limit))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         return f"{at} gives no more than {values['limit']:.3g} {unit['limit']}, less than its commands ask for."
+
+
+def _most(values: Array) -> float:
+    """The largest of a drive's commands or forces (n,), but for a thousandth of them; 0 of none."""
+    return float(np.quantile(np.abs(values), 0.999)) if len(values) else 0.0
 
 
 def _within(document: Document, actuator: ET.Element, what: str, limit: float) -> tuple[float, float]:

@@ -23,6 +23,9 @@ class EffectSettings:
             three per cent of how it began are left
         warm: s that bristles, currents, lags and delays need to reach their state: they take milliseconds, and the
             slowest of them a few tens
+        short: of that time, the share that a command's filter is short by: it needs no more
+        fades: time constants that a longer one is simulated for before a window: no recording says where it was, and
+            what it was off by shows until next to nothing of that is left
         fast: s, longest step for what moves within milliseconds, which a longer one would step over
         fastest: s, shortest step that a model's own time constants ask for: what follows faster has come to rest within
             it, and is simulated as if it were as slow
@@ -40,6 +43,8 @@ class EffectSettings:
     settle: float = 0.3
     swing: float = 1.2
     warm: float = 0.06
+    short: float = 0.2
+    fades: float = 8.0
     fast: float = 5e-4
     fastest: float = 2e-5
     fine: float = 0.05

@@ -24,6 +24,7 @@ from dipc_gym import mjcf
 from dipc_gym.physics import Extra, Moment, Physics
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_mean
+from dipc_gym.recording.units import commanded_by
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.simulation.compiled import BESIDE
 from dipc_gym.sim2real.simulation.memory import bends, memories
@@ -100,8 +101,8 @@ def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
     base, out = mjcf.base_joints(model), mjcf.spread_out(model)
     rng = np.random.default_rng(0)
 
-    def read(q: Array, v: Array) -> Array:
-        data.qpos[:], data.qvel[:], data.ctrl[:] = out @ q, out @ v, 0
+    def read(q: Array, v: Array, command: float = 0.0) -> Array:
+        data.qpos[:], data.qvel[:], data.ctrl[:] = out @ q, out @ v, command
         mujoco.mj_forward(model, data)
         return np.array(straight.sense(data.sensordata)[address])
 
@@ -121,6 +122,13 @@ def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
                 "transmissions",
                 "Take that sensor out of the model; its column may stay in the recording.",
             )
+    at_once = np.abs(read(np.zeros(nb), np.zeros(nb), 1.0) - c) > 1e-6 * (1 + np.abs(c))
+    if at_once.any():
+        raise Undetermined(
+            f"sensor {names[int(np.flatnonzero(at_once)[0])]!r} reads what a command does at once, as a force or an "
+            "acceleration; supported are sensors of positions and velocities",
+            "Take that sensor out of the model; its column may stay in the recording.",
+        )
     seen = P[~V.any(axis=1)]
     if not len(seen) or np.linalg.matrix_rank(seen) < nb:
         _, s, rows = np.linalg.svd(seen if len(seen) else np.zeros((1, nb)))
@@ -283,7 +291,7 @@ class Forces(NamedTuple):
 
     Attributes:
         unexplained: what the motion needs beyond what the model gives.
-        load: what each joint transmits.
+        load: what each joint transmits: of its actuators, where it has any, else what gravity and motion ask of it.
         resisting: of the model's dry friction.
     """
 
@@ -338,7 +346,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     )
     moments.userdata = np.zeros((n, model.nuserdata))
     for which, law in enumerate(physics.remembering):
-        kept = memories([physics], which, mjcf.base_joints(model), late[None], recording, motion, motion.time)
+        kept = memories([physics], which, late[None], recording, motion, motion.time)
         moments.userdata[:, law.slot] = kept[0]
     levels, pushed = np.tile(level, (n, 1)), np.zeros((n, model.nv))
     side_by_side = [replace(x, data=np.broadcast_to(x.data, (n, len(x.data)))) for x in physics.extras]
@@ -360,7 +368,19 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     resisting = np.where(rests, np.clip(lacking, -level_at, level_at), held @ out)
     moving = -level_at * np.sign(motion.velocity)  # it is in what was needed already
     friction = np.where(rests.any(axis=1, keepdims=True), resisting, moving)
-    return Forces(lacking - resisting, (driven + biased) @ out, friction)
+    return Forces(lacking - resisting, np.where(_powered(model), driven, biased) @ out, friction)
+
+
+def _powered(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which degrees of freedom somebody's commands drive, (nv,), and not only what passive elements exert."""
+    found, kinds = np.zeros(model.nv, dtype=bool), mujoco.mjtTrn
+    for i in {commanded_by(model, name) for name in mjcf.controls(model)}:
+        by, at = int(model.actuator_trntype[i]), int(model.actuator_trnid[i, 0])
+        if by == kinds.mjTRN_JOINT:
+            found[model.jnt_dofadr[at]] = True
+        elif by == kinds.mjTRN_TENDON:
+            found[[joint for joint, _ in along(model, at)]] = True
+    return found
 
 
 def _rests(motion: Motion) -> NDArray[np.bool_]:

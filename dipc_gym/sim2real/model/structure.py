@@ -304,15 +304,27 @@ class Structure:
 
     @functools.cached_property
     def _own_warm(self) -> float:
-        """How long the nominal model needs, s: windings, bristles, lagging sensors and joints behind a gap remember."""
+        """How long the nominal model needs, s: windings, bristles, lagging sensors, joints behind a gap and activations
+        of muscles and cylinders remember.
+        """
         if self._hides:
-            return EFFECTS.swing if np.any(self.model.tendon_stiffness > 0) else EFFECTS.settle
-        return EFFECTS.warm if self.model.na > 0 or self._own_lag else 0.0
+            return max(self.activated, EFFECTS.swing if np.any(self.model.tendon_stiffness > 0) else EFFECTS.settle)
+        return max(self.activated, EFFECTS.warm if self.model.na > 0 or self._own_lag else 0.0)
+
+    @functools.cached_property
+    def activated(self) -> float:
+        """For how long an activation of the nominal model shows where it was, s; 0 where that is no longer than what a
+        winding does.
+        """
+        slowest = mjcf.slowest_activation(self.model)
+        return EFFECTS.fades * slowest if slowest > EFFECTS.short * EFFECTS.warm else 0.0
 
     @functools.cached_property
     def _hides(self) -> bool:
-        """Whether joints hide behind a gap or a coupling; of a load that swings one knows what it does."""
-        return len(self.base) + len(loads(self.model)) < self.model.njnt
+        """Whether joints hide behind a gap or a coupling; of a load that swings all is known, and of a joint that
+        is held in proportion to another.
+        """
+        return len(self.base) + len(loads(self.model)) + len(mjcf.coupled(self.model)) < self.model.njnt
 
     @functools.cached_property
     def _own_lag(self) -> bool:

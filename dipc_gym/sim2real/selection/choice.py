@@ -20,7 +20,7 @@ from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 def scored(scorer: Scorer, done: Sequence[Tried]) -> list[Tried]:
     """Fitted hypotheses with their scores, the best first."""
-    losses = ranking.losses([scorer.mse(tried.fitted) for tried in done if tried.fitted is not None])
+    losses = ranking.losses([scorer.mse(tried.in_full) for tried in done])
     found = [replace(tried, score=after) for tried, after in zip(done, losses, strict=True)]
     return sorted(found, key=lambda tried: tried.score)
 
@@ -35,18 +35,14 @@ def choose(scorer: Scorer, done: Sequence[Tried], current: Fit, begin: Fit) -> F
         begin: the fit without effects.
     """
     clear = [
-        t
-        for t in done
-        if t.fitted is not None
-        and scorer.stands_out(t.term, t.fitted, current)
-        and tells(t.term, t.fitted, current, begin)
+        t for t in done if scorer.stands_out(t.term, t.in_full, current) and tells(t.term, t.in_full, current, begin)
     ]
     if not clear:
         return None
     # What breaks away may seem pushed; a push is named where nothing else tells.
     if any(t.term.effect.by_steps for t in clear):
         clear = [t for t in clear if not t.term.effect.once]
-    return _core(_named(_simplest(scorer, clear, current), clear, current), clear, current).fitted
+    return _core(_named(_simplest(scorer, clear, current), clear, current), clear, current).in_full
 
 
 def tells(term: Term, fitted: Fit, current: Fit, begin: Fit) -> bool:
@@ -74,10 +70,10 @@ def tells(term: Term, fitted: Fit, current: Fit, begin: Fit) -> bool:
 
 def _named(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
     """An effect with a name in the place of a law of no kind, see `before_unnamed`."""
-    if not chosen.term.effect.of_no_kind or chosen.fitted is None:
+    if not chosen.term.effect.of_no_kind:
         return chosen
-    most = before_unnamed(current.error, chosen.fitted.mse)
-    names = [t for t in clear if not t.term.effect.of_no_kind and t.fitted is not None and t.fitted.error < most]
+    most = before_unnamed(current.error, chosen.in_full.mse)
+    names = [t for t in clear if not t.term.effect.of_no_kind and t.in_full.error < most]
     return min(names, key=lambda t: t.score, default=chosen)
 
 
@@ -154,12 +150,11 @@ def _simplest(scorer: Scorer, done: Sequence[Tried], current: Fit) -> Tried:
 
     None does that leaves windows standing out in which a joint breaks away.
     """
-    best = done[0].fitted
-    assert best is not None
-    alike = [t for t in done if t.fitted is not None and scorer.alike(best, t.fitted, current)]
+    best = done[0].in_full
+    alike = [t for t in done if scorer.alike(best, t.in_full, current)]
     if done[0].term.effect.by_steps:
-        alike = [t for t in alike if t.fitted is not None and not scorer.settles(best, t.fitted)]
-    return min(alike, key=lambda t: (*ranking.cost(t.fitted), t.score))
+        alike = [t for t in alike if not scorer.settles(best, t.in_full)]
+    return min(alike, key=lambda t: (*ranking.cost(t.in_full), t.score))
 
 
 def _core(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
@@ -168,17 +163,15 @@ def _core(chosen: Tried, clear: Sequence[Tried], current: Fit) -> Tried:
     Friction that varies with position takes up some of what a second effect, still missing, leaves. What it adds to
     plain friction is asked again when all others are in place.
     """
-    assert chosen.fitted is not None
-    if common_error(chosen.fitted.mse) < SCORE.at_floor:
+    if common_error(chosen.in_full.mse) < SCORE.at_floor:
         return chosen
-    most = current.error - SEARCH.main_part * (current.error - chosen.fitted.error)
+    most = current.error - SEARCH.main_part * (current.error - chosen.in_full.error)
     plain = [
         t
         for t in clear
         if t.term.effect.id in chosen.term.effect.contains
         and t.term.at == chosen.term.at
-        and t.fitted is not None
-        and t.fitted.error < most
-        and chosen.fitted.error > SEARCH.far_better * t.fitted.error
+        and t.in_full.error < most
+        and chosen.in_full.error > SEARCH.far_better * t.in_full.error
     ]
     return _core(min(plain, key=lambda t: t.score), clear, current) if plain else chosen

@@ -30,8 +30,8 @@ T = TypeVar("T")
 
 # A sketch: what it begins at, as text, what is free, steps and run-up, the windows, and whether it is a rival's.
 _Asked = tuple[int, str, tuple[str, ...], tuple[float, float], bytes, bool]
-# A full fit: what its sketch begins at, which fit that is and which it competes with, and the windows.
-_AskedFully = tuple[weakref.ref[Fit], weakref.ref[Fit] | None, str, tuple[str, ...], bytes, bytes, bool]
+# A full fit: what its sketch begins at, which fit that is and which it competes with, the windows, and what follows it.
+_AskedFully = tuple[weakref.ref[Fit], weakref.ref[Fit] | None, str, tuple[str, ...], bytes, bytes, bool, str]
 
 
 @dataclass(frozen=True)
@@ -171,24 +171,25 @@ class Fitter:
 
     @contextmanager
     def fitted(
-        self, asked: Sequence[tuple[Fit, Fit, Fit | None]], then: Callable[[Fit], Fit] = lambda fitted: fitted
+        self, asked: Sequence[tuple[Fit, Fit, Fit | None]], then: Callable[[Fitter, Fit], Fit] | None = None
     ) -> Iterator[Callable[[int], Fit | None]]:
         """Full fits, compared, on all cores; see `full`. What an earlier phase asked for beside the same fit is made
         once.
 
         Args:
             asked: base, sketch, and what each has to earn its place beside.
-            then: what else is done with each fit; whoever does something else asks for other structures.
+            then: what else is done with each fit: a function of a module, by whose name fits that are made are known.
         """
 
         def compared(base: Fit, sketch: Fit, current: Fit | None) -> tuple[Fit, Array] | None:
             made = self.full(base, sketch, current)
             if made is None:
                 return None
-            made = then(made)
+            made = then(self, made) if then else made
             return made.result(), self.scorer.comparison_mse(made)
 
-        called = [self._asked_fully(*each) for each in asked]
+        name = then.__qualname__ if then else ""
+        called = [self._asked_fully(*each, name) for each in asked]
         new = [k for k, one in enumerate(called) if one not in self._made]
         bases = [fit for k in new for fit in (asked[k][0], asked[k][2]) if fit is not None]
         with self.side_by_side([partial(compared, *asked[k]) for k in new], bases) as result:
@@ -203,11 +204,11 @@ class Fitter:
 
             yield fitted
 
-    def _asked_fully(self, base: Fit, sketch: Fit, current: Fit | None) -> _AskedFully:
+    def _asked_fully(self, base: Fit, sketch: Fit, current: Fit | None, then: str) -> _AskedFully:
         structure, z = sketch.structure, sketch.z
         free, windows = tuple(slot.key for slot in structure.slots), self.problem.labels.tobytes() + self._all_windows()
         beside = None if current is None else weakref.ref(current)
-        return weakref.ref(base), beside, structure.write(z).text(), free, z.tobytes(), windows, self.scorer.small
+        return weakref.ref(base), beside, structure.write(z).text(), free, z.tobytes(), windows, self.scorer.small, then
 
     def _rough(self, structure: Structure, z: Array, initial: Array, hopeless: float = math.inf) -> Fit:
         some = self.problem.pick(self.subset)

@@ -42,15 +42,21 @@ def from_rest(prepared: Prepared) -> Problem:
     problem, half = prepared.problem, prepared.problem.initial.shape[1] // 2
     slow = ESTIMATION.at_rest * problem.spread[half:]
     rests = np.array([bool((np.abs(motion.velocity[0]) < slow).all()) for motion in prepared.motions])
-    return problem.pick(~_past_is_known(prepared) & rests[problem.windows.source])
+    told = _since(prepared) > prepared.structure.activated  # what an activation was before, no rest says
+    return problem.pick(~_past_is_known(prepared) & rests[problem.windows.source] & told)
 
 
 def _past_is_known(prepared: Prepared) -> NDArray[np.bool_]:
     """Which windows begin late enough, (n,)."""
+    since, activated = _since(prepared), prepared.structure.activated
+    settled = since > max(EFFECTS.swing, activated)
+    return settled if settled.sum() >= WINDOWS.plenty else since > max(WINDOWS.late, activated)
+
+
+def _since(prepared: Prepared) -> Array:
+    """Time from the first sample of its recording to each window, s, (n,)."""
     w = prepared.problem.windows
-    since = w.start - np.array([recording.time[0] for recording in w.recordings])[w.source]
-    settled = since > EFFECTS.swing
-    return settled if settled.sum() >= WINDOWS.plenty else since > WINDOWS.late
+    return w.start - np.array([recording.time[0] for recording in w.recordings])[w.source]
 
 
 def split(problem: Problem) -> tuple[Problem, Problem, Problem]:

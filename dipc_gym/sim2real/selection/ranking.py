@@ -118,12 +118,11 @@ def subset(mse: Array) -> NDArray[np.intp]:
     ).astype(np.intp)
 
 
-def cost(fitted: Fit | None) -> tuple[int, int, int, int]:
+def cost(fitted: Fit) -> tuple[int, int, int, int]:
     """What the simpler of two structures has less of: parameters, effects, and effects that stock MuJoCo lacks.
 
     Among names for one and the same model, an effect at a joint goes before one at a motor or a sensor.
     """
-    assert fitted is not None
     effects = [term.effect for term in fitted.structure.terms]
     loaders, elsewhere = sum(e.needs_loader for e in effects), sum(e.place != "joint" for e in effects)
     return len(fitted.z), len(effects), loaders, elsewhere

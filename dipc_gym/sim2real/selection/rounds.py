@@ -85,13 +85,18 @@ def _fitted(fitter: Fitter, sketched: Sequence[Start], current: Fit, journal: Jo
     done: list[Tried] = []
     asked = sketches.keeping_up(fitter, sketched, current)
     tasks = [(base, tried.sketch, None if tried.term.effect.once else current) for tried, base in asked if tried.sketch]
-    with fitter.fitted(tasks, lambda fitted: refined(fitter, fitted, fitted.structure.newest.key)) as fit_of:
+    with fitter.fitted(tasks, _as_fine_as_asked) as fit_of:
         for k, (tried, _) in enumerate(asked):
             fitted = fit_of(k)
             if fitted is not None:
                 done.append(replace(tried, term=ranking.as_fitted(fitted), fitted=fitted))
                 journal.tell(f"{tried.key}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
     return done
+
+
+def _as_fine_as_asked(fitter: Fitter, fitted: Fit) -> Fit:
+    """A fit whose newest law is as fine as its data ask for."""
+    return refined(fitter, fitted, fitted.structure.newest.key)
 
 
 def _accepted(fitted: Fit, tried: list[Tried], fitter: Fitter, current: Fit, journal: Journal) -> Fit:

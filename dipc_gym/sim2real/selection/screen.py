@@ -48,6 +48,12 @@ class Tried:
     response: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
 
     @property
+    def in_full(self) -> Fit:
+        """The full fit of one that has been fitted."""
+        assert self.fitted is not None
+        return self.fitted
+
+    @property
     def key(self) -> str:
         """`effect@place`."""
         return self.term.key

@@ -140,7 +140,7 @@ class Compiled:
     def _limits_matter(self) -> bool:
         """Whether a joint comes near its limits in the recordings; else only what is far off meets them."""
         model, windows = self.model, self.windows
-        limited = np.flatnonzero(model.jnt_limited)
+        limited = np.flatnonzero(program.stiff_limits(model))
         moved = [model.joint(name).id for name in self.base]
         if not windows.motions or not set(limited.tolist()) <= set(moved):
             return bool(len(limited))

@@ -8,7 +8,7 @@ does for the heat of a winding. A recording is taken to begin with springs unben
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -69,8 +69,8 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
     Args:
         variants: one model with different parameters.
         load: the load.
-        joint: that it hangs on, among the base joints.
-        motion: of them.
+        joint: that it hangs on, among those of the motion.
+        motion: of joints.
         time: s, (n,).
 
     Returns:
@@ -116,7 +116,6 @@ def swung(physics: Physics, joint: int, leader: str, motion: Motion) -> Array:
 def memories(
     variants: Sequence[Physics],
     which: int,
-    base: Sequence[str],
     delays: Array,
     recording: Recording,
     motion: Motion,
@@ -127,7 +126,6 @@ def memories(
     Args:
         variants: one model with different parameters.
         which: of the laws that remember.
-        base: names of the base joints; it acts on one of them, or on what follows one behind a gap or a spring.
         delays: of each variant's controls, s, (variants, nu), on the clock of the motion.
         recording: its commands may be followed.
         motion: of the base joints.
@@ -137,16 +135,15 @@ def memories(
         (variants, n).
     """
     model, laws = variants[0].model, [variant.remembering[which] for variant in variants]
-    moves = {name: name for name in base} | mjcf.followers(model)  # no recording has a rotor of its own
-    columns = {joint: base.index(leader) for joint, leader in moves.items()}
-    position = motion.position[:, columns[laws[0].at]]
+    every = motion.spread(mjcf.spread_out(model))  # what follows a joint moves with it: no recording has a rotor
+    own = every.position[:, model.joint(laws[0].at).id]
     out, alike = np.empty((len(variants), len(time))), dict[tuple[bytes, ...], list[int]]()
     for k, (variant, late) in enumerate(zip(variants, delays, strict=True)):
         alike.setdefault((laws[k].data.tobytes(), *_commanded(variant, which, late)), []).append(k)
     for rows in alike.values():
         k = rows[0]
-        sees = _sees(variants[k], which, delays[k], recording, motion, columns)
-        (along,) = recall(laws[k].effect, laws[k].data[None], motion.time, position, *sees)
+        sees = _sees(variants[k], which, delays[k], recording, every)
+        (along,) = recall(laws[k].effect, laws[k].data[None], motion.time, own, *sees)
         out[rows] = np.interp(time, motion.time, along)
     return out
 
@@ -159,9 +156,7 @@ def _commanded(variant: Physics, which: int, delays: Array) -> tuple[bytes, ...]
     return (*late, *(end.tobytes() for end in variant.taken), changed_by(variant))
 
 
-def _sees(
-    variant: Physics, which: int, delays: Array, recording: Recording, motion: Motion, columns: Mapping[str, int]
-) -> Array:
+def _sees(variant: Physics, which: int, delays: Array, recording: Recording, motion: Motion) -> Array:
     """Velocity of the joint of a law that remembers, and what else it depends on, at each sample of a motion, (2, n).
 
     Args:
@@ -169,13 +164,12 @@ def _sees(
         which: of its laws that remember.
         delays: of its controls, s, (nu,).
         recording: its commands may be followed.
-        motion: of the base joints.
-        columns: of the motion, by name of the joint.
+        motion: of all joints.
     """
     law, model, follows = variant.remembering[which], variant.model, np.zeros(len(motion.time))
-    velocity = motion.velocity[:, columns[law.at]]
+    own = motion.velocity[:, model.joint(law.at).id]
     if memory_of(law.effect) is resting:  # the noise of a reading would wake a joint that rests
-        velocity = told_rests(law.data, velocity)
+        own = told_rests(law.data, own)
     for kind, k in law.inputs:
         if kind == "command":
             # It holds between stamps, and what follows it goes straight from sample to sample: where it changes, it is
@@ -184,10 +178,8 @@ def _sees(
             sent = [variant.command(one, motion.time)[:, k] for one in sides]
             follows = np.mean([np.clip(one, *(end[k] for end in variant.taken)) for one in sent], axis=0)
         else:
-            address = "dofadr" if kind == "velocity" else "qposadr"
-            at = {getattr(model.joint(name), address)[0]: column for name, column in columns.items()}
-            follows = (motion.velocity if kind == "velocity" else motion.position)[:, at[k]]
-    return np.stack([velocity, follows])
+            follows = (motion.velocity if kind == "velocity" else motion.position)[:, k]
+    return np.stack([own, follows])
 
 
 # ------------------------------------------------------------------------------------------- how windows begin
@@ -304,15 +296,15 @@ def begin(
     for name, load in loads(model).items():
         for mine, _, motion in _passes(windows, f"how {name} swings"):
             # Against the motion that has carried it: how far an initial state is off, moves the joint and not the load.
-            lead = base.index(leaders[name])
-            apart, faster = swings(variants, load, lead, motion, time[mine])
-            carried = motion.at(time[mine])
-            places.position[:, mine, load.at] = carried[:, lead] + apart
-            places.velocity[:, mine, load.at] = carried[:, len(base) + lead] + faster
+            leads = motion.spread(mjcf.spread_out(model)[[model.joint(leaders[name]).id]])
+            apart, faster = swings(variants, load, 0, leads, time[mine])
+            carried = leads.at(time[mine])
+            places.position[:, mine, load.at] = carried[:, 0] + apart
+            places.velocity[:, mine, load.at] = carried[:, 1] + faster
     for k, into in enumerate(places.remembered):
         law = variants[0].remembering[k]
         for mine, recording, motion in _passes(windows, f"what {law.effect} of {law.at} remembers"):
-            into[:, mine] = memories(variants, k, base, delays, recording, motion, time[mine])
+            into[:, mine] = memories(variants, k, delays, recording, motion, time[mine])
 
 
 def _passes(windows: Windows, what: str) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion]]:

@@ -29,6 +29,11 @@ class Motion:
     acceleration: Array
     noise: Array
 
+    def spread(self, out: Array) -> Motion:
+        """That of other joints, which move by these: positions are `out` (n, nb) times those of the base joints."""
+        position, velocity, acceleration = (x @ out.T for x in (self.position, self.velocity, self.acceleration))
+        return Motion(self.time, position, velocity, acceleration, np.abs(out) @ self.noise)
+
     def at(self, time: Array) -> Array:
         """Positions and velocities (..., 2 nb) at any time, linear between samples."""
         columns = [np.interp(time, self.time, c) for c in (*self.position.T, *self.velocity.T)]

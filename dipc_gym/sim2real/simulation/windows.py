@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.recording import Recording
+from dipc_gym.recording.settings import CHECKS
 from dipc_gym.sim2real.simulation.motion import Motion, initial_states
 
 Array = NDArray[np.float64]
@@ -121,16 +122,22 @@ def cut(recordings: Sequence[Recording], noise: Array, length: float, span: tupl
         span: the part of each recording to use, as fractions of its duration.
 
     Returns:
-        The windows in order of recording and time; an incomplete one at the end is dropped.
+        The windows in order of recording and time. An incomplete one at the end is dropped, and none reaches across a
+        gap, where samples are missing.
     """
     parts: list[tuple[int, int, int]] = []
     for i, recording in enumerate(recordings):
         t = recording.time
+        gap = CHECKS.gap * np.quantile(np.diff(t), CHECKS.steady_clock)
         last = t[0] + span[1] * (t[-1] - t[0]) + 1e-9
         # A window holds the samples before its end, the first sample of the next one excluded.
         first = int(np.searchsorted(t, t[0] + span[0] * (t[-1] - t[0]) - 1e-9))
         while first < len(t) and t[first] + length <= last + recording.period:
             stop = int(np.searchsorted(t, t[first] + length - 1e-3 * recording.period))
+            gaps = np.flatnonzero(np.diff(t[first:stop]) > gap)
+            if len(gaps):  # what was commanded there is not known
+                first += int(gaps[-1]) + 1
+                continue
             if stop - first >= 4:
                 parts.append((i, first, stop))
             first = max(stop, first + 1)

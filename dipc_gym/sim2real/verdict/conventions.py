@@ -20,7 +20,7 @@ from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording, RecordingError
-from dipc_gym.recording.columns import COMMAND, SENSOR
+from dipc_gym.recording.columns import COMMAND, SENSOR, called
 from dipc_gym.recording.units import KINDS, of_command, of_sensor
 from dipc_gym.sim2real.effects.base import joint_of, sensed_joint
 from dipc_gym.sim2real.estimation import states
@@ -28,7 +28,7 @@ from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare
 from dipc_gym.sim2real.estimation.shooting import common_error
 from dipc_gym.sim2real.selection import partitioning
-from dipc_gym.sim2real.selection.settings import WINDOWS
+from dipc_gym.sim2real.selection.settings import SEARCH, WINDOWS
 from dipc_gym.sim2real.side_by_side import side_by_side
 from dipc_gym.sim2real.verdict.settings import CONVENTIONS
 
@@ -47,6 +47,7 @@ class Convention:
         shift: added to that, (ns,).
         columns: of theirs, commands and then sensors, which one is each of the model's, (nu + ns,).
         driving: which commands drive otherwise than by their sign: in thousandths, or by another column, (nu,).
+        early: rows by which commands act before their stamps: whoever writes an action down with what it led to.
     """
 
     words: str
@@ -56,6 +57,7 @@ class Convention:
     shift: Array
     columns: NDArray[np.intp]
     driving: NDArray[np.bool_]
+    early: int = 0
 
     def undriven(self) -> Convention:
         """The same without the commands that drive otherwise."""
@@ -65,14 +67,15 @@ class Convention:
         """A recording as the model counts."""
         whole = np.concatenate([recording.commands, recording.sensors], axis=1)[:, self.columns]
         commands, sensors = np.split(whole, [len(self.commands)], axis=1)
+        commands = np.concatenate([commands[self.early :], np.repeat(commands[-1:], self.early, axis=0)])
         return replace(recording, commands=commands * self.commands, sensors=sensors @ self.sensors.T + self.shift)
 
 
 def possible(
     source: mjcf.Source, physics: Physics, actuators: Sequence[str], sensors: Sequence[str]
 ) -> Iterator[Convention]:
-    """Every convention by itself: signs of commands and joints, commands in thousandths, half turns, angles from the
-    joint before or from afar, and columns that are interchanged.
+    """Every convention by itself: commands that are stamped late, signs of commands and joints, commands in
+    thousandths, half turns, angles from the joint before or from afar, and columns that are interchanged.
 
     Args:
         source: text of the model.
@@ -82,36 +85,47 @@ def possible(
     """
     document, (nu, ns) = Document(source), (len(actuators), len(sensors))
     same = Convention("", "", np.ones(nu), np.eye(ns), np.zeros(ns), np.arange(nu + ns), np.zeros(nu, dtype=bool))
+    for rows in CONVENTIONS.early if nu else ():
+        words = "hold in each row what the command of that row led to, and not what it followed"
+        if rows > 1:
+            words = f"give commands {rows} rows later than they act"
+        mend = (
+            f"move {_columns(actuators)} up by {rows} row{'s' * (rows > 1)}, so that a command stands where it begins"
+        )
+        yield replace(same, words=words, mend=mend, early=rows)
     for name, unit in zip(actuators, np.eye(nu), strict=True):
-        words, mend = f"count command {name!r} the other way round", _turn(name)
+        key = called(COMMAND, name, sensors)
+        words, mend = f"count command {name!r} the other way round", _turn(key)
         yield replace(same, words=words, mend=mend, commands=1 - 2 * unit)
         small = _thousandth(of_command(physics.model, name))
-        key = COMMAND + name if name in sensors else name
         words, mend = f"count command {name!r} in thousandths ({small})", f"say --unit {key}={small}"
         factors = np.where(unit == 1, CONVENTIONS.thousandth, 1.0)
         yield replace(same, words=words, mend=mend, commands=factors, driving=unit == 1)
-    read = _read(physics)
+    read, gains = _read(physics)
     for joint, (places, rates) in read.items():
         names = [sensors[s] for s in (*places, *rates)]
+        keys = [called(SENSOR, name, actuators) for name in names]
         turned = np.eye(len(sensors))
         turned[[*places, *rates]] *= -1
-        words, mend = f"count {_listed(names)} the other way round", _turn(*names)
+        words, mend = f"count {_listed(names)} the other way round", _turn(*keys)
         yield replace(same, words=words, mend=mend, sensors=turned)
         if mjcf.is_hinge(physics.model, joint):
             words = f"count {_listed(names[: len(places)])} from half a turn away"
             half = f'ref="{document.angle(document.joint(joint), math.pi):.8g}"'
             mend = f"add half a turn to the column, or give joint {joint!r} of the model {half}"
             shift = np.zeros(len(sensors))
-            shift[places] = math.pi
+            shift[places] = gains[places] * math.pi
             yield replace(same, words=words, mend=mend, shift=shift)
     for one, other in itertools.permutations(read, 2):
         pairs = [(of, before) for of, before in zip(read[other], read[one], strict=True) if of]
-        if not (all(before for _, before in pairs) and _carries(physics.model, one, other)):
+        along = _carries(physics.model, one, other)
+        if not (along and all(before for _, before in pairs)):
             continue
-        for sign, which, mend in ((-1, "an absolute angle", "subtract"), (1, f"an angle from {one!r}", "add")):
+        for sign, which in ((-along, "an absolute angle"), (along, f"an angle from {one!r}")):
+            mend = "subtract" if sign < 0 else "add"
             mixed = np.eye(len(sensors))
             for of, before in pairs:
-                mixed[of, before[0]] = sign
+                mixed[of, before[0]] = sign * gains[of] / gains[before[0]]
             words = f"measure at joint {other!r} {which}, and the model does not"
             yield replace(same, words=words, mend=f"{mend} what is read at {one!r} ({mend} the columns)", sensors=mixed)
     yield from _interchanged(physics.model, same, actuators, sensors)
@@ -122,10 +136,9 @@ def _interchanged(
 ) -> Iterator[Convention]:
     """Two columns in each other's place: of one unit, or a command and a sensor of what it drives."""
     labels = [*(f"command {name!r}" for name in actuators), *(f"sensor {name!r}" for name in sensors)]
-    shared = {*actuators} & {*sensors}
     keys = [
-        prefix + name if name in shared else name
-        for prefix, names in ((COMMAND, actuators), (SENSOR, sensors))
+        called(prefix, name, others)
+        for prefix, names, others in ((COMMAND, actuators, sensors), (SENSOR, sensors, actuators))
         for name in names
     ]
     units = [*(of_command(model, name) for name in actuators), *(of_sensor(model, name) for name in sensors)]
@@ -149,6 +162,8 @@ def differing(
     recordings: Sequence[Recording],
     prepared: Prepared,
     fits: Sequence[Fit],
+    *,
+    gross: bool = True,
 ) -> tuple[list[Convention], float]:
     """Conventions with which the model as given predicts far better than it does without, whatever its parameters.
 
@@ -160,6 +175,7 @@ def differing(
         recordings: of one rig.
         prepared: windows of them, whose length and steps are taken.
         fits: as given, and with its parameters refitted.
+        gross: whether the mismatch is a large one; else only what is off by a row is asked for.
 
     Returns:
         Those that predict best, alike, and the error then, in units of noise; none where none decides.
@@ -194,10 +210,13 @@ def differing(
                 break
         return off, off * beside
 
-    all_of = list(possible(source, physics, first.actuator_names, first.sensor_names))
+    named = possible(source, physics, first.actuator_names, first.sensor_names)
+    all_of = [convention for convention in named if gross or convention.early]
     with side_by_side([partial(error, convention) for convention in all_of], prepared.problem.threads) as result:
         tried = [(*result(k), convention) for k, convention in enumerate(all_of)]
     tried = [each for each in tried if each[1] < decides]
+    # A row is little: whatever leads or lags may seem to be one, where it is not nearly all that is wrong.
+    tried = [each for each in tried if not each[2].early or each[0] < SEARCH.in_reach]
     # A drive that does nothing predicts a rig that sticks, and for a quarter of a second whatever is smooth.
     tried = [
         (off, share, convention)
@@ -221,15 +240,17 @@ def _in_motion(recordings: Sequence[Recording], prepared: Prepared) -> list[Reco
     return found
 
 
-def _read(physics: Physics) -> dict[str, tuple[list[int], list[int]]]:
-    """Of every joint whose position some sensor tells by itself, the sensors of its position and of its rate."""
-    P, V, _ = (np.abs(part) > 0 for part in states.sensor_map(physics))
-    alone = (P | V).sum(axis=1) == 1
+def _read(physics: Physics) -> tuple[dict[str, tuple[list[int], list[int]]], Array]:
+    """Of every joint whose position some sensor tells by itself, the sensors of its position and of its rate; and how
+    many times as far each of these goes, (ns,).
+    """
+    P, V, _ = states.sensor_map(physics)
+    alone = (np.abs(P) + np.abs(V) > 0).sum(axis=1) == 1
     found = {
-        joint: (np.flatnonzero(alone & P[:, j]).tolist(), np.flatnonzero(alone & V[:, j]).tolist())
+        joint: (np.flatnonzero(alone & (P[:, j] != 0)).tolist(), np.flatnonzero(alone & (V[:, j] != 0)).tolist())
         for j, joint in enumerate(mjcf.base_joints(physics.model))
     }
-    return {joint: sensors for joint, sensors in found.items() if sensors[0]}
+    return {joint: sensors for joint, sensors in found.items() if sensors[0]}, (P + V).sum(axis=1)
 
 
 def _thousandth(unit: str) -> str:
@@ -246,18 +267,26 @@ def _turn(*names: str) -> str:
     return f"turn its sign round ({units}, or a minus before the unit given, as in -mm)"
 
 
+def _columns(names: Sequence[str]) -> str:
+    """Columns in words."""
+    return f"column{'s' * (len(names) > 1)} {' and '.join(map(repr, names))}"
+
+
 def _listed(names: Sequence[str]) -> str:
     return f"sensor{'s' * (len(names) > 1)} {' and '.join(map(repr, names))}"
 
 
-def _carries(model: mujoco.MjModel, one: str, other: str) -> bool:
-    """Whether one hinge carries another, about an axis parallel to its own."""
+def _carries(model: mujoco.MjModel, one: str, other: str) -> int:
+    """Whether one hinge carries another about an axis parallel to its own: 1, -1 where that points the other way, else
+    0.
+    """
     if not (mjcf.is_hinge(model, one) and mjcf.is_hinge(model, other)):
-        return False
+        return 0
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     first, second = (model.joint(name).id for name in (one, other))
     body, carrier = (int(model.jnt_bodyid[joint]) for joint in (second, first))
     while body not in (0, carrier):
         body = int(model.body_parentid[body])
-    return body == carrier and abs(float(data.xaxis[first] @ data.xaxis[second])) > CONVENTIONS.parallel
+    along = float(data.xaxis[first] @ data.xaxis[second])
+    return int(np.sign(along)) if body == carrier and abs(along) > CONVENTIONS.parallel else 0

@@ -177,13 +177,15 @@ def missing_effects(
     worth = [final] if alone is None else [final, alone]
     some = test.pick(evenly(len(test.windows), VERDICT.windows))
     as_given = untouched.error_on(some, nominal) if any(found.rivals.values()) else 1.0
+    before, after = (search.scorer.comparison_error(one) for one in (search.progress.path[0], final))
+    improved = max(before - after, 1e-9)
     terms = [term for term in final.structure.terms if term.key not in found.unnamed]
     rivals = [[one for one in found.rivals.get(term.key, ()) if _name(one.term) != _name(term)] for term in terms]
 
     def told(k: int) -> tuple[float, list[dict[str, Any]]]:
         key = terms[k].key
-        shares = [_share(search, one, key) for one in worth if key in names(one.structure.terms)]
-        return max(shares), [_rival(rival, some, as_given) for rival in rivals[k]]
+        lost = [_lost(search, one, key) for one in worth if key in names(one.structure.terms)]
+        return min(max(lost) / improved, 1.0), [_rival(rival, some, as_given) for rival in rivals[k]]
 
     with search.fitter.side_by_side([partial(told, k) for k in range(len(terms))], worth) as result:
         asked = [result(k) for k in range(len(terms))]
@@ -278,13 +280,14 @@ def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[
     return law
 
 
-def _share(search: Searched, full: Fit, key: str) -> float:
-    """How much of the improvement over the recalibrated model is lost without one effect, all else refitted."""
-    if len(full.structure.terms) == 1:
-        return 1.0
-    best, worst = search.scorer.comparison_error(full), search.scorer.comparison_error(search.progress.path[0])
-    without = search.scorer.comparison_error(search.fitter.roughly_without(full, key))
-    return float(np.clip((without - best) / max(worst - best, 1e-9), 0.0, 1.0))
+def _lost(search: Searched, full: Fit, key: str) -> float:
+    """By how much a fit predicts worse without one effect, all else refitted; without the only one it is the
+    recalibrated model. In units of noise.
+    """
+    alone = len(full.structure.terms) == 1
+    without = search.progress.path[0] if alone else search.fitter.roughly_without(full, key)
+    error, left = (search.scorer.comparison_error(one) for one in (full, without))
+    return max(left - error, 0.0)
 
 
 def _rival(rival: stand_ins.Rival, test: Problem, as_given: float) -> dict[str, Any]:

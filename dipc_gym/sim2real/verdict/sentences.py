@@ -93,7 +93,10 @@ def in_one_sentence(
             f". What was fitted is predicted to {fitted:.3g} times the noise: what is left acts in the held-out data "
             f"alone, {changed_since}"
         )
-    known = " ".join(m.sentence for m in missing if m.effect != "unknown" or m.law is not None)
+    known = " ".join(_or_another(m) for m in missing if m.effect != "unknown" or m.law is not None)
+    off = [one for one in changed if "low" in one and not one["low"] <= one["was"] <= one["high"]]
+    if off and known:
+        known += f" Wrong as well {'were' if len(off) > 1 else 'was'} {', '.join(map(_change, off))}."
     left = ""
     if telling.improved > SCORE.at_floor:
         left = " What is left is not noise, but small beside the motion, and no known effect accounts for it."
@@ -117,6 +120,21 @@ def in_one_sentence(
         helps = "That helps where it was fitted" if worse else "That helps"
         return f"{known} {helps}, but structure is left that no known effect accounts for. {fall}."
     return f"{missing[0].sentence if missing else ''} {fall}.".strip()
+
+
+def _or_another(one: Missing) -> str:
+    """An effect in words, and what is one model with it on these recordings; what holds it and more goes unsaid."""
+    more = {
+        effect.name for effect in catalogue().values() if one.effect in {of.partition(":")[0] for of in effect.contains}
+    }
+    others = [f"{other['effect']} at {other['at']}" for other in one.same_here if other["effect"] not in more]
+    return f"{one.sentence} These recordings cannot tell that from {' or '.join(others)}." if others else one.sentence
+
+
+def _change(one: dict[str, Any]) -> str:
+    """A model parameter that was wrong, with what it is instead."""
+    value, was = (f"{one[key]:.4g} {one['unit']}".rstrip() for key in ("value", "was"))
+    return f"{called(one['parameter'], one['at'])} ({value}, not {was})"
 
 
 def in_units(sensors: Sequence[SensorFit]) -> str:

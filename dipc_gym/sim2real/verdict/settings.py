@@ -23,6 +23,8 @@ class ConventionSettings:
         alike: times the least error, up to which conventions cannot be told apart: what the model lacks makes as much
             difference
         thousandth: of a volt or a newton metre: the unit that drives log instead
+        early: rows by which commands may act before their stamps: one where an action is logged with what it led to,
+            more where it waits for its turn to be written
     """
 
     decides: float = 0.5
@@ -33,6 +35,7 @@ class ConventionSettings:
     parallel: float = 0.99
     alike: float = 1.1
     thousandth: float = 1e-3
+    early: tuple[int, ...] = (1, 2, 3)
 
 
 CONVENTIONS = ConventionSettings()

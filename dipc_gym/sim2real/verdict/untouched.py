@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.recording import Recording
+from dipc_gym.recording.parts import overlap
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.shooting import rms
@@ -70,7 +71,8 @@ def happened(search: Searched, fitted: Fit, term: Term) -> list[Recording]:
     gained = np.log1p(without.mse) - np.log1p(fitted.mse)
     each = np.bincount(windows.source, gained, len(windows.recordings))
     found = zip(windows.recordings, each, strict=True)
-    return [recording for recording, gain in found if gain >= VERDICT.happened * each.max()]
+    least = min(VERDICT.happened * each.max(), each.max())  # where all lose by it, that is in the one that loses least
+    return [recording for recording, gain in found if gain >= least]
 
 
 def pushed_elsewhere(search: Searched, fitted: Fit, windows: Windows) -> NDArray[np.bool_]:
@@ -82,13 +84,8 @@ def pushed_elsewhere(search: Searched, fitted: Fit, windows: Windows) -> NDArray
         if term.effect.once:
             begin, end = term.effect.happened(fitted.structure.term_values(fitted.z, term))
             there = happened(search, fitted, term)
-            own = np.array([any(_of_one(one, other) for other in there) for one in windows.recordings])
+            # What is tested with goes on where what is fitted ends.
+            own = np.array([any(overlap(one, other) for other in there) for one in windows.recordings])
             during = (windows.start < end) & (windows.start + windows.times.max(axis=1) > begin)
             found |= during & ~own[windows.source]
     return found
-
-
-def _of_one(one: Recording, other: Recording) -> bool:
-    """Whether one of two recordings begins as the other does: what is tested with goes on where what is fitted ends."""
-    n = min(len(one), len(other))
-    return np.array_equal(one.time[:n], other.time[:n]) and np.array_equal(one.sensors[:n], other.sensors[:n])

@@ -17,7 +17,7 @@ from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.recording.checks import slowly
 from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
 from dipc_gym.recording.glitches import without_glitches
-from dipc_gym.recording.parts import check_apart, from_zero, until
+from dipc_gym.recording.parts import check_apart, from_zero, going_on, until
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import prepare
@@ -112,10 +112,14 @@ def gather(
     mjcf.check_supported(loaded.model, source.name)
     check_apart(recordings, held_out)
     refuse_degrees([*recordings, *held_out], loaded.model, mend=IN_PYTHON)
-    whole, tested = (without_glitches(from_zero(each), loaded.model) for each in (recordings, held_out))
-    notes = [f"{r.name}: {note}" for r in (*whole, *tested) for note in r.notes] + slowly([*whole, *tested])
-    fitted = whole if tested else [until(r, WINDOWS.test) for r in whole]
+    whole, tested = from_zero(recordings), without_glitches(from_zero(held_out), loaded.model)
+    # What is tested with says nothing of what is fitted, not even which of its samples are glitches.
+    fitted = without_glitches(whole if tested else [until(r, WINDOWS.test) for r in whole], loaded.model)
+    if not tested:
+        whole = [going_on(one, r) for one, r in zip(fitted, without_glitches(whole, loaded.model), strict=True)]
     withheld = Withheld(tuple(tested or whole), (0.0 if tested else WINDOWS.test, 1.0))
+    noted = [*fitted, *tested] if tested else whole
+    notes = [f"{r.name}: {note}" for r in noted for note in r.notes] + slowly(noted)
     parameters = model_parameters(document := Document(source), loaded.model)
     notes += fixed_masses(document, loaded.model, parameters) + left_to_mujoco(loaded)
     return Given(source, loaded, tuple(fitted), tuple(wishes.apply(parameters)), tuple(notes)), withheld
