@@ -36,18 +36,22 @@ MODEL = """<mujoco model="axis"><option timestep="0.002"/><worldbody><body><join
 <actuator><motor name="motor" joint="axis" ctrlrange="-5 5"/></actuator>
 <sensor><jointpos name="axis" joint="axis"/></sensor></mujoco>"""
 CUSTOM = """<custom><numeric name="dipc_gym:motor.deadzone:motor" data="0.4"/>
-<numeric name="dipc_gym:friction.wave:cart" data="2 0.5 0.5 0.3"/>
-<numeric name="dipc_gym:friction.position:cart" data="-0.4 0.4 1 2 3"/>
 <numeric name="dipc_gym:timing.sensor_lag:pole1" data="0.002"/>
 <numeric name="dipc_gym:sensor.gain:pole2" data="1.01"/>
-<numeric name="dipc_gym:friction.load:pole1" data="0.001 0.01 0.01"/>
-<numeric name="dipc_gym:friction.load_stribeck:pole2" data="0.001 0.01 0.01 0.5 0.05"/>
-<numeric name="dipc_gym:friction.load_by_speed:cart" data="0.1 0.01 0.01 0.5 0.05 0.4 0.1 0"/>
+{friction}
 <numeric name="dipc_gym:disturbance.periodic:pole2" data="0.01 2 0.1"/>
 <numeric name="dipc_gym:motor.map:motor" data="-24 24 -23 23"/>
 <text name="dipc_gym:input:1:residual.force:cart" data="velocity cart"/>
 <text name="dipc_gym:input:2:residual.force:cart" data="position pole1"/>
 <numeric name="dipc_gym:residual.force:cart" data="1 2 2 -1 1 -1 1 0.1 0.2 0.3 0.4"/></custom></mujoco>"""
+# Of dry friction a joint has one law.
+FRICTION = (
+    """<numeric name="dipc_gym:friction.wave:cart" data="2 0.5 0.5 0.3"/>
+<numeric name="dipc_gym:friction.load:pole1" data="0.001 0.01 0.01"/>
+<numeric name="dipc_gym:friction.load_stribeck:pole2" data="0.001 0.01 0.01 0.5 0.05"/>""",
+    """<numeric name="dipc_gym:friction.position:cart" data="-0.4 0.4 1 2 3"/>
+<numeric name="dipc_gym:friction.load_by_speed:pole1" data="0.1 0.01 0.01 0.5 0.05 0.4 0.1 0"/>""",
+)
 ASSETS = """<mujoco><compiler meshdir="parts" texturedir="parts"/><asset><mesh name="obj" file="bob.obj"/>
 <mesh name="stl" file="bob.stl"/><hfield name="floor" file="floor.png" size="1 1 0.1 0.1"/>
 <texture name="skin" type="2d" file="skin.png"/><material name="skin" texture="skin"/>
@@ -128,9 +132,9 @@ def _balanced() -> bytes:
 # --- models and plants ------------------------------------------------------------------------------------------------
 
 
-def _rig() -> dict[str, bytes]:
+def _rig(friction: str = FRICTION[0]) -> dict[str, bytes]:
     text = resources.files("dipc_gym").joinpath("rig.xml").read_text()
-    text = text.replace("</mujoco>", '<include file="part.xml"/>' + CUSTOM)
+    text = text.replace("</mujoco>", '<include file="part.xml"/>' + CUSTOM.format(friction=friction))
     part = '<mujocoinclude><statistic extent="2"/><visual><global azimuth="90"/></visual></mujocoinclude>'
     return {"rig.xml": text.encode(), "part.xml": part.encode()}
 
@@ -308,7 +312,7 @@ TARGETS: dict[str, Callable[[], Target]] = {
         (MjcfError, RecordingError, Undetermined, ValueError),
     ),
     "model to compensate": lambda: Target(
-        _rig(), {"rig.xml": (markup, markup, octets)}, _compensated, (MjcfError, PlantError, ValueError)
+        _rig(FRICTION[1]), {"rig.xml": (markup, markup, octets)}, _compensated, (MjcfError, PlantError, ValueError)
     ),
     "compiled code": lambda: Target(_compiled(), dict.fromkeys(_compiled(), (octets,)), _called, ()),
     "plant": lambda: Target(

@@ -42,7 +42,7 @@ def from_rest(prepared: Prepared) -> Problem:
     problem, half = prepared.problem, prepared.problem.initial.shape[1] // 2
     slow = ESTIMATION.at_rest * problem.spread[half:]
     rests = np.array([bool((np.abs(motion.velocity[0]) < slow).all()) for motion in prepared.motions])
-    told = _since(prepared) > prepared.structure.activated  # what an activation was before, no rest says
+    told = _since(prepared) >= prepared.structure.activated  # what an activation was before, no rest says
     return problem.pick(~_past_is_known(prepared) & rests[problem.windows.source] & told)
 
 
