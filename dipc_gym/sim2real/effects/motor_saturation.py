@@ -62,7 +62,7 @@ class TorqueLimit(Effect):
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """With a limit that leaves the drive a tenth of what it gave."""
-        most = _most(evidence.load) / (abs(evidence.gear) or 1.0)
+        most = _most(_torque(evidence))
         unit = "N m" if is_dcmotor(evidence.model, evidence.at) else "N"
         return [(TorqueLimit(LEAST * most, unit), values) for values in self.guesses(evidence)]
 
@@ -75,7 +75,7 @@ class TorqueLimit(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Four shares of the largest torque."""
-        most = _most(evidence.load) / (abs(evidence.gear) or 1.0)
+        most = _most(_torque(evidence))
         return [{"limit": share * most} for share in (0.95, 0.8, 0.6, 0.4)] if most > 0 else []
 
     def edit(self, document: Document, at: str, values: Values) -> None:
@@ -89,6 +89,17 @@ class TorqueLimit(Effect):
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
         return f"{at} gives no more than {values['limit']:.3g} {unit['limit']}, less than its commands ask for."
+
+
+def _torque(evidence: Evidence) -> Array:
+    """What a drive gives without a limit, (n,), before its gear."""
+    model, gear = evidence.model, evidence.gear or 1.0
+    i = model.actuator(evidence.at).id
+    if model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_AFFINE:
+        return evidence.load / gear
+    constant, by_position, by_speed = (float(number) for number in model.actuator_biasprm[i, :3])
+    moved = gear * (by_position * evidence.position + by_speed * evidence.velocity)
+    return np.asarray(float(model.actuator_gainprm[i, 0]) * evidence.command + constant + moved)
 
 
 def _most(values: Array) -> float:

@@ -24,7 +24,6 @@ from dipc_gym import mjcf
 from dipc_gym.physics import Extra, Moment, Physics
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_mean
-from dipc_gym.recording.units import commanded_by
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.simulation.compiled import BESIDE
 from dipc_gym.sim2real.simulation.memory import bends, memories
@@ -291,7 +290,7 @@ class Forces(NamedTuple):
 
     Attributes:
         unexplained: what the motion needs beyond what the model gives.
-        load: what each joint transmits: of its actuators, where it has any, else what gravity and motion ask of it.
+        load: what each joint transmits: of its actuators, and what gravity and motion ask of it besides.
         resisting: of the model's dry friction.
     """
 
@@ -368,19 +367,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     resisting = np.where(rests, np.clip(lacking, -level_at, level_at), held @ out)
     moving = -level_at * np.sign(motion.velocity)  # it is in what was needed already
     friction = np.where(rests.any(axis=1, keepdims=True), resisting, moving)
-    return Forces(lacking - resisting, np.where(_powered(model), driven, biased) @ out, friction)
-
-
-def _powered(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Which degrees of freedom somebody's commands drive, (nv,), and not only what passive elements exert."""
-    found, kinds = np.zeros(model.nv, dtype=bool), mujoco.mjtTrn
-    for i in {commanded_by(model, name) for name in mjcf.controls(model)}:
-        by, at = int(model.actuator_trntype[i]), int(model.actuator_trnid[i, 0])
-        if by == kinds.mjTRN_JOINT:
-            found[model.jnt_dofadr[at]] = True
-        elif by == kinds.mjTRN_TENDON:
-            found[[joint for joint, _ in along(model, at)]] = True
-    return found
+    return Forces(lacking - resisting, (driven + biased) @ out, friction)
 
 
 def _rests(motion: Motion) -> NDArray[np.bool_]:
