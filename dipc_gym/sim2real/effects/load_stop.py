@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -18,13 +19,14 @@ Array = NDArray[np.float64]
 FAR = 1e6  # m or rad, of an end that nothing meets
 NARROWEST = 1e-9  # m, rad or degrees between two ends: MuJoCo wants some, and a fit may ask for none
 SOFTEST, HARDEST = 20.0, 4000.0  # 1/s: a bumper of foam, and steel that hardly shows from one sample to the next
-RATES, DAMPED = (100.0, 500.0), 0.3  # 1/s, and damping ratio, that are tried
+RATES, RATIOS = (100.0, 500.0), (0.3, 2.0)  # 1/s, and damping ratios, that are tried
+LEAST, MOST = 0.01, 10.0  # damping ratio: a blow comes back whole, and a joint leaves as slowly as through honey
 STEP = 1e-3  # of the way that a joint went: a sizeable change of where it ends
 PLACES = 40  # that are tried at either end
 DEEPEST = 0.2  # of the way that a joint went, that a stop may be entered by
-DENSER = 4.0  # times as much as elsewhere: of the squares of the force for its share of samples, where a stop pushes
+DENSER = 3.0  # times as much as elsewhere: of the squares of the force for its share of samples, where a stop pushes
 PUSHES = 0.2  # share of the force's squares that it takes at least
-ONE_WAY = 0.3  # share of these that is a push out of it, and not a force to and fro
+ONE_WAY = 0.65  # share of these that is a push out of it: an acceleration that was smoothed swings to both sides
 
 
 class Stop(Effect):
@@ -38,7 +40,7 @@ class Stop(Effect):
     id = "load.stop"
     place = "joint"
     rivals = ("load.spring", "load.position", "disturbance.pulse")
-    valleys = ("contact_rate",)
+    valleys = ("contact_rate", "contact_damping")
     finest = EFFECTS.fast
     element = "the joint's range, with a limit that is a spring and a damper"
 
@@ -47,7 +49,7 @@ class Stop(Effect):
         self.parameters = (
             *(Parameter(end, "m", step=step) for end in self.ends),
             Parameter("contact_rate", "1/s", SOFTEST, HARDEST, log=True),
-            Parameter("contact_damping", "1", 0.01, 2.0, log=True),
+            Parameter("contact_damping", "1", LEAST, MOST, log=True),
         )
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
@@ -67,7 +69,8 @@ class Stop(Effect):
             if begins is not None:
                 at[end] = sign * begins
         stop = Stop(tuple(at), STEP * float(np.ptp(evidence.position)))
-        return [(stop, {**at, "contact_rate": rate, "contact_damping": DAMPED}) for rate in RATES if at]
+        tried = itertools.product(RATES, RATIOS) if at else ()
+        return [(stop, {**at, "contact_rate": rate, "contact_damping": ratio}) for rate, ratio in tried]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Those of its own ends that the evidence shows."""
@@ -137,8 +140,8 @@ def _begins(position: Array, force: Array) -> float | None:
     for count in np.unique(np.geomspace(2, inside, PLACES).astype(int)):
         begins, near = place[count], push[:count]
         squares = float(near @ near) / total
-        one_way = float(np.sum(near)) * abs(float(np.sum(near))) / (count * max(float(near @ near), 1e-300))
-        if squares < PUSHES or squares < DENSER * count / len(push) or one_way < ONE_WAY:
+        out_of_it = float(np.sum(np.maximum(near, 0.0) ** 2)) / max(float(near @ near), 1e-300)
+        if squares < PUSHES or squares < DENSER * count / len(push) or out_of_it < ONE_WAY:
             continue
         depth = place[:count] - begins
         left = total - max(float(depth @ near), 0.0) ** 2 / max(float(depth @ depth), 1e-300)
