@@ -194,8 +194,7 @@ def _repeated(label: str, values: NDArray[np.float64], period: float) -> list[st
     if rows > 1 and min(np.mean(held % rows == 0), still) > CHECKS.regular:
         return [
             f"{label} changes only every {rows} rows: it was read at {1 / (rows * period):.4g} Hz and is late in "
-            "between, which no physics accounts for; log each row when it is read, or keep every "
-            f"{rows}th row"
+            f"between, which no physics accounts for; log each row when it is read, or keep one row of {rows}"
         ]
     bends = np.flatnonzero(np.abs(np.diff(steps)) > CHECKS.straight * np.max(np.abs(steps), initial=0.0))
     apart = np.diff(bends)
