@@ -134,6 +134,7 @@ class _Writer:
     def _joints(self) -> None:
         model = self.model
         self.ints[Head.JOINT_NUMBERS] = len(self.numbers)
+        stiff = stiff_limits(model)
         damped = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER
         sprung = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_SPRING
         for k in range(model.nv):
@@ -148,13 +149,11 @@ class _Writer:
             unbent = float(model.qpos_spring[model.jnt_qposadr[k]])
             friction = float(model.dof_frictionloss[k])
             self.numbers += [x * damped for x in damping] + [x * sprung for x in stiffness]
-            self.numbers += [unbent, armature, friction, *self._range(k)]
+            self.numbers += [unbent, armature, friction, *(self._range(k) if stiff[k] else (-_LIMITLESS, _LIMITLESS))]
 
     def _range(self, k: int) -> tuple[float, float]:
         """Positions between which a joint's limit does not act, where a simulation has to end that leaves them."""
         model = self.model
-        if not stiff_limits(model)[k]:
-            return -_LIMITLESS, _LIMITLESS
         margin = float(model.jnt_margin[k])
         return float(model.jnt_range[k, 0]) + margin, float(model.jnt_range[k, 1]) - margin
 

@@ -187,24 +187,29 @@ def _repeated(label: str, values: NDArray[np.float64], period: float) -> list[st
     """Whether a channel is read less often than it is written: rows between repeat it, or lie on a line."""
     steps = np.diff(values)
     count = quantum(values)
-    held = np.diff(np.flatnonzero(np.abs(steps) > CHECKS.steps * count), prepend=-1)  # rows up to each large change
-    rows = int(np.argmax(np.bincount(held))) if len(held) >= CHECKS.refreshed else 1
     # At rest a reading repeats as well; where it moves, each row is another.
-    still = float(np.mean(steps == 0)) * rows / max(rows - 1, 1)
-    if rows > 1 and min(np.mean(held % rows == 0), still) > CHECKS.regular:
+    rows = _regularly(np.diff(np.flatnonzero(np.abs(steps) > CHECKS.steps * count), prepend=-1))
+    if rows > 1 and float(np.mean(steps == 0)) * rows / (rows - 1) > CHECKS.regular:
         return [
             f"{label} changes only every {rows} rows: it was read at {1 / (rows * period):.4g} Hz and is late in "
             f"between, which no physics accounts for; log each row when it is read, or keep one row of {rows}"
         ]
     bends = np.flatnonzero(np.abs(np.diff(steps)) > CHECKS.straight * np.max(np.abs(steps), initial=0.0))
-    apart = np.diff(bends)
-    rows = int(np.argmax(np.bincount(apart))) if len(apart) >= CHECKS.refreshed else 1
-    if rows > 2 and np.mean(apart % rows == 0) > CHECKS.regular:
+    rows = _regularly(np.diff(bends))
+    if rows > 2:
         return [
             f"{label} lies on straight lines over {rows} rows each: it seems to be interpolated from "
             f"{1 / (rows * period):.4g} Hz, and what happened in between is made up; give the rows that were read"
         ]
     return []
+
+
+def _regularly(apart: NDArray[np.intp]) -> int:
+    """How many rows apart (n,) something is nearly always, or a multiple of them; 1 where that is not to be told."""
+    if len(apart) < CHECKS.refreshed:
+        return 1
+    rows = int(np.argmax(np.bincount(apart)))
+    return rows if np.mean(apart % rows == 0) > CHECKS.regular else 1
 
 
 def clipped_share(values: NDArray[np.float64], extreme: float) -> float:

@@ -21,6 +21,22 @@ IMPEDANCE = 1e-4
 LIGHT = 1e-9  # kg and kg m^2, of a body whose inertia is its joint's armature: MuJoCo wants some of both
 
 
+def limits_act(model: mujoco.MjModel) -> bool:
+    """Whether the model's limits are not switched off."""
+    off = mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    return not model.opt.disableflags & off
+
+
+def bumper(rate: float, damping: float) -> dict[str, tuple[float, ...]]:
+    """Solver parameters of a limit that is a spring and a damper, and only pushes.
+
+    Args:
+        rate: natural frequency of what touches it, rad/s.
+        damping: its damping ratio.
+    """
+    return {"solreflimit": (-(rate**2), -2 * damping * rate), "solimplimit": (IMPEDANCE, IMPEDANCE, 1.0)}
+
+
 def can_split(model: mujoco.MjModel, actuator: str) -> bool:
     """Whether the actuator drives a joint."""
     return joint_of(model, actuator) is not None
@@ -201,8 +217,7 @@ def limit(document: Document, name: str, rotor: str, load: str, gap: float, rate
         name=document.fresh(name),
         limited="true",
         range=(-gap / 2, gap / 2),
-        solreflimit=(-(rate**2), -2 * damping * rate),
-        solimplimit=(IMPEDANCE, IMPEDANCE, 1.0),
+        **bumper(rate, damping),
     )
     document.plain(tendon, margin="0", frictionloss="0", armature="0", stiffness="0 0 0", damping="0 0 0")
     _between(document, tendon, rotor, load)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import IMPEDANCE
+from dipc_gym.sim2real.effects.coupling import bumper, limits_act
 from dipc_gym.sim2real.effects.settings import EFFECTS
 
 Array = NDArray[np.float64]
@@ -54,8 +54,7 @@ class Stop(Effect):
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """In a model whose limits are not switched off."""
-        off = mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-        return not model.opt.disableflags & off
+        return limits_act(model)
 
     def forms(self) -> Sequence[Form]:
         """A limit whose solver keeps it stable at long steps."""
@@ -78,13 +77,8 @@ class Stop(Effect):
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The joint's range, with a limit that is a spring and a damper."""
-        rate, damping = values["contact_rate"], values["contact_damping"]
         _between(document, at, values)
-        document.set(
-            document.joint(at),
-            solreflimit=(-(rate**2), -2 * damping * rate),
-            solimplimit=(IMPEDANCE, IMPEDANCE, 1.0),
-        )
+        document.set(document.joint(at), **bumper(values["contact_rate"], values["contact_damping"]))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

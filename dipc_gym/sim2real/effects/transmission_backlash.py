@@ -8,7 +8,7 @@ import mujoco
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import can_split, limit, rotor_guesses, split
+from dipc_gym.sim2real.effects.coupling import can_split, limit, limits_act, rotor_guesses, split
 from dipc_gym.sim2real.effects.settings import EFFECTS
 
 
@@ -31,8 +31,7 @@ class Backlash(Effect):
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """Where a motor drives a joint, in a model whose limits are not switched off."""
-        off = mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-        return can_split(model, at) and not model.opt.disableflags & off
+        return can_split(model, at) and limits_act(model)
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The way that the joint goes in a twentieth of a millisecond, in half of one, and in five."""

@@ -320,7 +320,8 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     time, sent = motion.time.tolist(), data.ctrl[: recording.commands.shape[1]]
     qpos, qvel, qacc, act = data.qpos, data.qvel, data.qacc, data.act
     inverse, actuator, bias = data.qfrc_inverse, data.qfrc_actuator, data.qfrc_bias
-    position, velocity, acceleration = (x @ out.T for x in (motion.position, motion.velocity, motion.acceleration))
+    every = motion.spread(out)
+    position, velocity, acceleration = every.position, every.velocity, every.acceleration
     rests = _rests(motion)
     still = set(np.flatnonzero(rests.any(axis=1)).tolist())
     # What holds a joint may depend on the forces of the moment, so it is known only after these.

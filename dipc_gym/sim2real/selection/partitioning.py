@@ -55,8 +55,7 @@ def _past_is_known(prepared: Prepared) -> NDArray[np.bool_]:
 
 def _since(prepared: Prepared) -> Array:
     """Time from the first sample of its recording to each window, s, (n,)."""
-    w = prepared.problem.windows
-    return w.start - np.array([recording.time[0] for recording in w.recordings])[w.source]
+    return prepared.problem.windows.start - prepared.problem.windows.began
 
 
 def split(problem: Problem) -> tuple[Problem, Problem, Problem]:

@@ -92,8 +92,12 @@ class Windows:
 
     def after_the_first(self, at: float) -> NDArray[np.bool_]:
         """Whether `at` seconds after each window's start its recording has begun, (n,): before, nothing is known."""
-        first = np.array([recording.time[0] for recording in self.recordings])
-        return np.asarray(self.start + at > first[self.source] + JUST)
+        return np.asarray(self.start + at > self.began + JUST)
+
+    @property
+    def began(self) -> Array:
+        """When the recording of each window began, s, (n,)."""
+        return np.array([recording.time[0] for recording in self.recordings])[self.source]
 
     def as_read(self, sensor: int, remembered: Array) -> Array:
         """What a lagging sensor remembers where windows begin, (..., n): what it reads there, but for the noise.

@@ -89,9 +89,8 @@ def possible(
         words = "hold in each row what the command of that row led to, and not what it followed"
         if rows > 1:
             words = f"give commands {rows} rows later than they act"
-        mend = (
-            f"move {_columns(actuators)} up by {rows} row{'s' * (rows > 1)}, so that a command stands where it begins"
-        )
+        moved = f"{_listed('column', actuators)} up by {rows} row{'s' * (rows > 1)}"
+        mend = f"move {moved}, so that a command stands where it begins"
         yield replace(same, words=words, mend=mend, early=rows)
     for name, unit in zip(actuators, np.eye(nu), strict=True):
         key = called(COMMAND, name, sensors)
@@ -107,10 +106,10 @@ def possible(
         keys = [called(SENSOR, name, actuators) for name in names]
         turned = np.eye(len(sensors))
         turned[[*places, *rates]] *= -1
-        words, mend = f"count {_listed(names)} the other way round", _turn(*keys)
+        words, mend = f"count {_listed('sensor', names)} the other way round", _turn(*keys)
         yield replace(same, words=words, mend=mend, sensors=turned)
         if mjcf.is_hinge(physics.model, joint):
-            words = f"count {_listed(names[: len(places)])} from half a turn away"
+            words = f"count {_listed('sensor', names[: len(places)])} from half a turn away"
             half = f'ref="{document.angle(document.joint(joint), math.pi):.8g}"'
             mend = f"add half a turn to the column, or give joint {joint!r} of the model {half}"
             shift = np.zeros(len(sensors))
@@ -267,13 +266,8 @@ def _turn(*names: str) -> str:
     return f"turn its sign round ({units}, or a minus before the unit given, as in -mm)"
 
 
-def _columns(names: Sequence[str]) -> str:
-    """Columns in words."""
-    return f"column{'s' * (len(names) > 1)} {' and '.join(map(repr, names))}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return f"sensor{'s' * (len(names) > 1)} {' and '.join(map(repr, names))}"
+def _listed(what: str, names: Sequence[str]) -> str:
+    return f"{what}{'s' * (len(names) > 1)} {' and '.join(map(repr, names))}"
 
 
 def _carries(model: mujoco.MjModel, one: str, other: str) -> int:
