@@ -32,7 +32,7 @@ from dipc_gym.sim2real.selection.rounds import addition
 from dipc_gym.sim2real.selection.search import Search, Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.selection.stop import Stop
-from dipc_gym.sim2real.verdict import judgement, sparse, stand_ins, untouched
+from dipc_gym.sim2real.verdict import last_choice, sparse, stand_ins, untouched
 from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude, without_idle
 from dipc_gym.sim2real.verdict.settings import VERDICT
 from dipc_gym.sim2real.verdict.withheld import gather
@@ -216,7 +216,7 @@ def test_what_is_concluded_predicts_validation_data_no_worse_than_what_was_there
     """Whatever a conclusion came to: beside it stand the model as given and with its own parameters refitted."""
     search = pushed_early().accepting(*accepted)
     before, *_, last = search.progress.path
-    best = judgement.best_on_validation(search, Conclusion(last), [before])
+    best = last_choice.best_on_validation(search, Conclusion(last), [before])
     reached, *others = (untouched.error_on(search.partition.validation, one) for one in (best.fitted, last, before))
     least = max(VERDICT.worse * min(others), SCORE.at_floor)
     assert reached <= least

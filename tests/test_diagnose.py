@@ -31,7 +31,7 @@ from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.simulated import with_coulomb
 from dipc_gym.sim2real.simulation.batch import Stepping
-from dipc_gym.sim2real.verdict import judge, judgement, sentences
+from dipc_gym.sim2real.verdict import judgement, sentences, word
 from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.withheld import gather
 from dipc_gym.trials.grade import BROKEN
@@ -1014,8 +1014,8 @@ def test_comparison_needs_more_than_chance() -> None:
 def test_verdicts(
     errors: tuple[float, float, float], motion: float, explained: float, terms: int, changed: int, expected: str
 ) -> None:
-    small = judge.negligible(errors[1], motion, Located("cart", 1.0, "somewhere", explained))
-    said = judge.verdict(
+    small = word.negligible(errors[1], motion, Located("cart", 1.0, "somewhere", explained))
+    said = word.verdict(
         Errors(*errors), small=small, terms=terms, unnamed=0, modelled=0, changed=changed, elsewhere=1.0
     )
     assert said == expected
@@ -1037,7 +1037,7 @@ def test_verdicts(
 def test_verdicts_of_what_has_no_name_or_shows_elsewhere(
     errors: tuple[float, float, float], terms: int, unnamed: int, modelled: int, elsewhere: float, expected: str
 ) -> None:
-    said = judge.verdict(
+    said = word.verdict(
         Errors(*errors),
         small=False,
         terms=terms,

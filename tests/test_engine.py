@@ -696,7 +696,7 @@ def test_without_a_cache_it_works_as_well(folder: Path) -> None:
 
 def test_a_law_that_is_more_than_arithmetic_is_left_to_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
     """A user's law may do anything; the engine leaves it out, and goes on with all others."""
-    monkeypatch.setattr(entries, "_rules", dict(entries._rules))
+    monkeypatch.setattr(entries, "_known", dict(entries._known))
     physics.register(
         "friction.mine", "friction", lambda data, now: data[..., 0] + np.interp(now.position, [-1, 1], [1, 2])
     )

@@ -30,7 +30,7 @@ from dipc_gym.sim2real.selection.baseline import baseline
 from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.search import Searched
 from dipc_gym.sim2real.selection.stop import Stop
-from dipc_gym.sim2real.verdict import details, findings, improve, intervals, judgement, sentences, untouched
+from dipc_gym.sim2real.verdict import details, findings, improve, intervals, measure, sentences, untouched
 from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.withheld import gather
 
@@ -59,7 +59,7 @@ STAGES: dict[str, list[tuple[Any, str]]] = {
     "no fine fit, no errors, no numbers": [
         (Searched, "refined"),
         (untouched, "error_on"),
-        (judgement, "_force_errors"),
+        (measure, "_force_errors"),
         (intervals, "by_blocks"),
         (findings, "changed_parameters"),
         (findings, "missing_effects"),

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from dipc_gym import mjcf
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.result import Located
-from dipc_gym.sim2real.verdict import judge
+from dipc_gym.sim2real.verdict import word
 from dipc_gym.sim2real.verdict.location import locate
 from dipc_gym.sim2real.verdict.settings import VERDICT
 
@@ -45,7 +45,7 @@ def test_a_drag_that_thins_is_told_beneath_the_noise_of_accelerations() -> None:
     assert found.explained < VERDICT.pattern
     assert found.of_late > 1.5 * VERDICT.of_late
     assert found.where.startswith("goes with velocity, by how fast it was of late")
-    assert not judge.negligible(8.0, 1e5, found)
+    assert not word.negligible(8.0, 1e5, found)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -53,7 +53,7 @@ def test_noise_goes_with_nothing(seed: int) -> None:
     (found,) = locate(scene(0.0, 0.5, seed), ["axis"])
     assert max(found.explained, 2 * found.of_late) < 0.5 * VERDICT.pattern
     assert "alike" in found.where
-    assert judge.negligible(8.0, 1e5, found)
+    assert word.negligible(8.0, 1e5, found)
 
 
 def test_a_force_of_the_moment_is_said_to_be_one() -> None:
@@ -63,5 +63,5 @@ def test_a_force_of_the_moment_is_said_to_be_one() -> None:
 
 
 def test_what_is_small_and_goes_with_nothing_is_negligible() -> None:
-    assert judge.negligible(8.0, 1e5, Located("axis", 1.0, "", 0.02, 0.01))
-    assert not judge.negligible(8.0, 1e3, Located("axis", 1.0, "", 0.02, 0.01))
+    assert word.negligible(8.0, 1e5, Located("axis", 1.0, "", 0.02, 0.01))
+    assert not word.negligible(8.0, 1e3, Located("axis", 1.0, "", 0.02, 0.01))

@@ -80,7 +80,7 @@ def mujoco_alone(monkeypatch: pytest.MonkeyPatch) -> Any:
 @pytest.fixture
 def own_laws(monkeypatch: pytest.MonkeyPatch) -> None:
     """Laws registered in a test are gone after it."""
-    monkeypatch.setattr(entries, "_rules", dict(entries._rules))
+    monkeypatch.setattr(entries, "_known", dict(entries._known))
 
 
 def test_a_law_that_is_registered_after_the_engine_ran_acts_in_it(own_laws: None, mujoco_alone: Any) -> None:

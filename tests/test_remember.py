@@ -101,8 +101,10 @@ def waving(seed: int, count: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndar
 @pytest.mark.parametrize("effect", ENTRIES)
 def test_what_is_remembered_is_the_integral_of_its_rate(effect: str) -> None:
     time, position, velocity = waving(3)
-    rate, data = physics.memory_of(effect), np.array(ENTRIES[effect])
-    assert rate is not None
+    entry = physics.entry_of(effect)
+    assert entry is not None
+    assert entry.memory is not None
+    rate, data = entry.memory, np.array(ENTRIES[effect])
 
     def slope(t: float, memory: np.ndarray) -> list[float]:
         now = physics.Moment(*(np.zeros(()) for _ in range(5)), speed=np.interp(t, time, velocity), memory=memory[0])
@@ -131,7 +133,7 @@ def test_over_any_motion_they_take_energy_and_give_none(
     else:
         numbers = np.array([size, *(size * np.cumsum(shape)[::-1]), 0.0])
     extra = physics.Extra(effect, "cart", "force", 0, numbers, slot=0)
-    assert entries.usable(extra)
+    assert entries.fault(extra) is None
     (memory,) = recall(effect, numbers[None], time, position, velocity)
     against = memory  # N, of a stiffness of 1 N/m where it is a stretch
     work = np.concatenate([[0.0], np.cumsum(2e-3 * (against * velocity)[:-1])])
@@ -369,8 +371,7 @@ def test_what_only_beginnings_show_is_found_or_told() -> None:
 
 def test_a_memory_of_somebodys_own_may_do_anything(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that becomes no machine code is stepped; MuJoCo then simulates the model."""
-    monkeypatch.setattr(entries, "_rules", dict(entries._rules))
-    monkeypatch.setattr(entries, "_memories", dict(entries._memories))
+    monkeypatch.setattr(entries, "_known", dict(entries._known))
     physics.register(
         "load.mine",
         "force",

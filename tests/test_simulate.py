@@ -182,7 +182,7 @@ def test_a_window_that_diverges_leaves_the_others_alone(effect: str, values: dic
 
 def test_a_command_that_changes_with_time_does_so_in_either_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     """A drive that fades pushes a free mass as far as integration says."""
-    monkeypatch.setattr(entries, "_rules", dict(entries._rules))
+    monkeypatch.setattr(entries, "_known", dict(entries._known))
     physics.register("motor.fades", "command", lambda data, now: now.value * np.exp(-now.time / data[..., 0]))
     text = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>
         <joint name="cart" type="slide" axis="1 0 0"/></body></worldbody>

@@ -455,17 +455,16 @@ class _Writer:
 
 def rules() -> tuple[Rule, ...]:
     """What `<custom>` may add to joints and becomes code as it stands: all that is registered now."""
-    return _rules(tuple(physics.rules()))
+    return _rules(physics.known())
 
 
 @functools.lru_cache(maxsize=4)
-def _rules(known: tuple[tuple[str, physics.Stage, physics.Rule], ...]) -> tuple[Rule, ...]:
-    found = []
-    for effect, stage, says in known:
-        memory = physics.memory_of(effect)
-        if stage in ("friction", "force") and written(says) and (memory is None or written(memory)):
-            found.append(Rule(effect, says, stage == "friction", memory))
-    return tuple(found)
+def _rules(known: tuple[physics.Entry, ...]) -> tuple[Rule, ...]:
+    return tuple(
+        Rule(one.effect, one.rule, one.stage == "friction", one.memory)
+        for one in known
+        if one.stage in ("friction", "force") and written(one.rule) and (one.memory is None or written(one.memory))
+    )
 
 
 def soft_limits(model: mujoco.MjModel) -> NDArray[np.intp]:

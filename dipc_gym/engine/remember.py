@@ -20,7 +20,7 @@ from dipc_gym.engine.code import Code, Numbers
 from dipc_gym.engine.follow import write_following
 from dipc_gym.engine.laws import Says, Table, written
 from dipc_gym.engine.values import INT, POINTER, Value
-from dipc_gym.physics import Moment, memory_of
+from dipc_gym.physics import Moment, entry_of
 from dipc_gym.physics.formulas import SOONEST
 
 Array = NDArray[np.float64]
@@ -53,7 +53,8 @@ def recall(
         >>> round(float(rested[0, -1]), 6)
         1.0
     """
-    rate = memory_of(effect)
+    entry = entry_of(effect)
+    rate = entry and entry.memory
     if rate is None:
         raise KeyError(effect)
     track = (time, position, velocity, np.zeros(len(time)) if follows is None else follows)

@@ -21,11 +21,24 @@ friction may remember one number, as how far a spring has crept or how long a jo
 `userdata`, for which the file has to make room (`<size nuserdata="1"/>`), so that resets, copies and saved states
 carry it.
 
-`formulas` has the functions, `entries` reads and refuses what stands in a file, `applied` puts both around a model.
+`formulas` has the functions, `entries` says of each where it acts and what it takes, `numbers` which numbers it may
+have, `custom` reads what stands in a file, and `applied` puts it around a model.
 """
 
 from dipc_gym.physics.applied import Physics, from_model, load, stack
-from dipc_gym.physics.entries import RECENT, RESIDUAL, SAG, SAG_BY_LAW, Extra, Rule, Stage, memory_of, register, rules
+from dipc_gym.physics.entries import (
+    RECENT,
+    RESIDUAL,
+    SAG,
+    SAG_BY_LAW,
+    Entry,
+    Extra,
+    Rule,
+    Stage,
+    entry_of,
+    known,
+    register,
+)
 from dipc_gym.physics.formulas import Moment
 
 __all__ = [
@@ -33,15 +46,16 @@ __all__ = [
     "RESIDUAL",
     "SAG",
     "SAG_BY_LAW",
+    "Entry",
     "Extra",
     "Moment",
     "Physics",
     "Rule",
     "Stage",
+    "entry_of",
     "from_model",
+    "known",
     "load",
-    "memory_of",
     "register",
-    "rules",
     "stack",
 ]

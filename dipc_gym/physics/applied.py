@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.physics import entries
+from dipc_gym.physics import custom
 from dipc_gym.physics.entries import Extra, Stage
 from dipc_gym.physics.formulas import SOONEST, Moment, moment
 
@@ -230,7 +230,7 @@ def from_model(model: mujoco.MjModel, name: str = "the model") -> Physics:
         mjcf.MjcfError: an entry names an unknown effect or place, or has the wrong count of numbers.
     """
     try:
-        return Physics(model, tuple(entries.read(model)))
+        return Physics(model, tuple(custom.read(model)))
     except mjcf.MjcfError as error:
         raise mjcf.MjcfError(f"{name}: {error}") from None
 

@@ -31,7 +31,7 @@ from dipc_gym.sim2real.selection.search import Search, Searched
 from dipc_gym.sim2real.selection.settings import SCORE
 from dipc_gym.sim2real.selection.stop import Stop
 from dipc_gym.sim2real.stages import StageEnd
-from dipc_gym.sim2real.verdict import conventions, judge, location, sentences
+from dipc_gym.sim2real.verdict import conventions, location, sentences, word
 from dipc_gym.sim2real.verdict.conclude import Conclusion, conclude
 from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.judgement import files_of, judgement
@@ -237,7 +237,7 @@ def begin_search(case: Case, base: Baseline, effects: Sequence[Effect], stop: St
     scorer = Scorer(partition)
     worst = scorer.comparison_error(recalibrated)
     located = location.locate(look(recalibrated), question.joints)
-    small = worst > SCORE.at_floor and judge.negligible(worst, partition.problem.motion, located[0])
+    small = worst > SCORE.at_floor and word.negligible(worst, partition.problem.motion, located[0])
     if small:
         stop.tell("the mismatch is small beside the motion, without a pattern: only what explains all of it will count")
     journal = Journal(Progress(partition, (recalibrated,), anchor), stop.tell)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.engine.remember import recall
 from dipc_gym.engine.swing import Spring, swing
-from dipc_gym.physics import Physics, memory_of
+from dipc_gym.physics import Physics
 from dipc_gym.physics.formulas import resting, told_rests
 from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_at
@@ -168,7 +168,7 @@ def _sees(variant: Physics, which: int, delays: Array, recording: Recording, mot
     """
     law, model, follows = variant.remembering[which], variant.model, np.zeros(len(motion.time))
     own = motion.velocity[:, model.joint(law.at).id]
-    if memory_of(law.effect) is resting:  # the noise of a reading would wake a joint that rests
+    if law.entry.memory is resting:  # the noise of a reading would wake a joint that rests
         own = told_rests(law.data, own)
     for kind, k in law.inputs:
         if kind == "command":

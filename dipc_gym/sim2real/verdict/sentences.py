@@ -53,7 +53,7 @@ def in_one_sentence(
     """What happened, in words that a rig's owner understands.
 
     Args:
-        verdict: see `judge.verdict`.
+        verdict: see `word.verdict`.
         missing: effects that were found.
         changed: model parameters that had to change.
         errors: on held-out windows, in units of noise.
@@ -227,7 +227,7 @@ def next_experiment(
     """What to record to settle what is left.
 
     Args:
-        verdict: see `judge.verdict`.
+        verdict: see `word.verdict`.
         missing: effects that were found.
         others: whether other model parameters than those that changed would have done as well.
         slow: whether a recording is sampled slowly; see `recording.checks.sampled_slowly`.
