@@ -1130,3 +1130,30 @@ def test_what_is_one_model_with_a_name_is_told_beside_it() -> None:
     assert "resting" not in said
     assert said.count("cannot tell that from sensor.bias at cart.") == 1
     assert "Wrong as well was gear of motor (1.15, not 1)." in said
+
+
+def test_a_wheel_of_which_a_tachometer_tells_alone() -> None:
+    """Where it is, nobody reads; its dry friction shows in its speed, by the equation itself."""
+    inertia, drag, level, gear, h, rng = 1.5e-3, 2e-3, 0.03, 0.05, 5e-5, np.random.default_rng(4)
+    time, speed, read = 2e-3 * np.arange(6000), 0.0, []
+    volts = 1.5 * np.sin(2 * np.pi * (0.3 + 0.1 * time) * time) + np.sign(np.sin(2 * np.pi * 0.45 * time))
+    for u in volts:
+        read.append(speed + 0.02 * rng.normal())
+        for _ in range(40):
+            push = gear * u - drag * speed
+            if speed == 0 and abs(push) <= level:
+                continue
+            new = speed + h * (push - math.copysign(level, speed or push)) / inertia
+            speed = 0.0 if new * speed < 0 else new
+    model = f"""<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+        <joint name="wheel" axis="0 0 1" damping="{drag}"/>
+        <inertial pos="0 0 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/></body></worldbody>
+        <actuator><motor name="motor" joint="wheel" gear="{gear}"/></actuator>
+        <sensor><jointvel name="speed" joint="wheel"/></sensor></mujoco>"""
+    recording = Recording("run", time, volts[:, None], np.array(read)[:, None], ["motor"], ["speed"])
+    found = diagnose(mjcf.from_text(model), [recording], threads=1)
+    assert found.verdict == "explained"
+    (missing,) = found.missing
+    assert (missing.effect, missing.at) == ("friction.coulomb", "wheel")
+    assert missing.parameters["level"]["value"] == pytest.approx(level, rel=0.02)
+    assert any(note.startswith("Of wheel only the speed is read") for note in found.notes)

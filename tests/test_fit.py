@@ -157,6 +157,22 @@ def test_intervals_cover_as_often_as_they_say() -> None:
     assert 0.4 < np.sqrt(np.mean(np.square(off))) < 1.8
 
 
+@pytest.mark.parametrize("left", [1.0, 3.0])
+def test_a_covariance_is_how_far_fits_to_other_noise_lie_apart(left: float) -> None:
+    """Whether noise is what it was taken for or three times that: what is left tells."""
+    P = ready(run(seconds=4.0))
+    structure = free(P, "cart.damping", "cart.mass")
+    true, rng, found, told = fit(P.problem, structure), np.random.default_rng(5), [], []
+    clean = readings(P.problem, structure, true.z)
+    for _ in range(100):
+        noisy = clean + left * P.problem.windows.noise * rng.normal(size=clean.shape)
+        one = fit(replace(P.problem, windows=replace(P.problem.windows, observed=noisy)), structure, true.z)
+        found.append(one.z)
+        told.append(np.diag(one.covariance()))
+    apart = np.std(found, axis=0) / np.sqrt(np.mean(told, axis=0))
+    assert np.all((apart > 0.8) & (apart < 1.25))  # chance allows a tenth; a factor of two in it would be 0.7 or 1.4
+
+
 def test_a_prior_holds_what_the_data_does_not_say() -> None:
     """Mass, damping and motor constant scale together; what the owner knows of one of them sets the others."""
     P = ready(run())

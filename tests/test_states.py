@@ -118,11 +118,36 @@ def test_the_map_holds_what_custom_entries_do_to_readings() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sensors", "joints"), [(CART, "pole"), (POLE, "cart"), (CART + SPEED, "pole"), (SUM, "cart, pole")]
+    ("sensors", "joints"), [(CART, "pole"), (POLE, "cart"), (POLE + SPEED, "cart"), (SUM, "cart, pole")]
 )
 def test_joints_that_no_position_sensor_determines_are_named(sensors: str, joints: str) -> None:
     with pytest.raises(states.Undetermined, match=f"sees joint {joints}, so"):
-        states.sensor_map(cart_pole(sensors))
+        states.seen(cart_pole(sensors))
+
+
+def test_a_speed_tells_where_a_joint_is_that_no_position_sensor_sees() -> None:
+    told = states.seen(cart_pole(CART + SPEED))
+    assert told.sensors.tolist() == [0, 1]
+    assert told.speeds.tolist() == [False, True]
+    (note,) = states.integrated(cart_pole(CART + SPEED))
+    assert note.startswith("Of pole only the speed is read")
+    assert states.integrated(cart_pole(CART + POLE + SPEED)) == []
+    assert not states.seen(cart_pole(CART + POLE + SPEED)).speeds.any()
+
+
+def test_motion_comes_back_from_a_speed_alone() -> None:
+    """From 0 on, whatever the gear between a joint and what the speed is read of."""
+    rng, geared = np.random.default_rng(3), '<tendonvel name="sum" tendon="sum"/>'
+    rig, noise = cart_pole(CART + geared), np.array([1e-4, 1e-2])
+    time = stamps(rng, 3000, irregular=True)
+    q = np.stack([0.2 * np.sin(4 * time), np.cos(5 * time) - 1], axis=1)
+    _, V, _ = states.sensor_map(rig)
+    speeds = np.stack([0.8 * np.cos(4 * time), -5 * np.sin(5 * time)], axis=1)
+    sensors = np.stack([q[:, 0], speeds @ V[1]], axis=1) + noise * rng.normal(size=(len(time), 2))
+    motion = states.estimate(recorded(rig, time, sensors), rig, noise)
+    inner = slice(50, -50)
+    assert np.abs(motion.position - q)[inner].max() < 1e-2
+    assert np.std((motion.velocity - speeds)[inner], axis=0) == pytest.approx(np.zeros(2), abs=2e-2)
 
 
 def test_a_sensor_that_is_not_linear_is_named() -> None:
@@ -134,7 +159,7 @@ def test_a_sensor_that_is_not_linear_is_named() -> None:
 def test_an_unseen_joint_that_follows_another_needs_no_sensor() -> None:
     follows = '<text name="dipc_gym:follows:rotor" data="cart"/>'
     with pytest.raises(states.Undetermined, match="joint rotor"):
-        states.sensor_map(cart_pole(more=ROTOR))
+        states.seen(cart_pole(more=ROTOR))
     rig = cart_pole(POLE + '<jointpos name="motor_side" joint="rotor"/>', follows, ROTOR)
     assert mjcf.base_joints(rig.model) == ("cart", "pole")
     P, _, _ = states.sensor_map(rig)

@@ -276,10 +276,8 @@ class _Rig:
 
     def positions(self, commands: Array) -> Array:
         """Joint positions (k, m, nb) under commands (k, m, nu), as the sensors tell them."""
-        P, V, c = states.sensor_map(self.physics)
-        seen = ~V.any(axis=1)
-        inverse = states.inverse_map(P[seen], self.problem.windows.noise[seen])
-        return (states.straightened(self.physics, self.readings(commands))[..., seen] - c[seen]) @ inverse.T
+        readings = states.straightened(self.physics, self.readings(commands))
+        return states.seen(self.physics).positions(self.time, readings, self.problem.windows.noise)
 
     def stays(self, commands: Array) -> NDArray[np.bool_]:
         """Whether the joints keep to the range that was visited, (k,)."""

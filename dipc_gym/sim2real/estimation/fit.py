@@ -6,7 +6,7 @@ screening and intervals work on these quadratics without simulating again.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -78,11 +78,19 @@ class Fit:
         """Root of the mean square prediction error, in units of noise."""
         return rms(self.mse)
 
-    @property
-    def curvature(self) -> Array:
-        """What data and priors say of the parameters together, (p, p); see `Prior.in_covariance`."""
-        weight = weights(self.mse)
-        return self.structure.prior.in_covariance(np.einsum("n,nij->ij", weight, self.quadratics.A), weight)
+    def covariance(self, own: Sequence[int] | None = None) -> Array:
+        """Covariance of the mapped parameters together, (p, p), or of some of them beside all others as they are.
+
+        That of a weighted fit (Huber 1967): a window counts by its weight, and is as unsure as what is left of it says.
+        What an unmodelled effect leaves goes on from window to window, and is more unsure than that.
+        """
+        which = slice(None) if own is None else np.asarray(own)
+        A = self.quadratics.A[:, which][:, :, which]
+        prior, weight = self.structure.prior.precision[which][:, which], weights(self.mse)
+        curvature = np.einsum("n,nij->ij", weight, A) + weight.mean() * prior
+        spread = np.einsum("n,nij->ij", weight**2 * self.mse, A) + weight.mean() ** 2 * prior
+        inverse = np.linalg.pinv(curvature, hermitian=True)
+        return np.asarray(inverse @ spread @ inverse)
 
     def of(self, problem: Problem) -> bool:
         """Whether it was fitted to these windows, in these steps."""

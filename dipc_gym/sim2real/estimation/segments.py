@@ -125,10 +125,8 @@ def uncertainty(physics: Physics, motions: Sequence[Motion], noise: Array) -> Ar
 
 def position_noise(physics: Physics, noise: Array) -> Array:
     """Noise of the base joints' positions, (nb,), as one reading of all sensors gives them."""
-    P, V, _ = states.sensor_map(physics)
-    seen = ~V.any(axis=1)
-    known = np.where(np.isfinite(noise), noise, noise[np.isfinite(noise)].max())[seen]
-    return np.sqrt(np.sum((states.inverse_map(P[seen], noise[seen]) * known) ** 2, axis=1))
+    known = np.where(np.isfinite(noise), noise, noise[np.isfinite(noise)].max())
+    return states.seen(physics).noise(known, within=ESTIMATION.window_length)
 
 
 def steady_length(problem: Problem, structure: Structure, longest: float) -> float:

@@ -10,13 +10,14 @@ import copy
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solveh_banded
 
@@ -90,7 +91,7 @@ def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
         P (ns, nb), V (ns, nb), c (ns,).
 
     Raises:
-        Undetermined: a sensor is not linear in them, or the position sensors leave a joint free.
+        Undetermined: a sensor is not linear in them.
     """
     model = copy.copy(physics.model)
     model.sensor_delay[:] = 0
@@ -128,16 +129,90 @@ def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
             "acceleration; supported are sensors of positions and velocities",
             "Take that sensor out of the model; its column may stay in the recording.",
         )
-    seen = P[~V.any(axis=1)]
-    if not len(seen) or np.linalg.matrix_rank(seen) < nb:
-        _, s, rows = np.linalg.svd(seen if len(seen) else np.zeros((1, nb)))
-        free = rows[int((s > 1e-9).sum()) :]
+    return P, V, c
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Which sensors tell where the base joints are.
+
+    Attributes:
+        sensors: indices of those that read positions, and of speeds where nothing else tells a position, (k,).
+        speeds: which of them are speeds: their integral from the start of a recording on is taken for a position, (k,).
+        rows: how they, or their integrals, go with the positions, (k, nb).
+        zero: what they read of a rig that rests where all positions are 0, (k,).
+    """
+
+    sensors: NDArray[np.intp]
+    speeds: NDArray[np.bool_]
+    rows: Array
+    zero: Array
+
+    def inverse(self, noise: Array) -> Array:
+        """Least-squares positions per reading, (nb, k), of sensors with this noise, (ns,)."""
+        return inverse_map(self.rows, noise[self.sensors])
+
+    def positions(self, time: Array, readings: Array, noise: Array) -> Array:
+        """Positions (..., n, nb) at times (n,) that readings (..., n, ns) tell."""
+        told = readings[..., self.sensors] - self.zero
+        if self.speeds.any():
+            whole = cumulative_trapezoid(told, time, axis=-2, initial=0.0)
+            told = np.where(self.speeds, whole, told)
+        return np.asarray(told @ self.inverse(noise).T)
+
+    def noise(self, noise: Array, within: float) -> Array:
+        """Standard deviation of the base joints' positions as they are read, (nb,).
+
+        Args:
+            noise: of the sensors, (ns,); infinite of one that never changes.
+            within: s, for which a speed is integrated.
+        """
+        each = np.where(np.isfinite(noise), noise, 0.0)[self.sensors] * np.where(self.speeds, within, 1.0)
+        return np.hypot.reduce(self.inverse(noise) * each, axis=1)
+
+
+def seen(physics: Physics) -> Seen:
+    """Which sensors tell where the base joints are.
+
+    Raises:
+        Undetermined: as `sensor_map`; or neither positions nor speeds tell it of a joint.
+    """
+    P, V, c = sensor_map(physics)
+    base = mjcf.base_joints(physics.model)
+    still, turning = ~V.any(axis=1), ~P.any(axis=1) & V.any(axis=1)
+    turning &= np.abs(V @ _free(P[still], len(base)).T).max(axis=1, initial=0.0) > 1e-9
+    rows = np.where(turning[:, None], V, P)
+    free = _free(rows[still | turning], len(base))
+    if len(free):
         joints = [name for name, column in zip(base, free.T, strict=True) if np.abs(column).max() > 1e-6]
         raise Undetermined(
             f"no position sensor sees joint {', '.join(joints)}, so its state cannot be known",
-            "Add a sensor for it to the model and the recording, or lock the joint in the model.",
+            "Add a sensor of its position, or of its speed, to the model and the recording, or lock the joint in the "
+            "model.",
         )
-    return P, V, c
+    which = np.flatnonzero(still | turning)
+    return Seen(which, turning[which], rows[which], c[which])
+
+
+def _free(rows: Array, nb: int) -> Array:
+    """Directions of the positions (m, nb) that rows (k, nb) do not tell."""
+    if not len(rows):
+        return np.eye(nb)
+    _, s, directions = np.linalg.svd(rows)
+    return np.asarray(directions[int((s > 1e-9).sum()) :])
+
+
+def integrated(physics: Physics) -> list[str]:
+    """A sentence if where a joint is follows from its speed alone."""
+    told = seen(physics)
+    moves = np.any(told.rows[told.speeds] != 0, axis=0)
+    joints = [joint for joint, of in zip(mjcf.base_joints(physics.model), moves, strict=True) if of]
+    if not joints:
+        return []
+    return [
+        f"Of {' and '.join(joints)} only the speed is read: the position is taken to be 0 where a recording begins and "
+        "integrated from there, so what depends on it is known no better than that."
+    ]
 
 
 def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
@@ -151,34 +226,32 @@ def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
     Raises:
         Undetermined: as `sensor_map`.
     """
-    P, V, c = sensor_map(physics)
-    positional = np.flatnonzero(~V.any(axis=1))
-    smooth = recording.sensors.copy()
-    for s in positional:
+    told, smooth = seen(physics), recording.sensors.copy()
+    for s in told.sensors:
         smooth[:, s] = smoothed(recording.time, recording.sensors[:, s], noise[s])
     smooth = straightened(physics, smooth)
     _undo_lateness(physics, recording.time, smooth)
-    inverse = inverse_map(P[positional], noise[positional])
-    position = (smooth[:, positional] - c[positional]) @ inverse.T
+    position = told.positions(recording.time, smooth, noise)
     velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
-    read = np.hypot.reduce(inverse * np.where(np.isfinite(noise), noise, 0.0)[positional], axis=1)
     acceleration = np.gradient(velocity, recording.time, axis=0, edge_order=2)
-    when, first = _first_readings(physics, recording, positional)
-    velocity[0] = _begins(recording.time, position, velocity, when, (first - c[positional]) @ inverse.T, read)
+    read = told.noise(noise, within=recording.period)
+    if not told.speeds.any():
+        when, first = _first_readings(physics, recording, told.sensors)
+        velocity[0] = _begins(recording.time, position, velocity, when, told.positions(when, first, noise), read)
     return Motion(recording.time, position, velocity, acceleration, read)
 
 
 def _first_readings(physics: Physics, recording: Recording, which: NDArray[np.intp]) -> tuple[Array, Array]:
-    """When the first of what sensors read was so, s, (k,), and the readings of some of them, (k, m).
+    """When the first of what some sensors read was so, s, (k,), and the readings of all, (k, ns).
 
     None where they are late by different times, or lag: what they read first was then before the recording.
     """
     delays, lags = mjcf.sensor_delays(physics.model)[which], {extra.index for extra in physics.stage("lag")}
     if np.ptp(delays) > 0 or lags.intersection(mjcf.sensor_addresses(physics.model)[which].tolist()):
-        return np.zeros(0), np.zeros((0, len(which)))
+        return np.zeros(0), recording.sensors[:0]
     begin = int(np.searchsorted(recording.time, recording.time[0] + delays[0] - 1e-9))
     span = slice(begin, begin + ESTIMATION.begins)
-    return recording.time[span] - delays[0], straightened(physics, recording.sensors[span])[:, which]
+    return recording.time[span] - delays[0], straightened(physics, recording.sensors[span])
 
 
 def _begins(time: Array, position: Array, velocity: Array, when: Array, read: Array, noise: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -95,7 +95,7 @@ def within_data(fitted: Fit) -> tuple[Structure, Array] | None:
     for term in fitted.structure.terms:
         if not isinstance(term.effect, Law):
             continue
-        known = np.sqrt(np.diag(_covariance(fitted, _own(fitted, term.key)))) < LAWS.untold
+        known = np.sqrt(np.diag(fitted.covariance(_own(fitted, term.key)))) < LAWS.untold
         shorter = term.effect.shortened(fitted.structure.term_values(fitted.z, term), known)
         if shorter is not None:
             structure, z = instead(structure, z, term, *shorter)
@@ -166,7 +166,8 @@ def _told(fitted: Fit, key: str) -> NDArray[np.bool_] | None:
         return None
     off = np.zeros((np.count_nonzero(new), len(own)))
     off[:, : len(new)] = effect.off(new)
-    error = np.sqrt(np.einsum("ki,ij,kj->k", off, _covariance(fitted, own), off))
+    # Where masses and gears scale with a law, its size is known as badly as they are, but not where it bends.
+    error = np.sqrt(np.einsum("ki,ij,kj->k", off, fitted.covariance(own), off))
     told = np.zeros(len(own), dtype=bool)
     told[: len(new)][new] = np.abs(off @ fitted.z[own]) > SCORE.alike * error
     return told
@@ -193,14 +194,6 @@ def _passed(fitted: Fit, term: Term, windows: Windows) -> NDArray[np.bool_]:
 def _own(fitted: Fit, key: str) -> list[int]:
     """Which parameters are those of one effect."""
     return [i for i, slot in enumerate(fitted.structure.slots) if slot.key.startswith(f"{key}.")]
-
-
-def _covariance(fitted: Fit, own: Sequence[int]) -> Array:
-    """Of some mapped parameters beside all others as they are, (k, k).
-
-    Where masses and gears scale with a law, its size is known as badly as they are, but not where it bends.
-    """
-    return np.asarray(np.linalg.pinv(fitted.curvature[np.ix_(own, own)], hermitian=True))
 
 
 def _better(fitter: Fitter, finer: Fit, current: Fit) -> bool:

@@ -51,7 +51,7 @@ def _plainest(fitted: Fit, problem: Problem, effect: Law, key: str) -> tuple[For
     values_of = {f"{key}.{p.name}" for p in effect.parameters[: len(effect.knots)]}
     own = [i for i, slot in enumerate(slots) if slot.key in values_of]
     scale = np.array([slots[i].scale / effect.most for i in own])
-    covariance = np.linalg.pinv(fitted.curvature, hermitian=True)[np.ix_(own, own)] * np.outer(scale, scale)
+    covariance = fitted.covariance()[np.ix_(own, own)] * np.outer(scale, scale)
     places, values = effect.places, np.array([slots[i].value(fitted.z[i]) / effect.most for i in own])
     for formula in formulas(places, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows)):
         z = fitted.z.copy()

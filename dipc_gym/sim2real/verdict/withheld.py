@@ -7,6 +7,7 @@ can import what is withheld from it.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -122,4 +123,6 @@ def gather(
     notes = [f"{r.name}: {note}" for r in noted for note in r.notes] + slowly(noted)
     parameters = model_parameters(document := Document(source), loaded.model)
     notes += fixed_masses(document, loaded.model, parameters) + left_to_mujoco(loaded)
+    with contextlib.suppress(states.Undetermined):  # then nothing can be told, and that is said in time
+        notes += states.integrated(loaded)
     return Given(source, loaded, tuple(fitted), tuple(wishes.apply(parameters)), tuple(notes)), withheld
