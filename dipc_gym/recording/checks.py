@@ -28,6 +28,7 @@ RATES = {
     mujoco.mjtSensor.mjSENS_TENDONVEL: mujoco.mjtSensor.mjSENS_TENDONPOS,
     mujoco.mjtSensor.mjSENS_ACTUATORVEL: mujoco.mjtSensor.mjSENS_ACTUATORPOS,
 }
+IRREGULAR = "sampling is irregular"  # how a note on it begins
 # What a column that should be in this unit is most likely in, in words and for --unit.
 INSTEAD = {"rad": ("degrees", "deg"), "m": ("millimetres", "mm")}
 
@@ -164,7 +165,7 @@ def _sampling(time: NDArray[np.float64]) -> list[str]:
     low, high = np.quantile(steps, [0.05, 0.95])
     if high - low > CHECKS.spread * middle:
         found.append(
-            f"sampling is irregular: {low:.3g} to {high:.3g} s apart, median {middle:.3g} s (5 to 95 %); "
+            f"{IRREGULAR}: {low:.3g} to {high:.3g} s apart, median {middle:.3g} s (5 to 95 %); "
             "commands are averaged over the steps of the simulation"
         )
     return found

@@ -1,4 +1,4 @@
-"""Parts of recordings, and recordings side by side: none twice, each on its own clock."""
+"""Parts of recordings, and recordings side by side: none twice."""
 
 from __future__ import annotations
 
@@ -45,20 +45,6 @@ def overlap(one: Recording, other: Recording) -> bool:
         for each in (one, other)
     )
     return len(mine) > 0 and np.array_equal(mine, theirs)
-
-
-def from_zero(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings with their time counted from their first samples: what shakes or pushes the rig has no other clock."""
-    return [
-        r
-        if r.time[0] == 0
-        else replace(
-            r,
-            time=r.time - r.time[0],
-            notes=(*r.notes, f"its clock begins at {r.time[0]:.10g} s; times are counted from there"),
-        )
-        for r in recordings
-    ]
 
 
 def going_on(begun: Recording, whole: Recording) -> Recording:

@@ -130,6 +130,27 @@ DEGREES = DegreesSettings()
 
 
 @dataclass(frozen=True)
+class ClockSettings:
+    """Decision constants of whether rows were read evenly and stamped unevenly.
+
+    Attributes:
+        least: share of a period that stamps are off even ones, below which it makes no difference
+        smoother: times that a sensor is as smooth under even stamps, from which these are the right ones: under stamps
+            that are right, even ones make it rougher
+        rougher: times, below which a sensor is rougher under them and speaks against them: by chance one is a little so
+        fewest: samples, in which noise and evenness can be told
+    """
+
+    least: float = 0.005
+    smoother: float = 2.0
+    rougher: float = 0.9
+    fewest: int = 50
+
+
+CLOCK = ClockSettings()
+
+
+@dataclass(frozen=True)
 class GlitchSettings:
     """Decision constants of which single samples are glitches.
 

@@ -12,9 +12,9 @@ import numpy as np
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
+from dipc_gym.recording.clock import clocked
 from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
 from dipc_gym.recording.glitches import without_glitches
-from dipc_gym.recording.parts import from_zero
 from dipc_gym.sim2real.effects import Effect
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit, fit
@@ -90,7 +90,7 @@ def fit_effect(
     given = physics.load(source)
     mjcf.check_supported(given.model, source.name)
     refuse_degrees(recordings, given.model, mend=IN_PYTHON)
-    recordings = without_glitches(from_zero(recordings), given.model)
+    recordings = without_glitches(clocked(recordings), given.model)
     step = min(WINDOWS.coarsest, *(r.period for r in recordings))
     ready = prepare(source, given, recordings, Stepping(step, mujoco.mjtIntegrator.mjINT_RK4), threads=threads)
     fitted = ready.problem.pick(np.arange(0, len(ready.problem.windows), 2))

@@ -23,8 +23,8 @@ from dipc_gym.drawing import style
 from dipc_gym.provenance import made_with
 from dipc_gym.recording import Recording
 from dipc_gym.recording import units as si
+from dipc_gym.recording.clock import clocked
 from dipc_gym.recording.glitches import without_glitches
-from dipc_gym.recording.parts import from_zero
 from dipc_gym.safety.files import whole
 from dipc_gym.sim2real.estimation.fit import readings
 from dipc_gym.sim2real.estimation.segments import joined, prepare
@@ -275,7 +275,7 @@ def replay(
     physics = custom.load(source)
     mjcf.check_supported(physics.model, source.name)
     read = recordings.read(recording, physics.model, mapping=mapping, units=units)
-    (read,) = without_glitches(from_zero([read]), physics.model)
+    (read,) = without_glitches(clocked([read]), physics.model)
     stepping = Stepping(physics.model.opt.timestep, None)
     if step is not None:
         if not (math.isfinite(step) and step > 0):

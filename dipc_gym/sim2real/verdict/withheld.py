@@ -16,9 +16,10 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.recording.checks import slowly
+from dipc_gym.recording.clock import clocked
 from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
 from dipc_gym.recording.glitches import without_glitches
-from dipc_gym.recording.parts import check_apart, from_zero, going_on, until
+from dipc_gym.recording.parts import check_apart, going_on, until
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import prepare
@@ -113,8 +114,9 @@ def gather(
     mjcf.check_supported(loaded.model, source.name)
     check_apart(recordings, held_out)
     refuse_degrees([*recordings, *held_out], loaded.model, mend=IN_PYTHON)
-    whole, tested = from_zero(recordings), without_glitches(from_zero(held_out), loaded.model)
-    # What is tested with says nothing of what is fitted, not even which of its samples are glitches.
+    tested = without_glitches(clocked(held_out), loaded.model)
+    # What is tested with says nothing of what is fitted, not even which of its samples are glitches, or its clock.
+    whole = clocked(recordings, until=1.0 if tested else WINDOWS.test)
     fitted = without_glitches(whole if tested else [until(r, WINDOWS.test) for r in whole], loaded.model)
     if not tested:
         whole = [going_on(one, r) for one, r in zip(fitted, without_glitches(whole, loaded.model), strict=True)]
