@@ -54,7 +54,7 @@ class CreepingSpring(Effect):
         """A node beside the joint, a spring between the two, and a damper under the node."""
         damping = values["stiffness"] * values["relaxation_time"]
         name = node(document, f"{at}_creep", at, armature=damping * SHARPEST, damping=damping)
-        couple(document, name, name, at, values["stiffness"], 0.0)
+        couple(document, name, name, at, values["stiffness"] * _softer(values["relaxation_time"]), 0.0)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
@@ -64,16 +64,24 @@ class CreepingSpring(Effect):
         )
 
 
+def _softer(time: float) -> float:
+    """How many times as stiff the spring beside a node of some inertia is that gives way as fast as one without: both
+    fade with exp(-t / time) then, a root of SHARPEST s^2 + s + softer / time.
+    """
+    return 1.0 - SHARPEST / time
+
+
 def usual(evidence: Evidence, stretch: Array) -> float:
     """Stiffness with which a spring that is stretched so far, (n,), pulls with a good part of the unexplained force."""
     return USUAL * evidence.force_scale / max(rms(stretch), 1e-12)
 
 
 def _stretch(time: float, evidence: Evidence) -> Array:
-    """How far the node is behind the joint, (n,): what a spring of 1 N/m pulls with."""
+    """How far a spring of 1 N/m is stretched, (n,): what it pulls with."""
     out = np.zeros(len(evidence.time))
     for run in evidence.runs:
         if len(run) >= 3:
             q, v, t = evidence.position[run], evidence.velocity[run], evidence.time[run]
-            out[run], _ = swing([Spring(0.0, 1 / (time * SHARPEST))], 0.0, q, v, t, ground=1 / SHARPEST)
+            spring = Spring(0.0, _softer(time) / (time * SHARPEST))
+            out[run] = _softer(time) * swing([spring], 0.0, q, v, t, ground=1 / SHARPEST)[0]
     return out
