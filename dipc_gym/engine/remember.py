@@ -54,9 +54,9 @@ def recall(
         1.0
     """
     entry = entry_of(effect)
-    rate = entry and entry.memory
-    if rate is None:
+    if entry is None or entry.memory is None:
         raise KeyError(effect)
+    rate = entry.memory
     track = (time, position, velocity, np.zeros(len(time)) if follows is None else follows)
     if not written(rate):
         return _stepped(rate, numbers, track)

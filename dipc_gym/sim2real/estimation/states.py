@@ -156,7 +156,7 @@ class Seen:
         """Positions (..., n, nb) at times (n,) that readings (..., n, ns) tell."""
         told = readings[..., self.sensors] - self.zero
         if self.speeds.any():
-            whole = cumulative_trapezoid(told, time, axis=-2, initial=0.0)
+            whole = cumulative_trapezoid(told, time, axis=-2, initial=0)
             told = np.where(self.speeds, whole, told)
         return np.asarray(told @ self.inverse(noise).T)
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.law import Law
@@ -52,8 +53,9 @@ def _plainest(fitted: Fit, problem: Problem, effect: Law, key: str) -> tuple[For
     own = [i for i, slot in enumerate(slots) if slot.key in values_of]
     scale = np.array([slots[i].scale / effect.most for i in own])
     covariance = fitted.covariance()[np.ix_(own, own)] * np.outer(scale, scale)
+    precision: NDArray[np.float64] = np.asarray(np.linalg.pinv(covariance, hermitian=True))
     places, values = effect.places, np.array([slots[i].value(fitted.z[i]) / effect.most for i in own])
-    for formula in formulas(places, values, np.linalg.pinv(covariance, hermitian=True), len(problem.windows)):
+    for formula in formulas(places, values, precision, len(problem.windows)):
         z = fitted.z.copy()
         z[own] = [slots[i].mapped(value) for i, value in zip(own, effect.most * formula(places), strict=True)]
         there = fit(problem, fitted.structure, z, fitted.initial, most=0)
