@@ -19,7 +19,7 @@ TIMES = np.geomspace(0.03, 5.0, 24)  # s, tried by regression
 FAST = (0.03, 0.1, 0.3)  # s, tried whatever forces say, for a refitted mass and damping do nearly what such springs do
 USUAL = 0.3  # of the unexplained force: what a spring pulls with then
 APART = np.exp(0.5)  # ratio of the relaxation times of two first guesses, at least
-SHARPEST = 4e-3  # s: what the node between spring and damper settles in, for it needs some inertia
+SHARPEST = 2e-3  # s: what the node between spring and damper settles in: it needs some inertia, for steps of up to 5 ms
 
 
 class CreepingSpring(Effect):
@@ -36,7 +36,7 @@ class CreepingSpring(Effect):
     one_of = "creeping spring"
     parameters = (
         Parameter("stiffness", "N/m", 1e-9, log=True),
-        Parameter("relaxation_time", "s", 5 * SHARPEST, 60.0, log=True),
+        Parameter("relaxation_time", "s", 10 * SHARPEST, 60.0, log=True),
     )
     rivals = ("load.spring", "friction.viscous", "friction.hysteresis", "load.swinging", "timing.sensor_lag")
 
@@ -65,10 +65,12 @@ class CreepingSpring(Effect):
 
 
 def _softer(time: float) -> float:
-    """How many times as stiff the spring beside a node of some inertia is that gives way as fast as one without: both
-    fade with exp(-t / time) then, a root of SHARPEST s^2 + s + softer / time.
+    """How many times as stiff the spring beside a node of some inertia is that pulls as one without does.
+
+    Maxwell's element pulls with c s - c^2 / k s^2 + ... times the stretch, one with a node of inertia A with c s + (A -
+    c^2 / k') s^2: the same up to the third power of s where 1 / k' is 1 / k + A / c^2.
     """
-    return 1.0 - SHARPEST / time
+    return 1.0 / (1.0 + SHARPEST / time)
 
 
 def usual(evidence: Evidence, stretch: Array) -> float:
