@@ -405,7 +405,9 @@ def test_models_that_cannot_be_treated_are_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(mjcf.MjcfError, match="can touch"):
         replay(*files(tmp_path, touching, recording))
-    blind = hanging().replace('<jointpos name="angle" joint="pole"/>', '<jointvel name="angle" joint="pole"/>')
+    beside = '<body><joint name="other"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>'
+    blind = hanging().replace('<jointpos name="angle" joint="pole"/>', '<jointpos name="angle" joint="other"/>')
+    blind = blind.replace("</worldbody>", beside)
     with pytest.raises(states.Undetermined, match="sees joint pole"):
         replay(*files(tmp_path, blind, recording))
 
