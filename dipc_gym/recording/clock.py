@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dipc_gym.recording import parts
 from dipc_gym.recording.checks import IRREGULAR, noise
 from dipc_gym.recording.settings import CLOCK
 
@@ -56,17 +57,12 @@ def _from_zero(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def _even(recording: Recording, until: float) -> Recording:
-    count = int(np.searchsorted(recording.time, until * recording.duration)) if until < 1 else len(recording)
+    tells = parts.until(recording, until)
+    count = len(tells)
     rows, begin, period = _numbered(recording.time, count)
     jitter = float(np.std((recording.time - begin - period * rows)[:count]))
     if count < CLOCK.fewest or jitter < CLOCK.least * period or np.any(np.diff(rows) < 1):
         return recording
-    tells = replace(
-        recording,
-        time=recording.time[:count],
-        commands=recording.commands[:count],
-        sensors=recording.sensors[:count],
-    )
     given, even = noise(tells), noise(replace(tells, time=period * rows[:count]))
     smoother = np.divide(given, even, out=np.ones_like(given), where=np.isfinite(given))
     if smoother.max(initial=1.0) < CLOCK.smoother or smoother.min(initial=1.0) < CLOCK.rougher:
