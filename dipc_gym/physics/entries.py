@@ -105,7 +105,13 @@ _known = {
 
 
 def register(effect: str, stage: Stage, rule: Rule, memory: Rule | None = None) -> None:
-    """Make the loader understand a further effect; for what the arguments are see `Entry`.
+    """Make the loader understand a further effect.
+
+    Args:
+        effect: its id, as in `dipc_gym:EFFECT:PLACE`.
+        stage: where it acts.
+        rule: what it does there, as in `Entry`.
+        memory: of a force or a level of friction that depends on what went before, as in `Entry`.
 
     Raises:
         ValueError: the id is taken, or neither a force nor friction is to remember.
