@@ -71,7 +71,7 @@ def _one_dry_law_each(extras: Sequence[Extra]) -> None:
         if extra.stage == "friction" and first.setdefault(extra.at, extra.effect) != extra.effect:
             raise mjcf.MjcfError(
                 f"<custom> entry '{_name(extra)}': {first[extra.at]} says how large the dry friction of {extra.at!r} "
-                f"is already; keep one of them"
+                "is already; keep one of them"
             )
 
 

@@ -27,7 +27,7 @@ OUTERMOST = (-1e10, 1e10)  # MuJoCo bounds a state to this; what comes of it nee
 HEAD = 16  # numbers of an entry that say more than one level of a table
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # there is one of each effect; every simulation asks whether they are the same ones
 class Entry:
     """What entries of one effect are.
 

@@ -59,9 +59,11 @@ def _from_zero(recordings: Sequence[Recording]) -> list[Recording]:
 def _even(recording: Recording, until: float) -> Recording:
     tells = parts.until(recording, until)
     count = len(tells)
+    if count < CLOCK.fewest:
+        return recording
     rows, begin, period = _numbered(recording.time, count)
     jitter = float(np.std((recording.time - begin - period * rows)[:count]))
-    if count < CLOCK.fewest or jitter < CLOCK.least * period or np.any(np.diff(rows) < 1):
+    if jitter < CLOCK.least * period or np.any(np.diff(rows) < 1):
         return recording
     given, even = noise(tells), noise(replace(tells, time=period * rows[:count]))
     smoother = np.divide(given, even, out=np.ones_like(given), where=np.isfinite(given))
@@ -81,9 +83,9 @@ def _numbered(time: NDArray[np.float64], count: int) -> tuple[NDArray[np.float64
     """Number of each row, counting those that are missing, (n,); and the even clock that the first `count` stamps lie
     about: where it begins, and its period, s.
     """
-    usual = float(np.median(np.diff(time[:count]))) if count > 1 else 1.0
+    usual = float(np.median(np.diff(time[:count])))
     rows = np.append(0.0, np.cumsum(np.maximum(np.rint(np.diff(time) / usual), 1.0)))
     for _ in range(2):  # a median is too rough a period for thousands of rows; the line tells it
-        period, begin = np.polyfit(rows[:count], time[:count], 1) if count > 1 else (usual, 0.0)
+        period, begin = np.polyfit(rows[:count], time[:count], 1)
         rows = np.rint((time - begin) / period)
     return rows, float(begin), float(period)

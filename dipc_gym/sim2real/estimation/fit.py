@@ -84,11 +84,11 @@ class Fit:
         That of a weighted fit (Huber 1967): a window counts by its weight, and is as unsure as what is left of it says.
         What an unmodelled effect leaves goes on from window to window, and is more unsure than that.
         """
-        which = slice(None) if own is None else np.asarray(own)
-        A = self.quadratics.A[:, which][:, :, which]
-        prior, weight = self.structure.prior.precision[which][:, which], weights(self.mse)
-        curvature = np.einsum("n,nij->ij", weight, A) + weight.mean() * prior
-        spread = np.einsum("n,nij->ij", weight**2 * self.mse, A) + weight.mean() ** 2 * prior
+        A, prior, weight = self.quadratics.A, self.structure.prior, weights(self.mse)
+        curvature = prior.in_covariance(np.einsum("n,nij->ij", weight, A), weight)
+        spread = np.einsum("n,nij->ij", weight**2 * self.mse, A) + weight.mean() ** 2 * prior.precision
+        if own is not None:
+            curvature, spread = curvature[np.ix_(own, own)], spread[np.ix_(own, own)]
         inverse = np.linalg.pinv(curvature, hermitian=True)
         return np.asarray(inverse @ spread @ inverse)
 
