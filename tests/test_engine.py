@@ -47,6 +47,18 @@ from dipc_gym.sim2real.simulation.windows import cut
 
 Array = np.ndarray
 
+ODD = 'limited="true" solimplimit="0.9 0.95 0.001 0.5 3"'  # its impedance is a cubic spline
+LIMITS = (
+    "",
+    'solreflimit="0.03 0.7"',
+    'solreflimit="-900 -20"',
+    'solimplimit="0 0.95 0.2"',
+    'solimplimit="0.3 0.99 0.5 0.2 2"',
+    'solimplimit="0.3 0.99 0.5 0.2 1"',
+    'solimplimit="0.8 0.9 0"',
+    'margin="0.05"',
+)
+
 
 def numbers(values: Array) -> str:
     return " ".join(repr(float(x)) for x in np.ravel(values))
@@ -116,6 +128,27 @@ def test_accelerations_of_random_trees_are_mujocos(seed: int, joints: int) -> No
     """`check` compares at random states and raises where anything differs by more than 1e-9 of the largest."""
     source = loaded(random_tree(np.random.default_rng(seed), joints, yields=True))
     what, parameters = program.read([source])
+    check.check(what, parameters[0], source)
+
+
+def with_limits(text: str, rng: np.random.Generator, *kinds: str) -> str:
+    """A tree whose joints have limits, near where they begin."""
+
+    def limited(name: re.Match[str]) -> str:
+        low, high = rng.uniform(-0.3, 0.0), rng.uniform(0.15, 0.4)
+        return f'{name[0]} limited="true" range="{low} {high}" {rng.choice(kinds)}'
+
+    return re.sub(r'<joint name="j\d"', limited, text)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 6))
+def test_limits_of_random_trees_push_back_as_mujocos_do(seed: int, joints: int) -> None:
+    """Several are met at once, on joints and a tendon, each by another of MuJoCo's formulas."""
+    rng = np.random.default_rng(seed)
+    source = loaded(with_limits(random_tree(rng, joints), rng, *LIMITS))
+    what, parameters = program.read([source])
+    assert what.codes[Head.STOPS] == joints + (joints > 1)
     check.check(what, parameters[0], source)
 
 
@@ -495,15 +528,19 @@ def test_slopes_of_a_table_cost_few_models(
             np.testing.assert_allclose(ours, theirs, atol=1e-7 * np.abs(theirs).max())
 
 
-def test_sensitivities_of_a_random_tree() -> None:
-    """By every number of a seven-joint tree at once, along random directions, and by the starts."""
-    rng = np.random.default_rng(11)
-    # What a stop pushes on is known to a ten thousandth only; its derivatives as well.
-    source = loaded(re.sub("<fixed limited.*?</fixed>", "", random_tree(rng, 7), flags=re.DOTALL))
+@pytest.mark.parametrize(("joints", "kinds", "samples"), [(7, (), 20), (4, ("",), 60), (4, LIMITS, 60)])
+def test_sensitivities_of_a_random_tree(joints: int, kinds: tuple[str, ...], samples: int) -> None:
+    """By every number of a tree at once, along random directions, and by the starts; with limits, several are met, and
+    some at once.
+    """
+    rng, fast = np.random.default_rng(11), 10.0 if kinds else 1.0
+    text = random_tree(rng, joints)
+    source = loaded(with_limits(text, rng, *kinds) if kinds else text)
     what, parameters = program.read([source])
     initial = 0.2 * rng.normal(size=(1, 2, what.nx))
-    initial[..., 14:] = 0.0
-    jobs = jobs_for(parameters, initial, rng.normal(size=(20, source.model.nu)), 20, 7)
+    initial[..., joints : 2 * joints] *= fast
+    initial[..., 2 * joints :] = 0.0
+    jobs = jobs_for(parameters, initial, rng.normal(size=(samples, source.model.nu)), samples, joints)
     fixed = dict(what.tree.fixed)
     free = [k for k in range(len(parameters[0])) if k not in fixed and abs(parameters[0, k]) < 1e6]
     links = program.rigid
@@ -513,6 +550,8 @@ def test_sensitivities_of_a_random_tree() -> None:
     unit[3:] = rng.normal(size=unit[3:].shape)
     readings, changes, _, _ = differentiate(what, jobs, Directions(along, unit), 5e-4)
     np.testing.assert_allclose(readings, run(what, jobs, 5e-4)[0][0], atol=1e-13)
+    low, high = source.model.jnt_range.T[..., None]
+    assert bool(kinds) == (source.model.jnt_limited.any() and ((readings < low) | (readings > high)).any())
     for k in range(10):
         ends = []
         for size in (1e-6, -1e-6):
@@ -544,11 +583,11 @@ def test_what_is_not_covered_is_named(change: tuple[str, str], why: str) -> None
 
 
 def test_what_is_not_covered_runs_on_mujoco() -> None:
-    """A medium that is too thin to matter, and limits that are met or not."""
+    """A medium that is too thin to matter, and limits by a rule that the engine has not, met or not."""
     plain, base = loaded(HANGING), ["cart", "pole1", "pole2"]
     thin = loaded(HANGING.replace('<option timestep="0.001"', '<option timestep="0.001" density="1e-12"'))
     wide, narrow = (
-        loaded(HANGING.replace('name="pole1" type="hinge"', f'name="pole1" type="hinge" limited="true" range="{ends}"'))
+        loaded(HANGING.replace('name="pole1" type="hinge"', f'name="pole1" type="hinge" {ODD} range="{ends}"'))
         for ends in ("-170 170", "-2 2")
     )
     windows = cut([record(plain, sweep(2.0), 0.5)], np.ones(3), 0.25, (0.0, 1.0))
@@ -564,7 +603,7 @@ def test_what_is_not_covered_runs_on_mujoco() -> None:
 
 def test_limits_that_no_recording_comes_near_end_what_meets_them() -> None:
     """What is far off may run into a limit, or away without end; MuJoCo need not say what it does there."""
-    text = HANGING.replace('name="pole1" type="hinge"', 'name="pole1" type="hinge" limited="true" range="-170 170"')
+    text = HANGING.replace('name="pole1" type="hinge"', f'name="pole1" type="hinge" {ODD} range="-170 170"')
     source, base = loaded(text), ["cart", "pole1", "pole2"]
     run_away = loaded(text.replace('damping="21.4"', 'damping="-1e6"'))
     moved = record(source, sweep(2.0), 0.5)

@@ -44,6 +44,8 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
     model.actuator_delay[:], model.sensor_delay[:] = 0.0, 0.0
     model.actuator_actearly[:] = False
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4  # `discrete` has steps in the place of accelerations
+    model.opt.tolerance = 0.0
     data, commanded = mujoco.MjData(model), int(program.codes[Head.CONTROLS])
     smooth = parameters.copy()
     first = int(program.codes[Head.JOINT_NUMBERS])
@@ -52,6 +54,8 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
     yielding = np.flatnonzero(model.tendon_plasticadr >= 0)
     applied, levels, slides = np.zeros(n), np.zeros(n), np.ones(n)
     stiff, soft = stiff_limits(model), soft_limits(model)
+    ends = np.concatenate([model.jnt_range[soft], model.tendon_range[limited]])
+    margin = np.concatenate([model.jnt_margin[soft], model.tendon_margin[limited]])
     low, high = (np.where(stiff, model.jnt_range[:, k], sign * np.inf) for k, sign in ((0, -1), (1, 1)))
     inner = np.where(stiff, model.jnt_margin + 1e-3 * (model.jnt_range[:, 1] - model.jnt_range[:, 0]), 0.0)
     low, high = low + inner, high - inner
@@ -86,9 +90,8 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
         first = 2 * n + model.na + len(yielding)
         remembered, grown = data.userdata.copy(), source.grown(data, slides)
         states[first : first + len(grown)] = remembered[len(remembered) - len(grown) :]
-        limits = np.concatenate([model.jnt_range[soft], model.tendon_range[limited]])
         length = np.concatenate([data.qpos[soft], data.ten_length[limited]])
-        met = (length < limits[:, 0]) | (length > limits[:, 1])
+        met = (length < ends[:, 0] + margin) | (length > ends[:, 1] - margin)
         found = rates(program, smooth, states, data.ctrl[:commanded].copy(), data.time, met.tolist())
         for what, ours, theirs in (
             ("accelerations", found[n : 2 * n], data.qacc),

@@ -41,7 +41,7 @@ def require(program: Program, parameters: Array) -> None:
     friction = parameters[first + Joint.FRICTION : first + int(codes[Head.JOINTS]) * Joint.SIZE : Joint.SIZE]
     for what, there in (
         ("a joint with frictionloss", bool(friction.any())),
-        ("a limit that is a spring", bool(codes[Head.STOPS])),
+        ("a limit", bool(codes[Head.STOPS])),
     ):
         if there:
             raise Uncovered(what)

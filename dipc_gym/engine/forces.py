@@ -10,8 +10,8 @@ from typing import Any
 
 from llvmlite import ir
 
-from dipc_gym.engine.code import Code, Numbers, integer
-from dipc_gym.engine.layout import JOINTS, Element, Feature, Force, Head, Joint, Kind, Ramp, Spring
+from dipc_gym.engine.code import Code, Numbers
+from dipc_gym.engine.layout import Element, Feature, Force, Head, Joint, Kind, Ramp, Spring
 from dipc_gym.engine.values import INT, Value, exp, maximum, minimum, sin, where
 
 
@@ -210,43 +210,6 @@ class Attached:
             rates[bends.get()] = rate
             slots[2] = slots[2] - (stiffness * bend + damping * rate)
         return slots[2]
-
-
-class Stops:
-    """Repeat for each stop: its index among directions, how deep the joints are in it, and how fast deeper."""
-
-    def __init__(self, code: Code, program: ir.Value, numbers: Numbers, states: Numbers) -> None:
-        self.code, self.numbers = code, numbers
-        self.attached = Attached(code, program, numbers, numbers, states, code.value(0.0))
-        self.number = code.counter()
-        stops, elements = code.whole(program, Head.STOPS), code.whole(program, Head.ELEMENTS)
-        count = code.at.select(code.below(integer(0), stops), elements, integer(0))
-        self._each = Each(code, program, code.whole(program, Head.ELEMENT_AT), count, int(Element.SIZE))
-
-    def __enter__(self) -> tuple[ir.Value, Value, Value]:
-        code = self.code
-        self.number.set(JOINTS)
-        element = self._each.__enter__()
-        self._when = code.when(code.equal(code.whole(element, Element.KIND), int(Kind.STOP)))
-        self._when.__enter__()
-        own = self.numbers.since(code.whole(element, Element.NUMBERS))
-        depth, away, speed = depth_of(self.attached, element, own)
-        stop = self.number.get()
-        self.number.set(code.sum(stop, 1))
-        return stop, depth, -(away * speed)
-
-    def __exit__(self, *what: Any) -> Any:
-        self._when.__exit__(*what)
-        return self._each.__exit__(*what)
-
-
-def depth_of(attached: Attached, element: ir.Value, own: Numbers) -> tuple[Value, Value, Value]:
-    """How deep joints are in the nearer end of a tendon's range, the way out (-1 or 1), and the tendon's speed."""
-    code = attached.code
-    length, speed = attached.reach(element, own.since(Spring.SIZE))
-    over, under = length - own[Spring.HIGHEST], own[Spring.LOWEST] - length
-    away = where(over > under, code.value(-1.0), code.value(1.0))
-    return maximum(over, under), away, speed
 
 
 class Each:

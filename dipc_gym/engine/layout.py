@@ -8,7 +8,7 @@ JOINTS = 16  # most joints of a model
 STATES = 128  # most states
 CONTROLS = 32  # most commands
 SENSORS = 64  # most sensors
-STOPS = 16  # most tendons with stops
+STOPS = 32  # most limits of joints and tendons
 
 
 class Head(IntEnum):
@@ -99,14 +99,29 @@ class Force(IntEnum):
 
 
 class Spring(IntEnum):
-    """Parameters of a tendon: a spring with a gap, or a stop (in the same places)."""
+    """Parameters of a tendon that is a spring with a gap."""
 
     LOWEST = 0  # length from which it pulls
     HIGHEST = 1
-    STIFFNESS = 2  # and two more; of a stop its pull back per length
-    DAMPING = 5  # and two more; of a stop its pull back per speed
-    WEIGHT = 8  # of a stop: what its compliance adds to what it pushes on
-    YIELD = 9  # of a spring that yields: how far it bends
+    STIFFNESS = 2  # and two more
+    DAMPING = 5  # and two more
+    YIELD = 8  # of a spring that yields: how far it bends
+    SIZE = 9
+
+
+class Stop(IntEnum):
+    """Parameters of a limit: what MuJoCo makes of `solref`, `solimp` and the inverse inertia that it takes for it."""
+
+    LOWEST = 0
+    HIGHEST = 1
+    PULL = 2  # wanted acceleration per depth and impedance, 1/s^2
+    DRAG = 3  # and per speed, 1/s
+    WEIGHT = 4  # inverse inertia
+    FIRST = 5  # impedance where it is met
+    LAST = 6  # impedance from a depth of `WIDTH` on
+    WIDTH = 7
+    MIDPOINT = 8  # share of the width at which the impedance bends the other way
+    BENDS = 9  # whether it does; else it grows evenly
     SIZE = 10
 
 

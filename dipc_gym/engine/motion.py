@@ -12,13 +12,16 @@ from typing import Any
 from llvmlite import ir
 
 from dipc_gym.engine.code import Code, Index, Numbers, integer
-from dipc_gym.engine.forces import Attached, depth_of
+from dipc_gym.engine.forces import Attached
 from dipc_gym.engine.laws import Rule, laws
-from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Element, Head, Joint, Kind, Spring
+from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Element, Head, Joint, Kind, Stop
+from dipc_gym.engine.limits import depth_of, wanted
 from dipc_gym.engine.values import BIT, INT, LANES, POINTER, VECTOR, Number, Value, maximum, minimum, where
 from dipc_gym.physics import Moment
 
 FOLLOWED = 0.5  # time constant, in steps, that Runge-Kutta follows safely
+SETTLED = 1e-13  # of the largest push of a limit: a change that is none
+SWEEPS = 100  # over limits that are met at once, at most: they converge, but not how fast
 # program, parameters (2), commands (2), directions, time (2), states (2), rates (2), holding (2), levels (2)
 ARGUMENTS = [POINTER] * 16
 
@@ -201,53 +204,75 @@ class _Rates:
         self.code.at.call(self.solve, [self.factor.place, numbers.place])
 
     def _contacts(self) -> None:
-        """Push back where a tendon is at a stop, by as much as MuJoCo's soft constraint does."""
-        code, n, attached = self.code, self.n, self.attached
-        answer, pushes = code.scratch(JOINTS, plain=True), code.scratch(STOPS)
-        with code.count(STOPS) as k:
+        """Push back where limits are met, by as much as MuJoCo's soft constraints do.
+
+        Each pushes on what the others leave, in turns (Gauss and Seidel), until that does not change.
+        """
+        code, n = self.code, self.n
+        touching, stops = code.counter(), code.whole(self.program, Head.STOPS)
+        pushes = code.scratch(STOPS)
+        with code.count(stops) as k:
             pushes[k] = 0.0
-        stops = code.whole(self.program, Head.STOPS)
-        # What stops push on each other is small, for each keeps a ten thousandth of what presses on it. Once pushes no
-        # longer change, how much a stop gives has no part in them: one more sweep makes their tangents exact without
-        # derivatives of that.
-        several = code.below(ir.Constant(INT, 1), stops)
-        more = 1 if code.tangents else 0
-        sweeps = code.at.select(several, integer(3 + more), integer(1 + more))
-        number = code.counter()
-        with code.count(sweeps):
-            number.set(0)
+            with code.when(self.directions[code.sum(k, JOINTS)] > 0):
+                touching.set(code.sum(touching.get(), 1))
+        changed, largest = code.scratch(1, plain=True), code.scratch(1, plain=True)
+        sweeps, last = code.counter(), code.counter()
+        with code.when(code.below(integer(0), touching.get())), code.repeat() as stop:
+            changed[0], largest[0] = 0.0, 0.0
             with code.count(n) as k:
                 self.total[k] = self.forces[k]
-            with attached.elements() as element:
-                kind = code.whole(element, Element.KIND)
-                with code.when(code.equal(kind, int(Kind.STOP))):
-                    own = self.numbers.since(code.whole(element, Element.NUMBERS))
-                    coefficients, stop = own.since(Spring.SIZE), number.get()
-                    depth, away, speed = depth_of(attached, element, own)
-                    before = pushes[stop]
-                    pushes[stop] = 0.0
-                    with code.when(self.directions[code.sum(stop, JOINTS)] > 0):
-                        wanted = own[Spring.STIFFNESS] * depth - own[Spring.DAMPING] * (away * speed)
-                        with code.count(n) as k:
-                            answer[k] = 0.0
-                        terms, first = code.whole(element, Element.TERMS), code.whole(element, Element.TERM_AT)
-                        present, gives = code.scratch(1), code.scratch(1, plain=True)
-                        present[0], gives[0] = 0.0, 0.0
-                        with code.count(terms) as t:
-                            joint = code.whole(self.program, code.sum(first, t))
-                            factor = where(self.stuck(joint), code.value(0.0), coefficients.plain(t))
-                            answer[joint] = answer[joint] + factor
-                            present[0] = present[0] + coefficients[t] * self.accelerations[joint]
-                        self._backwards(answer)
-                        with code.count(terms) as t:
-                            joint = code.whole(self.program, code.sum(first, t))
-                            gives[0] = gives[0] + coefficients.plain(t) * answer[joint]
-                        alone = away * present[0] - gives[0] * before
-                        push = (wanted - alone) / (gives[0] + own[Spring.WEIGHT])
-                        pushes[stop] = maximum(push, 0.0)
-                        attached.push(element, coefficients, away * pushes[stop], self.total)
-                    number.set(code.sum(stop, 1))
+            self._push_back(pushes, changed, largest)
             self._solve(factorised=True)
+            sweeps.set(code.sum(sweeps.get(), 1))
+            # Once pushes no longer change, how much a joint gives has no part in them: one more sweep makes their
+            # tangents exact without derivatives of that.
+            stop(code.equal(last.get(), 1))
+            settled = changed.plain(0) <= SETTLED * largest.plain(0)
+            alone, tired = code.equal(touching.get(), 1), code.equal(sweeps.get(), SWEEPS)
+            enough = code.any_of(settled, alone, tired)
+            if code.tangents:
+                last.set(code.at.select(enough, integer(1), integer(0)))
+            else:
+                stop(enough)
+
+    def _push_back(self, pushes: Numbers, changed: Numbers, largest: Numbers) -> None:
+        """Set what each limit that is met pushes with, as long as the others push as they do, and add it to `total`."""
+        code, n, attached = self.code, self.n, self.attached
+        answer, number = code.scratch(JOINTS, plain=True), code.counter()
+        number.set(0)
+        with attached.elements() as element:
+            is_stop = code.equal(code.whole(element, Element.KIND), int(Kind.STOP))
+            with code.when(is_stop):
+                own = self.numbers.since(code.whole(element, Element.NUMBERS))
+                coefficients, stop = own.since(Stop.SIZE), number.get()
+                with code.when(self.directions[code.sum(stop, JOINTS)] > 0):
+                    depth, away, speed = depth_of(attached, element, own)
+                    acceleration, softness = wanted(own, depth, away * speed)
+                    with code.count(n) as k:
+                        answer[k] = 0.0
+                    terms, first = code.whole(element, Element.TERMS), code.whole(element, Element.TERM_AT)
+                    present, gives = code.scratch(1), code.scratch(1, plain=True)
+                    present[0], gives[0] = 0.0, 0.0
+                    with code.count(terms) as t:
+                        joint = code.whole(self.program, code.sum(first, t))
+                        factor = where(self.stuck(joint), code.value(0.0), coefficients.plain(t))
+                        answer[joint] = answer[joint] + factor
+                        present[0] = present[0] + coefficients[t] * self.accelerations[joint]
+                    self._backwards(answer)
+                    with code.count(terms) as t:
+                        joint = code.whole(self.program, code.sum(first, t))
+                        gives[0] = gives[0] + coefficients.plain(t) * answer[joint]
+                    before = pushes[stop]
+                    alone = away * present[0] - gives[0] * before
+                    push = maximum((acceleration - alone) / (gives[0] + softness), 0.0)
+                    pushes[stop] = push
+                    changed[0] = maximum(changed[0], abs(push.plain - before.plain))
+                    largest[0] = maximum(largest[0], push.plain)
+                    attached.push(element, coefficients, away * push, self.total)
+                    more = away * (push - before)
+                    with code.count(n) as k:
+                        self.accelerations[k] = self.accelerations[k] + answer[k] * more
+                number.set(code.sum(stop, 1))
 
     def _hold(self) -> None:
         """What friction has to give where joints stick."""

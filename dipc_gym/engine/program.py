@@ -121,7 +121,7 @@ class _Writer:
             ("states", layout.STATES, self.ints[Head.STATES]),
             ("controls", layout.CONTROLS, self.controls),
             ("sensors", layout.SENSORS, self.ints[Head.SENSORS]),
-            ("limits that are springs", layout.STOPS, self.ints[Head.STOPS]),
+            ("limits", layout.STOPS, self.ints[Head.STOPS]),
         ):
             if count > most:
                 raise Uncovered(f"{count} {what}, more than {most}")
@@ -149,13 +149,12 @@ class _Writer:
             unbent = float(model.qpos_spring[model.jnt_qposadr[k]])
             friction = float(model.dof_frictionloss[k])
             self.numbers += [x * damped for x in damping] + [x * sprung for x in stiffness]
-            self.numbers += [unbent, armature, friction, *(self._range(k) if stiff[k] else (-_LIMITLESS, _LIMITLESS))]
-
-    def _range(self, k: int) -> tuple[float, float]:
-        """Positions between which a joint's limit does not act, where a simulation has to end that leaves them."""
-        model = self.model
-        margin = float(model.jnt_margin[k])
-        return float(model.jnt_range[k, 0]) + margin, float(model.jnt_range[k, 1]) - margin
+            self.numbers += [
+                unbent,
+                armature,
+                friction,
+                *(_within(model.jnt_range[k], model.jnt_margin[k]) if stiff[k] else (-_LIMITLESS, _LIMITLESS)),
+            ]
 
     def _element(
         self, kind: Kind, dofs: Sequence[int], coefficients: Sequence[float], numbers: Sequence[float], **more: int
@@ -189,7 +188,7 @@ class _Writer:
             low, high = model.tendon_lengthspring[t]
             stiffness = [float(model.tendon_stiffness[t]), *np.ravel(model.tendon_stiffnesspoly[t]).tolist()]
             damping = [float(model.tendon_damping[t]), *np.ravel(model.tendon_dampingpoly[t]).tolist()]
-            spring = [float(low), float(high), *stiffness, *damping, 0.0, float(model.tendon_springyield[t])]
+            spring = [float(low), float(high), *stiffness, *damping, float(model.tendon_springyield[t])]
             if model.tendon_plasticadr[t] >= 0:
                 if low != high:
                     raise Uncovered(f"tendon {name!r} has a spring that yields, and a gap")
@@ -208,23 +207,47 @@ class _Writer:
     def _stop_of_tendon(self, t: int, name: str, dofs: list[int], coefficients: list[float]) -> list[int]:
         model = self.model
         solref, solimp = model.tendon_solref_lim[t], model.tendon_solimp_lim[t]
-        if not _is_spring(solref, solimp, model.tendon_margin[t]):
-            raise Uncovered(f"tendon {name!r} has a limit that is no spring (solreflimit not negative, or a margin)")
-        return self._stop(dofs, coefficients, model.tendon_range[t], solref, solimp, float(model.tendon_invweight0[t]))
+        ends = _within(model.tendon_range[t], model.tendon_margin[t])
+        if not _is_known(solref, solimp, ends):
+            raise Uncovered(
+                f"tendon {name!r} has a limit with a solreflimit of mixed signs or a power other than 1 and 2"
+            )
+        return self._stop(dofs, coefficients, ends, solref, solimp, float(model.tendon_invweight0[t]))
 
     def _stop_of_joint(self, k: int) -> list[int]:
         model = self.model
         solref, solimp, weight = model.jnt_solref[k], model.jnt_solimp[k], float(model.dof_invweight0[k])
-        return self._stop([k], [1.0], model.jnt_range[k], solref, solimp, weight)
+        return self._stop([k], [1.0], _within(model.jnt_range[k], model.jnt_margin[k]), solref, solimp, weight)
 
     def _stop(
-        self, dofs: list[int], coefficients: list[float], ends: Array, solref: Array, solimp: Array, weight: float
+        self,
+        dofs: list[int],
+        coefficients: list[float],
+        ends: tuple[float, float],
+        solref: Array,
+        solimp: Array,
+        weight: float,
     ) -> list[int]:
-        """A limit whose solver parameters make it a spring and a damper; see MuJoCo's documentation on solref."""
-        (pull, drag), (low, high) = solref, ends
-        share = float(np.clip(solimp[0], 1e-4, 0.9999))
-        numbers = [low, high, -pull / share, 0.0, 0.0, -drag / share, 0.0, 0.0, (1 - share) / share * weight, 0.0]
+        """A limit, by the formulas of MuJoCo's documentation, "Solver parameters"."""
+        first, last = np.clip(solimp[:2], mujoco.mjMINIMP, mujoco.mjMAXIMP)
+        middle = np.clip(solimp[3], mujoco.mjMINIMP, mujoco.mjMAXIMP)
+        pull, drag = self._reference(solref)
+        numbers = [*ends, pull / last**2, drag / last, weight]
+        if solimp[2] < mujoco.mjMINVAL:  # no depth at all from one impedance to the other
+            numbers += [(first + last) / 2, (first + last) / 2, 1.0]
+        else:
+            numbers += [first, last, solimp[2]]
+        numbers += [middle, solimp[4] > 1]
         return self._element(Kind.STOP, dofs, coefficients, [float(number) for number in numbers])
+
+    def _reference(self, solref: Array) -> tuple[float, float]:
+        """Stiffness and damping of a limit, 1/s^2 and 1/s."""
+        if solref[0] < 0:
+            return -float(solref[0]), -float(solref[1])
+        time, ratio = solref.tolist()
+        if not self.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE:
+            time = max(time, 2 * self.model.opt.timestep)
+        return 1 / (time * ratio) ** 2, 2 / time
 
     def _actuators(self) -> list[list[int]]:
         ramps = self._ramps()
@@ -468,10 +491,11 @@ def _rules(known: tuple[physics.Entry, ...]) -> tuple[Rule, ...]:
 
 
 def soft_limits(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Joints with limits that are springs and dampers, which the engine has; their indices."""
+    """Joints with limits that the engine has; their indices."""
     limited = np.flatnonzero(model.jnt_limited)
-    soft = [_is_spring(model.jnt_solref[k], model.jnt_solimp[k], model.jnt_margin[k]) for k in limited]
-    return limited[np.array(soft, dtype=bool)]
+    ends = [_within(model.jnt_range[k], model.jnt_margin[k]) for k in limited]
+    known = [_is_known(model.jnt_solref[k], model.jnt_solimp[k], e) for k, e in zip(limited, ends, strict=True)]
+    return limited[np.array(known, dtype=bool)]
 
 
 def stiff_limits(model: mujoco.MjModel) -> NDArray[np.bool_]:
@@ -481,9 +505,18 @@ def stiff_limits(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return limited
 
 
-def _is_spring(solref: Array, solimp: Array, margin: float) -> bool:
-    """Whether a limit is a spring and a damper: of a stiffness of its own, and no harder the deeper it is met."""
-    return bool(solref[0] < 0 and solref[1] <= 0 and solimp[0] == solimp[1] and not margin)
+def _within(ends: Array, margin: float) -> tuple[float, float]:
+    """Between which positions a limit does not act."""
+    return float(ends[0]) + float(margin), float(ends[1]) - float(margin)
+
+
+def _is_known(solref: Array, solimp: Array, ends: tuple[float, float]) -> bool:
+    """Whether a limit is one of the two kinds of `solref`, becomes harder by a formula that the engine has, and acts at
+    one end at a time.
+    """
+    kind = (solref[0] > 0 and solref[1] > 0) or (solref[0] < 0 and solref[1] <= 0)
+    harder = solimp[4] <= 1 or solimp[4] == 2 or solimp[0] == solimp[1]
+    return bool(kind and harder and ends[0] < ends[1])
 
 
 def _check_covered(model: mujoco.MjModel) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 from llvmlite import ir
 
 from dipc_gym.engine.code import Code, Index, Numbers, integer
-from dipc_gym.engine.forces import Stops
 from dipc_gym.engine.layout import CONTROLS, JOINTS, SENSORS, STATES, STOPS, At, Head, Joint, Row
+from dipc_gym.engine.limits import Stops
 from dipc_gym.engine.motion import FOLLOWED
 from dipc_gym.engine.values import INT, POINTER, VECTOR, Value
 
@@ -161,7 +161,7 @@ class Window:
         return states[self.code.sum(self.nv, k)]
 
     def stops(self, states: Numbers) -> Any:
-        """Repeat for each stop; see `forces.Stops`."""
+        """Repeat for each stop; see `limits.Stops`."""
         return Stops(self.code, self.program, self.numbers, states)
 
     def stuck(self, k: Index, levels: Numbers) -> ir.Value:
