@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 import warnings
@@ -228,6 +229,15 @@ class Compensator(ABC):
     @abstractmethod
     def volts(self, force: Signal, velocity: Signal, previous_velocity: Signal) -> Signal:
         """Return the motor voltage (V) for a wanted force (N) and velocities (m/s): the formula itself."""
+
+    def behind(self, supply: float) -> Self:
+        """Return a copy for one rig, whose amplifier limits voltages to `supply`, V, and says where it did.
+
+        A copy, for it has a memory, which two rigs must not share.
+        """
+        own = copy.deepcopy(self)
+        object.__setattr__(own, "supply", None)
+        return own
 
     @property
     def parameters(self) -> int:

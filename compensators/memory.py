@@ -73,6 +73,12 @@ class Remembering(Compensator):
         object.__setattr__(self, "supply_voltage", least)
         super().__post_init__()
 
+    def behind(self, supply: float) -> Self:
+        """Likewise; what it remembers of voltages is what such an amplifier lets through."""
+        own = super().behind(supply)
+        object.__setattr__(own, "supply_voltage", min(self.supply_voltage, supply))
+        return own
+
     @abstractmethod
     def begin(self, n: int) -> Array:
         """Return the memory (n, k) of n rigs after a reset; all of it finite."""

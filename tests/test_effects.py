@@ -20,6 +20,7 @@ from sim2real_rigs import CART, NOISE, RIGS, RK4, STRENGTH, prepared, record, sw
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
+from dipc_gym.sim2real import effects
 from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.base import Evidence, Parameter
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
@@ -746,3 +747,21 @@ def test_a_slow_shaking_is_found_under_the_noise_of_accelerations() -> None:
     assert np.std(jitter) > 1.0
     guesses = catalogue()["disturbance.periodic"].guesses(seen)
     assert [g for g in guesses if abs(g["frequency"] - 0.87) < 0.02]
+
+
+def test_a_catalogue_that_was_not_read_to_its_end_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C, or a module that cannot be imported, between two effects."""
+    whole = list(catalogue())
+
+    def breaks_off(name: str) -> object:
+        if name.endswith("motor_map"):
+            raise KeyboardInterrupt
+        return real(name)
+
+    real = effects.importlib.import_module
+    monkeypatch.setattr(effects, "_effects", {})
+    with monkeypatch.context() as patched:
+        patched.setattr(effects.importlib, "import_module", breaks_off)
+        with pytest.raises(KeyboardInterrupt):
+            catalogue()
+    assert list(catalogue()) == whole

@@ -489,10 +489,12 @@ RULES = [(one.effect, one.stage) for one in physics.known() if one.stage != "lag
 )
 @example(("motor.map", "command"), [0.0, 1.0, 1.0, 1.0, 1.0, 1e-320], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0], True)
 @example(("friction.time", "friction"), [0.0, 0.0, -1.0, -1.0], [0.0] * 6, True)
+@example(("friction.load", "friction"), [1.0, -0.5, 0.0], [0.0, 0.0, 10.0, 0.0, 0.0, 1.0], False)
+@example(("friction.load_stribeck", "friction"), [1.0, 0.1, 0.0, -5.0, 0.1], [0.0, 0.0, 10.0, 0.0, 0.0, 0.0], False)
 def test_an_entry_that_is_let_in_gives_a_number_wherever_the_joint_is(
     rule: tuple[str, physics.Stage], numbers: list[float], at: list[float], rising: bool
 ) -> None:
-    """A wave of 1e-304 m had given none at 3,641 m."""
+    """A wave of 1e-304 m had given none at 3,641 m. And no dry friction drives."""
     if rising:
         numbers = sorted(number for number in numbers if not math.isnan(number))
         if rule[0] == physics.RESIDUAL:
@@ -504,6 +506,7 @@ def test_an_entry_that_is_let_in_gives_a_number_wherever_the_joint_is(
     time, position, drive, weight, value, speed = (np.float64(x) for x in at)
     now = physics.Moment(np.abs(time), position, drive, weight, value, speed, (position, speed))
     assert np.isfinite(extra(now))
+    assert stage != "friction" or extra(now) >= 0
 
 
 def test_an_entry_of_very_many_numbers_is_refused_in_few_words() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path, PurePosixPath
 
 import pytest
@@ -77,6 +78,13 @@ def test_a_planted_link_does_not_lead_a_whole_file_elsewhere(tmp_path: Path, mon
     files.write_whole(tmp_path / "f" / "note", b"theirs")
     assert target.read_text() == "mine"
     assert (tmp_path / "f" / "note").read_text() == "theirs"
+
+
+def test_partial_files_of_runs_that_are_at_work_stay(tmp_path: Path) -> None:
+    for number in (os.getppid(), 99_999_999):
+        (tmp_path / f".cell.json.{number}.partial").touch()
+    files.remove_partial(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [f".cell.json.{os.getppid()}.partial"]
 
 
 TINY = Training(

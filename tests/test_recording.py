@@ -422,6 +422,14 @@ def test_npz_unfolds_into_no_more_than_it_says(tmp_path: Path, model: mujoco.MjM
     assert "save it with numpy.savez" in refused(path, model)
 
 
+def test_an_npz_of_very_many_arrays_is_refused_before_they_are_listed(tmp_path: Path, model: mujoco.MjModel) -> None:
+    path = tmp_path / "r.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("time.npy", b"")
+    path.write_bytes(path.read_bytes() + b"PK\x01\x02" * 100_000)
+    assert "more than 100,000 arrays" in refused(path, model)
+
+
 def test_npz_shapes_and_types(tmp_path: Path, model: mujoco.MjModel) -> None:
     columns = run()
     path = tmp_path / "r.npz"

@@ -20,9 +20,10 @@ from test_report import RIGS, example
 
 from dipc_gym import cli, mjcf, recording
 from dipc_gym.safety.places import PlaceError
-from dipc_gym.sim2real import SavedError, Trace, catalogue, diagnose, redraw
+from dipc_gym.sim2real import Diagnosis, SavedError, Trace, catalogue, diagnose, redraw, save
 from dipc_gym.sim2real.effects.law import described
 from dipc_gym.sim2real.report import page, saved
+from dipc_gym.sim2real.report.folder import check_free
 from dipc_gym.sim2real.verdict import details
 
 ARM = Path(__file__).resolve().parent.parent / "examples" / "diagnose"
@@ -168,6 +169,18 @@ def test_links_and_pipes_are_refused(tmp_path: Path) -> None:
     os.mkfifo(folder / "report.json")
     with pytest.raises(SavedError, match=r"report\.json: is not there, or no file"):
         redraw(folder)
+
+
+def test_a_link_that_leads_out_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    folder = keep(tmp_path / "found", example("partly explained"))
+    (tmp_path / "mine.xml").write_text("mine")
+    (folder / "improved.xml").symlink_to(tmp_path / "mine.xml")
+    before = (folder / "diagnosis.json").read_text()
+    for step in (lambda: check_free(folder, True), lambda: save(Diagnosis("consistent", "."), folder, overwrite=True)):
+        with pytest.raises(PlaceError, match=r"'improved\.xml' leads out of this folder"):
+            step()
+    assert (tmp_path / "mine.xml").read_text() == "mine"
+    assert (folder / "diagnosis.json").read_text() == before
 
 
 NUMBERS = st.one_of(st.floats(), st.floats(-1e3, 1e3), st.just(0.0))

@@ -144,9 +144,9 @@ def test_numbers_of_plants_are_those_that_reading_the_model_gives(seed: int) -> 
     source = DoublePendulumEnv().source
     family = PlantFamily.of(DRAWN)
     rig = Rig.of(source, dataclasses.replace(family.base, delay=family.longest_delay))
-    structure, nominal = program.read([rig.physics])
+    structure, nominal = program.read([rig.endless])
     plant = family.draw(np.random.default_rng(seed))
-    known, read = program.read([Rig.of(source, plant).physics])
+    known, read = program.read([Rig.of(source, plant).endless])
     assert np.array_equal(structure.codes, known.codes)
     np.testing.assert_allclose(PlantNumbers(rig, structure, nominal[0]).of([plant])[0], read[0], rtol=1e-12, atol=1e-15)
 
@@ -155,8 +155,8 @@ def test_a_geared_motor_s_damping_and_armature_change_with_the_pulley(tmp_path: 
     model = edited(tmp_path, '<dcmotor name="motor"', '<dcmotor name="motor" armature="1e-5" damping="1e-4"')
     env = DoublePendulumEnv(model=model)
     rig, plant = env.rig, dataclasses.replace(env.plant, motor=dataclasses.replace(env.plant.motor, pulley_radius=0.02))
-    structure, nominal = program.read([rig.physics])
-    _, read = program.read([Rig.of(env.source, plant).physics])
+    structure, nominal = program.read([rig.endless])
+    _, read = program.read([Rig.of(env.source, plant).endless])
     assert not np.array_equal(nominal, read)
     np.testing.assert_allclose(PlantNumbers(rig, structure, nominal[0]).of([plant])[0], read[0], rtol=1e-12, atol=1e-15)
 

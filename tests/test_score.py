@@ -111,6 +111,15 @@ def test_a_motor_lags_or_overshoots(response, applied):
     assert env.step([4.0])[4]["voltage"] == applied[0]
 
 
+@pytest.mark.parametrize("response", [0.0, 2.1, float("nan"), float("inf")])
+def test_a_motor_whose_response_does_not_settle_is_refused(response):
+    with pytest.raises(ValueError, match="above 0 and at most 2"):
+        FaultyMotor(gymnasium.make("DIPC-Friction-v0"), response=response)
+    envs = gymnasium.make_vec("DIPC-Friction-v0", 2, vectorization_mode="vector_entry_point")
+    with pytest.raises(ValueError, match="above 0 and at most 2"):
+        VectorFaultyMotor(envs, response=np.array([1.0, response]))
+
+
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_motors_misbehave_in_a_row_as_they_do_alone_also_after_an_episode(mode):
     many = {"vectorization_mode": "vector_entry_point", "autoreset_mode": mode}

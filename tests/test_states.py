@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -294,6 +296,23 @@ def swinging(rig: physics.Physics, noise: float, seconds: float = 6.0) -> Record
             data.qfrc_applied[:] = extra_force(data.time)
             rig.step(data, command)
     return recorder.recording("swinging")
+
+
+def test_each_state_of_a_motor_relaxes_at_its_own_rate() -> None:
+    """A winding warms up over seconds, its current follows within milliseconds, and bristles as fast as they move."""
+    motor = """<dcmotor name="motor" joint="cart" gear="3" resistance="1.2" motorconst="0.06" inductance="0 0.001"
+        thermal="10 5 0 0.0039 25 25" lugre="1000 1 0.5 0.8 0.1"/>"""
+    whole = CART_POLE.format(more="", sensors=CART, custom="")
+    text = re.sub("<actuator>.*</actuator>", f"<actuator>{motor}</actuator>", whole)
+    model = mujoco.MjModel.from_xml_string(text)
+    data, step = mujoco.MjData(model), 0.005
+    data.qvel[0] = 0.2
+    mujoco.mj_forward(model, data)
+    heat, bristles, current = states._relaxed(model, data, step) / step
+    inductance = float(model.actuator_dynprm[0, 0])
+    assert heat == pytest.approx(1 - step / (2 * 10 * 5), rel=1e-4)
+    assert current == pytest.approx(inductance / step * -np.expm1(-step / inductance))
+    assert 0 < bristles < current
 
 
 def test_a_force_that_the_model_does_not_know_is_recovered() -> None:

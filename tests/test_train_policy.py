@@ -376,6 +376,6 @@ def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(name: str, tmp_path: Pa
 
 
 def test_what_a_kill_before_the_first_file_leaves_is_no_hindrance(tmp_path: Path) -> None:
-    (tmp_path / ".training.json.77.partial").touch()
+    (tmp_path / ".training.json.99999999.partial").touch()
     folder.prepare(short(), tmp_path, resume=False, overwrite=False)
     assert [path.name for path in tmp_path.iterdir()] == ["training.json"]

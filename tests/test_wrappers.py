@@ -19,6 +19,8 @@ from gymnasium.wrappers import ClipAction, NormalizeObservation, RescaleAction, 
 import dipc_gym
 from dipc_gym import compensators, mjcf, recording, runs
 from dipc_gym.compensators import Compensator, CompensatorError, Feedforward, Ideal, RigConstants, Samples, StaticGain
+from dipc_gym.compensators.disturbance_observer import DisturbanceObserver
+from dipc_gym.compensators.friedland import Friedland
 from dipc_gym.controllers.lqr import PRINTED_GAIN
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.wrappers import (
@@ -31,6 +33,10 @@ from dipc_gym.wrappers import (
 )
 
 GAIN = StaticGain(newtons_per_volt=4.0)
+FITTED = {
+    "friedland": Friedland(4.0, 24.0, 0.005, level=20.0, rate=2.0, sign_velocity=0.01, mass=1.5, viscous=40.0),
+    "disturbance_observer": DisturbanceObserver(4.0, 24.0, 0.005, share=0.3, mass=1.5, viscous=40.0),
+}
 
 
 def rig(**kwargs: Any) -> Any:
@@ -126,6 +132,27 @@ def test_the_environment_limits_the_voltage_and_says_so(supply: float) -> None:
         said.append(info["clipped"])
     assert any(said)
     assert trained.supply == 24.0
+
+
+@pytest.mark.parametrize("kind", ["friedland", "disturbance_observer"])
+def test_what_a_weak_supply_keeps_back_is_not_taken_for_friction(kind: str) -> None:
+    """Fitted at 24 V and asked for 24 V where there are 12: what it remembers is what the motor got."""
+    fitted = FITTED[kind]
+    env = ForceCommand(gymnasium.make("DIPC-Friction-v0", plant={"supply": 12.0}), fitted)
+    env.reset(seed=0)
+    for _ in range(5):
+        info = env.step([env.force_limit])[4]
+        assert abs(info["voltage"]) <= 12.0
+        assert env.compensator.state()[0, -1] == pytest.approx(info["voltage"])
+    assert fitted.supply_voltage == 24.0  # type: ignore[attr-defined]
+
+
+def test_a_memory_for_another_control_period_is_refused() -> None:
+    slow = {"plant": {"control_period": 0.01}}
+    envs = gymnasium.make_vec("DIPC-Friction-v0", 2, vectorization_mode="vector_entry_point", **slow)
+    for around, inside in ((ForceCommand, rig(**slow)), (VectorForceCommand, envs)):
+        with pytest.raises(ValueError, match=r"'friedland' remembers .* after 5 ms, and the control period is 10 ms"):
+            around(inside, FITTED["friedland"])
 
 
 def test_ideal_removes_the_limit_cycle() -> None:

@@ -23,15 +23,17 @@ class FaultyMotor(
 
         applied(k) = response command(k) + (1 - response) applied(k-1) + noise.
 
-    What stands around it knows nothing of this: estimators believe in the command.
+    What stands around it knows nothing of this: estimators believe in the command. The supply limits what is applied,
+    not what is commanded.
 
     Args:
         env: a `DIPC-Friction-v0`; no wrapper that turns the action into something else may stand inside.
         noise: standard deviation of the noise, drawn anew in every period from the environment's generator, V.
-        response: share of a change that arrives; below 1 the motor lags, above it overshoots.
+        response: share of a change that arrives; below 1 the motor lags, above it overshoots. Beyond 2 what was
+            applied once would grow without end.
 
     Raises:
-        ValueError: `noise` is negative, `response` not above 0, or one is not finite.
+        ValueError: `noise` is negative or not finite, or `response` not above 0 and at most 2.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -46,8 +48,10 @@ class FaultyMotor(
     ) -> None:
         if not (math.isfinite(noise) and noise >= 0):
             raise ValueError(f"noise is {noise}; it must be a finite number of volts, 0 or more")
-        if not (math.isfinite(response) and response > 0):
-            raise ValueError(f"response is {response}; it must be finite and above 0")
+        if not 0 < response <= 2:
+            raise ValueError(
+                f"response is {response}; it must be above 0 and at most 2, or what is applied grows without end"
+            )
         gymnasium.utils.RecordConstructorArgs.__init__(self, noise=noise, response=response)
         gymnasium.Wrapper.__init__(self, env)
         self.noise, self.response = noise, response
@@ -81,7 +85,7 @@ class VectorFaultyMotor(VectorWrapper[Any, Any, Any, Any, Any]):
         response: share of a change that arrives, (num_envs,) or one for all.
 
     Raises:
-        ValueError: a `noise` is negative, a `response` not above 0, or one is not finite.
+        ValueError: a `noise` is negative or not finite, or a `response` not above 0 and at most 2.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -99,8 +103,10 @@ class VectorFaultyMotor(VectorWrapper[Any, Any, Any, Any, Any]):
         self.noise, self.response = (np.broadcast_to(x, env.num_envs).astype(float) for x in (noise, response))
         if not (np.isfinite(self.noise) & (self.noise >= 0)).all():
             raise ValueError(f"noise is {noise}; it must be finite numbers of volts, 0 or more")
-        if not (np.isfinite(self.response) & (self.response > 0)).all():
-            raise ValueError(f"response is {response}; it must be finite and above 0")
+        if not ((self.response > 0) & (self.response <= 2)).all():
+            raise ValueError(
+                f"response is {response}; it must be above 0 and at most 2, or what is applied grows without end"
+            )
         self._applied = np.zeros(env.num_envs)
 
     def reset(

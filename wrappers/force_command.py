@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import compensators
 from dipc_gym.compensators import Compensator, CompensatorError
+from dipc_gym.compensators.memory import check_period
 from dipc_gym.plant import Plant
 from dipc_gym.safety import actions
 from dipc_gym.safety.naming import suggestion
@@ -45,7 +45,8 @@ class ForceCommand(
         TypeError: `env` cannot say how fast its cart is.
         ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known; or a wrapper
             inside this one changes what an action is, so that a voltage would not arrive as one; or the compensator
-            needs an estimator that observes friction, and there is none inside.
+            needs an estimator that observes friction, and there is none inside, or was fitted to another control
+            period.
         compensators.CompensatorError: the compensator's file or dictionary is broken, or a kind of compensator is
             named that has to be fitted first.
 
@@ -71,7 +72,7 @@ class ForceCommand(
         if not hasattr(inner, "measured_velocity"):
             raise TypeError(f"{inner} has no measured_velocity; ForceCommand goes around DIPC-Friction-v0")
         check_volts("ForceCommand", env.action_space, inner.action_space)
-        frozen = frozen_compensator(compensator)
+        frozen = frozen_compensator(compensator, inner.plant)
         recorded = compensator.to_dict() if isinstance(compensator, Compensator) else _plain(compensator)
         gymnasium.utils.RecordConstructorArgs.__init__(self, compensator=recorded, force_limit=force_limit)
         gymnasium.Wrapper.__init__(self, env)
@@ -127,10 +128,12 @@ def estimating(env: Any) -> Any:
     return env
 
 
-def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path) -> Compensator:
-    """A compensator of one's own: it has a memory, which two environments must not share, and leaves out the limit.
+def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path, plant: Plant) -> Compensator:
+    """A compensator of one's own: it has a memory, which two environments must not share, and the environment's
+    amplifier limits its voltages and says where it did.
 
     Raises:
+        ValueError: its memory is for another control period.
         compensators.CompensatorError: a file or dictionary is broken, or a kind is named that has to be fitted first.
     """
     if not isinstance(compensator, Compensator | Mapping | str | Path):
@@ -152,9 +155,9 @@ def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path
             f"{compensator}: neither a file nor a kind of compensator; kinds, which have to be fitted to a rig, are "
             f"{', '.join(compensators.names())}{near}"
         )
-    own = copy.deepcopy(compensator if isinstance(compensator, Compensator) else compensators.load(_plain(compensator)))
-    object.__setattr__(own, "supply", None)  # the environment's amplifier limits voltages, and says where it did
-    return own
+    known = compensator if isinstance(compensator, Compensator) else compensators.load(_plain(compensator))
+    check_period(known, plant.control_period)
+    return known.behind(plant.supply)
 
 
 def force_range(plant: Plant, force_limit: float | None) -> tuple[float, spaces.Space[NDArray[np.float32]]]:

@@ -32,7 +32,7 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
     Raises:
         TypeError: `env` is another environment.
         ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known; or a wrapper
-            inside this one changes what an action is.
+            inside this one changes what an action is; or the compensator was fitted to another control period.
         compensators.CompensatorError: the compensator's file or dictionary is broken, or a kind of compensator is
             named that has to be fitted first.
 
@@ -56,7 +56,7 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
         super().__init__(env)
         self._inner = _own(env)
         check_volts("ForceCommand", env.single_action_space, self._inner.single_action_space)
-        self.compensator = frozen_compensator(compensator)
+        self.compensator = frozen_compensator(compensator, self._inner.plant)
         self.force_limit, self.single_action_space = force_range(self._inner.plant, force_limit)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._state = self.compensator.initial_state(self.num_envs)

@@ -111,7 +111,7 @@ class Diagnose:
             command = shlex.join(["dipc-gym", *sys.argv[1:]])
             try:
                 folder.save(found, self.out, model=self.model.name, command=command, overwrite=self.overwrite)
-            except OSError:
+            except (OSError, ValueError):  # a full disk, or a link that somebody put there meanwhile
                 with suppress(OSError):
                     print(dumps(finite(found.to_dict()), indent=2))  # what took so long is not lost with the disk
                 raise
@@ -131,9 +131,9 @@ class Diagnose:
             print(f"  {missing.effect} at {missing.at}, {share} % {of}")
         if found.next_experiment:
             print(f"Next: {found.next_experiment}")
-        lacking = [f"{m.effect} at {m.at}" for m in found.missing if m.needs_loader]
-        if lacking:
-            print(f"Stock MuJoCo leaves out {', '.join(lacking)}; load improved.xml with dipc_gym.physics.load.")
+        if found.needs_loader:
+            lacking = ", ".join(one.replace("@", " at ") for one in found.needs_loader)
+            print(f"Stock MuJoCo leaves out {lacking}; load improved.xml with dipc_gym.physics.load.")
         if self.design is not None and found.design is None:
             print(f"{self.design}: not written: nothing was fitted that a command could tell apart, or a note says why")
         elif self.design is not None and found.design is not None:

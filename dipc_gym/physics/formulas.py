@@ -134,7 +134,7 @@ def friction_wave(data: Array, now: Moment) -> Array:
 
 def friction_under_load(data: Array, now: Moment) -> Array:
     """Dry friction level + by_drive |drive| + by_weight |weight|; data: level, by_drive, by_weight."""
-    return data[..., 0] + _under_load(data, now)
+    return np.maximum(data[..., 0] + _under_load(data, now), 0.0)
 
 
 def friction_under_load_at_rest(data: Array, now: Moment) -> Array:
@@ -142,7 +142,8 @@ def friction_under_load_at_rest(data: Array, now: Moment) -> Array:
 
     It is 1 + excess exp(-(v / velocity)^2) times that under load.
     """
-    return friction_under_load(data, now) * (1.0 + data[..., 3] * np.exp(-((now.speed / data[..., 4]) ** 2)))
+    more = 1.0 + data[..., 3] * np.exp(-((now.speed / data[..., 4]) ** 2))
+    return friction_under_load(data, now) * np.maximum(more, 0.0)
 
 
 def friction_under_load_by_speed(data: Array, now: Moment) -> Array:

@@ -31,6 +31,8 @@ MAX_LINES = 20_000_000  # of a CSV file, empty ones included
 MAX_LINE = 1_000_000  # characters of one of them
 MAX_NAME = 210  # characters of a column's name, which may be a model's, of 200, with a prefix
 BLOCK = 50_000  # lines that are parsed at a time; all at once would take ten times the file's size in memory
+MAX_COLUMNS = 100_000  # of an npz file, those that are not loaded included
+ENTRY = b"PK\x01\x02"  # what stands before each in its table of contents
 FORMATS = (".csv", ".parquet", ".npz")
 EMPTY = "drop its row, or fill it (a command holds until the next one; between readings go straight)"
 
@@ -296,6 +298,8 @@ def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], d
         if column.null_count:
             index = int(np.flatnonzero(np.asarray(column.is_null()))[0])
             raise RecordingError(f"{path}, {row_label((), index)}, column {name!r}: the cell is empty; {EMPTY}")
+        if len(values) != rows:
+            raise RecordingError(f"{path}, column {name!r}: has {len(values):,} values, and the file says {rows:,}")
         columns[name] = np.array(values, dtype=np.float64)
     return names, columns, ()
 
@@ -309,6 +313,8 @@ def _write_parquet(path: Path, file: BinaryIO, columns: dict[str, NDArray[np.flo
 
 
 def _read_npz(path: Path, data: bytes, choose: Choose) -> tuple[list[str], dict[str, Any], Sequence[int]]:
+    if data.count(ENTRY) > MAX_COLUMNS:  # before there is an object for each
+        raise RecordingError(f"{path}: more than {MAX_COLUMNS:,} arrays; save those of the recording alone")
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = [name.removesuffix(".npy") for name in archive.namelist()]

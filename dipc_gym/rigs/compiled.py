@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import ctypes
 import functools
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +20,6 @@ from dipc_gym.engine.layout import JOINTS, Head
 from dipc_gym.engine.motion import FOLLOWED
 from dipc_gym.engine.program import Program
 from dipc_gym.engine.run import cores, pool
-from dipc_gym.physics import Physics
 from dipc_gym.plant import Plant
 from dipc_gym.rigs.batch import free_at_rest
 from dipc_gym.rigs.code import CHUNK, At, Flag, Kept, Own, Places, Run, Term, write
@@ -50,14 +47,13 @@ class CompiledRigs:
     def __init__(self, rig: Rig, encoders: Encoders, *, exact_state: bool = False, threads: int = 1) -> None:
         n = len(encoders.noise)
         self._rig, self._encoders, self._exact, self.count = rig, encoders, exact_state, n
-        physics = _without_rail(rig)
-        self._program, parameters, places = _read(rig, physics)
+        self._program, parameters, places = _read(rig)
         self._past, self._command, self._cart = places.past, places.command, places.speeds[0]
         self._text = write(self._program.tree, tuple(self._program.codes.tolist()), places)
         groups = -(-n // WIDTH)
         self._threads = min(cores(threads), -(-groups // CHUNK))
         try:
-            check(self._program, parameters, physics, self._rates)
+            check(self._program, parameters, rig.endless, self._rates)
         except Uncovered as reason:
             raise mjcf.MjcfError(f"{rig.source.name}: engine 'compiled' is refused for {reason}") from None
         self._plants, self._free_at_rest = PlantNumbers(rig, self._program, parameters), free_at_rest(rig)
@@ -233,20 +229,13 @@ class CompiledRigs:
         return self._probe(parameters, states, commands, time, 1e-12)[0]
 
 
-def _without_rail(rig: Rig) -> Physics:
-    """A rig whose cart has no range: an episode ends where that does."""
-    model = copy.copy(rig.model)
-    model.jnt_limited[model.jnt_qposadr == rig.positions[0]] = False
-    return replace(rig.physics, model=model)
-
-
-def _read(rig: Rig, physics: Physics) -> tuple[Program, Array, Places]:
+def _read(rig: Rig) -> tuple[Program, Array, Places]:
     """The program of a rig, its parameters (k,), and where the environment finds what it needs."""
     model = rig.model
     try:
-        program, variants = programs.read([physics])
+        program, variants = programs.read([rig.endless])
         parameters = variants[0]
-        for joint in np.flatnonzero(physics.model.jnt_limited).tolist():
+        for joint in np.flatnonzero(rig.endless.model.jnt_limited).tolist():
             raise Uncovered(f"the range of joint {model.joint(joint).name!r}")
         require(program, parameters)
         if rig.physics.stage("command"):

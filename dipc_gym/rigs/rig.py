@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+import functools
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -53,6 +55,13 @@ class Rig:
     def model(self) -> mujoco.MjModel:
         """The compiled model."""
         return self.physics.model
+
+    @functools.cached_property
+    def endless(self) -> Physics:
+        """Its physics on a rail without stops: an episode ends where those are."""
+        model = copy.copy(self.model)
+        model.jnt_limited[model.jnt_qposadr == self.positions[0]] = False
+        return replace(self.physics, model=model)
 
     @classmethod
     def of(cls, source: mjcf.Source, plant: Plant) -> Rig:

@@ -60,10 +60,24 @@ def partial_of(path: Path) -> Path:
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove what a killed run has left in a folder of files that it was writing; for whoever is alone there."""
+    """Remove what a killed run has left in a folder of files that it was writing; those of processes that run stay."""
     for path in folder.glob(f".*{PARTIAL}"):
-        if re.fullmatch(rf"\..+\.\d+\{PARTIAL}", path.name):
+        number = re.fullmatch(rf"\..+\.(\d+)\{PARTIAL}", path.name)
+        if number and not _runs(int(number[1])):
             path.unlink(missing_ok=True)
+
+
+def _runs(process: int) -> bool:
+    """Whether another process of this number runs on this machine."""
+    if process in (0, os.getpid()):
+        return False
+    try:
+        os.kill(process, 0)
+    except PermissionError:  # it is somebody else's
+        return True
+    except (OSError, OverflowError):
+        return False
+    return True
 
 
 def write_whole(path: str | Path, content: bytes) -> None:

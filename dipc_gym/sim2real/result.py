@@ -57,7 +57,6 @@ class Missing:
         parameters: name -> value, interval and unit.
         same_here: other names for the same model on this rig with this data.
         rivals: other effects that were tried in its place.
-        needs_loader: whether stock MuJoCo leaves it out.
         law: of a law of any shape what it is of, its table, and where data support it; see `effects.law.described`.
         where: what the force of something unknown goes with, in words; its sentence says it as well.
     """
@@ -69,7 +68,6 @@ class Missing:
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
     same_here: tuple[dict[str, str], ...] = ()
     rivals: tuple[dict[str, Any], ...] = ()
-    needs_loader: bool = False
     law: dict[str, Any] | None = None
     where: str = ""
 
@@ -434,6 +432,7 @@ class Diagnosis:
         force: error of the inverse model on the same data, of the force that each joint transmits.
         next_experiment: what would settle what is left.
         improved: MJCF text of the improved model.
+        needs_loader: effects that it holds under `<custom>`, which stock MuJoCo leaves out, as `effect@place`.
         files: contents of the meshes, textures and sub-models that it asks for, by the names it gives them.
         notes: about recordings and step size.
         provenance: versions, inputs, seed.
@@ -456,6 +455,7 @@ class Diagnosis:
     force: dict[str, Errors] = field(default_factory=dict)
     next_experiment: str = ""
     improved: str = ""
+    needs_loader: tuple[str, ...] = ()
     files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
     notes: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -496,7 +496,7 @@ class Diagnosis:
             "fit": fit,
             "next_experiment": self.next_experiment,
             "improved_model": "improved.xml",
-            "needs_dipc_gym": [f"{x.effect}@{x.at}" for x in self.missing if x.needs_loader],
+            "needs_dipc_gym": list(self.needs_loader),
             "notes": list(self.notes),
             "provenance": self.provenance,
         }

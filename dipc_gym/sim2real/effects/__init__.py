@@ -43,11 +43,18 @@ def catalogue() -> dict[str, Effect]:
         KeyError: "the catalogue has no effect 'friction.coulom'; did you mean 'friction.coulomb'?"
     """
     if not _effects:
-        for info in pkgutil.iter_modules(__path__):
-            module = importlib.import_module(f"{__name__}.{info.name}")
-            for _, found in inspect.getmembers(module, inspect.isclass):
-                if not issubclass(found, Effect) or issubclass(found, Form) or inspect.isabstract(found):
-                    continue
-                if found.__module__ == module.__name__:
-                    _effects[found.id] = found()
+        _effects.update(_shipped())  # all or none: Ctrl-C may come between two of them
     return _ById(sorted(_effects.items()))
+
+
+def _shipped() -> dict[str, Effect]:
+    """The effects of the modules in this folder."""
+    shipped: dict[str, Effect] = {}
+    for info in pkgutil.iter_modules(__path__):
+        module = importlib.import_module(f"{__name__}.{info.name}")
+        for _, found in inspect.getmembers(module, inspect.isclass):
+            if not issubclass(found, Effect) or issubclass(found, Form) or inspect.isabstract(found):
+                continue
+            if found.__module__ == module.__name__:
+                shipped[found.id] = found()
+    return shipped

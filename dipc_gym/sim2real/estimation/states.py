@@ -473,15 +473,19 @@ def acting(delays: Array, recording: Recording) -> Array:
 def _relaxed(model: mujoco.MjModel, data: mujoco.MjData, step: float) -> Array:
     """For how much of a step each activation, (na,), would keep its present rate: it decays with its time constant."""
     lasting = np.full(model.na, step)
-    for i in np.flatnonzero(model.actuator_actadr >= 0):
-        tau = float(model.actuator_dynprm[i, 0])
-        end = int(model.actuator_actadr[i] + model.actuator_actnum[i])
-        if tau > 0:
-            lasting[model.actuator_actadr[i] : end] = -tau * np.expm1(-step / tau)
-        if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR and model.actuator_dynprm[i, 5] > 0:
-            # MuJoCo keeps the bristles after the winding's temperature and before its current.
-            rate = _bristle_rate(model, int(i), float(data.actuator_velocity[model.actuator_outadr[i]]))
-            lasting[end - 1 - (tau > 0)] = -np.expm1(-rate * step) / rate if rate > 0 else step
+    for i in np.flatnonzero(model.actuator_actadr >= 0).tolist():
+        tau, _, heated, capacity, _, stiffness = model.actuator_dynprm[i, :6].tolist()
+        first = int(model.actuator_actadr[i])
+        end = first + int(model.actuator_actnum[i])
+        rates = [1 / tau if tau > 0 else 0.0] * (end - first)
+        if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR:
+            # MuJoCo keeps a winding's temperature first, then the bristles, and its current last.
+            if heated > 0:
+                rates[0] = 1 / (heated * capacity)
+            if stiffness > 0:
+                speed = float(data.actuator_velocity[model.actuator_outadr[i]])
+                rates[-1 - (tau > 0)] = _bristle_rate(model, i, speed)
+        lasting[first:end] = [-math.expm1(-rate * step) / rate if rate > 0 else step for rate in rates]
     return lasting
 
 

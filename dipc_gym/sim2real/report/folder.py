@@ -46,6 +46,8 @@ def save(
     """
     folder = Path(folder)
     check_free(folder, overwrite)
+    for name in found.files:
+        inside(folder, name)
     drawn = _page(found, model, command).encode()
     said = json.dumps(finite(found.to_dict()), indent=2, allow_nan=False) + "\n"
     texts = {
@@ -133,6 +135,7 @@ def check_free(folder: Path, overwrite: bool) -> None:
     Raises:
         FileExistsError: with what to do.
         PermissionError: likewise.
+        PlaceError: a file of a diagnosis is there as a link that leads out of the folder.
     """
     nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not nearest.is_dir():
@@ -141,6 +144,8 @@ def check_free(folder: Path, overwrite: bool) -> None:
         raise PermissionError(f"{nearest} may not be written; name another folder for the results")
     if folder.is_dir() and any(folder.iterdir()) and not (overwrite or _unfinished(folder)):
         raise FileExistsError(f"{folder} is not empty; name another folder or add --overwrite")
+    for name in OWN:
+        inside(folder, name)
 
 
 def check_names(files: Iterable[str]) -> None:

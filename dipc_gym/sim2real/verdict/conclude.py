@@ -62,10 +62,10 @@ def conclude(search: Searched) -> tuple[Searched, Conclusion]:
         if judged is None:
             current = search.progress.current
             return search, Conclusion(current, _rivals(search, current, stand_ins.rivals))
-        upheld, fewest, notes, unnamed = judged
+        upheld, fewest, notes, nameless = judged
         rivals = _rivals(search, upheld, stand_ins.rivals)
         rival = _successor(search, upheld, [rival for group in rivals.values() for rival in group])
-        if notes or rival is None or search.stop.asked or swaps == VERDICT.swaps:
+        if notes or nameless or rival is None or search.stop.asked or swaps == VERDICT.swaps:
             break
         search.tell(f"{rival.term.key} predicts {'better' if rival.better else 'as well with fewer parameters'}")
         search = search.carried_on(rival.fitted)
@@ -75,7 +75,11 @@ def conclude(search: Searched) -> tuple[Searched, Conclusion]:
         rivals = {key: rivals[key] for key in names(upheld.structure.terms)}
     more = _rivals(search, upheld, stand_ins.unseen)
     rivals = {key: [*found, *more[key]] for key, found in rivals.items()}
-    return search, Conclusion(fewest, rivals, notes, unnamed, _others(search, upheld, fewest))
+    unnamed = {
+        term.key: sentences.no_name(term, nameless[term.key]) for term in upheld.structure.terms if term.key in nameless
+    }
+    notes = [*notes, *unnamed.values()]
+    return search, Conclusion(fewest, rivals, notes, frozenset(unnamed), _others(search, upheld, fewest))
 
 
 def _successor(search: Searched, upheld: Fit, rivals: list[stand_ins.Rival]) -> stand_ins.Rival | None:
@@ -108,9 +112,9 @@ def _alone(search: Searched, rival: stand_ins.Rival, upheld: Fit) -> stand_ins.R
     return replace(rival, fitted=fitted) if search.scorer.compare(upheld, fitted).alike else rival
 
 
-def _upheld(search: Searched) -> tuple[Fit, Fit, list[str], frozenset[str]]:
+def _upheld(search: Searched) -> tuple[Fit, Fit, list[str], dict[str, float]]:
     """The last accepted fit that validation data do not speak against, also with the fewest model parameters changed;
-    notes on what they strike off, and the keys of effects that stay without a name.
+    notes on what they strike off, and effects that stay without a name, with what they gain.
 
     The best of dozens of effects always takes up some structure that no catalogue has, and this need not be there in
     other data. Validation data may strike an effect off; they never add one.
@@ -130,11 +134,11 @@ def _upheld(search: Searched) -> tuple[Fit, Fit, list[str], frozenset[str]]:
         notes.append(sentences.refutation(added or fewest.structure.terms, without, error))
         upheld, fewest, error = before, simpler, without
     if error <= SCORE.at_floor:
-        return upheld, fewest, notes, frozenset()
-    named, why, unnamed = _believable(search, upheld, error, validation)
+        return upheld, fewest, notes, {}
+    named, why, nameless = _believable(search, upheld, error, validation)
     if named is not upheld:
         fewest, _ = _with_fewest_parameters(search, named, validation)
-    return named, fewest, notes + why, unnamed
+    return named, fewest, notes + why, nameless
 
 
 def _without_idle(search: Searched, upheld: Fit, fewest: Fit) -> tuple[Fit, Fit]:
@@ -165,9 +169,9 @@ def without_idle(search: Searched, upheld: Fit) -> Fit:
 
 def _believable(
     search: Searched, upheld: Fit, error: float, validation: Problem
-) -> tuple[Fit, list[str], frozenset[str]]:
-    """A fit without effects of the clock that only stand in for what is left beside them; which of its effects stay
-    without a name, and notes on both.
+) -> tuple[Fit, list[str], dict[str, float]]:
+    """A fit without effects of the clock that only stand in for what is left beside them, notes on these, and which of
+    its effects stay without a name, with what they gain.
 
     An effect that is told from other causes by when it acts alone (a push, a motor that heats) stays only where next to
     nothing is left: no other recording of the rig shares it. All other effects are named if windows that no fit has
@@ -192,15 +196,14 @@ def _believable(
     if upheld.structure.terms and left > recalibrated:
         # Without an event that it was fitted beside, an effect may do harm.
         notes.append(sentences.refutation(upheld.structure.terms, recalibrated, left))
-        return search.progress.path[0], notes, frozenset()
+        return search.progress.path[0], notes, {}
     named = upheld.structure.named
     gained = _gains(search, upheld, named)
     missed = [term for term in named if not _believed(gained[term.key])]
     alone = beside.names_alone(search.fitter, upheld, search.progress.path[0]) if missed else None
     if alone is not None:
         missed = [term for term in missed if not _believed(_gained(search, alone, term))]
-    notes += [sentences.no_name(term, gained[term.key].gain) for term in missed]
-    return upheld, notes, frozenset(term.key for term in missed)
+    return upheld, notes, {term.key: gained[term.key].gain for term in missed}
 
 
 def _gains(search: Searched, fitted: Fit, terms: Sequence[Term], hopeless: float = math.inf) -> dict[str, Improvement]:

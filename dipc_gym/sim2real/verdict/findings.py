@@ -213,7 +213,6 @@ def missing_effects(
                 _parameters(final, term, units, known),
                 tuple(_each_once([_name(rival.term) for rival in others if rival.same])),
                 tuple(_each_once(sorted(tried, key=lambda one: one["held_out"]))),
-                term.effect.needs_loader,
                 law,
             )
         )
@@ -235,8 +234,7 @@ def named_alone(final: Fit) -> list[Missing]:
         units = place_units(final.structure, term)
         sentence = in_words(final.structure, final.z, term)
         parameters = _parameters(final, term, units, np.full(len(final.z), np.inf))
-        loader = term.effect.needs_loader
-        missing.append(Missing(term.effect.name, term.at, sentence, math.nan, parameters, needs_loader=loader))
+        missing.append(Missing(term.effect.name, term.at, sentence, math.nan, parameters))
     return missing
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,32 @@ from dipc_gym.sim2real.verdict.written import Option, written
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Improved:
+    """The improved model as a file.
+
+    Attributes:
+        text: MJCF.
+        written: what it comes to at its own step; None where that is the model as given.
+        note: what that costs, and what was done about it; empty where nothing is to be said.
+        needs_loader: effects and places of what it holds under `<custom>`, which stock MuJoCo leaves out.
+    """
+
+    text: str
+    written: AsWritten | None = None
+    note: str = ""
+    needs_loader: tuple[str, ...] = ()
+
+
+def needs_loader(structure: Structure) -> tuple[str, ...]:
+    """Effects and places of a structure that stock MuJoCo leaves out."""
+    return tuple(
+        f"{'unknown' if term.effect.of_no_kind else term.effect.name}@{term.at}"
+        for term in structure.terms
+        if term.effect.needs_loader
+    )
+
+
 def improved_model(
     source: mjcf.Source,
     given: physics.Physics,
@@ -30,8 +57,8 @@ def improved_model(
     test: Problem,
     fits: tuple[Fit, Fit, Fit],
     last: Fit,
-) -> tuple[str, AsWritten | None, str]:
-    """Text of the improved model in the forms that predict best at its own step, what it comes to there, and a note.
+) -> Improved:
+    """The improved model in the forms that predict best at its own step.
 
     Args:
         source: the model as given.
@@ -43,7 +70,7 @@ def improved_model(
     """
     final = fits[-1]
     if not final.structure.model_parameters and not final.structure.terms:
-        return source.text, None, ""
+        return Improved(source.text)
     option, said = written(given.model.opt.timestep, partition, test, fits, last)
     structure, z = option.structure, option.z
     if said.to_the_end:
@@ -55,12 +82,12 @@ def improved_model(
     if option.refitted:
         note = f"{note} {sentences.made_up(said, _differing(option, last))}".strip()
     if not structure.model_parameters and not structure.terms:
-        return source.text, said, note
+        return Improved(source.text, said, note)
     document = structure.write(z)
     found = [term for term in final.structure.terms if term.key not in dropped]
     rests = _at_rest(Document(source), document)
     document.comment("Changed by dipc-gym diagnose.", *_effects(option, found), *rests, *_predictions(option, said))
-    return document.text(), said, note
+    return Improved(document.text(), said, note, needs_loader(structure))
 
 
 def _effects(option: Option, found: Sequence[Term]) -> list[str]:

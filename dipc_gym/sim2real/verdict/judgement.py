@@ -57,14 +57,16 @@ def judgement(
     tested, sure = measured.tested, measured.sure
     named = _named(case, last, measured, located, guarded)
     source, final, notes = case.given.source, last.found.fitted, [*last.found.notes, *measured.notes, *named.notes]
-    improved, written, step_note = guarded(
+    improved = guarded(
         "What the improved model costs at its own step",
         lambda: improve.improved_model(
             source, case.given.physics, last.seen, last.problem, last.three, last.found.fitted
         ),
-        lambda: (final.structure.write(final.z).text(), None, ""),
+        lambda: improve.Improved(
+            final.structure.write(final.z).text(), needs_loader=improve.needs_loader(final.structure)
+        ),
     )
-    unheld = sentences.initial_states(written, tested.test) if written else ""
+    unheld = sentences.initial_states(improved.written, tested.test) if improved.written else ""
     predicted = guarded("Predictions of test data", lambda: predictions(last.problem, *last.three), dict[str, Array])
     sensors = guarded(
         "Errors in the units of the sensors",
@@ -73,7 +75,7 @@ def judgement(
     )
     behind: Details | None = guarded(
         "What the report draws",
-        lambda: details(source, base, last.search, last.found, last.problem, located, improved, predicted),
+        lambda: details(source, base, last.search, last.found, last.problem, located, improved.text, predicted),
         lambda: None,
     )
     verdict, others = named.verdict, bool(last.found.others)
@@ -85,7 +87,7 @@ def judgement(
             sure.changed,
             tested.test,
             others=others,
-            written=written,
+            written=improved.written,
             sensors=sensors,
             beyond=tested.beyond,
             later=tested.later,
@@ -99,7 +101,7 @@ def judgement(
         held_out_was_fitted=tested.was_fitted,
         validation=last.validation,
         beyond=tested.beyond,
-        written=written,
+        written=improved.written,
         sensors=sensors,
         force=tested.force,
         next_experiment=sentences.next_experiment(
@@ -109,9 +111,10 @@ def judgement(
             beyond=tested.beyond,
             slow=any(sampled_slowly(r) for r in (*case.given.recordings, *last.problem.windows.recordings)),
         ),
-        improved=improved,
-        files=files_of(source, improved),
-        notes=(*notes, *filter(None, (step_note, unheld))),
+        improved=improved.text,
+        needs_loader=improved.needs_loader,
+        files=files_of(source, improved.text),
+        notes=(*notes, *filter(None, (improved.note, unheld))),
         details=behind,
     )
     return diagnosis, last.found
