@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics, recording
 from dipc_gym.recording import Recorder, Recording
-from dipc_gym.sim2real.effects.base import Evidence
+from dipc_gym.sim2real.effects.shared.base import Evidence
 from dipc_gym.sim2real.estimation import segments, unexplained
 from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.simulation.batch import Stepping

@@ -7,8 +7,8 @@ import pytest
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.effects.coupling import base_inertia
-from dipc_gym.sim2real.effects.drives import drive_of
+from dipc_gym.sim2real.effects.shared.coupling import base_inertia
+from dipc_gym.sim2real.effects.shared.drives import drive_of
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.verdict.improve import _at_rest
 

@@ -8,7 +8,7 @@ from test_diagnose import run
 from test_search import begun
 
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.effects.surfaces import Surface
+from dipc_gym.sim2real.effects.shared.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Term, names

@@ -22,23 +22,23 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real import effects
 from dipc_gym.sim2real.effects import Effect, catalogue
-from dipc_gym.sim2real.effects.base import Evidence, Parameter
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.friction_load_law import UnderLoadOfAnyLaw
 from dipc_gym.sim2real.effects.friction_resting_law import RestingOfAnyLaw
-from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.load_creeping import _stretch
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
 from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.motor_sag_law import SagOfAnyLaw
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
-from dipc_gym.sim2real.effects.surfaces import Surface
+from dipc_gym.sim2real.effects.shared.base import Evidence, Parameter
+from dipc_gym.sim2real.effects.shared.law import Law
+from dipc_gym.sim2real.effects.shared.surfaces import Surface
+from dipc_gym.sim2real.effects.shared.waves import waves
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct
 from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
-from dipc_gym.sim2real.effects.waves import waves
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import predict

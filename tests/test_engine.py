@@ -31,8 +31,8 @@ from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import entries
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.effects.base import passive_ramp
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
+from dipc_gym.sim2real.effects.shared.base import passive_ramp
 from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 from dipc_gym.sim2real.estimation import slopes
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities

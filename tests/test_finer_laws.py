@@ -17,16 +17,16 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real import catalogue, diagnose
-from dipc_gym.sim2real.effects.base import Effect, Evidence
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
 from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
-from dipc_gym.sim2real.effects.law import BENT
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
-from dipc_gym.sim2real.effects.settings import LAWS
-from dipc_gym.sim2real.effects.surfaces import Surface, surfaces
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence
+from dipc_gym.sim2real.effects.shared.law import BENT
+from dipc_gym.sim2real.effects.shared.settings import LAWS
+from dipc_gym.sim2real.effects.shared.surfaces import Surface, surfaces
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Term

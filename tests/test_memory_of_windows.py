@@ -16,10 +16,10 @@ from dipc_gym import mjcf, physics
 from dipc_gym.engine.swing import Spring, swing
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real import catalogue, diagnose
-from dipc_gym.sim2real.effects.base import Effect
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
-from dipc_gym.sim2real.effects.loads import smooth
+from dipc_gym.sim2real.effects.shared.base import Effect
+from dipc_gym.sim2real.effects.shared.loads import smooth
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
 from dipc_gym.sim2real.model.structure import Term

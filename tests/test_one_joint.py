@@ -16,8 +16,8 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import entries
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue, load_tilt
-from dipc_gym.sim2real.effects.drives import drive_of
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
+from dipc_gym.sim2real.effects.shared.drives import drive_of
 from dipc_gym.sim2real.estimation.problem import Problem, predict, sensitivities
 from dipc_gym.sim2real.estimation.segments import prepare
 from dipc_gym.sim2real.estimation.states import estimate

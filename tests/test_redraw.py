@@ -21,7 +21,7 @@ from test_report import RIGS, example
 from dipc_gym import cli, mjcf, recording
 from dipc_gym.safety.places import PlaceError
 from dipc_gym.sim2real import Diagnosis, SavedError, Trace, catalogue, diagnose, redraw, save
-from dipc_gym.sim2real.effects.law import described
+from dipc_gym.sim2real.effects.shared.law import described
 from dipc_gym.sim2real.report import page, saved
 from dipc_gym.sim2real.report.folder import check_free
 from dipc_gym.sim2real.verdict import details

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dipc_gym.sim2real.effects.law import described
+from dipc_gym.sim2real.effects.shared.law import described
 from dipc_gym.sim2real.report import folder, page, plots
 from dipc_gym.sim2real.report.page import VERDICTS, ReportData, render
 from dipc_gym.sim2real.result import Candidate, Details, Diagnosis, Errors, Mismatch, Missing, SensorResidual, Trace

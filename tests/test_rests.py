@@ -18,7 +18,7 @@ from dipc_gym.physics import formulas
 from dipc_gym.sim2real import catalogue
 from dipc_gym.sim2real.effects.friction_resting import likely
 from dipc_gym.sim2real.effects.friction_resting_law import RestingOfAnyLaw
-from dipc_gym.sim2real.effects.rests import Rests
+from dipc_gym.sim2real.effects.shared.rests import Rests
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Term

@@ -21,10 +21,10 @@ from dipc_gym.sim2real import diagnosis
 from dipc_gym.sim2real.effects import Effect, Evidence, Values, catalogue
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.effects.friction_time import FrictionOfTime
-from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
-from dipc_gym.sim2real.effects.surfaces import Surface
+from dipc_gym.sim2real.effects.shared.law import Law
+from dipc_gym.sim2real.effects.shared.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent
 from dipc_gym.sim2real.estimation.fit import Fit, fit

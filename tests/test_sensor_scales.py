@@ -13,7 +13,7 @@ from sim2real_rigs import CART, HANGING, NOISE, RK4, record, sweep
 from dipc_gym import mjcf, physics
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real import catalogue, fit_effect
-from dipc_gym.sim2real.effects.base import Misread
+from dipc_gym.sim2real.effects.shared.base import Misread
 from dipc_gym.sim2real.estimation import states
 
 WAVE = 0.08  # m, what the belt moves in a turn of its pulley

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from dipc_gym.sim2real.effects.smoothing import smoothing, width_for
-from dipc_gym.sim2real.effects.surfaces import surfaces
-from dipc_gym.sim2real.effects.tables import grow
+from dipc_gym.sim2real.effects.shared.smoothing import smoothing, width_for
+from dipc_gym.sim2real.effects.shared.surfaces import surfaces
+from dipc_gym.sim2real.effects.shared.tables import grow
 
 Array = NDArray[np.float64]
 RATE = 500.0

@@ -8,10 +8,10 @@ from sim2real_rigs import CART, prepared, record
 
 from dipc_gym import mjcf, physics
 from dipc_gym.sim2real.effects.friction_speed import FrictionOfSpeed
-from dipc_gym.sim2real.effects.law import Law
 from dipc_gym.sim2real.effects.load_position_law import ForceOfPosition
 from dipc_gym.sim2real.effects.motor_map import CommandMap
-from dipc_gym.sim2real.effects.surfaces import Surface
+from dipc_gym.sim2real.effects.shared.law import Law
+from dipc_gym.sim2real.effects.shared.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Term

@@ -14,7 +14,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import formulas
 from dipc_gym.sim2real import catalogue, diagnosis, fit_effect
-from dipc_gym.sim2real.effects.surfaces import Surface
+from dipc_gym.sim2real.effects.shared.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct
 from dipc_gym.sim2real.effects.unknown_recent import UnknownRecent

@@ -19,7 +19,7 @@ from dipc_gym import mjcf, recording
 from dipc_gym.dataflow import NoForm
 from dipc_gym.export import law
 from dipc_gym.sim2real import SavedError, redraw
-from dipc_gym.sim2real.effects.law import described
+from dipc_gym.sim2real.effects.shared.law import described
 
 LAWS: tuple[dict[str, Any], ...] = (
     described(

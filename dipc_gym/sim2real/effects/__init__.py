@@ -11,7 +11,7 @@ import inspect
 import pkgutil
 
 from dipc_gym.safety.naming import suggestion
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Form, Parameter, Values
 
 __all__ = ["Effect", "Evidence", "Parameter", "Values", "catalogue", "register"]
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.base import Array, Effect, Evidence, Parameter, Values
 
 FASTEST = 65.0  # Hz, of what shakes a rig: the mains are not above it
 MAINS = (50.0, 60.0)  # Hz

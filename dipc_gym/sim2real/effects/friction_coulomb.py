@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof, dry
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, dof, dry
 
 
 class Coulomb(Effect):

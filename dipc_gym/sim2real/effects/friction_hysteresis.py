@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Values
-from dipc_gym.sim2real.effects.law import Array, Law, described, either_way
-from dipc_gym.sim2real.effects.tables import odd_blocks, spared
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Values
+from dipc_gym.sim2real.effects.shared.law import Array, Law, described, either_way
+from dipc_gym.sim2real.effects.shared.tables import odd_blocks, spared
 from dipc_gym.sim2real.unseen.play import play
 
 WIDTHS = np.geomspace(2e-3, 1.0, 28)  # over which an element is bent, in ranges of the joint's motion

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.increments import LawOfIncrements
-from dipc_gym.sim2real.effects.law import at_joint, described, either_way, recalled
-from dipc_gym.sim2real.effects.sought import Sought
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.increments import LawOfIncrements
+from dipc_gym.sim2real.effects.shared.law import at_joint, described, either_way, recalled
+from dipc_gym.sim2real.effects.shared.sought import Sought
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 from dipc_gym.sim2real.effects.friction_load import UnderLoad
-from dipc_gym.sim2real.effects.increments import LawOfIncrements, dense_knots
-from dipc_gym.sim2real.effects.law import at_joint, described
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, dry_beside
+from dipc_gym.sim2real.effects.shared.increments import LawOfIncrements, dense_knots
+from dipc_gym.sim2real.effects.shared.law import at_joint, described
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 from dipc_gym.sim2real.effects.friction_load import UnderLoad
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, dry_beside
 
 ENTRY = "friction.load_stribeck"  # of <custom>: ids of effects have no colon there
 

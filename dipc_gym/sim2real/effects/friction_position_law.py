@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dipc_gym.sim2real.effects.base import Evidence, Values
-from dipc_gym.sim2real.effects.law import Array, FrictionLaw
+from dipc_gym.sim2real.effects.shared.base import Evidence, Values
+from dipc_gym.sim2real.effects.shared.law import Array, FrictionLaw
 
 
 class FrictionOfPosition(FrictionLaw):

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values, passive_motor
 from dipc_gym.sim2real.effects.friction_stribeck import LevelAlone, Stribeck
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Form, Parameter, Values, passive_motor
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 
 SOFTER = (4.0, 16.0, 64.0)  # times; MuJoCo's bristles are integrated explicitly, so a long step bears only soft ones
 

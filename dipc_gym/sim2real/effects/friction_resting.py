@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
-from dipc_gym.sim2real.effects.rests import Rests
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, dry_beside
+from dipc_gym.sim2real.effects.shared.rests import Rests
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics.entries import RESTED_BY_LAW
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
 from dipc_gym.sim2real.effects.friction_resting import SLOW, Resting, nearest
-from dipc_gym.sim2real.effects.increments import LawOfIncrements, dense_knots
-from dipc_gym.sim2real.effects.law import described
-from dipc_gym.sim2real.effects.rests import Rests
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, dry_beside
+from dipc_gym.sim2real.effects.shared.increments import LawOfIncrements, dense_knots
+from dipc_gym.sim2real.effects.shared.law import described
+from dipc_gym.sim2real.effects.shared.rests import Rests
 
 Array = NDArray[np.float64]
 

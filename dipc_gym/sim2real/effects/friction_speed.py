@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, dry_beside
-from dipc_gym.sim2real.effects.law import BENT, Array, Law, first_levels
-from dipc_gym.sim2real.effects.tables import grow, odd_force_of_speed
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Values, dry_beside
+from dipc_gym.sim2real.effects.shared.law import BENT, Array, Law, first_levels
+from dipc_gym.sim2real.effects.shared.tables import grow, odd_force_of_speed
 
 SLOW = 0.05  # of the usual speed, below which an estimated velocity does not tell the direction of motion
 AT_REST = 1e-3  # share of its speeds to which the law may be told apart near rest

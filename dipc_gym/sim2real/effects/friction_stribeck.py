@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values, dry, passive_rate
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Form, Parameter, Values, dry, passive_rate
 
 # The curve exp(-(v / velocity)^2) is drawn with straight lines between these multiples of the Stribeck velocity. Chosen
 # to minimise the mean fourth power of the error, which is nowhere above 0.7 %: chords from knots on the curve are off

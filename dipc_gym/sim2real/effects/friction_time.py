@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from dipc_gym.sim2real.effects.base import Evidence, Values
-from dipc_gym.sim2real.effects.law import Array, FrictionLaw
+from dipc_gym.sim2real.effects.shared.base import Evidence, Values
+from dipc_gym.sim2real.effects.shared.law import Array, FrictionLaw
 
 
 class FrictionOfTime(FrictionLaw):

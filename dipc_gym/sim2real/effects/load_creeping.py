@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from dipc_gym.engine.swing import Spring, swing
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, rms
-from dipc_gym.sim2real.effects.coupling import couple, node
-from dipc_gym.sim2real.effects.sought import Sought, apart
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, rms
+from dipc_gym.sim2real.effects.shared.coupling import couple, node
+from dipc_gym.sim2real.effects.shared.sought import Sought, apart
 
 Array = NDArray[np.float64]
 

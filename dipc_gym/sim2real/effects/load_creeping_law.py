@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.increments import MOST, LawOfIncrements
-from dipc_gym.sim2real.effects.law import FAR, at_joint, described, either_way, recalled
 from dipc_gym.sim2real.effects.load_creeping import FAST, TIMES, usual
-from dipc_gym.sim2real.effects.sought import Sought
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.increments import MOST, LawOfIncrements
+from dipc_gym.sim2real.effects.shared.law import FAR, at_joint, described, either_way, recalled
+from dipc_gym.sim2real.effects.shared.sought import Sought
 
 Array = NDArray[np.float64]
 

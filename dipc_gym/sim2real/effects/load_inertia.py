@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dof
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, dof
 
 LEAST, MOST = 0.02, 2.0  # of the first guess, times what the joint moves: a gear of 100 makes a rotor heavy
 

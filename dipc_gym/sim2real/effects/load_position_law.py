@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Evidence, Values
-from dipc_gym.sim2real.effects.law import Array, Law
-from dipc_gym.sim2real.effects.tables import force_of_position, grow
+from dipc_gym.sim2real.effects.shared.base import Evidence, Values
+from dipc_gym.sim2real.effects.shared.law import Array, Law
+from dipc_gym.sim2real.effects.shared.tables import force_of_position, grow
 
 
 class ForceOfPosition(Law):

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
 
 
 class Spring(Effect):

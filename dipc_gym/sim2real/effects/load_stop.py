@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Form, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import bumper, limits_act
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Form, Parameter, Values
+from dipc_gym.sim2real.effects.shared.coupling import bumper, limits_act
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import beside, couple
-from dipc_gym.sim2real.effects.loads import RATES, Load, most_alike
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.coupling import beside, couple
+from dipc_gym.sim2real.effects.shared.loads import RATES, Load, most_alike
 
 PEAKS, APART = 2, 1.35  # first guesses, and how far apart their rates are: what is nearer falls into the same valley
 

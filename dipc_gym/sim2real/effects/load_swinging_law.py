@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from dipc_gym.engine.swing import Spring
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import bend, beside, couple
-from dipc_gym.sim2real.effects.law import FAR, at_joint, described, either_way, halved
-from dipc_gym.sim2real.effects.loads import DAMPED, FLATTEST, RATES, STEEPEST, Load, most_alike, slope_of, smooth
-from dipc_gym.sim2real.effects.settings import LAWS
-from dipc_gym.sim2real.effects.tables import between
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.coupling import bend, beside, couple
+from dipc_gym.sim2real.effects.shared.law import FAR, at_joint, described, either_way, halved
+from dipc_gym.sim2real.effects.shared.loads import DAMPED, FLATTEST, RATES, STEEPEST, Load, most_alike, slope_of, smooth
+from dipc_gym.sim2real.effects.shared.settings import LAWS
+from dipc_gym.sim2real.effects.shared.tables import between
 
 Array = NDArray[np.float64]
 

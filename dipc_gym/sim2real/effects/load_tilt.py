@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
 
 TURNED = 1e-4  # rad, by which gravity is turned to see what that does
 FELT = 1e-6  # of what turning does to any joint's force, or would to all that joints bear, that counts

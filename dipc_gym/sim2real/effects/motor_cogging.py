@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor
-from dipc_gym.sim2real.effects.settings import EFFECTS
-from dipc_gym.sim2real.effects.waves import waves
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, is_dcmotor
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.waves import waves
 
 
 class Cogging(Effect):

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import mujoco
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, is_dcmotor
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 
 
 class Inductance(Effect):

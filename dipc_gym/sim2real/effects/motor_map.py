@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dipc_gym.sim2real.effects.base import Evidence, Values
-from dipc_gym.sim2real.effects.drives import drive_of
-from dipc_gym.sim2real.effects.law import Array, Map
-from dipc_gym.sim2real.effects.tables import grow
+from dipc_gym.sim2real.effects.shared.base import Evidence, Values
+from dipc_gym.sim2real.effects.shared.drives import drive_of
+from dipc_gym.sim2real.effects.shared.law import Array, Map
+from dipc_gym.sim2real.effects.shared.tables import grow
 
 
 class CommandMap(Map):

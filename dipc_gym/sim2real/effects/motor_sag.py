@@ -9,10 +9,10 @@ import numpy as np
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import SAG
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor, joint_of, rms
-from dipc_gym.sim2real.effects.drives import drive_of
-from dipc_gym.sim2real.effects.law import recalled
-from dipc_gym.sim2real.effects.sought import Sought, apart
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, is_dcmotor, joint_of, rms
+from dipc_gym.sim2real.effects.shared.drives import drive_of
+from dipc_gym.sim2real.effects.shared.law import recalled
+from dipc_gym.sim2real.effects.shared.sought import Sought, apart
 
 TIMES = np.geomspace(0.02, 20.0, 16)  # s, tried against the unexplained force
 APART = 3.0  # times, by which two that are proposed differ at least

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import SAG_BY_LAW
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.drives import drive_of
-from dipc_gym.sim2real.effects.increments import LawOfIncrements
-from dipc_gym.sim2real.effects.law import described
 from dipc_gym.sim2real.effects.motor_sag import PACE, USUAL, drains, most_alike
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.drives import drive_of
+from dipc_gym.sim2real.effects.shared.increments import LawOfIncrements
+from dipc_gym.sim2real.effects.shared.law import described
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor, limit_the_motor
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, is_dcmotor, limit_the_motor
 
 Array = NDArray[np.float64]
 

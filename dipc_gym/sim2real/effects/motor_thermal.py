@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, is_dcmotor
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, is_dcmotor
 
 COPPER = 0.0039  # 1/K by which copper's resistance grows
 AMBIENT = 25.0  # deg C at which the model's resistance holds, and of the motor's surroundings

@@ -9,9 +9,9 @@ import numpy as np
 
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, sensed_position
-from dipc_gym.sim2real.effects.settings import EFFECTS
-from dipc_gym.sim2real.effects.waves import eccentric
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, sensed_position
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.waves import eccentric
 
 FEWEST = 0.5  # waves over the range of motion: of less, a bend of the scale is all that shows
 TURN = 2 * np.pi  # rad, after which an encoder on a hinge's own axis is where it was

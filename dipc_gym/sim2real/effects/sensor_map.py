@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.base import Evidence, Values, sensed_position
-from dipc_gym.sim2real.effects.law import Array, Map
-from dipc_gym.sim2real.effects.settings import TABLES
-from dipc_gym.sim2real.effects.tables import Nested, grown, hats, odd_blocks
+from dipc_gym.sim2real.effects.shared.base import Evidence, Values, sensed_position
+from dipc_gym.sim2real.effects.shared.law import Array, Map
+from dipc_gym.sim2real.effects.shared.settings import TABLES
+from dipc_gym.sim2real.effects.shared.tables import Nested, grown, hats, odd_blocks
 
 BINS = 128  # of the range of motion; no knot lies closer to another than one of them
 FAINT = 0.5  # of the sensor's noise: an error of the scale that is nowhere larger shows in no reading

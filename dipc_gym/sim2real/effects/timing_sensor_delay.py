@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.timing_delay import delays, set_delay
 
 

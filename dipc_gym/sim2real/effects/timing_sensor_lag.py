@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 
 
 class SensorLag(Effect):

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import mujoco
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import can_split, limit, limits_act, rotor_guesses, split
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.coupling import can_split, limit, limits_act, rotor_guesses, split
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 
 
 class Backlash(Effect):

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.coupling import can_split, couple, rotor_guesses, split
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.coupling import can_split, couple, rotor_guesses, split
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 
 
 class Compliance(Effect):

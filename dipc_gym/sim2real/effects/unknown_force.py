@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
-from dipc_gym.sim2real.effects.base import Array, Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import bisected, described, extended, holding_new
-from dipc_gym.sim2real.effects.settings import LAWS
-from dipc_gym.sim2real.effects.surfaces import Surface, surfaces
+from dipc_gym.sim2real.effects.shared.base import Array, Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.law import bisected, described, extended, holding_new
+from dipc_gym.sim2real.effects.shared.settings import LAWS
+from dipc_gym.sim2real.effects.shared.surfaces import Surface, surfaces
 
 WORDS = {"position": "the position of {}", "velocity": "the velocity of {}", "command": "the command to {}"}
 BEYOND = 1.2  # times the fastest and largest in the data, up to which a force without a name acts as it does there

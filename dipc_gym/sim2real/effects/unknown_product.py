@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Values, joint_of
-from dipc_gym.sim2real.effects.law import FAR, Array, Law, described, holding_new
-from dipc_gym.sim2real.effects.smoothing import smoothing
-from dipc_gym.sim2real.effects.tables import grow, odd_blocks
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Values, joint_of
+from dipc_gym.sim2real.effects.shared.law import FAR, Array, Law, described, holding_new
+from dipc_gym.sim2real.effects.shared.smoothing import smoothing
+from dipc_gym.sim2real.effects.shared.tables import grow, odd_blocks
 from dipc_gym.sim2real.effects.unknown_force import BEYOND, driven_up_to, in_words, unit_of
 
 MOST = 2  # that are proposed: each costs a fit

@@ -11,11 +11,11 @@ from scipy.interpolate import CubicSpline
 
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RECENT, RESIDUAL
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import Array, holding_new, recalled
-from dipc_gym.sim2real.effects.settings import LAWS, TABLES
-from dipc_gym.sim2real.effects.sought import apart
-from dipc_gym.sim2real.effects.tables import between, hats, smooth
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.law import Array, holding_new, recalled
+from dipc_gym.sim2real.effects.shared.settings import LAWS, TABLES
+from dipc_gym.sim2real.effects.shared.sought import apart
+from dipc_gym.sim2real.effects.shared.tables import between, hats, smooth
 from dipc_gym.sim2real.effects.unknown_force import BEYOND, driven_up_to, in_words, unit_of
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct, beside_product, carriers
 

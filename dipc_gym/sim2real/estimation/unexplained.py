@@ -14,9 +14,9 @@ from dipc_gym import mjcf
 from dipc_gym.mjcf.model import base_joints
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Misread, Place, joint_of, rms, sensed_joint
-from dipc_gym.sim2real.effects.coupling import base_inertia, inertia_at
-from dipc_gym.sim2real.effects.smoothing import width_for
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Misread, Place, joint_of, rms, sensed_joint
+from dipc_gym.sim2real.effects.shared.coupling import base_inertia, inertia_at
+from dipc_gym.sim2real.effects.shared.smoothing import width_for
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.states import acting, straightened, unexplained_force

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document, text
 from dipc_gym.safety.naming import suggestion
-from dipc_gym.sim2real.effects.base import is_dcmotor
+from dipc_gym.sim2real.effects.shared.base import is_dcmotor
 from dipc_gym.sim2real.model.settings import MODEL
 
 Array = NDArray[np.float64]

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
-from dipc_gym.sim2real.effects.base import Effect, Parameter
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.base import Effect, Parameter
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 from dipc_gym.sim2real.model.parameters import ModelParameter
 from dipc_gym.sim2real.model.prior import Prior, product
 from dipc_gym.sim2real.model.settings import MODEL

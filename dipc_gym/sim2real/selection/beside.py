@@ -6,7 +6,7 @@ import copy
 from collections.abc import Callable
 from dataclasses import replace
 
-from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.shared.settings import LAWS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Term, carry, names
 from dipc_gym.sim2real.selection import choice

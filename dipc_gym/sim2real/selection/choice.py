@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.base import joint_at
+from dipc_gym.sim2real.effects.shared.base import joint_at
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import common_error, rms
 from dipc_gym.sim2real.model.structure import Term

@@ -9,8 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from dipc_gym.sim2real.effects.base import Effect, dof
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.base import Effect, dof
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.shooting import mean_loss
 from dipc_gym.sim2real.estimation.unexplained import Scene, places

@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
-from dipc_gym.sim2real.effects.base import Effect, joint_at, joint_of
+from dipc_gym.sim2real.effects.shared.base import Effect, joint_at, joint_of
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Structure, Term

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from dipc_gym.sim2real.effects.base import Effect
+from dipc_gym.sim2real.effects.shared.base import Effect
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Structure, Term
 

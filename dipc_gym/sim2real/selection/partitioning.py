@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.recording import RecordingError
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import Prepared

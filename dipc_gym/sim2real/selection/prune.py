@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from dipc_gym.sim2real.effects.base import acts_on, joint_at
+from dipc_gym.sim2real.effects.shared.base import acts_on, joint_at
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.unexplained import places
 from dipc_gym.sim2real.model.structure import Structure, Term, carry

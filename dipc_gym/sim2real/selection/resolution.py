@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real.effects.base import Effect, Values
-from dipc_gym.sim2real.effects.law import Law
-from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.shared.base import Effect, Values
+from dipc_gym.sim2real.effects.shared.law import Law
+from dipc_gym.sim2real.effects.shared.settings import LAWS
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.model.structure import Structure, Term, carry

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
-from dipc_gym.sim2real.effects.base import Effect
+from dipc_gym.sim2real.effects.shared.base import Effect
 from dipc_gym.sim2real.estimation.fit import Fit, Quadratics, lowest
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict_with
 from dipc_gym.sim2real.estimation.shooting import mean_loss

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects import Effect
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.settings import ESTIMATION

@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from dipc_gym.sim2real.effects.settings import EFFECTS
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import Term, names

@@ -22,7 +22,7 @@ from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.recording.columns import COMMAND, SENSOR, called
 from dipc_gym.recording.units import KINDS, of_command, of_sensor
-from dipc_gym.sim2real.effects.base import joint_of, sensed_joint
+from dipc_gym.sim2real.effects.shared.base import joint_of, sensed_joint
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate
 from dipc_gym.sim2real.estimation.segments import Prepared, prepare

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.recording.units import of_command, of_sensor
-from dipc_gym.sim2real.effects.base import acts_on
+from dipc_gym.sim2real.effects.shared.base import acts_on
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.verdict.in_place import in_place_of
 

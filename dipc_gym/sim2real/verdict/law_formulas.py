@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
-from dipc_gym.sim2real.effects.law import Law
+from dipc_gym.sim2real.effects.shared.law import Law
 from dipc_gym.sim2real.estimation.fit import Fit, evaluate, fit
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.model.structure import Term

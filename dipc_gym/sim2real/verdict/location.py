@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from dipc_gym.sim2real.effects.base import runs_of
+from dipc_gym.sim2real.effects.shared.base import runs_of
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.result import Located

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.base import acts_on
+from dipc_gym.sim2real.effects.shared.base import acts_on
 from dipc_gym.sim2real.estimation.fit import Fit
 from dipc_gym.sim2real.model.structure import Structure, Term, names
 from dipc_gym.sim2real.selection.screen import Tried, excludes

@@ -10,9 +10,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values
-from dipc_gym.sim2real.effects.law import halved
-from dipc_gym.sim2real.effects.settings import LAWS
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.law import halved
+from dipc_gym.sim2real.effects.shared.settings import LAWS
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dipc_gym.sim2real.effects.base import runs_of
-from dipc_gym.sim2real.effects.settings import SMOOTHING
+from dipc_gym.sim2real.effects.shared.base import runs_of
+from dipc_gym.sim2real.effects.shared.settings import SMOOTHING
 
 Array = NDArray[np.float64]
 

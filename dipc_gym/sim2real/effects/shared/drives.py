@@ -6,7 +6,7 @@ import copy
 
 import mujoco
 
-from dipc_gym.sim2real.effects.base import dof, joint_of
+from dipc_gym.sim2real.effects.shared.base import dof, joint_of
 
 
 def drive_of(model: mujoco.MjModel, actuator: str) -> tuple[float, float]:

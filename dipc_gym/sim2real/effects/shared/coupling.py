@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Evidence, dof, joint_of, limit_the_drive
+from dipc_gym.sim2real.effects.shared.base import Evidence, dof, joint_of, limit_the_drive
 
 Array = NDArray[np.float64]
 

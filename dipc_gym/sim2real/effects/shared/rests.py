@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from dipc_gym.sim2real.effects.base import Evidence
+from dipc_gym.sim2real.effects.shared.base import Evidence
 
 Array = NDArray[np.float64]
 

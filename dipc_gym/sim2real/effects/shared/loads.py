@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from dipc_gym.engine.swing import Spring, swing
-from dipc_gym.sim2real.effects.base import Evidence
-from dipc_gym.sim2real.effects.coupling import free_inertia
-from dipc_gym.sim2real.effects.sought import Sought, apart
+from dipc_gym.sim2real.effects.shared.base import Evidence
+from dipc_gym.sim2real.effects.shared.coupling import free_inertia
+from dipc_gym.sim2real.effects.shared.sought import Sought, apart
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from dipc_gym.sim2real.effects.base import Evidence
-from dipc_gym.sim2real.effects.smoothing import smoothing
+from dipc_gym.sim2real.effects.shared.base import Evidence
+from dipc_gym.sim2real.effects.shared.smoothing import smoothing
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dipc_gym.sim2real.effects.settings import SURFACES, TABLES
-from dipc_gym.sim2real.effects.smoothing import smoothing
-from dipc_gym.sim2real.effects.tables import odd_blocks, spared
+from dipc_gym.sim2real.effects.shared.settings import SURFACES, TABLES
+from dipc_gym.sim2real.effects.shared.smoothing import smoothing
+from dipc_gym.sim2real.effects.shared.tables import odd_blocks, spared
 
 Array = NDArray[np.float64]
 Sums = tuple[sparse.csr_array, Array, float]  # normal matrix, right-hand side, sum of squares

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import passive_ramp
-from dipc_gym.sim2real.effects.settings import TABLES
-from dipc_gym.sim2real.effects.smoothing import smoothing
+from dipc_gym.sim2real.effects.shared.base import passive_ramp
+from dipc_gym.sim2real.effects.shared.settings import TABLES
+from dipc_gym.sim2real.effects.shared.smoothing import smoothing
 
 Array = NDArray[np.float64]
 

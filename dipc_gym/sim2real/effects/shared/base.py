@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.settings import EFFECTS, SMOOTHING
+from dipc_gym.sim2real.effects.shared.settings import EFFECTS, SMOOTHING
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]

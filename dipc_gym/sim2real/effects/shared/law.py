@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from dipc_gym.engine.remember import recall
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.base import Effect, Evidence, Parameter, Values, dry_beside
-from dipc_gym.sim2real.effects.settings import LAWS
-from dipc_gym.sim2real.effects.tables import bending, between, curve, grow
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, dry_beside
+from dipc_gym.sim2real.effects.shared.settings import LAWS
+from dipc_gym.sim2real.effects.shared.tables import bending, between, curve, grow
 
 Array = NDArray[np.float64]
 

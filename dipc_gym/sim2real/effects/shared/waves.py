@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym.sim2real.effects.base import Evidence
-from dipc_gym.sim2real.effects.settings import WAVES
+from dipc_gym.sim2real.effects.shared.base import Evidence
+from dipc_gym.sim2real.effects.shared.settings import WAVES
 
 Array = NDArray[np.float64]
 
