@@ -215,7 +215,7 @@ def test_a_stage_has_its_constants_in_one_place(hooks: ModuleType) -> None:
         assert not any(beside.values()), beside
 
 
-@pytest.mark.parametrize("stage", ["effects", "estimation", "model", "selection", "verdict"])
+@pytest.mark.parametrize("stage", ["effects.shared", "estimation", "model", "selection", "verdict"])
 def test_settings_are_explained_in_the_order_that_they_have(stage: str) -> None:
     """Whoever looks a constant up finds its reason where it stands among the others, and none without."""
     module = importlib.import_module(f"dipc_gym.sim2real.{stage}.settings")

@@ -44,7 +44,7 @@ def check(program: Program, parameters: Array, source: Physics, rates: Callable[
     model.actuator_delay[:], model.sensor_delay[:] = 0.0, 0.0
     model.actuator_actearly[:] = False
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4  # `discrete` has steps in the place of accelerations
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4  # its discrete one gives steps in the place of accelerations
     model.opt.tolerance = 0.0
     data, commanded = mujoco.MjData(model), int(program.codes[Head.CONTROLS])
     smooth = parameters.copy()

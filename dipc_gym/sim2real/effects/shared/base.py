@@ -115,7 +115,7 @@ class Evidence:
         outliers: times at which outlier windows begin, the worst first, s.
         inputs: what a law may depend on, (n,) each: `position cart`, `velocity pole1`, `command motor`.
         misread: what is left of the sensor's readings; None where the place is no sensor.
-        width: s, to which the force has to be smoothed, so that little of it is noise; see `effects.smoothing`.
+        width: s, to which the force has to be smoothed, so that little of it is noise; see `effects.shared.smoothing`.
         resisting: force of the dry friction that the model has there already, N or N m, (n,); empty without.
     """
 
