@@ -15,7 +15,9 @@ from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
-from dipc_gym.sim2real.simulation.batch import Stepping
+from dipc_gym.sim2real.simulation.batch import Stepping, simulate
+from dipc_gym.sim2real.simulation.compiled import left_to_mujoco
+from dipc_gym.sim2real.simulation.windows import cut
 
 GRIPPER = """
 <mujoco model="gripper">
@@ -38,6 +40,7 @@ GRIPPER = """
 </mujoco>
 """
 LEFT, RIGHT = (f'<motor name="{side}_drive" joint="{side}" gear="4"/>' for side in ("left", "right"))
+THIN = 'density="1e-12"'
 SENSOR = '<jointpos name="{0}" joint="{0}"/>'
 
 
@@ -141,6 +144,23 @@ def test_one_sensor_tells_where_both_fingers_are(seen: str) -> None:
     # MuJoCo's constraint gives way a little, which its own readings show; the motion is a thousand times as large.
     moved = cut.motions[0].position[:, 0] * (1.0 if seen == "left" else -0.5)
     assert np.abs(moved - run.sensors[:, 0]).max() < 1e-3 * np.ptp(run.sensors[:, 0])
+
+
+def test_a_gripper_is_in_compiled_code_as_in_mujoco() -> None:
+    """Behind a medium too thin to matter, MuJoCo simulates it; windows begin with both fingers where they belong."""
+    text = gripper()
+    ours, theirs = (physics.load(mjcf.from_text(text.replace("<option ", f"<option {way} "))) for way in ("", THIN))
+    assert left_to_mujoco(ours) == []
+    assert "medium" in left_to_mujoco(theirs)[0]
+    windows = cut([record(ours, sweep(1.0), 1.0)], np.ones(1), 0.25, (0.0, 1.0))
+    initial = np.random.default_rng(0).normal(scale=0.1, size=(1, len(windows), 2))
+    for warm, approach in ((0.0, None), (0.1, np.repeat(initial, 2, axis=0))):
+        both = [
+            simulate([one], windows, initial, Stepping(2e-4, RK4), base=["left"], warm=warm, approach=approach)
+            for one in (ours, theirs)
+        ]
+        assert np.ptp(both[0]) > 0.01
+        assert both[0] == pytest.approx(both[1], abs=1e-9)
 
 
 def test_wrong_numbers_of_a_gripper_with_one_encoder_are_refitted() -> None:

@@ -141,14 +141,27 @@ def with_limits(text: str, rng: np.random.Generator, *kinds: str) -> str:
     return re.sub(r'<joint name="j\d"', limited, text)
 
 
+def with_ties(text: str, rng: np.random.Generator, joints: int) -> str:
+    """A tree of which some joints follow another, with an offset, and one stays where it is."""
+    kinds = ("", 'solref="0.05 0.5"', 'solref="-500 -10"', 'solimp="0.5 0.9 0.3"', 'solimp="0.7 0.99 0.3 0.3 1"')
+    ties = [
+        f'<joint joint1="j{k}" joint2="j0" polycoef="{0.1 * rng.normal()} {rng.normal()} 0 0 0" {rng.choice(kinds)}/>'
+        for k in range(1, joints - 1)
+    ]
+    stays = f'<joint joint1="j{joints - 1}" polycoef="0.1 0 0 0 0" {rng.choice(kinds)}/>'
+    return text.replace("<actuator>", f"<equality>{''.join(ties)}{stays}</equality><actuator>")
+
+
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 6))
-def test_limits_of_random_trees_push_back_as_mujocos_do(seed: int, joints: int) -> None:
+def test_limits_and_ties_of_random_trees_push_as_mujocos_do(seed: int, joints: int) -> None:
     """Several are met at once, on joints and a tendon, each by another of MuJoCo's formulas."""
     rng = np.random.default_rng(seed)
-    source = loaded(with_limits(random_tree(rng, joints), rng, *LIMITS))
+    text = with_limits(random_tree(rng, joints), rng, *LIMITS)
+    source = loaded(with_ties(text, rng, joints) if seed % 2 else text)
     what, parameters = program.read([source])
     assert what.codes[Head.STOPS] == joints + (joints > 1)
+    assert what.codes[Head.TIES] == source.model.neq
     check.check(what, parameters[0], source)
 
 
@@ -528,14 +541,18 @@ def test_slopes_of_a_table_cost_few_models(
             np.testing.assert_allclose(ours, theirs, atol=1e-7 * np.abs(theirs).max())
 
 
-@pytest.mark.parametrize(("joints", "kinds", "samples"), [(7, (), 20), (4, ("",), 60), (4, LIMITS, 60)])
-def test_sensitivities_of_a_random_tree(joints: int, kinds: tuple[str, ...], samples: int) -> None:
+@pytest.mark.parametrize(
+    ("joints", "kinds", "samples", "tied"),
+    [(7, (), 20, False), (4, ("",), 60, False), (4, LIMITS, 60, False), (4, LIMITS, 60, True)],
+)
+def test_sensitivities_of_a_random_tree(joints: int, kinds: tuple[str, ...], samples: int, tied: bool) -> None:
     """By every number of a tree at once, along random directions, and by the starts; with limits, several are met, and
-    some at once.
+    some at once, with joints that are tied and without.
     """
     rng, fast = np.random.default_rng(11), 10.0 if kinds else 1.0
     text = random_tree(rng, joints)
-    source = loaded(with_limits(text, rng, *kinds) if kinds else text)
+    text = with_limits(text, rng, *kinds) if kinds else text
+    source = loaded(with_ties(text, rng, joints) if tied else text)
     what, parameters = program.read([source])
     initial = 0.2 * rng.normal(size=(1, 2, what.nx))
     initial[..., joints : 2 * joints] *= fast
@@ -547,6 +564,10 @@ def test_sensitivities_of_a_random_tree(joints: int, kinds: tuple[str, ...], sam
     free = [k for k in free if not (3 <= k < what.tree.count and (k - links.GRAVITY) % links.LINK < links.GEOMETRY)]
     along, unit = np.zeros((10, parameters.shape[1])), np.zeros((10, *initial.shape[1:]))
     along[:3, free] = rng.normal(size=(3, len(free))) * np.abs(parameters[0, free])
+    first, count = int(what.codes[Head.ELEMENT_AT]), int(what.codes[Head.ELEMENTS])
+    elements = what.codes[first : first + count * int(Element.SIZE)].reshape(count, -1)
+    for rest in elements[elements[:, Element.KIND] == Kind.TIE, Element.NUMBERS]:
+        along[:, rest + 1] = along[:, rest]  # there is no way between its ends
     unit[3:] = rng.normal(size=unit[3:].shape)
     readings, changes, _, _ = differentiate(what, jobs, Directions(along, unit), 5e-4)
     np.testing.assert_allclose(readings, run(what, jobs, 5e-4)[0][0], atol=1e-13)

@@ -25,7 +25,6 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import formulas
 from dipc_gym.sim2real import result
 from dipc_gym.sim2real.effects import catalogue
-from dipc_gym.sim2real.effects.shared import law as shapes
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.friction_load_law import UnderLoadOfAnyLaw
@@ -39,6 +38,7 @@ from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.motor_sag_law import SagOfAnyLaw
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
+from dipc_gym.sim2real.effects.shared import law as shapes
 from dipc_gym.sim2real.effects.shared.surfaces import Surface
 from dipc_gym.sim2real.effects.unknown_force import UnknownForce
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct

@@ -42,6 +42,7 @@ def require(program: Program, parameters: Array) -> None:
     for what, there in (
         ("a joint with frictionloss", bool(friction.any())),
         ("a limit", bool(codes[Head.STOPS])),
+        ("an equality constraint", bool(codes[Head.TIES])),
     ):
         if there:
             raise Uncovered(what)

@@ -119,17 +119,18 @@ class Attached:
         """Length and speed of an element."""
         code, total = self.code, self.code.scratch(2)
         total[0], total[1] = 0.0, 0.0
-        with self._terms(element) as (k, joint):
+        with self.terms(element) as (k, joint):
             total[0] = total[0] + coefficients[k] * self.states[joint]
             total[1] = total[1] + coefficients[k] * self.states[code.sum(self.joints, joint)]
         return total[0], total[1]
 
     def push(self, element: ir.Value, coefficients: Numbers, force: Value, forces: Numbers) -> None:
         """Add the force of an element to those of the joints it acts on."""
-        with self._terms(element) as (k, joint):
+        with self.terms(element) as (k, joint):
             forces[joint] = forces[joint] + coefficients[k] * force
 
-    def _terms(self, element: ir.Value) -> Any:
+    def terms(self, element: ir.Value) -> Any:
+        """Repeat for each joint that an element acts on: the number of its coefficient, and the joint."""
         return _Terms(self.code, self.program, element)
 
     def _actuator(

@@ -8,7 +8,7 @@ JOINTS = 16  # most joints of a model
 STATES = 128  # most states
 CONTROLS = 32  # most commands
 SENSORS = 64  # most sensors
-STOPS = 32  # most limits of joints and tendons
+STOPS = 32  # most limits of joints and tendons, and ties of joints
 
 
 class Head(IntEnum):
@@ -31,7 +31,8 @@ class Head(IntEnum):
     STOPS = 14  # how many elements are stops, which push on what the rest leaves
     LATE = 15  # index of the delay of the sensor that reads latest, among the parameters
     RANGES = 16  # index of the least and the most of each control that laws see, among the parameters
-    SIZE = 17
+    TIES = 17  # how many elements are ties, which come after the stops
+    SIZE = 18
 
 
 class Joint(IntEnum):
@@ -58,6 +59,7 @@ class Kind(IntEnum):
     STOP = 5
     YIELDING = 6  # a spring whose unbent position goes along where it is bent further than it bears
     RAMPS = 7  # actuators of one joint that take no command: forces that rise along a stretch and are held beyond
+    TIE = 8  # joints that are held in proportion: a stop with no way between its ends, which pulls as well
 
 
 class Element(IntEnum):

@@ -1,7 +1,8 @@
-"""Limits of joints and tendons, as code: MuJoCo's soft constraints.
+"""Limits of joints and tendons, and ties of joints, as code: MuJoCo's soft constraints.
 
 A limit wants an acceleration by how deep it is in and how fast, and gets a share of it, its impedance, of which it has
-the more the deeper it is (MuJoCo's documentation, "Solver parameters"). It never pulls.
+the more the deeper it is (MuJoCo's documentation, "Solver parameters"). It never pulls; a tie, which holds two joints
+in proportion, is deep in on either side, and does.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ Whole = NDArray[np.int64]
 
 _KEPT = 64  # models that were read lately: as many as stay compiled in a fit
 _LIMITLESS = 1e30  # stands for no limit: no state comes near it
+_ODD = "a solref of mixed signs or a power of solimp other than 1 and 2"
 
 
 class Uncovered(Exception):  # no error: another simulator takes over
@@ -121,7 +122,7 @@ class _Writer:
             ("states", layout.STATES, self.ints[Head.STATES]),
             ("controls", layout.CONTROLS, self.controls),
             ("sensors", layout.SENSORS, self.ints[Head.SENSORS]),
-            ("limits", layout.STOPS, self.ints[Head.STOPS]),
+            ("limits and equality constraints", layout.STOPS, self.ints[Head.STOPS] + self.ints[Head.TIES]),
         ):
             if count > most:
                 raise Uncovered(f"{count} {what}, more than {most}")
@@ -201,26 +202,50 @@ class _Writer:
                 elements.append(self._element(Kind.SPRING, dofs, coefficients, spring))
             if model.tendon_limited[t]:
                 stops.append(self._stop_of_tendon(t, name, dofs, coefficients))
-        self.ints[Head.STOPS] = len(stops)
-        return elements + stops
+        ties = self._ties()
+        self.ints[Head.STOPS], self.ints[Head.TIES] = len(stops), len(ties)
+        return elements + stops + ties
 
     def _stop_of_tendon(self, t: int, name: str, dofs: list[int], coefficients: list[float]) -> list[int]:
         model = self.model
         solref, solimp = model.tendon_solref_lim[t], model.tendon_solimp_lim[t]
         ends = _within(model.tendon_range[t], model.tendon_margin[t])
-        if not _is_known(solref, solimp, ends):
-            raise Uncovered(
-                f"tendon {name!r} has a limit with a solreflimit of mixed signs or a power other than 1 and 2"
-            )
-        return self._stop(dofs, coefficients, ends, solref, solimp, float(model.tendon_invweight0[t]))
+        if not (_is_known(solref, solimp) and ends[0] < ends[1]):
+            raise Uncovered(f"tendon {name!r} has a limit with {_ODD}, or of which both ends act at once")
+        weight = float(model.tendon_invweight0[t])
+        return self._stop(Kind.STOP, dofs, coefficients, ends, solref, solimp, weight)
 
     def _stop_of_joint(self, k: int) -> list[int]:
         model = self.model
         solref, solimp, weight = model.jnt_solref[k], model.jnt_solimp[k], float(model.dof_invweight0[k])
-        return self._stop([k], [1.0], _within(model.jnt_range[k], model.jnt_margin[k]), solref, solimp, weight)
+        ends = _within(model.jnt_range[k], model.jnt_margin[k])
+        return self._stop(Kind.STOP, [k], [1.0], ends, solref, solimp, weight)
+
+    def _ties(self) -> list[list[int]]:
+        """Joints that an equality constraint holds in proportion to another, or where they are."""
+        model, ties = self.model, []
+        if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY:
+            return []
+        for e in np.flatnonzero(model.eq_active0).tolist():
+            name = model.equality(e).name or e
+            offset, ratio, *bends = model.eq_data[e, :5].tolist()
+            if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or any(bends):
+                raise Uncovered(f"equality constraint {name!r}, which is no proportion of two joints")
+            joints = [int(k) for k in (model.eq_obj1id[e], model.eq_obj2id[e]) if k >= 0]
+            along = [1.0, -ratio][: len(joints)]
+            reference = model.qpos0[model.jnt_qposadr[joints]]
+            rest = offset + float(reference @ along)
+            dofs = model.jnt_dofadr[joints].tolist()
+            solref, solimp = model.eq_solref[e], model.eq_solimp[e]
+            if not _is_known(solref, solimp):
+                raise Uncovered(f"equality constraint {name!r}, with {_ODD}")
+            weight = float(model.dof_invweight0[dofs].sum())
+            ties.append(self._stop(Kind.TIE, dofs, along, (rest, rest), solref, solimp, weight))
+        return ties
 
     def _stop(
         self,
+        kind: Kind,
         dofs: list[int],
         coefficients: list[float],
         ends: tuple[float, float],
@@ -228,7 +253,7 @@ class _Writer:
         solimp: Array,
         weight: float,
     ) -> list[int]:
-        """A limit, by the formulas of MuJoCo's documentation, "Solver parameters"."""
+        """A limit or a tie, by the formulas of MuJoCo's documentation, "Solver parameters"."""
         first, last = np.clip(solimp[:2], mujoco.mjMINIMP, mujoco.mjMAXIMP)
         middle = np.clip(solimp[3], mujoco.mjMINIMP, mujoco.mjMAXIMP)
         pull, drag = self._reference(solref)
@@ -238,7 +263,7 @@ class _Writer:
         else:
             numbers += [first, last, solimp[2]]
         numbers += [middle, solimp[4] > 1]
-        return self._element(Kind.STOP, dofs, coefficients, [float(number) for number in numbers])
+        return self._element(kind, dofs, coefficients, [float(number) for number in numbers])
 
     def _reference(self, solref: Array) -> tuple[float, float]:
         """Stiffness and damping of a limit, 1/s^2 and 1/s."""
@@ -494,7 +519,9 @@ def soft_limits(model: mujoco.MjModel) -> NDArray[np.intp]:
     """Joints with limits that the engine has; their indices."""
     limited = np.flatnonzero(model.jnt_limited)
     ends = [_within(model.jnt_range[k], model.jnt_margin[k]) for k in limited]
-    known = [_is_known(model.jnt_solref[k], model.jnt_solimp[k], e) for k, e in zip(limited, ends, strict=True)]
+    known = [
+        _is_known(model.jnt_solref[k], model.jnt_solimp[k]) and a < b for k, (a, b) in zip(limited, ends, strict=True)
+    ]
     return limited[np.array(known, dtype=bool)]
 
 
@@ -510,13 +537,11 @@ def _within(ends: Array, margin: float) -> tuple[float, float]:
     return float(ends[0]) + float(margin), float(ends[1]) - float(margin)
 
 
-def _is_known(solref: Array, solimp: Array, ends: tuple[float, float]) -> bool:
-    """Whether a limit is one of the two kinds of `solref`, becomes harder by a formula that the engine has, and acts at
-    one end at a time.
-    """
+def _is_known(solref: Array, solimp: Array) -> bool:
+    """Whether a constraint is one of the two kinds of `solref`, and becomes harder by a formula that the engine has."""
     kind = (solref[0] > 0 and solref[1] > 0) or (solref[0] < 0 and solref[1] <= 0)
     harder = solimp[4] <= 1 or solimp[4] == 2 or solimp[0] == solimp[1]
-    return bool(kind and harder and ends[0] < ends[1])
+    return bool(kind and harder)
 
 
 def _check_covered(model: mujoco.MjModel) -> None:
@@ -525,7 +550,6 @@ def _check_covered(model: mujoco.MjModel) -> None:
     if any(int(kind) not in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE) for kind in model.jnt_type):
         raise Uncovered("a joint that is neither hinge nor slide")
     for what, there in (
-        ("an equality constraint", model.neq > 0),
         ("a limited actuator force at a joint", bool(model.jnt_actfrclimited.any())),
         ("a spring of a joint that yields", bool(np.any(model.jnt_springyield))),
         ("a medium with density, viscosity or wind", bool(model.opt.density or model.opt.viscosity)),

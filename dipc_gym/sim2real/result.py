@@ -57,7 +57,8 @@ class Missing:
         parameters: name -> value, interval and unit.
         same_here: other names for the same model on this rig with this data.
         rivals: other effects that were tried in its place.
-        law: of a law of any shape what it is of, its table, and where data support it; see `effects.shared.law.described`.
+        law: of a law of any shape what it is of, its table, and where data support it; see
+            `effects.shared.law.described`.
         where: what the force of something unknown goes with, in words; its sentence says it as well.
     """
 

@@ -184,12 +184,13 @@ class Compiled:
         then; springs that yield stay as bent as they are, and what a sensor remembers moves along. All of it is linear,
         so tangents are put back in the same way.
         """
-        base, hidden, leaders, *_ = Joints.of(self.model, self.base)
+        base, hidden, leaders, coupled, leading, ratios = Joints.of(self.model, self.base)
         n, nb = self.model.nv, len(base)
         out, kept = states.copy(), self.windows.after_the_first(at)[:, None]
         for part in (0, 1):
             seen, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
             out[..., seen] = initial[..., part * nb : (part + 1) * nb]
+            out[..., [part * n + k for k in coupled]] = out[..., [part * n + k for k in leading]] * ratios
             with np.errstate(invalid="ignore"):  # a simulation that diverged on its way here is infinite
                 out[..., behind] = out[..., lead] + np.where(kept, states[..., behind] - states[..., lead], 0.0)
         self._places(out).stay_bent(self.model, out[..., :n] - states[..., :n])
