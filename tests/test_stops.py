@@ -10,7 +10,7 @@ import pytest
 from sim2real_rigs import CART, RK4, TORQUE, record, sweep
 
 from dipc_gym import mjcf, physics
-from dipc_gym.engine import Uncovered, program
+from dipc_gym.engine import Uncovered, constraints, program
 from dipc_gym.engine.check import check
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real import catalogue, diagnose
@@ -90,8 +90,8 @@ def limited(text: str, joint: str, end: float, how: str) -> physics.Physics:
 @pytest.mark.parametrize(("text", "joint", "end"), [(CART, "cart", 0.02), (TORQUE, "shoulder", 0.3)])
 def test_limits_are_in_compiled_code_as_in_mujoco(text: str, joint: str, end: float, how: str) -> None:
     rig, base = limited(text, joint, end, how), [joint]
-    assert program.soft_limits(rig.model).tolist() == [0]
-    assert not program.stiff_limits(rig.model).any()
+    assert constraints.soft_limits(rig.model).tolist() == [0]
+    assert not constraints.stiff_limits(rig.model).any()
     code, parameters = program.read([rig])
     assert check(code, parameters[0], rig)
     run = record(rig, sweep(4.0 if joint == "cart" else 0.6), 1.0, integrator=RK4, step=1e-4)

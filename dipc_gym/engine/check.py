@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf
+from dipc_gym.engine.constraints import soft_limits, stiff_limits
 from dipc_gym.engine.layout import Head, Joint
-from dipc_gym.engine.program import Program, Uncovered, soft_limits, stiff_limits
+from dipc_gym.engine.program import Program
 from dipc_gym.engine.run import rates
+from dipc_gym.engine.uncovered import Uncovered
 from dipc_gym.physics import Physics
 
 Array = NDArray[np.float64]

@@ -16,8 +16,9 @@ from dipc_gym.engine.kernel import write_primal, write_solver
 from dipc_gym.engine.laws import written
 from dipc_gym.engine.layout import JOINTS, STATES, Head, Joint, Law
 from dipc_gym.engine.motion import FOLLOWED, write_rates
-from dipc_gym.engine.program import Array, Program, Uncovered, rules
+from dipc_gym.engine.program import Array, Program, rules
 from dipc_gym.engine.rigid import Tree
+from dipc_gym.engine.uncovered import Uncovered
 from dipc_gym.engine.values import INT, POINTER, Value, where
 
 WIDTH = 8  # simulations side by side; processors with shorter vectors take them in parts

@@ -14,14 +14,12 @@ from llvmlite import ir
 from dipc_gym.engine.code import Code, Index, Numbers, integer
 from dipc_gym.engine.forces import Attached
 from dipc_gym.engine.laws import Rule, laws
-from dipc_gym.engine.layout import JOINTS, STATES, STOPS, Element, Head, Joint, Kind, Stop
-from dipc_gym.engine.limits import depth_of, wanted
+from dipc_gym.engine.layout import JOINTS, STATES, Head, Joint
+from dipc_gym.engine.pushes import Pushes
 from dipc_gym.engine.values import BIT, INT, LANES, POINTER, VECTOR, Number, Value, maximum, minimum, where
 from dipc_gym.physics import Moment
 
 FOLLOWED = 0.5  # time constant, in steps, that Runge-Kutta follows safely
-SETTLED = 1e-13  # of the largest push of a limit: a change that is none
-TURNS = 3000  # of limits that are met at once, at most: pushes settle, but nobody says how fast
 # program, parameters (2), commands (2), directions, time (2), states (2), rates (2), holding (2), levels (2)
 ARGUMENTS = [POINTER] * 16
 
@@ -47,7 +45,7 @@ class _Rates:
         self.code, self.rules = code, rules
         self.program = arguments[0]
         self.primal = code.external("primal", [POINTER] * 6)
-        self.free, self.solve = code.external("free", [POINTER] * 3), code.external("solve", [POINTER] * 2)
+        self.free, self.substitute = code.external("free", [POINTER] * 3), code.external("solve", [POINTER] * 2)
         if not code.width:
             self.bound = code.external("bound", [POINTER] * 4)
         if code.tangents:
@@ -102,12 +100,12 @@ class _Rates:
                 slides = self.directions[k] * self.levels[k]
                 self.forces[k] = self.forces[k] - where(self.stuck(k), code.value(0.0), code.value(slides))
             self.total[k] = self.forces[k]
-        self._solve()
+        self.solve()
         if code.width:
             return
         stops, ties = (code.whole(self.program, head) for head in (Head.STOPS, Head.TIES))
         with code.when(code.below(integer(0), code.sum(stops, ties))):
-            self._contacts(stops, ties)
+            Pushes(self).write(stops, ties)
         self._hold()
 
     def _laws(self) -> None:
@@ -164,7 +162,7 @@ class _Rates:
         arguments = [states.place, speeds.place, accelerations.place, numbers.place, *beside, out]
         self.code.at.call(self.tangent, arguments)
 
-    def _solve(self, *, factorised: bool = False) -> None:
+    def solve(self, *, factorised: bool = False) -> None:
         """Accelerations under `total`; with their tangents the change of the forces that they need, in `slope`.
 
         Rows of joints that stick are those of a unit matrix.
@@ -179,7 +177,7 @@ class _Rates:
                 self.held[k] = where(stuck, code.value(1.0), code.value(0.0))
                 any_held.set(code.at.or_(any_held.get(), code.at.zext(stuck, INT)))
         if factorised:
-            self._backwards(a)
+            self.backwards(a)
         elif code.width:
             code.at.call(self.free, [self.matrix.place, a.place, self.factor.place])
         else:
@@ -200,92 +198,9 @@ class _Rates:
             code.at.store(_tangent(a_tangent), code.offset(a.beside, k, VECTOR), align=8)
         code.at.call(self.solve_tangents, [self.factor.place, a.beside])
 
-    def _backwards(self, numbers: Numbers) -> None:
+    def backwards(self, numbers: Numbers) -> None:
         """Solve with the factors, in place."""
-        self.code.at.call(self.solve, [self.factor.place, numbers.place])
-
-    def _contacts(self, stops: ir.Value, ties: ir.Value) -> None:
-        """Push back where limits are met and where joints are tied, by as much as MuJoCo's soft constraints do.
-
-        Each pushes on what the others leave, in turns (Gauss and Seidel), until that does not change. Once that is so,
-        their tangents are found in as many turns, by how what they want and what they get would come apart.
-        """
-        code, met = self.code, self.code.counter()
-        met.set(ties)
-        with code.count(stops) as k, code.when(self.directions[code.sum(k, JOINTS)] > 0):
-            met.set(code.sum(met.get(), 1))
-        with code.when(code.below(integer(0), met.get())):
-            pushing = _Pushing(code)
-            self._lean(pushing)
-            turns = code.counter()
-            with code.repeat() as stop:
-                pushing.changed[0], pushing.largest[0] = 0.0, 0.0
-                self._take_turns(pushing, tangents=False)
-                turns.set(code.sum(turns.get(), 1))
-                settled = pushing.changed[0] <= SETTLED * pushing.largest[0]
-                stop(code.any_of(settled, code.equal(met.get(), 1), code.equal(turns.get(), TURNS)))
-            with self._met(pushing) as (k, element, coefficients):
-                push = pushing.outwards[k] * pushing.pushes[k].plain
-                self.attached.push(element, coefficients, push, self.total)
-            self._solve(factorised=True)
-            if code.tangents:
-                with code.count(turns.get()):
-                    self._take_turns(pushing, tangents=True)
-
-    def _lean(self, pushing: _Pushing) -> None:
-        """Note what limits that are met and ties want, and how joints answer a push of each; nothing pushes yet."""
-        code, n = self.code, self.n
-        with self._met(pushing) as (k, element, coefficients):
-            own = self.numbers.since(code.whole(element, Element.NUMBERS))
-            depth, away, speed = depth_of(self.attached, element, own)
-            pushing.outwards[k] = away
-            pushing.pushes[k] = 0.0
-            pushing.wants[k], pushing.softness[k] = wanted(own, depth, away * speed)
-            answer = pushing.answer(k)
-            with code.count(n) as i:
-                answer[i] = 0.0
-            with self.attached.terms(element) as (term, joint):
-                free = where(self.stuck(joint), code.value(0.0), coefficients.plain(term))
-                answer[joint] = answer[joint] + free
-            self._backwards(answer)
-            pushing.gives[k] = 0.0
-            with self.attached.terms(element) as (term, joint):
-                pushing.gives[k] = pushing.gives[k] + coefficients.plain(term) * answer[joint]
-
-    def _take_turns(self, pushing: _Pushing, *, tangents: bool) -> None:
-        """Let each push as the others leave it, and joints follow; with tangents once pushes have settled, so that what
-        does not push then has none.
-        """
-        code, n = self.code, self.n
-
-        def of(numbers: Numbers, index: Index) -> Value:
-            return numbers[index] if tangents else numbers[index].plain
-
-        with self._met(pushing) as (k, element, coefficients):
-            out, answer, before = pushing.outwards[k].plain, pushing.answer(k), of(pushing.pushes, k)
-            present = code.scratch(1)
-            present[0] = 0.0
-            with self.attached.terms(element) as (term, joint):
-                present[0] = present[0] + of(coefficients, term) * of(self.accelerations, joint)
-            missing = of(pushing.wants, k) - out * of(present, 0) - of(pushing.softness, k) * before
-            push = before + missing / (pushing.gives[k].plain + pushing.softness[k].plain)
-            pulls = code.equal(code.whole(element, Element.KIND), int(Kind.TIE))
-            if tangents:
-                push = where(code.any_of(pulls, before > 0), push, before)
-            else:
-                push = where(pulls, push, maximum(push, 0.0))
-                pushing.changed[0] = maximum(pushing.changed[0], abs(push - before))
-                pushing.largest[0] = maximum(pushing.largest[0], abs(push))
-            pushing.pushes[k] = push
-            more = out * (push - before)
-            with code.count(n) as i:
-                self.accelerations[i] = of(self.accelerations, i) + answer[i] * more
-            if tangents:
-                self.attached.push(element, coefficients, more, self.total)
-
-    def _met(self, pushing: _Pushing) -> Any:
-        """Repeat for each limit that is met and each tie: its number, its element and its coefficients."""
-        return _Met(self, pushing.number)
+        self.code.at.call(self.substitute, [self.factor.place, numbers.place])
 
     def _hold(self) -> None:
         """What friction has to give where joints stick."""
@@ -304,60 +219,6 @@ class _Rates:
 
     def _slope(self, k: Index) -> Number:
         return self.slope[k] if self.code.tangents else 0.0
-
-
-class _Pushing:
-    """What is known of limits that are met and of ties; of each by its number.
-
-    Attributes:
-        number: of the one in turn.
-        wants: acceleration outwards.
-        softness: what it adds to the inverse inertia that it moves.
-        outwards: direction, -1 or 1.
-        gives: inverse inertia in that direction.
-        pushes: force.
-        changed: largest change of a push in a turn.
-        largest: push.
-    """
-
-    def __init__(self, code: Code) -> None:
-        self.number = code.counter()
-        self.wants, self.softness, self.pushes = (code.scratch(STOPS) for _ in range(3))
-        self.outwards, self.gives = code.scratch(STOPS, plain=True), code.scratch(STOPS, plain=True)
-        self.changed, self.largest = code.scratch(1, plain=True), code.scratch(1, plain=True)
-        self._answers = code.scratch(STOPS * JOINTS, plain=True)
-        self._code = code
-
-    def answer(self, k: ir.Value) -> Numbers:
-        """Accelerations of joints under a unit of its push."""
-        return self._answers.since(self._code.product(k, JOINTS))
-
-
-class _Met:
-    """See `_Rates._met`."""
-
-    def __init__(self, rates: _Rates, number: Any) -> None:
-        self.rates, self.number, self._each = rates, number, rates.attached.elements()
-
-    def __enter__(self) -> tuple[ir.Value, ir.Value, Numbers]:
-        rates, code = self.rates, self.rates.code
-        self.number.set(0)
-        element = self._each.__enter__()
-        kind = code.whole(element, Element.KIND)
-        tied = code.equal(kind, int(Kind.TIE))
-        self._is_one = code.when(code.any_of(tied, code.equal(kind, int(Kind.STOP))))
-        self._is_one.__enter__()
-        k = self.number.get()
-        self.number.set(code.sum(k, 1))
-        self._is_met = code.when(code.any_of(tied, rates.directions[code.sum(k, JOINTS)] > 0))
-        self._is_met.__enter__()
-        own = rates.numbers.since(code.whole(element, Element.NUMBERS))
-        return k, element, own.since(Stop.SIZE)
-
-    def __exit__(self, *what: Any) -> Any:
-        self._is_met.__exit__(*what)
-        self._is_one.__exit__(*what)
-        return self._each.__exit__(*what)
 
 
 def _tangent(value: Value) -> ir.Value:

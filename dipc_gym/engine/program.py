@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
-from dipc_gym.engine import layout, rigid
+from dipc_gym.engine import constraints, layout, rigid
 from dipc_gym.engine.laws import Rule, written
 from dipc_gym.engine.layout import STATES, Element, Feature, Force, Head, Kind, Law, Sensor
+from dipc_gym.engine.uncovered import Uncovered
 from dipc_gym.physics import Physics
 
 Array = NDArray[np.float64]
@@ -21,11 +22,6 @@ Whole = NDArray[np.int64]
 
 _KEPT = 64  # models that were read lately: as many as stay compiled in a fit
 _LIMITLESS = 1e30  # stands for no limit: no state comes near it
-_ODD = "a solref of mixed signs or a power of solimp other than 1 and 2"
-
-
-class Uncovered(Exception):  # no error: another simulator takes over
-    """A model has what the engine does not simulate; the message says what and where."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +131,7 @@ class _Writer:
     def _joints(self) -> None:
         model = self.model
         self.ints[Head.JOINT_NUMBERS] = len(self.numbers)
-        stiff = stiff_limits(model)
+        stiff = constraints.stiff_limits(model)
         damped = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER
         sprung = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_SPRING
         for k in range(model.nv):
@@ -150,12 +146,9 @@ class _Writer:
             unbent = float(model.qpos_spring[model.jnt_qposadr[k]])
             friction = float(model.dof_frictionloss[k])
             self.numbers += [x * damped for x in damping] + [x * sprung for x in stiffness]
-            self.numbers += [
-                unbent,
-                armature,
-                friction,
-                *(_within(model.jnt_range[k], model.jnt_margin[k]) if stiff[k] else (-_LIMITLESS, _LIMITLESS)),
-            ]
+            free = -_LIMITLESS, _LIMITLESS
+            ends = constraints.within(model.jnt_range[k], model.jnt_margin[k]) if stiff[k] else free
+            self.numbers += [unbent, armature, friction, *ends]
 
     def _element(
         self, kind: Kind, dofs: Sequence[int], coefficients: Sequence[float], numbers: Sequence[float], **more: int
@@ -180,7 +173,7 @@ class _Writer:
 
     def _tendons(self) -> list[list[int]]:
         model, elements = self.model, []
-        stops = [self._stop_of_joint(int(k)) for k in soft_limits(model)]
+        stops = [constraints.of_joint(model, k) for k in constraints.soft_limits(model).tolist()]
         for t in range(model.ntendon):
             name = model.tendon(t).name
             dofs, coefficients = self._along(t)
@@ -201,78 +194,11 @@ class _Writer:
             elif any(stiffness) or any(damping) or low != high:
                 elements.append(self._element(Kind.SPRING, dofs, coefficients, spring))
             if model.tendon_limited[t]:
-                stops.append(self._stop_of_tendon(t, name, dofs, coefficients))
-        ties = self._ties()
+                stops.append(constraints.of_tendon(model, t, dofs, coefficients))
+        ties = constraints.ties(model)
         self.ints[Head.STOPS], self.ints[Head.TIES] = len(stops), len(ties)
-        return elements + stops + ties
-
-    def _stop_of_tendon(self, t: int, name: str, dofs: list[int], coefficients: list[float]) -> list[int]:
-        model = self.model
-        solref, solimp = model.tendon_solref_lim[t], model.tendon_solimp_lim[t]
-        ends = _within(model.tendon_range[t], model.tendon_margin[t])
-        if not (_is_known(solref, solimp) and ends[0] < ends[1]):
-            raise Uncovered(f"tendon {name!r} has a limit with {_ODD}, or of which both ends act at once")
-        weight = float(model.tendon_invweight0[t])
-        return self._stop(Kind.STOP, dofs, coefficients, ends, solref, solimp, weight)
-
-    def _stop_of_joint(self, k: int) -> list[int]:
-        model = self.model
-        solref, solimp, weight = model.jnt_solref[k], model.jnt_solimp[k], float(model.dof_invweight0[k])
-        ends = _within(model.jnt_range[k], model.jnt_margin[k])
-        return self._stop(Kind.STOP, [k], [1.0], ends, solref, solimp, weight)
-
-    def _ties(self) -> list[list[int]]:
-        """Joints that an equality constraint holds in proportion to another, or where they are."""
-        model, ties = self.model, []
-        if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY:
-            return []
-        for e in np.flatnonzero(model.eq_active0).tolist():
-            name = model.equality(e).name or e
-            offset, ratio, *bends = model.eq_data[e, :5].tolist()
-            if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or any(bends):
-                raise Uncovered(f"equality constraint {name!r}, which is no proportion of two joints")
-            joints = [int(k) for k in (model.eq_obj1id[e], model.eq_obj2id[e]) if k >= 0]
-            along = [1.0, -ratio][: len(joints)]
-            reference = model.qpos0[model.jnt_qposadr[joints]]
-            rest = offset + float(reference @ along)
-            dofs = model.jnt_dofadr[joints].tolist()
-            solref, solimp = model.eq_solref[e], model.eq_solimp[e]
-            if not _is_known(solref, solimp):
-                raise Uncovered(f"equality constraint {name!r}, with {_ODD}")
-            weight = float(model.dof_invweight0[dofs].sum())
-            ties.append(self._stop(Kind.TIE, dofs, along, (rest, rest), solref, solimp, weight))
-        return ties
-
-    def _stop(
-        self,
-        kind: Kind,
-        dofs: list[int],
-        coefficients: list[float],
-        ends: tuple[float, float],
-        solref: Array,
-        solimp: Array,
-        weight: float,
-    ) -> list[int]:
-        """A limit or a tie, by the formulas of MuJoCo's documentation, "Solver parameters"."""
-        first, last = np.clip(solimp[:2], mujoco.mjMINIMP, mujoco.mjMAXIMP)
-        middle = np.clip(solimp[3], mujoco.mjMINIMP, mujoco.mjMAXIMP)
-        pull, drag = self._reference(solref)
-        numbers = [*ends, pull / last**2, drag / last, weight]
-        if solimp[2] < mujoco.mjMINVAL:  # no depth at all from one impedance to the other
-            numbers += [(first + last) / 2, (first + last) / 2, 1.0]
-        else:
-            numbers += [first, last, solimp[2]]
-        numbers += [middle, solimp[4] > 1]
-        return self._element(kind, dofs, coefficients, [float(number) for number in numbers])
-
-    def _reference(self, solref: Array) -> tuple[float, float]:
-        """Stiffness and damping of a limit, 1/s^2 and 1/s."""
-        if solref[0] < 0:
-            return -float(solref[0]), -float(solref[1])
-        time, ratio = solref.tolist()
-        if not self.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE:
-            time = max(time, 2 * self.model.opt.timestep)
-        return 1 / (time * ratio) ** 2, 2 / time
+        elements += [self._element(Kind.STOP, *stop) for stop in stops]
+        return elements + [self._element(Kind.TIE, *tie) for tie in ties]
 
     def _actuators(self) -> list[list[int]]:
         ramps = self._ramps()
@@ -513,35 +439,6 @@ def _rules(known: tuple[physics.Entry, ...]) -> tuple[Rule, ...]:
         for one in known
         if one.stage in ("friction", "force") and written(one.rule) and (one.memory is None or written(one.memory))
     )
-
-
-def soft_limits(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Joints with limits that the engine has; their indices."""
-    limited = np.flatnonzero(model.jnt_limited)
-    ends = [_within(model.jnt_range[k], model.jnt_margin[k]) for k in limited]
-    known = [
-        _is_known(model.jnt_solref[k], model.jnt_solimp[k]) and a < b for k, (a, b) in zip(limited, ends, strict=True)
-    ]
-    return limited[np.array(known, dtype=bool)]
-
-
-def stiff_limits(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Which joints have limits that only MuJoCo's solver knows, (joints,)."""
-    limited = model.jnt_limited.astype(bool)
-    limited[soft_limits(model)] = False
-    return limited
-
-
-def _within(ends: Array, margin: float) -> tuple[float, float]:
-    """Between which positions a limit does not act."""
-    return float(ends[0]) + float(margin), float(ends[1]) - float(margin)
-
-
-def _is_known(solref: Array, solimp: Array) -> bool:
-    """Whether a constraint is one of the two kinds of `solref`, and becomes harder by a formula that the engine has."""
-    kind = (solref[0] > 0 and solref[1] > 0) or (solref[0] < 0 and solref[1] <= 0)
-    harder = solimp[4] <= 1 or solimp[4] == 2 or solimp[0] == solimp[1]
-    return bool(kind and harder)
 
 
 def _check_covered(model: mujoco.MjModel) -> None:

@@ -18,8 +18,9 @@ from dipc_gym.engine.kernel import write_kernel
 from dipc_gym.engine.laws import Rule
 from dipc_gym.engine.layout import JOINTS, STOPS, At, Head, Row
 from dipc_gym.engine.loop import write_loop
-from dipc_gym.engine.program import Program, Uncovered, rules
+from dipc_gym.engine.program import Program, rules
 from dipc_gym.engine.rigid import Tree
+from dipc_gym.engine.uncovered import Uncovered
 from dipc_gym.engine.values import LANES
 
 Array = NDArray[np.float64]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dipc_gym import mjcf
 from dipc_gym.engine import Uncovered, program
 from dipc_gym.engine.check import check
+from dipc_gym.engine.constraints import stiff_limits
 from dipc_gym.engine.layout import Head, Sensor
 from dipc_gym.engine.rigid import GEOMETRY, GRAVITY, LINK
 from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
@@ -140,7 +141,7 @@ class Compiled:
     def _limits_matter(self) -> bool:
         """Whether a joint comes near its limits in the recordings; else only what is far off meets them."""
         model, windows = self.model, self.windows
-        limited = np.flatnonzero(program.stiff_limits(model))
+        limited = np.flatnonzero(stiff_limits(model))
         moved = [model.joint(name).id for name in self.base]
         if not windows.motions or not set(limited.tolist()) <= set(moved):
             return bool(len(limited))
