@@ -64,9 +64,12 @@ def numbers(values: Array) -> str:
     return " ".join(repr(float(x)) for x in np.ravel(values))
 
 
-def random_tree(rng: np.random.Generator, joints: int, *, dry: bool = False, yields: bool = False) -> str:
+def random_tree(
+    rng: np.random.Generator, joints: int, *, dry: bool = False, yields: bool = False, bounded: bool = False
+) -> str:
     """A tree of hinges and slides, along axes of the frame or not, with springs, dampers and motors of many kinds."""
     parents = [int(rng.integers(-1, i)) if i else -1 for i in range(joints)]
+    bounds = [f'actuatorfrcrange="{-0.3 - k} {0.1 * (k + 1)}"' if k % 3 == 1 and bounded else "" for k in range(joints)]
 
     def body(i: int) -> str:
         kind = "slide" if rng.random() < 0.3 else "hinge"
@@ -80,7 +83,7 @@ def random_tree(rng: np.random.Generator, joints: int, *, dry: bool = False, yie
               mass="{rng.uniform(0.2, 2)}" diaginertia="{numbers(rng.uniform(0.01, 0.02, 3))}"/>
             <joint name="j{i}" type="{kind}" axis="{numbers(axis)}" pos="{numbers(0.1 * rng.normal(size=3))}"
               ref="{rng.choice([0.0, 0.3])}" damping="{numbers(rng.uniform(0, 1, 3))}" frictionloss="{friction}"
-              stiffness="{numbers(rng.uniform(0, 3, 3))}" springref="{0.1 * rng.normal()}"
+              stiffness="{numbers(rng.uniform(0, 3, 3))}" springref="{0.1 * rng.normal()}" {bounds[i]}
               armature="{rng.uniform(0.01, 0.1)}"/>
             <body><inertial pos="{numbers(0.1 * rng.normal(size=3))}" mass="0.1" diaginertia="1e-3 1e-3 1e-3"/></body>
             {inside}</body>"""
@@ -126,7 +129,7 @@ def added(text: str, effect: str, at: str, **values: float) -> physics.Physics:
 @given(st.integers(0, 10_000), st.integers(1, 7))
 def test_accelerations_of_random_trees_are_mujocos(seed: int, joints: int) -> None:
     """`check` compares at random states and raises where anything differs by more than 1e-9 of the largest."""
-    source = loaded(random_tree(np.random.default_rng(seed), joints, yields=True))
+    source = loaded(random_tree(np.random.default_rng(seed), joints, yields=True, bounded=bool(seed % 2)))
     what, parameters = program.read([source])
     check.check(what, parameters[0], source)
 
@@ -550,9 +553,10 @@ def test_sensitivities_of_a_random_tree(joints: int, kinds: tuple[str, ...], sam
     some at once, with joints that are tied and without.
     """
     rng, fast = np.random.default_rng(11), 10.0 if kinds else 1.0
-    text = random_tree(rng, joints)
+    text = random_tree(rng, joints, bounded=True)
     text = with_limits(text, rng, *kinds) if kinds else text
     source = loaded(with_ties(text, rng, joints) if tied else text)
+    assert source.model.jnt_actfrclimited.any()
     what, parameters = program.read([source])
     initial = 0.2 * rng.normal(size=(1, 2, what.nx))
     initial[..., joints : 2 * joints] *= fast

@@ -32,7 +32,8 @@ class Head(IntEnum):
     LATE = 15  # index of the delay of the sensor that reads latest, among the parameters
     RANGES = 16  # index of the least and the most of each control that laws see, among the parameters
     TIES = 17  # how many elements are ties, which come after the stops
-    SIZE = 18
+    BOUNDED = 18  # whether the force of all actuators of a joint has a least and a most
+    SIZE = 19
 
 
 class Joint(IntEnum):
@@ -45,7 +46,9 @@ class Joint(IntEnum):
     FRICTION = 8
     LOWEST = 9  # position that it must not leave, which MuJoCo would act upon
     HIGHEST = 10
-    SIZE = 11
+    WEAKEST = 11  # least and most of the force of all its actuators
+    STRONGEST = 12
+    SIZE = 13
 
 
 class Kind(IntEnum):

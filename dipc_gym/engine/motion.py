@@ -89,6 +89,10 @@ class _Rates:
             self.rates[k] = self.speeds[k]
         self.attached.on_joints(self.forces)
         self.attached.by_elements(self.forces, self.drives, self.rates, self.holding if code.width else None)
+        with code.when(code.equal(code.whole(self.program, Head.BOUNDED), 1)), code.count(n) as k:
+            driven = minimum(maximum(self.drives[k], self.own(k, Joint.WEAKEST)), self.own(k, Joint.STRONGEST))
+            self.forces[k] = self.forces[k] + (driven - self.drives[k])
+            self.drives[k] = driven
         joints = self.numbers.since(code.whole(self.program, Head.JOINT_NUMBERS))
         read = [self.states.place, self.speeds.place, self.numbers.place, joints.place]
         code.at.call(self.primal, [*read, self.matrix.place, self.bias.place])

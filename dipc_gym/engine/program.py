@@ -148,7 +148,12 @@ class _Writer:
             self.numbers += [x * damped for x in damping] + [x * sprung for x in stiffness]
             free = -_LIMITLESS, _LIMITLESS
             ends = constraints.within(model.jnt_range[k], model.jnt_margin[k]) if stiff[k] else free
-            self.numbers += [unbent, armature, friction, *ends]
+            bounded = bool(model.jnt_actfrclimited[k])
+            if bounded and model.jnt_actgravcomp[k]:
+                raise Uncovered("a limited actuator force at a joint whose actuators carry its weight")
+            forces = model.jnt_actfrcrange[k].tolist() if bounded else free
+            self.ints[Head.BOUNDED] |= bounded
+            self.numbers += [unbent, armature, friction, *ends, *forces]
 
     def _element(
         self, kind: Kind, dofs: Sequence[int], coefficients: Sequence[float], numbers: Sequence[float], **more: int
@@ -447,7 +452,6 @@ def _check_covered(model: mujoco.MjModel) -> None:
     if any(int(kind) not in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE) for kind in model.jnt_type):
         raise Uncovered("a joint that is neither hinge nor slide")
     for what, there in (
-        ("a limited actuator force at a joint", bool(model.jnt_actfrclimited.any())),
         ("a spring of a joint that yields", bool(np.any(model.jnt_springyield))),
         ("a medium with density, viscosity or wind", bool(model.opt.density or model.opt.viscosity)),
         ("a flexible body", model.nflex > 0),
