@@ -109,7 +109,7 @@ class _Rates:
             return
         stops, ties = (code.whole(self.program, head) for head in (Head.STOPS, Head.TIES))
         with code.when(code.below(integer(0), code.sum(stops, ties))):
-            Pushes(self).write(stops, ties)
+            Pushes(self).write()
         self._hold()
 
     def _laws(self) -> None:
