@@ -97,7 +97,7 @@ def windows(text, threads, repeats):
 def compilation(text):
     """Processor seconds to write and compile the loop, then the mechanics of a model, and to reload both."""
     what, _ = program.read([physics.from_model(mujoco.MjModel.from_xml_string(text))])
-    rules = [(rule, dry) for _, rule, dry in program.rules()]
+    rules = program.rules()
     texts = []
 
     def write_loops():
