@@ -235,8 +235,8 @@ def _read(rig: Rig) -> tuple[Program, Array, Places]:
     try:
         program, variants = programs.read([rig.endless])
         parameters = variants[0]
-        for joint in np.flatnonzero(rig.endless.model.jnt_limited).tolist():
-            raise Uncovered(f"the range of joint {model.joint(joint).name!r}")
+        if len(limited := np.flatnonzero(rig.endless.model.jnt_limited)):
+            raise Uncovered(f"the range of joint {model.joint(limited[0]).name!r}")
         require(program, parameters)
         if rig.physics.stage("command"):
             raise Uncovered("what <custom> does to commands")
