@@ -360,7 +360,7 @@ def test_friction_that_warms_up_is_named_with_its_formula() -> None:
     assert found.held_out is not None
     assert found.held_out.improved < 1.2 < 0.05 * found.held_out.recalibrated
     assert found.to_dict()["needs_dipc_gym"]
-    assert bool(found.needs_loader) == ('name="dipc_gym:' in found.improved)
+    assert bool(found.needs_loader) == bool(physics.load(found.improved).extras)
 
 
 @given(

@@ -240,7 +240,7 @@ def test_a_diagnosis_finds_it_and_the_file_holds_it(effect: str, tmp_path: Path)
     (extra,) = physics.load(found.improved).remembering
     assert extra.effect == effect
     assert found.to_dict()["needs_dipc_gym"]
-    assert bool(found.needs_loader) == ('name="dipc_gym:' in found.improved)
+    assert bool(found.needs_loader) == bool(physics.load(found.improved).extras)
 
 
 def test_a_rest_is_told_through_the_noise_of_a_reading() -> None:

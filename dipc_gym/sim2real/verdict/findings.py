@@ -19,7 +19,7 @@ from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, p
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.estimation.shooting import typical
 from dipc_gym.sim2real.model.settings import MODEL
-from dipc_gym.sim2real.model.structure import Term, names
+from dipc_gym.sim2real.model.structure import Slot, Term, names
 from dipc_gym.sim2real.result import Errors, Missing, significant
 from dipc_gym.sim2real.selection.partitioning import evenly
 from dipc_gym.sim2real.selection.search import Searched
@@ -44,7 +44,7 @@ def changed_parameters(final: Fit, wide: Array) -> list[dict[str, Any]]:
         value = slot.value(final.z[i])
         entry = {"parameter": parameter.attribute, "at": parameter.at, "was": parameter.value, "value": value}
         if wide[i] <= MODEL.widest:
-            entry |= {"low": slot.value(final.z[i] - wide[i]), "high": slot.value(final.z[i] + wide[i])}
+            entry |= _interval(slot, final.z[i], wide[i])
         out.append(entry | {"unit": parameter.unit})
     return out
 
@@ -250,9 +250,14 @@ def _parameters(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -
         name = own[slot.key]
         parameters[name] = {"value": slot.value(z), "unit": units[name]}
         if np.isfinite(half):
-            low, high = sorted((slot.value(z - half), slot.value(z + half)))
-            parameters[name] |= {"low": low, "high": high, "level": 0.9}
+            parameters[name] |= _interval(slot, z, half)
     return parameters
+
+
+def _interval(slot: Slot, z: float, half: float) -> dict[str, float]:
+    """Ends of an interval of +- `half` about a mapped parameter, and how often such an interval holds the truth."""
+    low, high = sorted((slot.value(z - half), slot.value(z + half)))
+    return {"low": low, "high": high, "level": 0.9}
 
 
 def _law(final: Fit, term: Term, units: Mapping[str, str], wide: Array) -> dict[str, Any] | None:

@@ -90,16 +90,16 @@ def measure(case: Case, base: Baseline, test: Test, last: Chosen, guarded: Guard
 
 def _tested(case: Case, test: Test, last: Chosen, guarded: Guarded) -> Tested:
     search, three, final = last.search, last.three, last.found.fitted
-    fitted = Errors(*(f.error for f in three))
-    comparison = guarded(
-        "The error on windows to compare on",
-        lambda: Errors(*(search.scorer.comparison_error(f) for f in three)),
-        lambda: fitted,
-    )
     errors: Errors | None = guarded(
         "The error on test data",
         lambda: Errors(*(untouched.error_on(last.problem, f) for f in three)),
         lambda: None,
+    )
+    tested = Errors(*(f.error for f in three)) if errors is None else errors
+    comparison = guarded(
+        "The error on windows to compare on",
+        lambda: Errors(*(search.scorer.comparison_error(f) for f in three)),
+        lambda: tested,
     )
     outside: Beyond | None = guarded(
         "What goes beyond the fitted data",
@@ -115,7 +115,7 @@ def _tested(case: Case, test: Test, last: Chosen, guarded: Guarded) -> Tested:
     )
     return Tested(
         comparison=comparison,
-        test=fitted if errors is None else errors,
+        test=tested,
         was_fitted=errors is None,
         beyond=outside,
         later=later,
