@@ -31,3 +31,11 @@ def test_every_compensator_can_be_timed():
     assert not done.returncode, done.stderr
     for name in compensators.names():
         assert f"ForceCommand, {name} " in done.stdout
+
+
+def test_the_engine_s_tables_are_whole():
+    done = run("engine", "--repeats", "1")
+    assert not done.returncode, done.stderr
+    rows = [line for line in done.stdout.splitlines() if line.startswith(("cart ", "six-joint arm "))]
+    assert len(rows) % 3 == 0  # simulated on one thread, maybe on more, and compiled
+    assert len(rows) >= 6
