@@ -61,6 +61,7 @@ STATE_SIZE = 17  # numbers of a state
     SCALE, LEVEL_UNDER_LOAD,
 ) = range(10)  # fmt: skip
 FREE = 2  # mode of a joint without dry friction; -1 and 1: sliding; 0: held
+SEEN = 64  # samples before a restart that a late sensor may still read
 
 NO_FEEDBACK = np.zeros(2 * MAX_JOINTS + 2)
 
@@ -145,13 +146,38 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
     """
     for k in range(STATE_SIZE):
         out[k] = 0.0
+    if p[SAG] > 0.0:
+        u = u * (1.0 - min(p[SAG] * s[DRAWN], 0.9))
+    drive = _transmitted(s, _motor(s, u, p, out), p, out)
+    for j in range(n):
+        rhs[j] = _along_joint(time, s, p, j, mode[j], drive)
+    rhs[0] += drive
+    _bend(time, s, p, drive, out, rhs)
+    _push(s, u, p, rhs)
+    _creep(s, p, out, rhs)
+
+    own = p[M0] * (1.0 + p[LEAK] * time)
+    for j in range(n):
+        out[j] = s[V + j]
+        hold[j] = 0.0
+    if n > 1:
+        _accelerate_poles(s, own, p, mode, out, hold, mass, rhs)
+        return drive
+    # A cart feels a tilt as a part of its weight; a pendulum has MGL in place of it, its gravity torque.
+    rhs[0] += own * p[GRAVITY] * np.sin(p[TILT]) - p[MGL] * np.sin(s[0] + p[TILT])
+    if mode[0] == 0:
+        hold[0] = -rhs[0]
+    else:
+        out[V] = rhs[0] / own
+    return drive
+
+
+@_jit
+def _motor(s, u, p, out):  # type: ignore[no-untyped-def]
+    """Force of a motor at the voltage `u`, with its winding, heat, limit and cogging."""
     has_rotor = p[STIFFNESS] > 0.0
     motor_q = s[ROTOR_Q] if has_rotor else s[0]
     motor_v = s[ROTOR_V] if has_rotor else s[V]
-
-    # Motor: supply, winding, heat, limit, cogging.
-    if p[SAG] > 0.0:
-        u = u * (1.0 - min(p[SAG] * s[DRAWN], 0.9))
     resistance = p[RESISTANCE] * (1.0 + p[HEAT_COEFFICIENT] * s[HEAT])
     if p[INDUCTANCE] > 0.0:
         current = s[CURRENT]
@@ -167,45 +193,56 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
         force = min(max(force, -p[FLIMIT]), p[FLIMIT])
     if p[COG_SIZE] != 0.0:
         force += p[COG_SIZE] * np.sin(p[COG_WAVE] * motor_q + p[COG_PHASE])
+    return force
 
-    # Transmission.
-    drive = force
-    if has_rotor:
-        stretch = s[ROTOR_Q] - s[0]
-        rate = s[ROTOR_V] - s[V]
-        half = 0.5 * p[GAP]
-        drive = 0.0
-        if half == 0.0:
-            drive = p[STIFFNESS] * stretch + p[SHAFT_DAMPING] * rate
-        elif stretch > half:
-            drive = max(0.0, p[STIFFNESS] * (stretch - half) + p[SHAFT_DAMPING] * rate)
-        elif stretch < -half:
-            drive = min(0.0, p[STIFFNESS] * (stretch + half) + p[SHAFT_DAMPING] * rate)
-        out[ROTOR_Q] = s[ROTOR_V]
-        out[ROTOR_V] = (force - drive) / p[ROTOR]
 
-    # Smooth forces at the joints; dry friction where the joint slides.
-    for j in range(n):
-        b = JOINT_BASE + j * JOINT_SIZE
-        q, v = s[j], s[V + j]
-        f = -p[b + DAMPING] * v - p[b + QUADRATIC] * v * abs(v) + p[b + CONSTANT] - p[b + SPRING] * q
-        if p[b + FORCE_SIZE] != 0.0:
-            f += p[b + FORCE_SIZE] * np.sin(p[b + FORCE_WAVE] * q + p[b + FORCE_PHASE])
-        if p[b + PERIODIC_SIZE] != 0.0:
-            f += p[b + PERIODIC_SIZE] * np.sin(p[b + PERIODIC_RATE] * time + p[b + PERIODIC_PHASE])
-        since = time - p[b + PULSE_START]
-        if p[b + PULSE_SIZE] != 0.0 and since >= 0.0 and since < p[b + PULSE_LENGTH]:
-            round_pulse = np.sin(np.pi * since / p[b + PULSE_LENGTH])
-            f += p[b + PULSE_SIZE] * (1.0 if p[b + PULSE_SQUARE] > 0.0 else round_pulse)
-        if p[b + STOP_STIFFNESS] > 0.0:
-            side = 1.0 if p[b + STOP] > 0.0 else -1.0
-            deep = side * (q - p[b + STOP])
-            if deep > 0.0:  # it only pushes, and does not hold what leaves it
-                f -= side * max(0.0, p[b + STOP_STIFFNESS] * deep + p[b + STOP_DRAG] * side * v)
-        if mode[j] == 1 or mode[j] == -1:
-            f -= mode[j] * _level(p, j, q, v, mode[j], time, drive)
-        rhs[j] = f
-    rhs[0] += drive
+@_jit
+def _transmitted(s, force, p, out):  # type: ignore[no-untyped-def]
+    """What a shaft, maybe with a gap, passes on of the motor's force."""
+    if not p[STIFFNESS] > 0.0:
+        return force
+    stretch = s[ROTOR_Q] - s[0]
+    rate = s[ROTOR_V] - s[V]
+    half = 0.5 * p[GAP]
+    drive = 0.0
+    if half == 0.0:
+        drive = p[STIFFNESS] * stretch + p[SHAFT_DAMPING] * rate
+    elif stretch > half:
+        drive = max(0.0, p[STIFFNESS] * (stretch - half) + p[SHAFT_DAMPING] * rate)
+    elif stretch < -half:
+        drive = min(0.0, p[STIFFNESS] * (stretch + half) + p[SHAFT_DAMPING] * rate)
+    out[ROTOR_Q] = s[ROTOR_V]
+    out[ROTOR_V] = (force - drive) / p[ROTOR]
+    return drive
+
+
+@_jit
+def _along_joint(time, s, p, j, mode, drive):  # type: ignore[no-untyped-def]
+    """Smooth forces at a joint, and dry friction where it slides."""
+    b = JOINT_BASE + j * JOINT_SIZE
+    q, v = s[j], s[V + j]
+    f = -p[b + DAMPING] * v - p[b + QUADRATIC] * v * abs(v) + p[b + CONSTANT] - p[b + SPRING] * q
+    if p[b + FORCE_SIZE] != 0.0:
+        f += p[b + FORCE_SIZE] * np.sin(p[b + FORCE_WAVE] * q + p[b + FORCE_PHASE])
+    if p[b + PERIODIC_SIZE] != 0.0:
+        f += p[b + PERIODIC_SIZE] * np.sin(p[b + PERIODIC_RATE] * time + p[b + PERIODIC_PHASE])
+    since = time - p[b + PULSE_START]
+    if p[b + PULSE_SIZE] != 0.0 and since >= 0.0 and since < p[b + PULSE_LENGTH]:
+        round_pulse = np.sin(np.pi * since / p[b + PULSE_LENGTH])
+        f += p[b + PULSE_SIZE] * (1.0 if p[b + PULSE_SQUARE] > 0.0 else round_pulse)
+    if p[b + STOP_STIFFNESS] > 0.0:
+        side = 1.0 if p[b + STOP] > 0.0 else -1.0
+        deep = side * (q - p[b + STOP])
+        if deep > 0.0:  # it only pushes, and does not hold what leaves it
+            f -= side * max(0.0, p[b + STOP_STIFFNESS] * deep + p[b + STOP_DRAG] * side * v)
+    if mode == 1 or mode == -1:
+        f -= mode * _level(p, j, q, v, mode, time, drive)
+    return f
+
+
+@_jit
+def _bend(time, s, p, drive, out, rhs):  # type: ignore[no-untyped-def]
+    """What acts on the driven joint and remembers: bristles, a sloshing mass, hysteresis, a film that thins."""
     b = JOINT_BASE
     if p[b + BRISTLE] > 0.0:
         direction = 1.0 if s[V] >= 0.0 else -1.0
@@ -229,6 +266,11 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
     if p[THIN] > 0.0:
         out[SHEARED] = (abs(s[V]) - s[SHEARED]) / p[THIN_TIME]
         rhs[0] -= p[THIN] * np.exp(-s[SHEARED] / p[THIN_SHEAR]) * s[V]
+
+
+@_jit
+def _push(s, u, p, rhs):  # type: ignore[no-untyped-def]
+    """The force of a law of any shape."""
     if p[LAW] == FORCE_OF_PLACE:
         rhs[0] += _bumps(p, s[0])
     elif p[LAW] == DRAG_OF_PLACE:
@@ -237,6 +279,11 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
         rhs[0] += _bumps(p, s[0]) * u
     elif p[LAW] == PULL_OF_CART:
         rhs[1] += _bumps(p, s[0]) * np.sin(2.0 * s[1])
+
+
+@_jit
+def _creep(s, p, out, rhs):  # type: ignore[no-untyped-def]
+    """The force of a spring that gives way."""
     if p[CREEP_STIFFNESS] > 0.0:
         gives = s[CREEP]
         if p[CREEP_WIDTH] > 0.0:  # after Eyring
@@ -244,20 +291,10 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
         out[CREEP] = s[V] - gives / p[CREEP_TIME]
         rhs[0] -= p[CREEP_STIFFNESS] * s[CREEP]
 
-    own = p[M0] * (1.0 + p[LEAK] * time)
-    for j in range(n):
-        out[j] = s[V + j]
-        hold[j] = 0.0
-    if n == 1:
-        # A cart feels a tilt as a part of its weight; a pendulum has MGL in place of it, its gravity torque.
-        rhs[0] += own * p[GRAVITY] * np.sin(p[TILT]) - p[MGL] * np.sin(s[0] + p[TILT])
-        if mode[0] == 0:
-            hold[0] = -rhs[0]
-        else:
-            out[V] = rhs[0] / own
-        return drive
 
-    # Two poles on a cart, in absolute angles from upright, then turned into joint angles.
+@_jit
+def _accelerate_poles(s, own, p, mode, out, hold, mass, rhs):  # type: ignore[no-untyped-def]
+    """Accelerations of two poles on a cart, in absolute angles from upright, then turned into joint angles."""
     d2 = p[M1] * p[COM1] + p[M2] * p[LENGTH1]
     d3 = p[M2] * p[COM2]
     d5 = p[M2] * p[LENGTH1] * p[COM2]
@@ -283,7 +320,6 @@ def derivative(time, s, u, p, n, mode, out, hold, mass, rhs):  # type: ignore[no
             hold[j] = -rhs[j]
             for k in range(3):
                 hold[j] += mass[j, k] * out[V + k]
-    return drive
 
 
 @_jit
@@ -439,6 +475,77 @@ def unscaled(p, y, slope):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def _restart(k, s, p, n, mode, filtered, seen_q, seen_v, start_q, start_v, start_y):  # type: ignore[no-untyped-def]
+    """Set positions and velocities to those of sample `k`; rotor and sloshing mass stay where they are beside them."""
+    lead_q, lead_v = s[ROTOR_Q] - s[0], s[ROTOR_V] - s[V]
+    away_q, away_v = s[SLOSH_Q] - s[0], s[SLOSH_V] - s[V]
+    for j in range(n):
+        s[j], s[V + j] = start_q[k, j], start_v[k, j]
+        filtered[j] = start_y[k, j]
+        mode[j] = FREE
+        if _dry(p, j):
+            mode[j] = 0 if abs(s[V + j]) < 1e-12 else (1 if s[V + j] > 0.0 else -1)
+    s[ROTOR_Q], s[ROTOR_V] = s[0] + lead_q, s[V] + lead_v
+    s[SLOSH_Q], s[SLOSH_V] = s[0] + away_q, s[V] + away_v
+    for i in range(max(0, k - SEEN), k):
+        for j in range(n):
+            seen_q[i, j], seen_v[i, j] = start_q[i, j], start_v[i, j]
+
+
+@_jit
+def _read(k, j, dt, begins, s, p, filtered, seen_q, seen_v):  # type: ignore[no-untyped-def]
+    """What a sensor that is late, lags, is eccentric or has a scale of its own says of joint `j`, and its slope.
+
+    Gain and bias come after that. `begins` tells whether its filter was set just now.
+    """
+    b = JOINT_BASE + j * JOINT_SIZE
+    y, slope = s[j], s[V + j]
+    if p[b + LAG] > 0.0:
+        back = p[b + LAG] / dt
+        whole = int(back)
+        i = k - whole - 1
+        if i < 0:
+            y, slope = seen_q[0, j], seen_v[0, j]
+        else:
+            y, slope = _between(
+                seen_q[i, j], seen_v[i, j], seen_q[i + 1, j], seen_v[i + 1, j], dt, 1.0 - (back - whole)
+            )
+    if p[b + FILTER] > 0.0:
+        if not begins:
+            parts = 8
+            keep = np.exp(-dt / parts / p[b + FILTER])
+            lag = p[b + FILTER] * (1.0 - keep) / (dt / parts)
+            q0 = seen_q[k - 1, j]
+            for i in range(parts):
+                q1, _ = _between(seen_q[k - 1, j], seen_v[k - 1, j], s[j], s[V + j], dt, (i + 1.0) / parts)
+                filtered[j] = keep * filtered[j] + (lag - keep) * q0 + (1.0 - lag) * q1
+                q0 = q1
+        y, slope = filtered[j], (s[j] - filtered[j]) / p[b + FILTER]
+    if j == 0 and p[ENCODER_SIZE] != 0.0:
+        wave, angle = p[ENCODER_WAVE], p[ENCODER_WAVE] * y + p[ENCODER_PHASE]
+        y += p[ENCODER_SIZE] * np.sin(angle)
+        slope *= 1.0 + p[ENCODER_SIZE] * wave * np.cos(angle)
+    if j == 0 and p[LAW] == SCALE:
+        slope *= 1.0 + _bumps_slope(p, y)
+        y += _bumps(p, y)
+    return y, slope
+
+
+@_jit
+def _fed_back(k, dt, drive, feedback, n, measured, rate):  # type: ignore[no-untyped-def]
+    """The command: what was planned, less feedback of measured positions and of their filtered slopes."""
+    u = drive
+    pole = feedback[6]
+    for j in range(n):
+        if k > 0:
+            rate[j] = pole * rate[j] + (1.0 - pole) * (measured[k, j] - measured[k - 1, j]) / dt
+        u -= feedback[j] * measured[k, j] + feedback[3 + j] * rate[j]
+    if feedback[7] > 0.0:
+        u = min(max(u, -feedback[7]), feedback[7])
+    return u
+
+
+@_jit
 def simulate(p, n, dt, step, drive, amplifier_gain, feedback, quantum, noise, start_q, start_v, start_y, every):  # type: ignore[no-untyped-def]
     """Run a rig, or its windows, over a whole recording.
 
@@ -477,70 +584,18 @@ def simulate(p, n, dt, step, drive, amplifier_gain, feedback, quantum, noise, st
         remainder = 0.0
     for k in range(count):
         time = k * dt
-        if k == 0 or (every > 0 and k % every == 0):
-            lead_q, lead_v = s[ROTOR_Q] - s[0], s[ROTOR_V] - s[V]
-            away_q, away_v = s[SLOSH_Q] - s[0], s[SLOSH_V] - s[V]
-            for j in range(n):
-                s[j], s[V + j] = start_q[k, j], start_v[k, j]
-                filtered[j] = start_y[k, j]
-                mode[j] = FREE
-                if _dry(p, j):
-                    mode[j] = 0 if abs(s[V + j]) < 1e-12 else (1 if s[V + j] > 0.0 else -1)
-            s[ROTOR_Q], s[ROTOR_V] = s[0] + lead_q, s[V] + lead_v
-            s[SLOSH_Q], s[SLOSH_V] = s[0] + away_q, s[V] + away_v
-            for i in range(max(0, k - 64), k):
-                for j in range(n):
-                    seen_q[i, j], seen_v[i, j] = start_q[i, j], start_v[i, j]
+        begins = k == 0 or (every > 0 and k % every == 0)
+        if begins:
+            _restart(k, s, p, n, mode, filtered, seen_q, seen_v, start_q, start_v, start_y)
         for j in range(n):
             b = JOINT_BASE + j * JOINT_SIZE
             q_log[k, j], v_log[k, j] = s[j], s[V + j]
             seen_q[k, j], seen_v[k, j] = s[j], s[V + j]
-            y, slope = s[j], s[V + j]
-            if p[b + LAG] > 0.0:
-                back = p[b + LAG] / dt
-                whole = int(back)
-                i = k - whole - 1
-                if i < 0:
-                    y, slope = seen_q[0, j], seen_v[0, j]
-                else:
-                    y, slope = _between(
-                        seen_q[i, j],
-                        seen_v[i, j],
-                        seen_q[i + 1, j],
-                        seen_v[i + 1, j],
-                        dt,
-                        1.0 - (back - whole),
-                    )
-            if p[b + FILTER] > 0.0:
-                if k > 0 and not (every > 0 and k % every == 0):
-                    parts = 8
-                    keep = np.exp(-dt / parts / p[b + FILTER])
-                    lag = p[b + FILTER] * (1.0 - keep) / (dt / parts)
-                    q0 = seen_q[k - 1, j]
-                    for i in range(parts):
-                        q1, _ = _between(seen_q[k - 1, j], seen_v[k - 1, j], s[j], s[V + j], dt, (i + 1.0) / parts)
-                        filtered[j] = keep * filtered[j] + (lag - keep) * q0 + (1.0 - lag) * q1
-                        q0 = q1
-                y, slope = filtered[j], (s[j] - filtered[j]) / p[b + FILTER]
-            if j == 0 and p[ENCODER_SIZE] != 0.0:
-                wave, angle = p[ENCODER_WAVE], p[ENCODER_WAVE] * y + p[ENCODER_PHASE]
-                y += p[ENCODER_SIZE] * np.sin(angle)
-                slope *= 1.0 + p[ENCODER_SIZE] * wave * np.cos(angle)
-            if j == 0 and p[LAW] == SCALE:
-                slope *= 1.0 + _bumps_slope(p, y)
-                y += _bumps(p, y)
+            y, slope = _read(k, j, dt, begins, s, p, filtered, seen_q, seen_v)
             y_log[k, j] = (1.0 + p[b + GAIN]) * y + p[b + BIAS]
             slope_log[k, j] = (1.0 + p[b + GAIN]) * slope
             measured[k, j] = np.round((y_log[k, j] + noise[k, j]) / quantum[j]) * quantum[j]
-        u = drive[k]
-        pole = feedback[6]
-        for j in range(n):
-            if k > 0:
-                rate[j] = pole * rate[j] + (1.0 - pole) * (measured[k, j] - measured[k - 1, j]) / dt
-            u -= feedback[j] * measured[k, j] + feedback[3 + j] * rate[j]
-        if feedback[7] > 0.0:
-            u = min(max(u, -feedback[7]), feedback[7])
-        command[k] = u
+        command[k] = _fed_back(k, dt, drive[k], feedback, n, measured, rate)
         before = command[k - late - 1] if k - late - 1 >= 0 else 0.0
         now = command[k - late] if k - late >= 0 else 0.0
         if remainder > 0.0:

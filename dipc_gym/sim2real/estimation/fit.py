@@ -13,32 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from dipc_gym.sim2real.estimation.newton import At, Newton, Quadratics
 from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.estimation.shooting import Shooting, mean_loss, project, rms, typical
+from dipc_gym.sim2real.estimation.shooting import Shooting, rms, typical
 from dipc_gym.sim2real.estimation.stepwise import searched
 from dipc_gym.sim2real.model.structure import Structure
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Quadratics:
-    """Each window's squared error as a quadratic in the step of the parameters: c - 2 b.d + d.A.d.
-
-    Attributes:
-        A: (n, p, p).
-        b: (n, p).
-        c: (n,), at the present parameters.
-    """
-
-    A: Array
-    b: Array
-    c: Array
-
-    def after(self, step: Array) -> Array:
-        """Squared errors (n,) after a step (p,)."""
-        return self.c - 2 * self.b @ step + np.einsum("i,nij,j->n", step, self.A, step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,89 +205,53 @@ def fit(
     """
     shooting = Shooting(problem, structure)
     z = structure.clip(structure.first if z is None else z)
-    prior = structure.prior
     damping, steps, converged, exact = ESTIMATION.damping, 0, False, True
     to_search = most > 0 and bool(structure.stepwise)
-
-    def penalised(mse: Array, z: Array, scale: float) -> float:
-        return mean_loss(mse, scale) + prior.penalty(z, problem.counts)
-
     # The initial states first: against wrong initial states, every column would be judged wrongly.
-    s, residual, columns, S = shooting.settled(z, problem.initial if initial is None else initial, parameters=True)
+    at = At(z, *shooting.settled(z, problem.initial if initial is None else initial, parameters=True))
     while True:
-        both, moves = project(S, np.concatenate([shooting.rows(s, residual)[..., None], columns], axis=2))
-        r, J = both[..., 0], both[..., 1:]
-        quadratics = Quadratics(np.swapaxes(J, 1, 2) @ J, np.einsum("nmk,nm->nk", J, r), np.einsum("nm,nm->n", r, r))
-        mse = shooting.mse(r)
+        local = at.local(shooting)
         if steps >= most or not len(z) or converged:
             if to_search:
-                to_search, found = False, searched(shooting, z, s, residual, S)
-                if not np.array_equal(found, z):
-                    z, converged, exact, most = found, False, True, steps + most
-                    s, residual, columns, S = shooting.settled(z, s, parameters=True)
+                to_search, found = False, searched(shooting, at.z, at.s, at.residual, at.S)
+                if not np.array_equal(found, at.z):
+                    converged, exact, most = False, True, steps + most
+                    at = At(found, *shooting.settled(found, at.s, parameters=True))
                     continue
             break
-        scale = typical(mse)
-        w = 1.0 / (scale + mse) / problem.counts
-        H, g = (each / len(w) for each in prior.in_fit(quadratics.A, quadratics.b, z, w, problem.counts))
-        if steps > 1 and np.isfinite(hopeless):
-            best = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, np.full(len(z), np.inf))
-            if mean_loss(np.maximum(quadratics.after(best - z), 0.0) / problem.counts, 1.0) > hopeless:
-                break
-        now, accepted = penalised(mse, z, scale), False
-        for _ in range(ESTIMATION.tries):
-            # No parameter may do more than double, or change by a factor of e.
-            reach = ESTIMATION.reach * structure.sizes(z)
-            trial = _stepped(structure, z, H + damping * np.diag(np.diag(H) + 1e-12), g, reach)
-            told = np.maximum(quadratics.after(trial - z), 0.0) / problem.counts
-            foretold = now - penalised(told, trial, scale)
-            ahead = shooting.nudge * (moves[..., 0] - moves[..., 1:] @ (trial - z))
-            tries = s + ahead, s + ahead / ESTIMATION.shorter, s, problem.initial
-            moved, after = shooting.best_initial(trial, told, tries)
-            # What the initial states can still explain does not speak against parameters: behind a gap, or where a
-            # joint sticks, a straight line does not foretell the initial state that a window needs.
-            lagged = shooting.lags(moved, after, S)
-            if lagged:
-                moved, after = shooting.corrected(trial, moved, after, S)
-            then = penalised(shooting.mse(shooting.left(moved, after, S)), trial, scale)
-            if then < now:
-                accepted = True
-                break
-            # Near the noise derivatives tell what a shorter step would gain: less still.
-            if scale < ESTIMATION.near and foretold < tolerance * now:
-                break
-            damping = max(damping * ESTIMATION.damped, ESTIMATION.damping)
+        newton = Newton(shooting, at, local, damping)
+        if steps > 1 and np.isfinite(hopeless) and newton.least_loss() > hopeless:
+            break
+        down = newton.downhill(tolerance)
         small = astray = True
-        if accepted:
-            small = now - then < tolerance * max(now, 1e-9) or bool(np.abs(trial - z).max() < ESTIMATION.still)
-            astray = lagged or now - then < ESTIMATION.trusted * foretold
-            columns, S = shooting.secant(columns, S, trial - z, moved - s, residual - after)
-            z, s, residual = trial, moved, after
-            damping, steps = max(damping / ESTIMATION.damped, ESTIMATION.least_damping), steps + 1
-        else:
+        if down is None:
             damping = ESTIMATION.damping
+        else:
+            fell, moved = newton.now - down.objective, float(np.abs(down.z - at.z).max())
+            small = fell < tolerance * max(newton.now, 1e-9) or moved < ESTIMATION.still
+            astray = down.lagged or fell < ESTIMATION.trusted * down.foretold
+            at = at.moved(shooting, down)
+            damping, steps = max(down.damping / ESTIMATION.damped, ESTIMATION.least_damping), steps + 1
         converged = small and exact
         # Derivatives are carried along from step to step, and worked out anew where they did not foretell one.
         exact = not converged and (small or astray)
         if exact:
-            _, columns, S = shooting.derivatives(z, s, residual)
-    return Fit(structure, z, s, residual, r, mse, S, quadratics, J, problem.labels, steps, converged)
-
-
-def _stepped(structure: Structure, z: Array, curvature: Array, slope: Array, reach: Array) -> Array:
-    """Mapped parameters after a Newton step of `reach` at most, (p,).
-
-    Parameters that stand at a bound and would go beyond it stay; the others must not make up for where those cannot go.
-    """
-    free = np.ones(len(z), dtype=bool)
-    while True:
-        step = np.zeros(len(z))
-        step[free] = np.linalg.solve(curvature[np.ix_(free, free)], slope[free])
-        trial = structure.clip(z + np.clip(step, -reach, reach))
-        held = free & (step != 0) & (np.abs(trial - z) < 1e-9 * np.abs(step))
-        if not held.any():
-            return trial
-        free &= ~held
+            _, columns, S = shooting.derivatives(at.z, at.s, at.residual)
+            at = replace(at, columns=columns, S=S)
+    return Fit(
+        structure,
+        at.z,
+        at.s,
+        at.residual,
+        local.left,
+        local.mse,
+        at.S,
+        local.quadratics,
+        local.jacobian,
+        problem.labels,
+        steps,
+        converged,
+    )
 
 
 def readings(problem: Problem, structure: Structure, z: Array) -> Array:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.shared.base import Effect
-from dipc_gym.sim2real.estimation.fit import Fit, Quadratics, lowest
+from dipc_gym.sim2real.estimation.fit import Fit, lowest
+from dipc_gym.sim2real.estimation.newton import Quadratics
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict_with
 from dipc_gym.sim2real.estimation.shooting import mean_loss
 from dipc_gym.sim2real.model.structure import Structure, Term, carry
