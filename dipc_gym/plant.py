@@ -293,7 +293,13 @@ class Plant:
                 pulley_radius=1 / gear,
             )
         if motor is not None and effective(root, motor, "ctrlrange"):
-            found["supply"] = max(abs(bound) for bound in _numbers(root, motor, "ctrlrange"))
+            bounds = _numbers(root, motor, "ctrlrange")
+            if len(bounds) != 2 or bounds[0] != -bounds[1]:
+                raise PlantError(
+                    f"<{motor.tag} name='motor'>: ctrlrange is {' '.join(f'{one:g}' for one in bounds)}; the "
+                    "environment's supply drives either way alike, so write as much below 0 as above"
+                )
+            found["supply"] = abs(bounds[1])
         if friction is not None and friction.tag == "dcmotor" and "lugre" in friction.attrib:
             numbers = _numbers(root, friction, "lugre")
             if len(numbers) != 5:
@@ -375,6 +381,25 @@ class Plant:
             attributes = {"name": "friction", "joint": "cart", "input": "none", "motorconst": "0 0"}
             attributes |= {"resistance": "1", "lugre": " ".join(map(repr, lugre))}
             ET.SubElement(ET.SubElement(root, "actuator"), "dcmotor", attributes)
+
+
+def worked_out(text: str) -> tuple[float, float]:
+    """What MuJoCo works out anew for each motor that is put into a model: the time constant of a winding of so many H,
+    and the torque at a current limit of so many A; 0 where the model's motor has none.
+
+    Args:
+        text: of the model.
+
+    Raises:
+        PlantError: one of them is no number.
+    """
+    root = ET.fromstring(text)
+    motor = _actuator(root, "motor")
+    if motor is None or motor.tag != "dcmotor":
+        return 0.0, 0.0
+    inductance = _numbers(root, motor, "inductance", "0")[0]
+    torque, current, *_ = [*_numbers(root, motor, "saturation", "0"), 0.0]
+    return max(inductance, 0.0), current if torque == 0 else 0.0
 
 
 # ------------------------------------------------------------------------------------------------ checks

@@ -92,6 +92,17 @@ def test_a_rig_that_rests_at_first_is_asked_where_it_moves(hanging: Recording) -
     assert [one.words for one in others] == [convention.words]
 
 
+def test_behind_a_slow_filter_more_of_the_past_is_asked() -> None:
+    """Of a command that a filter of 0.9 s passes on, a window knows nothing before seven seconds."""
+    slow = '<general name="motor" joint="cart" gear="10" dyntype="filter" dynprm="0.9"/>'
+    text = re.sub("<dcmotor [^>]*/>", slow, RATED)
+    rig = physics.load(mjcf.from_text(text))
+    run = record(rig, sweep(6.0), 11.0, noise=(*NOISE["hanging"], 2e-2), start=(0.0, 0.9, -0.6), integrator=RK4)
+    convention = next(one for one in EVERY if one.words == "count sensor 'pole1' the other way round")
+    others, _ = found(text, otherwise(run, convention))
+    assert [one.words for one in others] == [convention.words]
+
+
 @pytest.mark.parametrize("way", ["absolute", "from 'pole1'"])
 def test_absolute_and_relative_angles_are_told_apart(hanging: Recording, way: str) -> None:
     plain = replace(hanging, sensors=hanging.sensors[:, :3], sensor_names=SENSORS[:3])

@@ -163,6 +163,16 @@ def test_a_gripper_is_in_compiled_code_as_in_mujoco() -> None:
         assert both[0] == pytest.approx(both[1], abs=1e-9)
 
 
+def test_a_stiff_tie_is_simulated_in_steps_that_bear_it() -> None:
+    """Its file's step does; two milliseconds would make more of what is left each time."""
+    text = gripper().replace('timestep="0.001"', 'timestep="0.0002"').replace('solref="0.002 1"', 'solref="0.0004 1"')
+    run = record(physics.load(mjcf.from_text(text)), sweep(2.0), 4.0, noise=2e-5, step=1e-4, integrator=RK4)
+    cut = prepared(text, [run], stepping=Stepping(0.002, RK4))
+    assert left_to_mujoco(physics.load(mjcf.from_text(text))) == []
+    assert 4e-4 < cut.structure.own_finest < 1e-3
+    assert fit(cut.problem, cut.structure).error < 1.1
+
+
 def test_wrong_numbers_of_a_gripper_with_one_encoder_are_refitted() -> None:
     true = gripper().replace('axis="1 0 0" damping="2"', 'axis="1 0 0" damping="5"')
     run = record(physics.load(mjcf.from_text(true)), sweep(2.0), 4.0, noise=2e-5, step=5e-4, integrator=RK4)

@@ -311,6 +311,15 @@ def test_a_voltage_that_the_rig_does_not_have_was_never_sent(made, make):
     assert friction[0] == friction[1]
 
 
+def test_a_reset_of_some_rows_says_nothing_of_the_others(made):
+    envs = VectorEstimateState(vector(2, autoreset_mode="Disabled", max_episode_steps=3), made["disturbance"])
+    envs.reset(seed=7)
+    for _ in range(3):
+        envs.step(np.full((2, 1), 3.0))
+    _, infos = envs.reset(options={"reset_mask": np.array([False, True])})
+    assert infos["_friction_estimate"].tolist() == [False, True]
+
+
 def test_the_last_estimate_of_a_row_is_the_single_environments(made):
     """Of an episode that ends within a step, whose observation says the exact state and not what encoders read."""
     how = {"exact_state": True, "max_episode_steps": 10, "plant": {"encoders": {"noise": 0.2}}}

@@ -382,6 +382,13 @@ def test_what_is_not_supported_is_said(text: str, said: str) -> None:
     assert "Supported are models with hinge and slide joints" in str(caught.value)
 
 
+def test_a_sensor_that_holds_its_reading_is_refused() -> None:
+    text = f"""<mujoco><worldbody><body><joint name="x"/>{MASS}</body></worldbody>
+    <sensor><jointpos name="x" joint="x" nsample="2" interval="0.02"/></sensor></mujoco>"""
+    with pytest.raises(mjcf.MjcfError, match=r"^rig.xml: sensor 'x' has an interval, .* Remove it, and record at"):
+        mjcf.check_supported(mjcf.compile(text), "rig.xml")
+
+
 def test_a_model_without_sensors_is_told_which_ones_to_write() -> None:
     """Most models of robots have none; what the message says, put where it says, is what is lacking."""
     text = f"""<mujoco><worldbody><body><joint name="hip" axis="0 1 0"/>{MASS}

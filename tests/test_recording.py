@@ -262,6 +262,7 @@ def test_lines_are_counted_with_blank_ones(tmp_path: Path, model: mujoco.MjModel
     [
         (b"", "the file is empty"),
         (b" \n\n", "the file is empty"),
+        (b"\xef\xbb\xbf\r\n", "the file is empty"),
         (b"time,motor,cart,pole\n", "there is a header but no data"),
         (b"\x89PNG\r\n\x1a\n\0\0\0", "contains binary data"),
         (b"time,motor\n1,\xff\n", "line 2: not UTF-8"),

@@ -620,6 +620,13 @@ def test_a_figure_that_cannot_be_drawn_loses_no_diagnosis(
     assert "Friction &amp; more." in said
 
 
+def test_a_model_s_own_file_is_not_replaced_by_one_of_the_diagnosis(tmp_path: Path) -> None:
+    found = Diagnosis("consistent", "Nothing is missing.", improved="<mujoco/>", files={"report.json": b"mine"})
+    with pytest.raises(ValueError, match=r"own file report\.json is called as a file of the diagnosis"):
+        folder.save(found, tmp_path / "out", model="x.xml", command="")
+    assert not (tmp_path / "out").exists()
+
+
 def test_while_results_are_replaced_a_folder_has_no_diagnosis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Killed in between, it holds what is new beside what is old: nobody takes that for one diagnosis."""
     found = Diagnosis("consistent", "Nothing is missing.", improved="<mujoco/>")

@@ -24,9 +24,12 @@ from dipc_gym.engine.code import Code
 from dipc_gym.engine.ensemble import WIDTH
 from dipc_gym.engine.values import POINTER, exp, sin_cos
 from dipc_gym.env import DoublePendulumEnv
+from dipc_gym.mjcf.edit import Document
+from dipc_gym.plant import PlantError
 from dipc_gym.randomise import PlantFamily
 from dipc_gym.rigs.numbers import PlantNumbers
 from dipc_gym.rigs.rig import Rig
+from dipc_gym.sim2real.effects.shared.tables import force_of_position
 from dipc_gym.vector import DIPCFrictionVectorEnv
 
 DRAWN = {
@@ -159,6 +162,37 @@ def test_a_geared_motor_s_damping_and_armature_change_with_the_pulley(tmp_path: 
     _, read = program.read([Rig.of(env.source, plant).endless])
     assert not np.array_equal(nominal, read)
     np.testing.assert_allclose(PlantNumbers(rig, structure, nominal[0]).of([plant])[0], read[0], rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("more", ["winding", 1, 2, 3])
+def test_numbers_of_plants_go_where_reading_a_model_that_says_more_puts_them(more: str | int, tmp_path: Path) -> None:
+    """A winding's time constant and the torque of a current follow from the motor; a law's ramps are one element."""
+    document = Document(DoublePendulumEnv().source)
+    if more == "winding":
+        document.set(document.actuator("motor"), inductance="0.003 0", saturation="0 12 0")
+    else:
+        knots = np.linspace(-0.3, 0.3, int(more) + 1)
+        force_of_position(document, "law", "cart", knots.tolist(), np.sin(9 * knots).tolist())
+    model = tmp_path / "rig.xml"
+    model.write_text(document.text())
+    env = DoublePendulumEnv(model=model, engine="compiled")
+    rig, own = env.rig, env.plant
+    assert own.motor is not None
+    assert own.friction is not None
+    plant = dataclasses.replace(
+        own,
+        motor=dataclasses.replace(own.motor, resistance=1.7, constant=0.05, pulley_radius=0.011),
+        friction=dataclasses.replace(own.friction, coulomb=5.0, static=7.0),
+    )
+    structure, nominal = program.read([rig.endless])
+    _, read = program.read([Rig.of(env.source, plant).endless])
+    assert not np.array_equal(nominal, read)
+    np.testing.assert_allclose(PlantNumbers(rig, structure, nominal[0]).of([plant])[0], read[0], rtol=1e-12, atol=1e-15)
+
+
+def test_a_supply_that_drives_one_way_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PlantError, match=r"ctrlrange is 0 24; .* write as much below 0 as above"):
+        DoublePendulumEnv(model=edited(tmp_path, 'ctrlrange="-24 24"', 'ctrlrange="0 24"'))
 
 
 def test_code_that_says_something_else_than_mujoco_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

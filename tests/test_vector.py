@@ -200,10 +200,17 @@ def test_spec_and_metadata() -> None:
 SPREADS = st.sampled_from(["uniform", "normal"])
 
 
+@pytest.mark.parametrize("winding", ["", 'inductance="0.003 0" saturation="0 12 0" '])
 @settings(max_examples=20, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_numbers_written_are_those_that_compiling_gives(seed: int) -> None:
-    envs = DIPCFrictionVectorEnv(2, plant=RANDOM)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_numbers_written_are_those_that_compiling_gives(
+    winding: str, tmp_path_factory: pytest.TempPathFactory, seed: int
+) -> None:
+    text = DoublePendulumEnv().source.text.replace('<dcmotor name="motor" ', f'<dcmotor name="motor" {winding}')
+    assert winding in text
+    model = tmp_path_factory.mktemp("wound") / "rig.xml"
+    model.write_text(text)
+    envs = DIPCFrictionVectorEnv(2, model=model, plant=RANDOM)
     envs.reset(seed=seed)
     rigs = envs._rigs
     assert isinstance(rigs, MujocoRigs)

@@ -74,7 +74,7 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         _, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._wanted = None
         self._begin()
-        self._note(infos, np.ones(self.num_envs, dtype=bool))
+        self._note(infos, self._inner.began)
         return self._observations(), infos
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Any, Any, Any, dict[str, Any]]:

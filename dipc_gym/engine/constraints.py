@@ -5,12 +5,15 @@ The formulas are those of MuJoCo's documentation, "Solver parameters".
 
 from __future__ import annotations
 
+import contextlib
+import math
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym.engine.layout import Stop
 from dipc_gym.engine.uncovered import Uncovered
 
 Array = NDArray[np.float64]
@@ -80,6 +83,27 @@ def ties(model: mujoco.MjModel) -> list[Constraint]:
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY:
         return []
     return [_tie(model, e) for e in np.flatnonzero(model.eq_active0).tolist()]
+
+
+def settles(model: mujoco.MjModel) -> float:
+    """The shortest time in which one of a model's limits or ties that the engine has settles, s; infinite without any.
+
+    Example:
+        >>> body = '<body><joint name="x" range="-1 1" limited="true" solreflimit="0.01 1"/><geom size="1"/></body>'
+        >>> model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+        >>> round(settles(model), 4)
+        0.0095
+    """
+    found = [of_joint(model, k) for k in soft_limits(model).tolist()]
+    with contextlib.suppress(Uncovered):  # then another simulates it
+        found += ties(model)
+        for t in np.flatnonzero(model.tendon_limited).tolist():
+            found.append(of_tendon(model, t, [], []))
+    fastest = 0.0
+    for one in found:
+        pull, half = one.numbers[Stop.PULL], one.numbers[Stop.DRAG] / 2
+        fastest = max(fastest, half + math.sqrt(half**2 - pull) if half**2 > pull else math.sqrt(pull))
+    return 1 / fastest if fastest > 0 else math.inf
 
 
 def _tie(model: mujoco.MjModel, e: int) -> Constraint:

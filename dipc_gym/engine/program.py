@@ -33,12 +33,14 @@ class Program:
         codes: whole numbers that the compiled loop reads.
         sensors: names, in the order in which they are read.
         states: hidden states.
+        actuators: number of each one's element, -1 for a ramp, which shares one with others.
     """
 
     tree: rigid.Tree
     codes: Whole = field(repr=False)
     sensors: tuple[str, ...]
     states: int
+    actuators: tuple[int, ...]
 
     @property
     def nx(self) -> int:
@@ -64,7 +66,7 @@ def read(variants: Sequence[Physics]) -> tuple[Program, Array]:
     tree = rigid.fix(first.tree, parameters[:, : first.tree.count])
     codes = np.array(first.ints, dtype=np.int64)
     names = tuple(mjcf.scalar_sensors(variants[0].model))
-    return Program(tree, codes, names, first.hidden), parameters
+    return Program(tree, codes, names, first.hidden, tuple(first.element_of)), parameters
 
 
 def parameters_of(program: Program, variant: Physics) -> Array | None:
@@ -97,8 +99,10 @@ class _Writer:
         self.yielding = 0  # springs, whose rests are hidden states behind MuJoCo's activations; then what laws remember
         self.remembering = len(source.remembering)
         self.ranges = np.clip(np.stack(mjcf.command_ranges(model), axis=1), -_LIMITLESS, _LIMITLESS)
+        self.element_of = [-1] * int(model.nactuator)
         self._joints()
-        elements = [*self._tendons(), *self._actuators()]
+        elements = self._tendons()
+        elements += self._actuators(len(elements))
         self.ints[Head.DELAYS] = len(self.numbers)
         delays = mjcf.control_delays(model)[: self.controls]
         # Seen from the sensor that reads latest, commands act later by as much.
@@ -138,7 +142,7 @@ class _Writer:
             damping = [float(model.dof_damping[k]), *np.ravel(model.dof_dampingpoly[k]).tolist()]
             armature, by = float(model.dof_armature[k]), int(model.jnt_actuatorid[k])
             if by >= 0:  # the one actuator whose damping and armature the joint feels
-                gear = float(model.actuator_gear[model.actuator_outadr[by], 0])
+                gear = mjcf.gear(model, by)
                 armature += float(model.actuator_armature[by]) * gear**2
                 more = [float(model.actuator_damping[by]), *np.ravel(model.actuator_dampingpoly[by]).tolist()]
                 damping = [x + y * gear**2 for x, y in zip(damping, more, strict=True)]
@@ -205,10 +209,13 @@ class _Writer:
         elements += [self._element(Kind.STOP, *stop) for stop in stops]
         return elements + [self._element(Kind.TIE, *tie) for tie in ties]
 
-    def _actuators(self) -> list[list[int]]:
+    def _actuators(self, first: int) -> list[list[int]]:
+        """Elements of actuators, which come from number `first` on; ramps last."""
         ramps = self._ramps()
         others = sorted(set(range(self.model.nactuator)).difference(*ramps.values()))
         alone = [self._actuator(i) for i in others]
+        for k, i in enumerate(others):
+            self.element_of[i] = first + k
         return alone + [self._as_one(dof, which, gear) for (dof, gear), which in ramps.items()]
 
     def _ramps(self) -> dict[tuple[int, float], list[int]]:
@@ -292,7 +299,7 @@ class _Writer:
     def _driven(self, i: int, where: str) -> tuple[list[int], list[float]]:
         """Joints that an actuator moves, and how far it goes with each."""
         model, kinds = self.model, mujoco.mjtTrn
-        gear, at = float(model.actuator_gear[model.actuator_outadr[i], 0]), int(model.actuator_trnid[i, 0])
+        gear, at = mjcf.gear(model, i), int(model.actuator_trnid[i, 0])
         if model.actuator_trntype[i] == kinds.mjTRN_JOINT:
             return [int(model.jnt_dofadr[at])], [gear]
         if model.actuator_trntype[i] == kinds.mjTRN_TENDON:
@@ -364,6 +371,8 @@ class _Writer:
         self.numbers.append(latest)
         for name in mjcf.scalar_sensors(model):
             sensor = model.sensor(name).id
+            if model.sensor_interval[sensor].any():
+                raise Uncovered(f"sensor {name!r} has an interval")
             states, weights = self._read_by(sensor, name)
             numbers = [0] * int(Sensor.SIZE)
             numbers[Sensor.TERMS], numbers[Sensor.TERM_AT] = len(states), len(self.ints)

@@ -32,7 +32,8 @@ class Rigid:
     def __init__(self, model: mujoco.MjModel, dofs: Sequence[int]) -> None:
         self.model = copy.copy(model)
         self.model.dof_frictionloss[:] = 0.0
-        self.model.actuator_gear[mjcf.passive_actuators(model)] = 0.0  # they hold the dry friction
+        passive = model.actuator_outadr[mjcf.passive_actuators(model)]  # they hold the dry friction
+        self.model.actuator_gear[passive] = 0.0
         self.model.actuator_delay[:] = 0.0
         wound = (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR) & (model.actuator_dynprm[:, 0] > 0)
         self.model.actuator_dynprm[wound, 0], self.model.actuator_actearly[wound] = _AT_ONCE, True

@@ -85,6 +85,11 @@ def _passive(model: mujoco.MjModel) -> set[str]:
     return {name.removeprefix(PASSIVE) for name in texts(model) if name.startswith(PASSIVE)}
 
 
+def gear(model: mujoco.MjModel, actuator: int) -> float:
+    """How far an actuator goes with the joint or tendon that it moves; of one with several outputs with the first."""
+    return float(model.actuator_gear[model.actuator_outadr[actuator], 0])
+
+
 def commanded(model: mujoco.MjModel) -> int:
     """How many controls there are up to the last that somebody commands; what only passive elements have comes after.
 
@@ -304,7 +309,8 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
 
     Raises:
         MjcfError: free or ball joints, flexible bodies, geoms that can touch, no joint, no named scalar sensor, an
-            actuator with a control and no name, one that integrates its commands, or dry friction switched off.
+            actuator with a control and no name, one that integrates its commands, a sensor that holds its reading, or
+            dry friction switched off.
     """
     for joint in range(model.njnt):
         kind = int(model.jnt_type[joint])  # a NumPy integer in a tuple of MuJoCo's enums is not found
@@ -339,6 +345,12 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
             "recording begins is in no column. Write a <position> or <velocity> servo in its place, and give its "
             "command that sum."
         )
+    for one in scalar_sensors(model):
+        if model.sensor_interval[model.sensor(one).id].any():
+            raise MjcfError(
+                f"{name}: sensor {one!r} has an interval, over which its reading stays as it was. Remove it, and "
+                "record at the times at which the sensor reads."
+            )
     for flag in ("constraint", "frictionloss"):
         if model.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}"):
             raise MjcfError(

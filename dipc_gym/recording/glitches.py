@@ -1,12 +1,12 @@
-"""Single samples that jump and come back: of an encoder or of the log, for no joint moves so.
+"""Samples that jump and come back, one or a few in a row: of an encoder or of the log, for no joint moves so.
 
-Two good samples on either side tell what one should have been; where samples are missing, or others beside it jump as
-well, nothing is told.
+Two good samples on either side tell what they should have been; where samples are missing, or others beside them jump
+as well, nothing is told.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -47,9 +47,9 @@ def _mended(recording: Recording, model: mujoco.MjModel) -> Recording:
         off = float(np.abs(sensors[where, k] - instead).max())
         sensors[where, k] = instead
         when = recording.time[where[0]]
-        single = "one single sample" if len(where) == 1 else f"{len(where)} single samples"
+        several = "one single sample" if len(where) == 1 else f"{len(where)} samples"
         notes.append(
-            f"sensor {name!r} jumps at {single} and back, by up to {off:.3g} {unit}, first at {when:.6g} s: no joint "
+            f"sensor {name!r} jumps at {several} and back, by up to {off:.3g} {unit}, first at {when:.6g} s: no joint "
             "moves so, and they are taken from their neighbours; check the encoder and its cable"
         )
     return replace(recording, sensors=sensors, notes=(*recording.notes, *notes)) if notes else recording
@@ -58,8 +58,9 @@ def _mended(recording: Recording, model: mujoco.MjModel) -> Recording:
 def glitches(
     time: NDArray[np.float64], values: NDArray[np.float64], noise: float
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Samples that a cubic through two neighbours on either side misses by far, while these lie on curves of their own
-    without it; and what it says of them. Where a joint hits something, the neighbours do not.
+    """Samples, alone or a few in a row, that a cubic through two neighbours on either side misses by far, while these
+    lie on curves of their own without them; and what it says of them. Where a joint hits something, the neighbours do
+    not.
 
     Args:
         time: s, (n,).
@@ -77,42 +78,49 @@ def glitches(
         >>> where.tolist(), float(abs(instead - np.sin(6 * time[40]))[0]) < 1e-5
         ([40], True)
     """
-    foretold = _from_neighbours(time, values)
-    off = np.where(_spans(time) < GLITCHES.span * np.median(np.diff(time)), np.abs(values - foretold), 0.0)
-    far = np.flatnonzero(off > GLITCHES.far * noise)
-    found = list[int]()
-    for i in far.tolist():
-        near = slice(max(i - 4, 0), i + 5)
-        without = values[near].copy()
-        without[i - near.start] = foretold[i]
-        left = np.abs(without - _from_neighbours(time[near], without))[max(i - 2, 0) - near.start : i + 3 - near.start]
-        if left.max() < max(GLITCHES.beside * noise, GLITCHES.left * off[i]):
-            found.append(i)
-    where = np.array(found if len(found) <= max(1.0, GLITCHES.most * len(values)) else [], dtype=np.intp)
-    return where, foretold[where]
+    mended, count = values.copy(), 0
+    for run in range(1, GLITCHES.longest + 1):
+        for first, instead in _alone(time, mended.copy(), noise, run):
+            mended[first : first + run] = instead
+            count += 1
+    if count > max(1.0, GLITCHES.most * len(values)):
+        mended = values
+    where = np.flatnonzero(mended != values)
+    return where, mended[where]
 
 
-def _spans(time: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Time from the second sample before each to the second after, s, (n,); infinite at the ends."""
-    out = np.full(len(time), np.inf)
-    out[2:-2] = time[4:] - time[:-4]
-    return out
+def _alone(
+    time: NDArray[np.float64], values: NDArray[np.float64], noise: float, run: int
+) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """The first of so many samples in a row that are off together, and what they should have been, (run,)."""
+    foretold, spans = _from_neighbours(time, values, run)
+    near = spans < (GLITCHES.span + run - 1) * np.median(np.diff(time))
+    off = np.abs(np.stack([values[2 + k : 2 + k + len(spans)] for k in range(run)], axis=1) - foretold).min(axis=1)
+    for k in np.flatnonzero(near & (off > GLITCHES.far * noise)).tolist():
+        first, begin = k + 2, max(k - 2, 0)
+        around = slice(begin, first + run + 4)
+        without = values[around].copy()
+        without[first - begin : first - begin + run] = foretold[k]
+        left = np.zeros(len(without))
+        left[2:-2] = np.abs(without[2:-2] - _from_neighbours(time[around], without, 1)[0][:, 0])
+        if left[k - begin : first - begin + run + 2].max() < max(GLITCHES.beside * noise, GLITCHES.left * off[k]):
+            yield first, foretold[k]
 
 
-def _from_neighbours(time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What a cubic through the two samples before and the two after says of each sample; of the outer ones what they
-    are.
+def _from_neighbours(
+    time: NDArray[np.float64], values: NDArray[np.float64], run: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What a cubic through the two samples before and the two after says of so many in a row, from the third sample on,
+    (n - run - 3, run); and the time that these four span, s, (n - run - 3,).
     """
-    out, beside = values.copy(), (0, 1, 3, 4)
-    if len(values) < 5:
-        return out
-    stamps, read = (np.lib.stride_tricks.sliding_window_view(x, 5) for x in (time, values))
-    said = np.zeros(len(stamps))
+    count, beside = max(len(values) - run - 3, 0), (0, 1, run + 2, run + 3)
+    inner = np.stack([time[2 + k : 2 + k + count] for k in range(run)], axis=1)
+    stamps, read = ({j: x[j : j + count, None] for j in beside} for x in (time, values))
+    said = np.zeros((count, run))
     for j in beside:
-        weight = np.ones(len(stamps))
+        weight = np.ones((count, run))
         for k in beside:
             if k != j:
-                weight *= (stamps[:, 2] - stamps[:, k]) / (stamps[:, j] - stamps[:, k])
-        said += weight * read[:, j]
-    out[2:-2] = said
-    return out
+                weight *= (inner - stamps[k]) / (stamps[j] - stamps[k])
+        said += weight * read[j]
+    return said, (stamps[run + 3] - stamps[0])[:, 0]

@@ -54,6 +54,8 @@ def going_on(begun: Recording, whole: Recording) -> Recording:
 
 def until(recording: Recording, share: float) -> Recording:
     """A recording up to a share of its duration; it keeps its name, its file and the digest of that."""
+    if share >= 1:
+        return recording
     count = int(np.searchsorted(recording.time, recording.time[0] + share * recording.duration)) or 1
     return replace(
         recording,

@@ -152,21 +152,24 @@ CLOCK = ClockSettings()
 
 @dataclass(frozen=True)
 class GlitchSettings:
-    """Decision constants of which single samples are glitches.
+    """Decision constants of which samples are glitches.
 
     Attributes:
         far: times the noise that a sample is off by: chance and a last digit do not bring it there
         beside: times the noise that its neighbours may be off by without it
         left: share of what it is off by, that these may be off by instead: beside where a joint hits something, they
             are off by a sixth
-        most: share of the samples, but for a single one: what happens more often is how the sensor reads
-        span: periods that two samples before and two after may be apart: of a longer gap a cubic foretells little
+        longest: samples in a row: a serial line or a counter is off for a few, and longer a motion may be what it seems
+        most: times that it happens, as a share of the samples, but for a single one: what happens more often is how
+            the sensor reads
+        span: periods that two samples before and two after one may be apart: of a longer gap a cubic foretells little
         fewest: samples in which noise can be told from motion
     """
 
     far: float = 50.0
     beside: float = 5.0
     left: float = 0.05
+    longest: int = 3
     most: float = 0.01
     span: float = 6.0
     fewest: int = 20

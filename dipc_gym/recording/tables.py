@@ -6,6 +6,7 @@ load, so that text in columns nobody wants does no harm. What is wrong is said w
 
 from __future__ import annotations
 
+import codecs
 import csv
 import hashlib
 import io
@@ -97,7 +98,7 @@ def read_table(path: Path, choose: Choose) -> Table:
         data = path.read_bytes()
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
-    if data.isspace() or not data:
+    if not data.removeprefix(codecs.BOM_UTF8).strip():
         raise RecordingError(f"{path}: the file is empty")
     reader = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}[suffix]
     names, columns, lines = reader(path, data, choose)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import mujoco
 
-from dipc_gym.mjcf import units
+from dipc_gym.mjcf import gear, units
 from dipc_gym.safety.naming import suggestion
 
 _TURN = 2 * math.pi  # rad
@@ -108,7 +108,7 @@ def of_sensor(model: mujoco.MjModel, name: str) -> str:
         joints = [int(model.wrap_objid[w]) for w in wraps if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT]
     elif what in (int(kind.mjSENS_ACTUATORPOS), int(kind.mjSENS_ACTUATORVEL)):
         on_joint = model.actuator_trntype[of] == mujoco.mjtTrn.mjTRN_JOINT
-        joints = [int(model.actuator_trnid[of, 0])] if on_joint and abs(model.actuator_gear[of, 0]) == 1 else []
+        joints = [int(model.actuator_trnid[of, 0])] if on_joint and abs(gear(model, of)) == 1 else []
     else:
         return ""
     lengths = {units(model, joint).length for joint in joints}
@@ -137,7 +137,7 @@ def of_command(model: mujoco.MjModel, control: str) -> str:
     if asked == "voltage":
         return "V"
     on_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-    if not on_joint or abs(model.actuator_gear[i, 0]) != 1:
+    if not on_joint or abs(gear(model, i)) != 1:
         return ""
     force, length, _ = units(model, int(model.actuator_trnid[i, 0]))
     if asked in ("pos", "vel"):

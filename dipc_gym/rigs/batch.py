@@ -12,7 +12,7 @@ from mujoco import batch as mjbatch
 
 from dipc_gym import kernels, mjcf
 from dipc_gym.physics import stack
-from dipc_gym.plant import Masses, Plant
+from dipc_gym.plant import Masses, Plant, worked_out
 from dipc_gym.rigs.rig import DIVERGED, NAMES, Rig
 from dipc_gym.rigs.together import COSTS, Array, Encoders, Mask, Period, Rows, absolute, readings
 
@@ -199,6 +199,7 @@ class _PlantNumbers:
         "actuator_biasprm",
         "actuator_dynprm",
         "actuator_delay",
+        "actuator_forcerange",
         "body_mass",
         "body_inertia",
     )
@@ -211,6 +212,8 @@ class _PlantNumbers:
         self._motor, self._friction = (
             mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name) for name in ("motor", "friction")
         )
+        self._gear = int(model.actuator_outadr[self._motor])
+        self._inductance, self._current = worked_out(rig.source.text)
         bodies = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in NAMES}
         self._bodies = {name: body for name, body in bodies.items() if body >= 0}
         self._cart_dof = rig.dofs[0]
@@ -220,8 +223,13 @@ class _PlantNumbers:
         for i, plant in zip(rows, plants, strict=True):
             motor, friction = plant.motor, plant.friction
             if motor is not None:
-                field["actuator_gear"][i, self._motor, 0] = 1 / motor.pulley_radius
+                field["actuator_gear"][i, self._gear, 0] = 1 / motor.pulley_radius
                 field["actuator_gainprm"][i, self._motor, :2] = motor.resistance, motor.constant
+                if self._inductance > 0:
+                    field["actuator_dynprm"][i, self._motor, 0] = self._inductance / motor.resistance
+                if self._current > 0:
+                    most = motor.constant * self._current
+                    field["actuator_forcerange"][i, self._motor] = -most, most
             if friction is not None:
                 field["dof_damping"][i, self._cart_dof] = friction.viscous
                 if friction.coulomb > 0:

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from dipc_gym import mjcf
 from dipc_gym.engine import rigid
 from dipc_gym.engine.layout import Element, Force, Head, Joint
 from dipc_gym.engine.program import Program
-from dipc_gym.plant import Masses, Plant
+from dipc_gym.plant import Masses, Plant, worked_out
 from dipc_gym.rigs.rig import NAMES, Rig
 from dipc_gym.rigs.together import Array
 
@@ -35,12 +36,13 @@ class PlantNumbers:
         first = int(program.codes[Head.JOINT_NUMBERS]) + dof * int(Joint.SIZE)
         self._damping, self._armature = slice(first + Joint.DAMPING, first + Joint.STIFFNESS), first + Joint.ARMATURE
         self._motor, self._friction = (_element(model, program, name) for name in ("motor", "friction"))
+        self._inductance, self._current = worked_out(rig.source.text)
         # The joint feels damping and armature of one actuator, by the square of its gear.
         by = int(model.jnt_actuatorid[int(model.dof_jntid[dof])])
         self._by_motor = by >= 0 and model.actuator(by).name == "motor"
         self._per_gear, self._armature_per_gear, self._own_gear = np.zeros(3), 0.0, 0.0
         if by >= 0:
-            self._own_gear = float(model.actuator_gear[model.actuator_outadr[by], 0])
+            self._own_gear = mjcf.gear(model, by)
             self._per_gear[:] = model.actuator_damping[by], *np.ravel(model.actuator_dampingpoly[by])
             self._armature_per_gear = float(model.actuator_armature[by])
         self._own_damping = np.array([model.dof_damping[dof], *np.ravel(model.dof_dampingpoly[dof])])
@@ -64,6 +66,11 @@ class PlantNumbers:
                 at = self._motor
                 numbers[at + Force.GAIN], numbers[at + Force.GAIN + 1] = motor.resistance, motor.constant
                 numbers[at + Force.SIZE] = 1 / motor.pulley_radius
+                if self._inductance > 0:
+                    numbers[at + Force.TIME] = self._inductance / motor.resistance
+                if self._current > 0:
+                    most = motor.constant * self._current
+                    numbers[at + Force.LOWEST], numbers[at + Force.HIGHEST] = -most, most
                 gear = 1 / motor.pulley_radius if self._by_motor else gear
             if friction is not None:
                 damping[0] = friction.viscous
@@ -91,8 +98,9 @@ def _element(model: mujoco.MjModel, program: Program, name: str) -> int:
     actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
     if actuator < 0:
         return -1
-    codes = program.codes
-    element = int(codes[Head.ELEMENTS]) - model.nactuator + actuator  # tendons' springs come before actuators
+    codes, element = program.codes, program.actuators[actuator]
+    if element < 0:  # a ramp, which no plant changes
+        return -1
     return int(codes[int(codes[Head.ELEMENT_AT]) + element * int(Element.SIZE) + Element.NUMBERS])
 
 

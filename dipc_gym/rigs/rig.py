@@ -103,13 +103,15 @@ class Rig:
             dofs=tuple(int(model.jnt_dofadr[j]) for j in joints),
             sensors=tuple(int(model.sensor(name).adr[0]) for name in NAMES),
             joint_readings=not (
-                physics.stage("sensor") or physics.stage("lag") or bool(np.any(model.sensor_delay > 0))
+                physics.stage("sensor")
+                or physics.stage("lag")
+                or bool(np.any(model.sensor_delay > 0) or np.any(model.sensor_interval > 0))
             ),
             ties=tuple((int(a.qposadr[0]), int(b.qposadr[0]), int(a.dofadr[0]), int(b.dofadr[0])) for a, b in ties),
             rail=min(-low, high),
             frictionloss=bool(model.dof_frictionloss[int(model.jnt_dofadr[cart])] > 0 or physics.stage("friction")),
             passive=tuple(
-                (i, float(model.actuator_gear[i, 0]))
+                (i, mjcf.gear(model, i))
                 for i in mjcf.passive_actuators(model)
                 if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i, 0] == cart
             ),

@@ -184,7 +184,7 @@ def _pushing(physics: Physics, volts: float) -> float:
         data.qpos[:], data.qvel[:] = model.qpos0, 0.0
     mujoco.mj_forward(model, data)
     actuator = next(i for i in range(model.nactuator) if model.actuator(i).name == "motor")
-    return float(data.actuator_force[actuator] * model.actuator_gear[actuator, 0])
+    return float(data.actuator_force[actuator] * mjcf.gear(model, actuator))
 
 
 def _turned(force: Array, voltage: Array) -> tuple[Array, Array]:

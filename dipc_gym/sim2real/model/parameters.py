@@ -82,7 +82,7 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
         elif document.actuator(name).tag == "position":
             found += _servo(document, model, name)
         elif model.actuator_ctrlnum[i]:
-            gear = float(model.actuator_gear[i, 0])
+            gear = mjcf.gear(model, i)
             if gear:
                 write = _first_of("actuator", name, "gear", sign=math.copysign(1.0, gear))
                 found.append(ModelParameter("gear", name, abs(gear), "", write, MODEL.motors))
@@ -104,7 +104,7 @@ def _servo(document: Document, model: mujoco.MjModel, name: str) -> list[ModelPa
     """Gains of a `<position>`, whose gear would stretch what it is asked for as well."""
     element, i = document.actuator(name), model.actuator(name).id
     force, length = "", ""
-    if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and abs(model.actuator_gear[i, 0]) == 1:
+    if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and abs(mjcf.gear(model, i)) == 1:
         force, length, _ = mjcf.units(model, int(model.actuator_trnid[i, 0]))
     gains = {"kp": (float(model.actuator_gainprm[i, 0]), force and f"{force}/{length}")}
     if not document.effective(element, "dampratio"):  # of which the compiler makes a damping by the mass

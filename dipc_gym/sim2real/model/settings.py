@@ -24,6 +24,8 @@ class ModelSettings:
         farthest: standard deviations of its prior by which a model parameter may move: beyond, it would be another part
         widest: as a logarithm, no parameter is mapped further, and an interval of more than that half width says
             nothing: no rig has a ratio of twenty digits
+        settles: times in which a limit or a tie settles, that a step may take at most: Runge-Kutta makes a half of what
+            is left in that, and more than there was at 2.8
         fallback: share of its bound that a parameter whose first guess is zero is measured in: that is small, and yet
             felt
         kept: models that stay compiled, of all structures: a fit asks for the same ones again, and each takes a tenth
@@ -39,6 +41,7 @@ class ModelSettings:
     least_arm: float = 1e-4
     farthest: float = 4.0
     widest: float = 50.0
+    settles: float = 2.2
     fallback: float = 0.1
     kept: int = 64
 

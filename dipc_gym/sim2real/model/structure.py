@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
+from dipc_gym.engine.constraints import settles
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.shared.base import Effect, Parameter
@@ -348,9 +349,12 @@ class Structure:
 
     @functools.cached_property
     def own_finest(self) -> float:
-        """Longest step that the model's own currents, bristles, rotors and lags bear under explicit integration, s."""
+        """Longest step that the model's own currents, bristles, rotors, lags, limits and ties bear under explicit
+        integration, s.
+        """
         model, kind = self.model, mujoco.mjtDyn
         finest = EFFECTS.fast if self._hides or self._own_lag else math.inf
+        finest = min(finest, MODEL.settles * settles(model))
         for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
             if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:
                 finest = min(finest, EFFECTS.fast, numbers[0])

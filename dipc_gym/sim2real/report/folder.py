@@ -46,6 +46,7 @@ def save(
     """
     folder = Path(folder)
     check_free(folder, overwrite)
+    check_names(found.files)
     for name in found.files:
         inside(folder, name)
     drawn = _page(found, model, command).encode()

@@ -40,7 +40,8 @@ class Partition:
 
     @property
     def validation(self) -> Problem:
-        """Windows later than all that are fitted or compared on, without those in which something happened once.
+        """Windows later than all that are fitted or compared on, without those in which something happened once, which
+        are fitted.
 
         Where recordings are too short to hold any, the windows compared on.
         """

@@ -190,6 +190,8 @@ def differing(
         return partitioning.known_past(again)
 
     as_counted = counted(None).problem
+    if not len(as_counted.windows):
+        return [], math.inf
     without = min(common_error(evaluate(as_counted, one.structure, one.z)) for one in fits)
     decides = CONVENTIONS.decides * without
 
@@ -230,11 +232,12 @@ def differing(
 def _in_motion(recordings: Sequence[Recording], prepared: Prepared) -> list[Recording]:
     """The first seconds in which recordings move, of two of them; at rest every convention predicts all."""
     windows, moves = prepared.problem.windows, partitioning.moves(prepared)
+    known = max(WINDOWS.late, prepared.structure.activated)  # of the past, before a window
     begin = [(k, windows.start[moves & (windows.source == k)].min(initial=math.inf)) for k in range(len(recordings))]
     moving = [(recordings[k], start) for k, start in begin if math.isfinite(start)][:2]
     found = []
     for recording, start in moving:
-        borders = start - WINDOWS.late, start + CONVENTIONS.seconds / len(moving)  # windows begin late enough
+        borders = start - known, start + CONVENTIONS.seconds / len(moving)
         found.append(recording.slice(*np.searchsorted(recording.time, borders).tolist()))
     return found
 
