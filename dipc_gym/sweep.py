@@ -14,6 +14,7 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 
@@ -180,8 +181,9 @@ def written(folder: str | Path) -> list[Path]:
 
 
 def parameters(cell: Cell) -> dict[str, Any]:
-    """All that a cell's result depends on, this version of dipc-gym included, as JSON gives it back."""
-    mine = {"dipc_gym": __version__, **dataclasses.asdict(cell)}  # type: ignore[call-overload]
+    """All that a cell's result depends on, versions of dipc-gym and MuJoCo included, as JSON gives it back."""
+    made = {"dipc_gym": __version__, "mujoco": metadata.version("mujoco")}
+    mine = {**made, **dataclasses.asdict(cell)}  # type: ignore[call-overload]
     plain: dict[str, Any] = json.loads(json.dumps(mine))
     return plain
 

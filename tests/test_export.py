@@ -541,6 +541,22 @@ def test_the_supply_of_a_loop_is_no_larger_than_its_compensators(folder: Path) -
     assert any("6 V." in line for line in found.about)
 
 
+def test_what_a_loop_remembers_of_voltages_is_what_a_weaker_amplifier_lets_through(folder: Path) -> None:
+    """An observer that went by what it asked for would book what the supply withheld as friction, and push harder."""
+    observer = compensators.DisturbanceObserver(4.0, 24.0, 0.005, 0.5, 1.3, 20.0)
+    compensators.save(dataclasses.replace(observer, supply=24.0), "observer.json")
+    weak = dataclasses.replace(DoublePendulumEnv().plant, supply=6.0)
+    loop = bundle.bundle("observer.json", weak).loop
+    assert loop.supply == 6.0
+    program = loop.program()
+    memory = program.memory()
+    for cart in (0.0, 0.1, 0.2):
+        _, memory = program.run({"cart": [cart], "pole1": [0.1], "pole2": [0.1]}, memory)
+        remembered = np.concatenate([np.ravel(one) for name, one in memory.items() if "applied" in name])
+        assert len(remembered)
+        assert np.abs(remembered).max() <= 6.0
+
+
 def test_a_compensator_of_another_control_period_is_refused(folder: Path) -> None:
     compensators.save(compensators.LuGre(4.0, 24.0, 0.02, 2e4, 60.0, 8.0, 3.0, 0.02), "slow.json")
     with pytest.raises(ValueError, match="after 20 ms, and the control period is 5 ms"):

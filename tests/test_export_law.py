@@ -8,6 +8,7 @@ import json
 import math
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -232,6 +233,26 @@ def test_a_law_is_what_the_loader_applies(key: str, tmp_path: Path) -> None:
         applied = formulas.friction_along(data, physics.Moment(zero, given[0], zero, zero, zero))
         found = law(*given)
     np.testing.assert_allclose(applied, found, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("key", "at"), [("friction.resting@cart", "memory"), ("friction.load@cart", "speed")], ids=["resting", "load"]
+)
+def test_a_law_that_bends_between_its_knots_is_what_the_loader_applies(key: str, at: str, tmp_path: Path) -> None:
+    """Its table has so many knots that straight lines do."""
+    law, effect = laws.read(diagnosis(tmp_path, key)), FOUND[key]
+    text = """<mujoco><worldbody><body><joint name="cart" type="slide" axis="1 0 0"/><geom size=".1" mass="1"/></body>
+        </worldbody></mujoco>"""
+    document = Document(mjcf.from_text(text))
+    effect.edit(document, "cart", effect.first)
+    (extra,) = physics.load(mjcf.from_text(document.text())).extras
+    (along,) = law.inputs
+    given = np.linspace(0.0, 1.5 * along.knots[-1], 500)
+    zero = np.zeros(500)
+    moment = replace(physics.Moment(zero, zero, zero + 1.0 / 0.1, zero, zero), **{at: given})
+    applied = replace(extra, data=np.tile(extra.data, (500, 1)))(moment)
+    found = law(given) + (effect.first["level"] if at == "speed" else 0.0)
+    np.testing.assert_allclose(applied, found, atol=1e-3 * float(np.ptp(law.levels)))
 
 
 @pytest.mark.parametrize("key", FOUND)

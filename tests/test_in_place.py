@@ -8,6 +8,7 @@ from sim2real_rigs import CART
 from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real import catalogue
+from dipc_gym.sim2real.effects.load_stop import Stop
 from dipc_gym.sim2real.model.structure import Structure, Term
 from dipc_gym.sim2real.verdict.effect_words import in_words
 from dipc_gym.sim2real.verdict.in_place import in_place_of
@@ -55,3 +56,12 @@ def test_the_sentence_says_so() -> None:
     structure = Structure(document, mjcf.compile(document.text()), ("cart",), (), (late,))
     said = in_words(structure, structure.first, late)
     assert said == 'Commands to motor act 5 ms late. It takes the place of delay="0.002".'
+
+
+def test_a_stop_says_that_it_makes_the_other_end_as_soft() -> None:
+    """A joint has one `solreflimit` for both ends of its range."""
+    hard = CART.replace('damping="21.4"', 'damping="21.4" range="-0.45 0.45" solreflimit="0.004 1"')
+    for text, said in ((hard, 'solreflimit="0.004 1"'), (CART, "")):
+        stop = Stop(("high",))
+        values = {"high": 0.3, "contact_rate": 100.0, "contact_damping": 0.5}
+        assert in_place_of(Document(mjcf.from_text(text)), Term(stop, "cart", values), values) == said

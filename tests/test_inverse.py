@@ -88,8 +88,11 @@ def test_a_dead_zone_is_jumped() -> None:
 
 
 def test_what_no_compensator_can_see_is_said() -> None:
-    found = law(custom("disturbance.periodic:cart", "3.0 1.0 0.0"), FRICTIONLESS)
-    assert found.notes() == ["not in the compensator: disturbance.periodic"]
+    plain = law(custom("motor.deadzone:motor", "0.0"), FRICTIONLESS)
+    for effect, data in (("disturbance.periodic", "3.0 2.5 0.4"), ("disturbance.pulse", "3.0 0.05 10.0")):
+        found = law(custom(f"{effect}:cart", data), FRICTIONLESS)
+        assert found.notes() == [f"not in the compensator: {effect}"]
+        np.testing.assert_array_equal(found.friction, plain.friction)
 
 
 @given(st.floats(-60, 60), st.sampled_from([-1, 1]), st.floats(0.05, 0.9))

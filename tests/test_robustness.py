@@ -149,6 +149,15 @@ def test_usual_value_is_the_balancing_itself() -> None:
             assert row[key] == plain[key], (axis, key)
 
 
+def test_what_remembers_is_told_another_control_period() -> None:
+    """As an estimator is: whoever sets it knows it."""
+    bristle = compensators.LuGre(4.0, 24.0, 0.005, 2e4, 60.0, 8.0, 3.0, 0.02)
+    trained = balancing(compensator="lugre", trained=bristle.to_dict(), seconds=1.0)
+    rows = Endurance(balancing=trained, axis="period", values=(1.0, 2.0)).run()
+    assert [row["survived"] for row in rows] == [True, True]
+    assert rows[0]["voltage_rms"] != rows[1]["voltage_rms"]
+
+
 def test_more_friction_than_trained_on_makes_the_cart_stray() -> None:
     rows = Endurance(balancing=balancing(seconds=10.0), axis="friction", values=(0.5, 1.0, 2.0)).run()
     strays = [row["cart_m"] for row in rows]

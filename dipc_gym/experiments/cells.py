@@ -173,8 +173,11 @@ class Balancing:
         """
         plant = self.plant if plant is None else plant
         estimator = None if self.estimating is None else estimators.load(self.estimating)
+        compensator = compensators.load(self.trained)
+        # Of all changes of a rig, its control period is the one that its owner sets, and tells what has to know it.
+        if getattr(compensator, "period", plant.control_period) != plant.control_period:
+            compensator = dataclasses.replace(compensator, period=plant.control_period)  # type: ignore[call-arg]
         if estimator is not None and estimator.rig.period != plant.control_period:
-            # Of all changes of a rig, its control period is the one that its owner sets and the filter is told.
             rig = dataclasses.replace(estimator.rig, period=plant.control_period)
             estimator = dataclasses.replace(estimator, rig=rig)
         with warnings.catch_warnings(record=True) as said:
@@ -182,7 +185,7 @@ class Balancing:
                 warnings.simplefilter("always", kind)
             course = runs.balance(
                 controllers.load(self.controller),
-                compensators.load(self.trained),
+                compensator,
                 seconds=self.seconds if seconds is None else seconds,
                 seed=self.seed,
                 plant=plant,
@@ -232,6 +235,8 @@ class Balancing:
 def figures(course: Course, plant: Plant, seconds: float) -> dict[str, Any]:
     """What a run of `seconds` comes to: whether and how long it stood, deviations once settled, means over all."""
     late = np.abs(course.state[course.time >= min(SETTLED, seconds / 4)])
+    if not (len(late) or course.fell):  # of a period or two
+        late = np.abs(course.state[-1:])
     found: dict[str, Any] = {
         "survived": not course.fell,
         "seconds": len(course.time) * plant.control_period,

@@ -125,7 +125,8 @@ def bundle(
         "",
         f"Written by dipc-gym {dipc_gym.__version__}.",
     )
-    return Bundle(Loop(seeing, brain, part, force_limit, supply), plant, about, model)
+    # What it remembers of voltages is what this rig's amplifier lets through.
+    return Bundle(Loop(seeing, brain, part.behind(supply), force_limit, supply), plant, about, model)
 
 
 def write_c(found: Bundle, path: Path) -> tuple[Program, Path]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,6 +170,19 @@ class Extra:
     def pressed(self) -> bool:
         """Whether it is dry friction that may depend on the forces at its joint, and not on place and time alone."""
         return self.entry.pressed
+
+    @property
+    def clocked(self) -> bool:
+        """Whether what it does depends on the time."""
+        zero, asked = np.zeros(()), set[str]()
+
+        class Watched(Moment):
+            def __getattribute__(self, name: str) -> Any:
+                asked.add(name)
+                return super().__getattribute__(name)
+
+        self(Watched(zero, zero, zero, zero, zero, inputs=(zero, zero)))
+        return "time" in asked
 
     def __call__(self, now: Moment) -> Array:
         """Apply the rule."""

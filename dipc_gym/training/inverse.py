@@ -15,7 +15,7 @@ from dipc_gym import mjcf
 from dipc_gym.compensators import Compensator, Curve, RigConstants, Samples, registry
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.identification.run import cart, cart_model
-from dipc_gym.physics import Physics, from_model
+from dipc_gym.physics import Extra, Physics, from_model
 from dipc_gym.plant import Plant
 from dipc_gym.runs import identify
 
@@ -131,8 +131,10 @@ def steady(model: mujoco.MjModel) -> Law:
     Raises:
         ValueError: the motor has no effect, or not a single voltage for each force.
     """
-    physics, linear = from_model(model), cart(model).constants
+    whole, linear = from_model(model), cart(model).constants
     joint = int(model.sensor("cart").objid[0])
+    told, untold = _parted(whole, joint)
+    physics = dataclasses.replace(whole, extras=told)
     low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-0.45, 0.45)
     places = (low + high) / 2 + PLACES * (high - low) / 2
     speeds = np.concatenate([-SPEEDS[::-1], SPEEDS])
@@ -146,8 +148,21 @@ def steady(model: mujoco.MjModel) -> Law:
         voltage=volts,
         force=force,
         linear=linear,
-        left_out=tuple(extra.effect for extra in physics.extras if extra.stage in ("force", "sensor", "lag")),
+        left_out=tuple(extra.effect for extra in untold),
     )
+
+
+def _parted(physics: Physics, joint: int) -> tuple[tuple[Extra, ...], tuple[Extra, ...]]:
+    """What stands under `<custom>` that the cart's place, its velocity and the voltage tell, and what they do not."""
+    model = physics.model
+    own = {("position", int(model.jnt_qposadr[joint])), ("velocity", int(model.jnt_dofadr[joint]))}
+
+    def tells(extra: Extra) -> bool:
+        if extra.stage != "force":
+            return extra.stage not in ("sensor", "lag")
+        return own.issuperset(extra.inputs) and not (extra.remembers or extra.clocked)
+
+    return tuple(filter(tells, physics.extras)), tuple(extra for extra in physics.extras if not tells(extra))
 
 
 def _holding(physics: Physics, joint: int, velocity: float, place: float) -> float:

@@ -19,7 +19,7 @@ from typing import Any
 import dipc_gym
 from dipc_gym.safety import intact
 from dipc_gym.safety.places import inside
-from dipc_gym.trials.covered import error_within
+from dipc_gym.trials.covered import error_of, error_within
 from dipc_gym.trials.records import digests
 
 GIVEN = ("nominal.xml", "train_1.csv", "train_2.csv")
@@ -85,7 +85,7 @@ def replay_tool(model: Path, recording: Path, *, step: float | None) -> dict[str
 
 
 def _by_sensor(replayed: dict[str, Any]) -> dict[str, float]:
-    return {name: sensor["error"] for name, sensor in replayed["sensors"].items()}
+    return {name: error_of(sensor) for name, sensor in replayed["sensors"].items()}
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -14,8 +14,17 @@ Array = NDArray[np.float64]
 
 BEYOND = 0.02
 """Share of a range by which a window may go beyond it; what a law says so near to its data is hardly wrong."""
+APART_ALTOGETHER = 1e12
+"""Stands for the error of a model whose simulation ends in no number: in whatever unit, no other is as large."""
 APART = 5
 """Samples from which a rate is taken: of neighbours, the encoder's steps are most of it."""
+
+
+def error_of(said: Mapping[str, Any]) -> float:
+    """The error that a replay says of a sensor or a window; of a simulation that came apart it says none, and that is
+    the worst of all.
+    """
+    return APART_ALTOGETHER if said["error"] is None else float(said["error"])
 
 
 def error_within(seen: Sequence[Path], asked: Path, replayed: Mapping[str, Any]) -> float | None:
@@ -30,7 +39,7 @@ def error_within(seen: Sequence[Path], asked: Path, replayed: Mapping[str, Any])
     there = np.all((columns >= low) & (columns <= high), axis=1)
     time, length = columns[:, 0], float(replayed["window"])
     kept = [
-        float(one["error"])
+        error_of(one)
         for one in replayed["windows"]
         if there[(time >= one["start"]) & (time < one["start"] + length)].all()
     ]

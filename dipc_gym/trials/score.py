@@ -70,6 +70,7 @@ def summarise(judged: Sequence[Grade]) -> dict[str, Any]:
         "failed": [j.trial for j in judged if j.verdict == "failed"],
         "timed_out": [j.trial for j in judged if j.timed_out],
         "broken": [j.trial for j in judged if j.broken],
+        "unreplayed": [j.trial for j in judged if j.verdict != "failed" and j.error is None],
         "clear": len(clear),
         "name": _rate([j.name for j in clear]),
         "routes": {route: sum(j.route == route for j in clear) for route in ("truth", "same", "part", "refit")},
@@ -85,8 +86,15 @@ def summarise(judged: Sequence[Grade]) -> dict[str, Any]:
         "unknown_misnamed": _rate([j.misnamed for j in unknown]),
         "formula": _rate([j.formula for j in judged]),
         "beside": _rate([j.beside for j in judged]),
-        "close": _rate([j.error <= CLOSE for j in clear if j.error is not None]),
-        "close_within": _rate([j.error_within <= CLOSE for j in clear if j.error_within is not None]),
+        # A tool that failed, or wrote what cannot be replayed, is not close; some windows all lie beyond what was seen.
+        "close": _rate([j.error is not None and j.error <= CLOSE for j in clear]),
+        "close_within": _rate(
+            [
+                j.error_within is not None and j.error_within <= CLOSE
+                for j in clear
+                if j.error is None or j.error_within is not None
+            ]
+        ),
         "unknown_error": _quartiles([j.error for j in unknown if j.clear]),
         "unknown_error_within": _quartiles([j.error_within for j in unknown if j.clear]),
         "reached": _quartiles([j.reached for j in clear]),

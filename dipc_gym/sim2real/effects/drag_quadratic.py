@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
+from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, dof
 
 
 class Quadratic(Effect):
@@ -20,10 +20,11 @@ class Quadratic(Effect):
     rivals = ("friction.viscous", "friction.coulomb")
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
-        """The part of the unexplained force in proportion to the square of speed."""
+        """The part of the unexplained force in proportion to the square of speed, and what the model has."""
+        own = float(np.ravel(evidence.model.dof_dampingpoly[dof(evidence.model, evidence.at)])[0])
         c, _ = evidence.along(-evidence.velocity * np.abs(evidence.velocity), -evidence.velocity)
         typical = evidence.force_scale / evidence.speed_scale**2
-        return [{"coefficient": float(np.clip(c, 0.1 * typical, 5 * typical))}]
+        return [{"coefficient": own + float(np.clip(c, 0.1 * typical, 5 * typical))}]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Second coefficient of the joint's damping."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.friction_load import UnderLoad
 from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, dry_beside
-from dipc_gym.sim2real.effects.shared.increments import LawOfIncrements, dense_knots
+from dipc_gym.sim2real.effects.shared.increments import LawOfIncrements, dense_knots, dense_table
 from dipc_gym.sim2real.effects.shared.law import at_joint, described
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ class UnderLoadOfAnyLaw(LawOfIncrements):
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """How many times friction under load is at a speed what it is in fast motion."""
-        speeds, times = self.curve(values)
+        speeds, times = dense_table(values["fastest"], SLOW, 1.0 + self.at_knots(values)[::-1])
         inputs = [{"name": "speed", "unit": at_joint("m/s", unit["level"]), "knots": speeds.tolist()}]
         kind = "friction under load, in multiples of what it is in fast motion"
         return described(kind, inputs, times.tolist(), "", passive=True)

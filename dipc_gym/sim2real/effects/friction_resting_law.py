@@ -12,7 +12,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics.entries import RESTED_BY_LAW
 from dipc_gym.sim2real.effects.friction_resting import SLOW, Resting, nearest
 from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, dry_beside
-from dipc_gym.sim2real.effects.shared.increments import LawOfIncrements, dense_knots
+from dipc_gym.sim2real.effects.shared.increments import LawOfIncrements, dense_knots, dense_table
 from dipc_gym.sim2real.effects.shared.law import described
 from dipc_gym.sim2real.effects.shared.rests import Rests
 
@@ -79,8 +79,7 @@ class RestingOfAnyLaw(LawOfIncrements):
 
     def law_of(self, values: Values, unit: Mapping[str, str]) -> dict[str, Any]:
         """What it takes to break away, by the time at rest."""
-        rises = self.at_knots(values)
-        times, levels = dense_knots(values["longest"], SOON, len(rises)), values["level"] + rises
+        times, levels = dense_table(values["longest"], SOON, values["level"] + self.at_knots(values))
         inputs = [{"name": "time at rest", "unit": "s", "knots": times.tolist()}]
         how = "The time at rest grows while the joint stands, and is nothing as soon as it moves."
         kind = "force to break away"

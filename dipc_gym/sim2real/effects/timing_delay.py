@@ -20,7 +20,7 @@ class Delay(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Shorter and longer ones."""
-        return delays(evidence)
+        return delays(evidence, float(evidence.model.actuator_delay[evidence.model.actuator(evidence.at).id]))
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The actuator's delay."""
@@ -31,9 +31,10 @@ class Delay(Effect):
         return f"Commands to {at} act {1e3 * values['delay']:.3g} ms late."
 
 
-def delays(evidence: Evidence) -> Sequence[Values]:
-    """A quarter of a sample, two samples, and ten milliseconds."""
-    return [{"delay": d} for d in sorted({0.25 * evidence.period, 2 * evidence.period, 0.01})]
+def delays(evidence: Evidence, own: float) -> Sequence[Values]:
+    """A quarter of a sample, two samples, and ten milliseconds, more than the model has; and half of what it has."""
+    more = sorted({0.25 * evidence.period, 2 * evidence.period, 0.01})
+    return [{"delay": d} for d in ([0.5 * own] if own > 0 else []) + [own + d for d in more]]
 
 
 def set_delay(document: Document, element: ET.Element, delay: float) -> None:

@@ -21,7 +21,7 @@ class SensorDelay(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Shorter and longer ones."""
-        return delays(evidence)
+        return delays(evidence, float(evidence.model.sensor_delay[evidence.model.sensor(evidence.at).id]))
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The sensor's delay."""

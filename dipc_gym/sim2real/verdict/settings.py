@@ -177,7 +177,13 @@ class VerdictSettings:
     differs: float = 0.05
     happened: float = 0.5
     named: float = 0.1
-    whole: tuple[tuple[str, int], ...] = (("delay", 0), ("cogging", 0), ("saturation", 0), ("damping", 1))
+    whole: tuple[tuple[str, int], ...] = (
+        ("delay", 0),
+        ("cogging", 0),
+        ("saturation", 0),
+        ("damping", 1),
+        ("solreflimit", 0),
+    )
     refitted: float = 0.2
     modelled: float = 0.5
     elsewhere: float = 2.0
