@@ -90,18 +90,22 @@ def in_python(controller: Any, compensator: Compensator, rows: np.ndarray) -> np
     """Voltages of the parts as they run in the environment, and what `Loop` says of broken readings."""
     keep, gain = kernels.velocity_gains(FILTER, PERIOD)
     last, rates, memory = np.full((RUNS, 3), np.nan), np.zeros((RUNS, 3)), compensator.initial_state(RUNS)
-    volts = np.zeros(rows.shape[:2])
+    volts, begun, before = np.zeros(rows.shape[:2]), np.zeros(RUNS, dtype=bool), np.zeros((RUNS, 6))
     for k, row in enumerate(rows):
         usable = (np.abs(row) < 1000).all(axis=1)
         now = np.where(usable[:, None], row, 0.0)
         now[:, 2] += now[:, 1]
+        now = np.where(usable[:, None], now, before[:, :3] + PERIOD * before[:, 3:])
+        begun |= usable
         moved = kernels.velocity(now, np.where(np.isnan(last), now, last), rates, keep, gain)
         seen = np.column_stack([now, moved])
         force = np.array([controller.force(one) for one in seen]) if k % 50 == 0 else forces(controller, seen)
         asked, ahead = compensator.voltage_batch(np.clip(force, -LIMIT, LIMIT), moved[:, 0], memory)
         volts[k] = np.where(usable, np.clip(asked, -SUPPLY, SUPPLY), 0.0)
-        last, rates = np.where(usable[:, None], now, last), np.where(usable[:, None], moved, rates)
-        memory = np.where(usable, ahead, memory)
+        last, rates, before = (
+            np.where(begun[:, None], new, old) for new, old in ((now, last), (moved, rates), (seen, before))
+        )
+        memory = np.where(begun, ahead, memory)
     return volts
 
 

@@ -16,6 +16,7 @@ from loops import (
     DIFFERENCE,
     GCC,
     LIMIT,
+    PERIOD,
     RUNS,
     STRICT,
     SUPPLY,
@@ -58,7 +59,7 @@ PAIRS = {
 @pytest.mark.parametrize("pair", PAIRS)
 def test_c_gives_the_voltages_of_python_on_a_hundred_thousand_readings(tmp_path: Path, pair: str) -> None:
     controller, compensator = PAIRS[pair]
-    program = Loop(DIFFERENCE, controller, compensator, LIMIT, SUPPLY).program()
+    program = Loop(DIFFERENCE, controller, compensator, LIMIT, SUPPLY, PERIOD).program()
     rows = readings()
     expected = in_python(controller, compensator, rows)
     volts = in_c(compiled(tmp_path, program), rows)
@@ -78,18 +79,25 @@ def test_c_gives_the_voltages_of_python_on_a_hundred_thousand_readings(tmp_path:
 
 @needs_compiler
 def test_a_broken_reading_is_a_period_without_voltage_and_nothing_else(tmp_path: Path) -> None:
-    binary = compiled(tmp_path, Loop(DIFFERENCE, LQR(), llnf(), LIMIT, SUPPLY).program())
+    """Time goes on meanwhile: the next reading is no jump, as it would be after one that had stood still."""
+    binary = compiled(tmp_path, Loop(DIFFERENCE, LQR(), llnf(), LIMIT, SUPPLY, PERIOD).program())
     rows = 0.003 * np.sin(0.05 * np.arange(200)[:, None, None] * [1.0, 1.3, 1.7])
+    clean = in_c(binary, rows)
     for broken in (np.nan, np.inf, -1e300, 1001.0):
-        struck = np.insert(rows, 90, [0.001, broken, 0.001], axis=0)
+        struck = rows.copy()
+        struck[90:93, 0, 1] = broken
         volts = in_c(binary, struck)
-        assert volts[90] == 0.0
-        np.testing.assert_array_equal(np.delete(volts, 90, axis=0), in_c(binary, rows))
+        assert (volts[90:93] == 0.0).all()
+        np.testing.assert_array_equal(volts[:90], clean[:90])
+        assert np.abs(volts[93:] - clean[93:]).max() < 0.1 * np.ptp(clean)
+        np.testing.assert_allclose(volts[140:], clean[140:], atol=1e-6)
+        early = np.concatenate([struck[90:93], rows])
+        np.testing.assert_array_equal(in_c(binary, early)[3:], clean)
 
 
 @needs_compiler
 def test_a_reading_that_is_wild_but_possible_is_soon_forgotten(tmp_path: Path) -> None:
-    binary = compiled(tmp_path, Loop(DIFFERENCE, LQR(), llnf(), LIMIT, SUPPLY).program(), single=True)
+    binary = compiled(tmp_path, Loop(DIFFERENCE, LQR(), llnf(), LIMIT, SUPPLY, PERIOD).program(), single=True)
     rows = 0.003 * np.sin(0.05 * np.arange(300)[:, None, None] * [1.0, 1.3, 1.7])
     struck = rows.copy()
     struck[100, 0, 1] = 999.0
@@ -106,7 +114,7 @@ class Overflowing:
 
 
 def test_a_memory_that_is_not_finite_is_reset() -> None:
-    program = Loop(Overflowing(), LQR(), StaticGain(newtons_per_volt=4.0), LIMIT, SUPPLY).program()
+    program = Loop(Overflowing(), LQR(), StaticGain(newtons_per_volt=4.0), LIMIT, SUPPLY, PERIOD).program()
     memory, grown = program.memory(), []
     for _ in range(12):
         outputs, memory = program.run({name: [0.001] for name in READINGS}, memory)
@@ -172,7 +180,7 @@ def test_products_are_those_of_matrices_and_are_counted() -> None:
 
 @needs_compiler
 def test_fast_math_is_refused_by_the_header(tmp_path: Path) -> None:
-    compiled(tmp_path, Loop(DIFFERENCE, LQR(), feedforward(), LIMIT, SUPPLY).program())
+    compiled(tmp_path, Loop(DIFFERENCE, LQR(), feedforward(), LIMIT, SUPPLY, PERIOD).program())
     done = subprocess.run(
         [str(GCC), "-std=c99", "-ffast-math", "main.c", "-lm"], cwd=tmp_path, capture_output=True, text=True
     )
@@ -216,13 +224,13 @@ class Remembering(TwoWay):
 
 def test_a_formula_of_ones_own_writes_itself() -> None:
     rows = readings()[:200]
-    program = Loop(DIFFERENCE, LQR(), TwoWay(), LIMIT, SUPPLY).program()
+    program = Loop(DIFFERENCE, LQR(), TwoWay(), LIMIT, SUPPLY, PERIOD).program()
     np.testing.assert_allclose(in_numpy(program, rows, np.float64), in_python(LQR(), TwoWay(), rows), atol=1e-11)
 
 
 def test_dither_goes_on_from_period_to_period() -> None:
     """Where readings say that the rig is at rest upright, the wave alone is left."""
-    program = Loop(DIFFERENCE, controllers.balancing("dither"), StaticGain(4.0), LIMIT, SUPPLY).program()
+    program = Loop(DIFFERENCE, controllers.balancing("dither"), StaticGain(4.0), LIMIT, SUPPLY, PERIOD).program()
     shaking = controllers.balancing("dither")
     expected = [shaking.force(np.zeros(6)) / 4.0 for _ in range(30)]
     np.testing.assert_array_equal(in_numpy(program, np.zeros((30, 1, 3)), np.float64)[:, 0], expected)
@@ -247,11 +255,11 @@ def test_dither_goes_on_from_period_to_period() -> None:
 )
 def test_a_part_without_a_form_is_named(estimator: Any, controller: Any, compensator: Any, says: str) -> None:
     with pytest.raises(NoForm, match=says):
-        Loop(estimator, controller, compensator, LIMIT, SUPPLY).program()
+        Loop(estimator, controller, compensator, LIMIT, SUPPLY, PERIOD).program()
 
 
 def test_a_number_beyond_single_precision_is_refused() -> None:
-    program = Loop(DIFFERENCE, LQR(), StaticGain(newtons_per_volt=1e40), LIMIT, SUPPLY).program()
+    program = Loop(DIFFERENCE, LQR(), StaticGain(newtons_per_volt=1e40), LIMIT, SUPPLY, PERIOD).program()
     with pytest.raises(NoForm, match="too large for single precision"):
         c.header(program, c.Header("x", inputs=dict.fromkeys(READINGS, ""), **WORDS))
 
@@ -259,7 +267,10 @@ def test_a_number_beyond_single_precision_is_refused() -> None:
 @pytest.mark.parametrize("models", [1, 7])
 def test_the_cost_of_an_llnf_is_counted(models: int) -> None:
     """By hand: 3 differences, 2 sums of squares, 3 of outputs, 1 exponent, and two totals for each local model."""
-    costs = [Loop(DIFFERENCE, LQR(), part, LIMIT, SUPPLY).program().cost() for part in (llnf(models), llnf(2 * models))]
+    costs = [
+        Loop(DIFFERENCE, LQR(), part, LIMIT, SUPPLY, PERIOD).program().cost()
+        for part in (llnf(models), llnf(2 * models))
+    ]
     more = costs[1] - costs[0]
     expected = {"additions": 11, "multiplications": 10, "exponentials": 1, "comparisons": 1}
     assert more == {kind: count * models for kind, count in expected.items()}
@@ -274,7 +285,7 @@ def test_the_cost_of_an_llnf_is_counted(models: int) -> None:
     ],
 )
 def test_the_costs_on_the_page_are_those_of_the_pairs(estimator: str, says: str) -> None:
-    program = Loop(seeing(estimator), controllers.balancing("lqr_cart"), Observed(4.0), LIMIT, SUPPLY).program()
+    program = Loop(seeing(estimator), controllers.balancing("lqr_cart"), Observed(4.0), LIMIT, SUPPLY, PERIOD).program()
     assert says in (Path(__file__).parents[1] / "docs" / "rig.md").read_text()
     counts = [part.split() for part in says.replace(" and ", ", ").split(", ")]
     assert all(program.cost()[kind] == int(count.replace(",", "")) for count, kind in counts)
@@ -326,7 +337,7 @@ def exponentials_of_c(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_c_gives_the_voltages_of_python_where_a_filter_sees(tmp_path: Path, name: str) -> None:
     kind, controller, make, delay = SEEN[name]
     estimator, brain, compensator = seeing(kind, delay), controllers.balancing(controller), make()
-    program = Loop(estimator, brain, compensator, LIMIT, SUPPLY).program()
+    program = Loop(estimator, brain, compensator, LIMIT, SUPPLY, PERIOD).program()
     rows, expected = on_rigs(estimator, brain, compensator, Plant(delay=delay))
     assert rows.shape[1] > 0.9 * RUNS
     volts = in_c(compiled(tmp_path, program), rows)
@@ -344,7 +355,7 @@ def test_c_gives_the_voltages_of_python_where_a_filter_sees(tmp_path: Path, name
 def test_single_precision_balances_as_well(name: str) -> None:
     """What rounding gathers in the memory, the rig's own motion takes away: only in the closed loop can one see it."""
     kind, controller, make, delay = SEEN[name]
-    program = Loop(seeing(kind, delay), controllers.balancing(controller), make(), LIMIT, SUPPLY).program()
+    program = Loop(seeing(kind, delay), controllers.balancing(controller), make(), LIMIT, SUPPLY, PERIOD).program()
     strayed = {}
     for dtype in (np.float64, np.float32):
         env, memory, cart = DoublePendulumEnv(plant=Plant(delay=delay)), program.memory(dtype=dtype), []
@@ -394,7 +405,7 @@ def test_an_estimator_goes_along_from_its_file(folder: Path, capsys: pytest.Capt
 def test_onnx_runtime_gives_the_same_voltages(pair: str) -> None:
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    program = Loop(DIFFERENCE, *PAIRS[pair], LIMIT, SUPPLY).program()
+    program = Loop(DIFFERENCE, *PAIRS[pair], LIMIT, SUPPLY, PERIOD).program()
     session = onnxruntime.InferenceSession(onnx.graph(program, about="test"))
     kept = session.get_modelmeta().custom_metadata_map["first_state"]
     rows = readings()[:400, :4]
@@ -491,7 +502,7 @@ def test_the_check_fails_where_the_header_is_wrong(folder: Path) -> None:
 
 
 def test_test_vectors_swing_and_say_nothing_where_a_reading_is_broken() -> None:
-    program = Loop(DIFFERENCE, LQR(), llnf(), LIMIT, SUPPLY).program()
+    program = Loop(DIFFERENCE, LQR(), llnf(), LIMIT, SUPPLY, PERIOD).program()
     table = bundle.vectors(program, Plant())
     broken = (np.abs(table[:, 1:4]) > 1000).any(axis=1)
     assert broken.sum() == 3

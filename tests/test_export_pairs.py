@@ -11,7 +11,7 @@ from typing import Any
 import loops
 import numpy as np
 import pytest
-from loops import FLAGS, GCC, LIMIT, READINGS, SUPPLY, WORDS, needs_compiler
+from loops import FLAGS, GCC, LIMIT, PERIOD, READINGS, SUPPLY, WORDS, needs_compiler
 from rounding import bounded
 
 from dipc_gym import compensators, controllers, estimators, policy
@@ -99,7 +99,7 @@ def made() -> list[Made]:
         seeing, hand = SEEING[estimator], COMPENSATORS[compensator]
         rows, volts = loops.on_rigs(seeing, brain, hand, Plant(), RUNS, PERIODS)
         assert rows.shape[1] > 0, "no rig stood"
-        program = Loop(seeing, brain, hand, LIMIT, SUPPLY).program()
+        program = Loop(seeing, brain, hand, LIMIT, SUPPLY, PERIOD).program()
         found.append(Made(f"{estimator}, {controller}, {compensator}", program, rows[:, :1], volts[:, :1]))
     return found
 
@@ -110,7 +110,7 @@ def test_whatever_has_no_form_is_known() -> None:
     assert set(SEEING) | BLIND == set(estimators.names())
     for name in BLIND:
         with pytest.raises(NoForm):
-            Loop(loops.seeing(name), controllers.balancing("lqr"), StaticGain(4.0), LIMIT, SUPPLY).program()
+            Loop(loops.seeing(name), controllers.balancing("lqr"), StaticGain(4.0), LIMIT, SUPPLY, PERIOD).program()
 
 
 def one_program(folder: Path, made: list[Made], *, single: bool) -> Path:
@@ -189,7 +189,7 @@ def test_c_is_python_step_by_step_in_either_precision(tmp_path: Path, made: list
 @needs_compiler
 def test_the_bound_of_rounding_notices_a_number_that_is_off_by_a_ten_thousandth(tmp_path: Path) -> None:
     right, wrong = (
-        Loop(SEEING["kalman"], controllers.balancing("lqr"), StaticGain(gain), LIMIT, SUPPLY).program()
+        Loop(SEEING["kalman"], controllers.balancing("lqr"), StaticGain(gain), LIMIT, SUPPLY, PERIOD).program()
         for gain in (4.0, 4.0004)
     )
     rows, volts = loops.on_rigs(SEEING["kalman"], controllers.balancing("lqr"), StaticGain(4.0), Plant(), 1, 50)

@@ -120,13 +120,13 @@ def bundle(
         f"Compensator: {part.name}{f' of {source}' if source else ''}{_trained(part)}.",
         f"Limits: {force_limit:g} N, {supply:g} V.",
         "",
-        "A reading that is not a number, or larger than 1000 m or rad, makes the voltage 0 for that period and leaves",
-        "the state as it was. A state that is no longer finite is reset. No input gives more than the supply.",
+        "A reading that is not a number, or larger than 1000 m or rad, makes the voltage 0 for that period, and the",
+        "estimate goes on without it. A state that is no longer finite is reset. No input gives more than the supply.",
         "",
         f"Written by dipc-gym {dipc_gym.__version__}.",
     )
-    # What it remembers of voltages is what this rig's amplifier lets through.
-    return Bundle(Loop(seeing, brain, part.behind(supply), force_limit, supply), plant, about, model)
+    part = part.behind(supply)  # what it remembers of voltages is what this rig's amplifier lets through
+    return Bundle(Loop(seeing, brain, part, force_limit, supply, plant.control_period), plant, about, model)
 
 
 def write_c(found: Bundle, path: Path) -> tuple[Program, Path]:

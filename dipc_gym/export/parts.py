@@ -46,8 +46,9 @@ class Estimator(Protocol):
 class Loop:
     """Encoder readings in, motor voltage out: all that runs on the rig once a control period.
 
-    A reading that is not a number, or larger than 1000 m or rad, makes this period's voltage 0 and leaves the memory
-    as it was. A memory that is no longer finite is reset. The force is limited as by `ForceCommand`, the voltage by
+    A reading that is not a number, or larger than 1000 m or rad, makes this period's voltage 0, and the estimate goes
+    on with what velocities foretold, as in Python; before the first good one, nothing changes. A memory that is no
+    longer finite is reset. The force is limited as by `ForceCommand`, the voltage by
     the supply; a voltage that is not a number is 0.
 
     Attributes:
@@ -56,6 +57,7 @@ class Loop:
         compensator: turns it into voltage.
         force_limit: largest force either way, N.
         supply: largest voltage either way, V.
+        period: from one call to the next, s.
 
     Raises:
         NoForm: from `program`, if a part has no such form; the message says which.
@@ -66,6 +68,7 @@ class Loop:
     compensator: Compensator
     force_limit: float
     supply: float
+    period: float
 
     def program(self) -> Program:
         """The loop as a program with inputs `cart`, `pole1`, `pole2` (relative to the first) and output `voltage`.
@@ -79,40 +82,45 @@ class Loop:
         voltage, wanted = program.state("voltage", 0.0), program.state("force", 0.0)
 
         program.comment("estimator")
-        readings = program.join(cart, pole1, pole1 + pole2)
+        before, begun = program.state("seen", np.zeros(STATE)), program.state("begun", 0.0)
+        foretold = before.part(0, 3) + self.period * before.part(3, 3)
+        readings = usable.choose(program.join(cart, pole1, pole1 + pole2), foretold)
         seen = _expressed("estimator", self.estimator, program, readings, voltage, wanted)
         observation = seen.part(0, STATE)
+        known = usable.choose(1.0, begun)
+        program.update(before, observation)
+        program.update(begun, known)
         program.comment("controller")
         force = _expressed("controller", self.controller, program, observation)
         sound = usable * force.within(LARGEST_NUMBER)
         force = force.clip(-self.force_limit, self.force_limit)
         program.comment("compensator")
-        known = {}
+        observed = {}
         if self.compensator.observed_friction:
             if seen.size == STATE:
                 raise NoForm(f"the compensator {self.compensator.name!r} feeds forward the friction that an estimator "
                              "observes, and this one observes none: export it with --estimator")  # fmt: skip
-            known["friction"] = seen.part(STATE)
-        volts = _expressed("compensator", self.compensator, program, force, observation.part(3), **known)
+            observed["friction"] = seen.part(STATE)
+        volts = _expressed("compensator", self.compensator, program, force, observation.part(3), **observed)
 
         program.comment("supply, and readings that cannot be")
         sound = sound * volts.within(LARGEST_NUMBER)
         limited = sound.choose(volts.clip(-self.supply, self.supply), 0.0)
         program.update(voltage, limited)
         program.update(wanted, sound.choose(force, 0.0))
-        self._guard(program, usable)
+        self._guard(program, known)
         program.output("voltage", limited)
         return program
 
-    def _guard(self, program: Program, usable: Value) -> None:
-        """Keep the memory where a reading is broken, and reset it where it is not finite."""
+    def _guard(self, program: Program, known: Value) -> None:
+        """Keep the memory until a reading is good, and reset it where it is not finite."""
         values = {place: Value(program, place, step.size) for place, step in enumerate(program.steps)}
         ahead = [(values[state], values[value]) for state, value in program.updates.items()]
         moving = [value for _, value in ahead if program.steps[value.place].operation != "constant"]
         finite = program.join(*moving).within(LARGEST_NUMBER).least()
         for state, value in ahead:
             reset = program.constant(program.steps[state.place].numbers)
-            program.update(state, usable.choose(finite.choose(value, reset), state))
+            program.update(state, known.choose(finite.choose(value, reset), state))
 
 
 def _expressed(role: str, part: Any, program: Program, *arguments: Value, **known: Value) -> Value:
