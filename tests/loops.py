@@ -95,7 +95,7 @@ def in_python(controller: Any, compensator: Compensator, rows: np.ndarray) -> np
         usable = (np.abs(row) < 1000).all(axis=1)
         now = np.where(usable[:, None], row, 0.0)
         now[:, 2] += now[:, 1]
-        now = np.where(usable[:, None], now, before[:, :3] + PERIOD * before[:, 3:])
+        now = np.where(usable[:, None], now, np.clip(before[:, :3] + PERIOD * before[:, 3:], -1000, 1000))
         begun |= usable
         moved = kernels.velocity(now, np.where(np.isnan(last), now, last), rates, keep, gain)
         seen = np.column_stack([now, moved])

@@ -20,7 +20,8 @@ from dipc_gym.recording import Recording
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.estimation import shooting as shooting_module
-from dipc_gym.sim2real.estimation.fit import Fit, _stepped, begun, evaluate, fit, holding, readings, weights
+from dipc_gym.sim2real.estimation.fit import Fit, begun, evaluate, fit, holding, readings, weights
+from dipc_gym.sim2real.estimation.newton import _stepped
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict
 from dipc_gym.sim2real.estimation.segments import Prepared
 from dipc_gym.sim2real.estimation.settings import ESTIMATION

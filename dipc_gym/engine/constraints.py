@@ -92,7 +92,7 @@ def settles(model: mujoco.MjModel) -> float:
         >>> body = '<body><joint name="x" range="-1 1" limited="true" solreflimit="0.01 1"/><geom size="1"/></body>'
         >>> model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
         >>> round(settles(model), 4)
-        0.0095
+        0.01
     """
     found = [of_joint(model, k) for k in soft_limits(model).tolist()]
     with contextlib.suppress(Uncovered):  # then another simulates it
@@ -101,7 +101,8 @@ def settles(model: mujoco.MjModel) -> float:
             found.append(of_tendon(model, t, [], []))
     fastest = 0.0
     for one in found:
-        pull, half = one.numbers[Stop.PULL], one.numbers[Stop.DRAG] / 2
+        hard = max(one.numbers[Stop.FIRST], one.numbers[Stop.LAST])  # of what is wanted, as much comes about
+        pull, half = hard**2 * one.numbers[Stop.PULL], hard * one.numbers[Stop.DRAG] / 2
         fastest = max(fastest, half + math.sqrt(half**2 - pull) if half**2 > pull else math.sqrt(pull))
     return 1 / fastest if fastest > 0 else math.inf
 

@@ -83,7 +83,7 @@ class Loop:
 
         program.comment("estimator")
         before, begun = program.state("seen", np.zeros(STATE)), program.state("begun", 0.0)
-        foretold = before.part(0, 3) + self.period * before.part(3, 3)
+        foretold = (before.part(0, 3) + self.period * before.part(3, 3)).clip(-LARGEST_READING, LARGEST_READING)
         readings = usable.choose(program.join(cart, pole1, pole1 + pole2), foretold)
         seen = _expressed("estimator", self.estimator, program, readings, voltage, wanted)
         observation = seen.part(0, STATE)

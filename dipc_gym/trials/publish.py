@@ -71,8 +71,7 @@ def markdown(scores: Mapping[str, Any], *, seed: int) -> str:
     lines = [
         f"Blind trial, seed {seed}: {s['trials']} trials, {len(s['failed'])} failed "
         f"({len(s['timed_out'])} of them out of time), {len(s['broken'])} with a stage that failed inside, "
-        f"{len(s['unreplayed'])} with a model that replay refuses, "
-        f"{scores['open']} open; "
+        f"{scores['open']} open; {len(s['unreplayed'])} with a model that replay refuses; "
         f"{s['seconds_total'] / 3600:.2f} h of diagnosis in all.",
         "",
         f"| {s['clear']} trials in which the hidden moves the held-out prediction by twice the noise or more | |",
