@@ -17,9 +17,7 @@ from dipc_gym.sim2real.effects.shared.settings import LAWS
 Array = NDArray[np.float64]
 
 MOST = 16  # stretches between the knots of such a law
-FINER = (
-    32  # times as many in a table that bends nowhere else: it is off by 1/1000 of what it rises in a stretch, at most
-)
+FINER = 32  # times as many in a table that bends nowhere else: off by a thousandth of what a stretch rises by
 
 
 def dense_knots(most: float, near: float, count: int) -> Array:
