@@ -19,38 +19,18 @@ from dipc_gym.sim2real.selection.screen import Tried, excludes
 from dipc_gym.sim2real.selection.settings import SCORE, SEARCH
 
 
-def sketched(fitter: Fitter, laid: Sequence[Screened]) -> Fit | None:
+def sketched(fitter: Fitter, screened: Screened, current: Fit) -> Fit | None:
     """The best sketch with one or two kinds of effect at several joints; None where there are no two such.
 
     Two kinds are tried together whatever either gains alone: other masses and gears may do nearly as well as one kind,
     and still it may be what another kind lacks. Sketched are those whose predicted gains are largest.
 
-    On top of the nominal parameters as well, where the present ones lead nowhere near the noise: refitted without
-    friction, masses and gears of a robot may be off by factors, and no few steps bring all of them back.
-
     Args:
         fitter: fits it.
-        laid: hypotheses on top of the present fit, and maybe of others.
+        screened: hypotheses on top of the present fit.
+        current: the present fit.
     """
-    best: Fit | None = None
-    for screened in laid:
-        if best is not None and best.error < SEARCH.in_reach:
-            break
-        best = _better(best, _on_top(fitter, screened))
-    return best
-
-
-def _better(one: Fit | None, other: Fit | None) -> Fit | None:
-    """The sketch that leaves less."""
-    if one is None or other is None:
-        return one or other
-    losses = ranking.losses([one.mse, other.mse])
-    return one if losses[0] <= losses[1] else other
-
-
-def _on_top(fitter: Fitter, screened: Screened) -> Fit | None:
-    """The best sketch on top of one fit."""
-    current, by_key = screened.base, {tried.key: tried for tried in screened.tried}
+    by_key = {tried.key: tried for tried in screened.tried}
     kinds, best = _kinds(fitter, screened.tried), list[Fit]()
     alone = max((tried.predicted_gain for tried in screened.tried), default=0.0)
     for _ in range(SEARCH.kinds):

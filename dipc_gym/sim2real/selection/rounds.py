@@ -36,7 +36,7 @@ def addition(question: Question, phase: Phase, fitter: Fitter, journal: Journal)
         key=attrgetter("predicted_gain"),
         reverse=True,
     )
-    group = groups.sketched(fitter, laid) if len(question.joints) > 1 else None
+    group = groups.sketched(fitter, laid[0], current) if len(question.joints) > 1 else None
     # What a machine lacks at all its joints shows at once; one joint after the other it takes as many rounds.
     if group is not None and group.error < SEARCH.in_reach < current.error:
         together = groups.fitted(fitter, group, current)
