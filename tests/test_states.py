@@ -11,9 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dipc_gym import mjcf, physics
-from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recorder, Recording
-from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation import states
 
 CART_POLE = """
@@ -358,35 +356,6 @@ def test_a_force_on_a_follower_counts_for_its_leader() -> None:
     force, _, _ = states.unexplained_force(heavy, run, motion)
     expected = np.array([extra_force(t)[0] for t in run.time]) + 0.1 * motion.acceleration[:, 0]
     np.testing.assert_allclose(force[50:-50, 0], expected[50:-50], atol=0.1)
-
-
-@pytest.mark.parametrize(
-    ("effect", "values"),
-    [
-        ("load.swinging", {"mass": 0.4, "frequency": 1.5, "damping_ratio": 0.05}),
-        ("load.creeping", {"stiffness": 40.0, "relaxation_time": 0.5}),
-    ],
-)
-def test_what_a_load_does_that_swings_or_creeps_is_not_unexplained(effect: str, values: dict[str, float]) -> None:
-    plain = CART_POLE.format(sensors=CART + POLE, custom="", more="")
-    document = Document(mjcf.from_text(plain))
-    catalogue()[effect].edit(document, "cart", values)
-    rig, noise = physics.load(mjcf.from_text(document.text())), 1e-6
-    data, recorder = mujoco.MjData(rig.model), Recorder(["motor"], ["cart", "pole"])
-    data.joint("pole").qpos[0] = 0.6
-    for _ in range(3000):
-        command = np.array([np.sin(5 * data.time) - 0.7])
-        recorder.append(data.time, command, [data.joint(name).qpos[0] for name in ("cart", "pole")])
-        for _ in range(2):
-            rig.step(data, command)
-    run = recorder.recording("carried")
-
-    def left(of: physics.Physics) -> float:
-        motion = states.estimate(run, of, np.full(2, noise))
-        return float(np.abs(states.unexplained_force(of, run, motion).unexplained[50:-50, 0]).max())
-
-    assert left(rig) < 0.1
-    assert left(physics.load(plain)) > 1.0
 
 
 def test_forces_in_the_model_file_are_not_unexplained() -> None:

@@ -27,9 +27,9 @@ from dipc_gym.recording import Recording
 from dipc_gym.recording.held import held_mean
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.simulation.compiled import BESIDE
-from dipc_gym.sim2real.simulation.memory import bends, memories, swings
+from dipc_gym.sim2real.simulation.memory import bends, memories
 from dipc_gym.sim2real.simulation.motion import Motion
-from dipc_gym.sim2real.unseen.parts import along, loads, yielding
+from dipc_gym.sim2real.unseen.parts import along, yielding
 
 Array = NDArray[np.float64]
 
@@ -375,9 +375,9 @@ class Forces(NamedTuple):
 def unexplained_force(physics: Physics, recording: Recording, motion: Motion) -> Forces:
     """Generalised force that the motion needs beyond what the model gives, by inverse dynamics.
 
-    Joints that follow others are taken to move with them, but for loads that swing or creep, and what acts on them
-    counts for their leaders. Where a joint may rest, dry friction holds what it is asked to, up to its level: nothing
-    is unexplained there that it can hold.
+    Joints that follow others are taken to move with them, loads that swing among them, and what acts on them counts
+    for their leaders. Where a joint may rest, dry friction holds what it is asked to, up to its level: nothing is
+    unexplained there that it can hold.
     """
     model, out = copy.copy(physics.model), mjcf.spread_out(physics.model)  # others simulate the model as well
     data = mujoco.MjData(model)
@@ -394,7 +394,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     time, sent = motion.time.tolist(), data.ctrl[: recording.commands.shape[1]]
     qpos, qvel, qacc, act = data.qpos, data.qvel, data.qacc, data.act
     inverse, actuator, bias = data.qfrc_inverse, data.qfrc_actuator, data.qfrc_bias
-    every = _with_loads(physics, motion.spread(out))
+    every = motion.spread(out)
     position, velocity, acceleration = every.position, every.velocity, every.acceleration
     rests = _rests(motion)
     still = set(np.flatnonzero(rests.any(axis=1)).tolist())
@@ -443,23 +443,6 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     moving = -level_at * np.sign(motion.velocity)  # it is in what was needed already
     friction = np.where(rests.any(axis=1, keepdims=True), resisting, moving)
     return Forces(lacking - resisting, (driven + biased) @ out, friction)
-
-
-def _with_loads(physics: Physics, every: Motion) -> Motion:
-    """The motion of all joints, with loads where those that carry them have brought them."""
-    model, found = physics.model, loads(physics.model)
-    if not found:
-        return every
-    leaders = mjcf.followers(model)
-    position, velocity, acceleration = every.position.copy(), every.velocity.copy(), every.acceleration.copy()
-    for name, load in found.items():
-        springs, drag, ground = load.held(model)
-        apart, faster = swings([physics], load, int(model.joint(leaders[name]).dofadr[0]), every, every.time)[:, 0]
-        position[:, load.at] += apart
-        velocity[:, load.at] += faster
-        pull = sum((spring.pull(apart) for spring in springs), np.zeros(len(apart)))
-        acceleration[:, load.at] = -(pull + drag * faster + ground * velocity[:, load.at])
-    return replace(every, position=position, velocity=velocity, acceleration=acceleration)
 
 
 def _rests(motion: Motion) -> NDArray[np.bool_]:
