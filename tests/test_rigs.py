@@ -25,7 +25,7 @@ from dipc_gym.engine.ensemble import WIDTH
 from dipc_gym.engine.values import POINTER, exp, sin_cos
 from dipc_gym.env import DoublePendulumEnv
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.plant import PlantError
+from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
 from dipc_gym.rigs.numbers import PlantNumbers
 from dipc_gym.rigs.rig import Rig
@@ -154,14 +154,20 @@ def test_numbers_of_plants_are_those_that_reading_the_model_gives(seed: int) -> 
     np.testing.assert_allclose(PlantNumbers(rig, structure, nominal[0]).of([plant])[0], read[0], rtol=1e-12, atol=1e-15)
 
 
+def written_as_read(env: DoublePendulumEnv, plant: Plant) -> None:
+    """Numbers of another plant that are written over those of a model are those that reading it anew gives."""
+    structure, nominal = program.read([env.rig.endless])
+    _, read = program.read([Rig.of(env.source, plant).endless])
+    assert not np.array_equal(nominal, read)
+    found = PlantNumbers(env.rig, structure, nominal[0]).of([plant])[0]
+    np.testing.assert_allclose(found, read[0], rtol=1e-12, atol=1e-15)
+
+
 def test_a_geared_motor_s_damping_and_armature_change_with_the_pulley(tmp_path: Path) -> None:
     model = edited(tmp_path, '<dcmotor name="motor"', '<dcmotor name="motor" armature="1e-5" damping="1e-4"')
     env = DoublePendulumEnv(model=model)
-    rig, plant = env.rig, dataclasses.replace(env.plant, motor=dataclasses.replace(env.plant.motor, pulley_radius=0.02))
-    structure, nominal = program.read([rig.endless])
-    _, read = program.read([Rig.of(env.source, plant).endless])
-    assert not np.array_equal(nominal, read)
-    np.testing.assert_allclose(PlantNumbers(rig, structure, nominal[0]).of([plant])[0], read[0], rtol=1e-12, atol=1e-15)
+    plant = dataclasses.replace(env.plant, motor=dataclasses.replace(env.plant.motor, pulley_radius=0.02))
+    written_as_read(env, plant)
 
 
 @pytest.mark.parametrize("more", ["winding", 1, 2, 3])
@@ -176,7 +182,7 @@ def test_numbers_of_plants_go_where_reading_a_model_that_says_more_puts_them(mor
     model = tmp_path / "rig.xml"
     model.write_text(document.text())
     env = DoublePendulumEnv(model=model, engine="compiled")
-    rig, own = env.rig, env.plant
+    own = env.plant
     assert own.motor is not None
     assert own.friction is not None
     plant = dataclasses.replace(
@@ -184,10 +190,7 @@ def test_numbers_of_plants_go_where_reading_a_model_that_says_more_puts_them(mor
         motor=dataclasses.replace(own.motor, resistance=1.7, constant=0.05, pulley_radius=0.011),
         friction=dataclasses.replace(own.friction, coulomb=5.0, static=7.0),
     )
-    structure, nominal = program.read([rig.endless])
-    _, read = program.read([Rig.of(env.source, plant).endless])
-    assert not np.array_equal(nominal, read)
-    np.testing.assert_allclose(PlantNumbers(rig, structure, nominal[0]).of([plant])[0], read[0], rtol=1e-12, atol=1e-15)
+    written_as_read(env, plant)
 
 
 def test_a_supply_that_drives_one_way_is_refused(tmp_path: Path) -> None:
