@@ -18,6 +18,7 @@ from dipc_gym.engine import program
 from dipc_gym.engine.run import Commands, Jobs
 from dipc_gym.engine.run import run as engine_run
 from dipc_gym.physics import entries, formulas
+from dipc_gym.sim2real.simulation.compiled import left_to_mujoco
 
 MASS = 2.0
 
@@ -28,6 +29,7 @@ def cart(
     timestep: float = 1e-3,
     clock: str = '<clock name="clock"/>',
     motor: str = "",
+    loads: str = "",
 ) -> physics.Physics:
     """A mass on a rail, a force motor, its position sensed."""
     return physics.load(f"""
@@ -40,7 +42,7 @@ def cart(
               <joint name="cart" type="slide" axis="{axis}" solreffriction="0.002 1"/>
             </body>
           </worldbody>
-          <actuator><motor name="motor" joint="cart" {motor}/></actuator>
+          <actuator><motor name="motor" joint="cart" {motor}/>{loads}</actuator>
           <sensor>
             {clock}
             <jointpos name="x" joint="cart"/>
@@ -134,6 +136,14 @@ def test_friction_under_load_grows_with_what_the_joint_carries() -> None:
     weight, force = MASS * 9.81, 40.0
     friction = 1.0 + 0.1 * (force + weight)  # the motor pushes up, the weight down, the gear carries both
     assert run(lift, force, 300).qvel[0] == pytest.approx((force - weight - friction) / MASS * 0.3, rel=0.01)
+
+
+def test_what_nobody_commands_is_no_drive_that_friction_under_load_grows_with() -> None:
+    """A load in an actuator's clothes pulls with 5 N; where the engine said otherwise, a sentence would tell."""
+    cogs = '<dcmotor name="load" joint="cart" input="none" motorconst="0 0" resistance="1" cogging="5 0 1.571"/>'
+    rig = cart(entry("friction.load", "cart", 1.0, 0.1, 0.0), clock="", loads=cogs)
+    assert run(rig, 40.0, 300).qvel[0] == pytest.approx((40.0 + 5.0 - 1.0 - 0.1 * 40.0) / MASS * 0.3, rel=0.01)
+    assert not left_to_mujoco(rig)
 
 
 @given(st.floats(-1, 1), st.floats(-50, 50), st.floats(-50, 50))
@@ -318,7 +328,7 @@ def test_a_batch_of_variants_equals_single_simulations_bit_for_bit() -> None:
     many = physics.stack(variants, which)
     sims = batch.Batch(variants[0].model, n, 1)
     friction, sensed = sims.expand("dof_frictionloss"), sims.bind("sensordata")
-    sims.bind("qfrc_actuator"), sims.bind("qfrc_bias")
+    sims.bind("qfrc_actuator"), sims.bind("actuator_force"), sims.bind("qfrc_bias")
     sims.qpos[:] = first
     sims.forward()
     memory = many.sensor_memory(sensed.copy())

@@ -44,20 +44,18 @@ class Attached:
             q, v = self.states[k], self.states[code.sum(self.joints, k)]
             forces[k] = -(_pull(own, Joint.STIFFNESS, q - own[Joint.REST]) + _drag(own, Joint.DAMPING, v))
 
-    def by_elements(self, forces: Numbers, drives: Numbers, rates: Numbers, passive: Numbers | None = None) -> None:
+    def by_elements(self, forces: Numbers, drives: Numbers, rates: Numbers, passive: Numbers) -> None:
         """Add the forces of actuators and tendons, contacts left out.
 
         Args:
             forces: on joints, (n,).
             drives: those of actuators alone, (n,).
             rates: of the states; those of hidden ones are set.
-            passive: those of actuators that take no command, (n,), where somebody asks for them.
+            passive: those of actuators that nobody commands, (n,).
         """
         code = self.code
         with code.count(self.joints) as k:
-            drives[k] = 0.0
-            if passive is not None:
-                passive[k] = 0.0
+            drives[k], passive[k] = 0.0, 0.0
         with self.elements() as element:
             kind = code.whole(element, Element.KIND)
             own = self.numbers.since(code.whole(element, Element.NUMBERS))
@@ -66,9 +64,8 @@ class Attached:
                 force = self._actuator(element, kind, own, length, speed, rates)
                 self.push(element, own.since(Force.SIZE), force, drives)
                 self.push(element, own.since(Force.SIZE), force, forces)
-                if passive is not None:
-                    with code.when(code.below(code.whole(element, Element.CONTROL), 0)):
-                        self.push(element, own.since(Force.SIZE), force, passive)
+                with code.when(code.below(code.whole(element, Element.CONTROL), 0)):
+                    self.push(element, own.since(Force.SIZE), force, passive)
             with code.when(code.equal(kind, int(Kind.SPRING))):
                 length, speed = self.reach(element, own.since(Spring.SIZE))
                 over, under = length - own[Spring.HIGHEST], length - own[Spring.LOWEST]
@@ -79,7 +76,7 @@ class Attached:
                 self._yield(element, own, forces, rates)
             with code.when(code.equal(kind, int(Kind.RAMPS))):
                 force = self._ramps(element, own)
-                for into in (drives, forces, *([] if passive is None else [passive])):
+                for into in (drives, forces, passive):
                     self.push(element, own, force, into)
 
     def _ramps(self, element: ir.Value, own: Numbers) -> Value:

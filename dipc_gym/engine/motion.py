@@ -63,6 +63,7 @@ class _Rates:
         self.speeds = self.states.since(self.n)
         self.accelerations = self.rates.since(self.n)
         self.forces, self.drives = code.scratch(JOINTS), code.scratch(JOINTS)
+        self.passive = self.holding if code.width else code.scratch(JOINTS)
         self.bias = code.scratch(JOINTS)
         self.total = code.scratch(JOINTS)
         self.slope = code.scratch(JOINTS)
@@ -88,7 +89,7 @@ class _Rates:
         with code.count(n) as k:
             self.rates[k] = self.speeds[k]
         self.attached.on_joints(self.forces)
-        self.attached.by_elements(self.forces, self.drives, self.rates, self.holding if code.width else None)
+        self.attached.by_elements(self.forces, self.drives, self.rates, self.passive)
         with code.when(code.equal(code.whole(self.program, Head.BOUNDED), 1)), code.count(n) as k:
             driven = minimum(maximum(self.drives[k], self.own(k, Joint.WEAKEST)), self.own(k, Joint.STRONGEST))
             self.forces[k] = self.forces[k] + (driven - self.drives[k])
@@ -131,7 +132,7 @@ class _Rates:
                     inputs=tuple(self._seen(one) for one in inputs),
                     time=self.time[0],
                     position=self.states[joint],
-                    drive=self.drives[joint],
+                    drive=self.drives[joint] - self.passive[joint],
                     weight=self.bias[joint],
                     value=code.value(0.0),
                     memory=self.states[code.at.select(code.below(memory, 0), integer(0), memory)],

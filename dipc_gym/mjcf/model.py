@@ -145,10 +145,28 @@ def units(model: mujoco.MjModel, joint: str | int) -> Units:
 
 def passive_actuators(model: mujoco.MjModel) -> list[int]:
     """Numbers of the actuators that nobody commands: friction, cogging and other forces in an actuator's clothes."""
-    commanded = len(controls(model))
-    return [
-        i for i in range(model.nactuator) if model.actuator_ctrlnum[i] == 0 or model.actuator_ctrladr[i] >= commanded
+    first = commanded(model)
+    return [i for i in range(model.nactuator) if model.actuator_ctrlnum[i] == 0 or model.actuator_ctrladr[i] >= first]
+
+
+def passive_moments(model: mujoco.MjModel) -> tuple[list[int], Array]:
+    """What a unit of force of each actuator that nobody commands does at the joints, the same wherever these are.
+
+    Args:
+        model: compiled, its actuators on joints and fixed tendons.
+
+    Returns:
+        Where their forces stand in `data.actuator_force`, and forces at the joints, (those, nv).
+    """
+    at = [
+        int(model.actuator_outadr[i]) + k
+        for i in passive_actuators(model)
+        for k in range(int(model.actuator_outnum[i]))
     ]
+    data, moments = mujoco.MjData(model), np.zeros((model.nout, model.nv))
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    return at, moments[at]
 
 
 def followers(model: mujoco.MjModel) -> dict[str, str]:

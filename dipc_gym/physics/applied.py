@@ -62,6 +62,10 @@ class Physics:
         """Least and most of each control that its actuator takes, (..., nu) each: more of it acts nowhere."""
         return self.ranges or mjcf.command_ranges(self.model)
 
+    @functools.cached_property
+    def _passive(self) -> tuple[list[int], Array]:
+        return mjcf.passive_moments(self.model)
+
     @property
     def pressed(self) -> bool:
         """Whether dry friction may depend on the forces at its joint, and not on where it is alone."""
@@ -140,8 +144,10 @@ class Physics:
         j, time = extra.index, state.time + step / 2
         speed = state.qvel[..., j]
         q = state.qpos[..., self.model.jnt_qposadr[self.model.dof_jntid[j]]] + step / 2 * speed
-        if extra.stage == "friction":
-            now = moment(time, q, state.qfrc_actuator[..., j], state.qfrc_bias[..., j])
+        if extra.pressed:
+            passive, moments = self._passive
+            drive = state.qfrc_actuator[..., j] - state.actuator_force[..., passive] @ moments[:, j]
+            now = moment(time, q, drive, state.qfrc_bias[..., j])
         else:
             now = moment(time, q)
         inputs = self._seen(extra, state, step) if extra.inputs else ()

@@ -21,7 +21,8 @@ class Moment:
     Attributes:
         time: simulation time, s, (...).
         position: position of the joint it acts on, m or rad, (...); zeros for commands and sensors.
-        drive: force of the actuators on the joint, N or N m, (...).
+        drive: force of the motors on the joint, N or N m, (...); what actuators exert that nobody commands, loads and
+            friction in an actuator's clothes, is not theirs.
         weight: force that gravity and the motion of other joints ask of it, MuJoCo's bias, N or N m, (...).
         value: the command or the reading to change, (...); zeros for forces and friction.
         speed: velocity of the joint it acts on, m/s or rad/s, (...); zeros for commands and sensors.

@@ -64,7 +64,7 @@ class MujocoRigs:
         self._level = self.sims.expand("dof_frictionloss") if rig.physics.stage("friction") else np.zeros((n, 0))
         self._applied = self.sims.bind("qfrc_applied") if rig.physics.stage("force") else np.zeros((n, 0))
         if rig.physics.pressed:
-            self.sims.bind("qfrc_actuator"), self.sims.bind("qfrc_bias")
+            self.sims.bind("qfrc_actuator"), self.sims.bind("actuator_force"), self.sims.bind("qfrc_bias")
         if rig.physics.remembering:
             self.sims.bind("qacc")
 

@@ -390,6 +390,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     model.tendon_stiffness[slips] = 0.0  # how far these are bent, the motion before says
     gaps = np.diff(motion.time, prepend=motion.time[0])
     needed, driven, biased = np.empty((3, n, model.nv))
+    exerted = np.empty((n, model.nout))
     held = np.zeros((n, model.nv))
     time, sent = motion.time.tolist(), data.ctrl[: recording.commands.shape[1]]
     qpos, qvel, qacc, act = data.qpos, data.qvel, data.qacc, data.act
@@ -408,16 +409,15 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
         if model.na:
             act[:] += data.act_dot * _relaxed(model, data, gaps[k])
             mujoco.mj_fwdActuation(model, data)
-        driven[k], biased[k] = actuator, bias
+        driven[k], exerted[k], biased[k] = actuator, data.actuator_force, bias
         if not dry:
             qacc[:] = acceleration[k]
             mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
             needed[k] = inverse
             if k in still:
                 _hold(data, held[k])
-    moments = SimpleNamespace(
-        time=motion.time, qpos=position, qvel=velocity, ctrl=commands, qfrc_actuator=driven, qfrc_bias=biased
-    )
+    moments = SimpleNamespace(time=motion.time, qpos=position, qvel=velocity, ctrl=commands)
+    moments.qfrc_actuator, moments.actuator_force, moments.qfrc_bias = driven, exerted, biased
     moments.userdata = np.zeros((n, model.nuserdata))
     for which, law in enumerate(physics.remembering):
         kept = memories([physics], which, late[None], recording, motion, motion.time)

@@ -294,10 +294,12 @@ class _Runs:
         forces = np.zeros((sims.nsim, sims.model.nv))
         level = sims.expand("dof_frictionloss") if dry is None else dry.level
         if physics.stage("friction"):
-            sims.bind("qfrc_actuator"), sims.bind("qfrc_bias"), sims.bind("qacc")
+            sims.bind("qacc")
         if physics.remembering:
             sims.bind("qacc")
         pressed = physics.pressed
+        if pressed:
+            sims.bind("qfrc_actuator"), sims.bind("actuator_force"), sims.bind("qfrc_bias")
         if dry is not None:
             dry.begin()
         for k in range(nstep):
