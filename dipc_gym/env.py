@@ -424,6 +424,8 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             self._qvel[address] = value
         for qpos, led_by, dof, driven_by in self._rig.ties:
             self._qpos[qpos], self._qvel[dof] = self._qpos[led_by], self._qvel[driven_by]
+        for address, along in self._rig.slips:  # unbent where the episode begins
+            self._data.plastic[address : address + 2] = np.dot(along, self._data.qpos)
         mujoco.mj_forward(self._rig.model, self._data)
         if self._compiled is not None:
             self._compiled.begin(state)

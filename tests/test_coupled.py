@@ -10,9 +10,10 @@ from sim2real_rigs import RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
-from dipc_gym.recording import write
+from dipc_gym.recording import Recording, write
 from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.estimation.fit import fit
+from dipc_gym.sim2real.estimation.unexplained import Scene
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
@@ -197,3 +198,22 @@ def test_what_remembers_acts_on_a_joint_that_is_led_as_on_one_that_leads(
     (tmp_path / "gripper.xml").write_text(document.text())
     seen = replay(tmp_path / "gripper.xml", write(run, tmp_path / "run.csv"), step=5e-4)
     assert seen.error < 1.5
+
+
+def test_evidence_of_a_finger_that_follows_is_that_of_the_one_that_leads_it() -> None:
+    """Another joint with the larger mismatch is none of its business."""
+    beside = (
+        '<body><joint name="far" type="slide" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+    )
+    sensors = "".join(SENSOR.format(name) for name in ("left", "right", "far"))
+    text = gripper(sensors=sensors).replace("</worldbody>", f"{beside}</worldbody>")
+    model, n = mjcf.compile(text), 50
+    rng = np.random.default_rng(0)
+    motion, force = rng.normal(size=(n, 2)), rng.normal(size=(n, 2)) * [1.0, 1e3]
+    names = ["left", "right", "far"]
+    run = Recording("run", 0.001 * np.arange(n), np.zeros((n, 1)), np.zeros((n, 3)), ["left_drive"], names)
+    seen = Scene(model, (run,), run.time, motion, 2 * motion, force, force, 0 * force, np.ones(2))
+    leads, follows = seen.at("sensor", "left", {}), seen.at("sensor", "right", {})
+    assert follows.position == pytest.approx(-0.5 * leads.position)
+    assert follows.force == pytest.approx(-2 * leads.force)
+    assert follows.inertia == pytest.approx(4 * leads.inertia)

@@ -714,6 +714,11 @@ def test_a_sentence_says_that_a_model_diverges() -> None:
     assert not re.search(r"\b(nan|inf)\b", said)
 
 
+def test_a_sentence_says_nothing_of_the_motion_of_a_sensor_that_rests() -> None:
+    still = SensorFit("arm", "rad", 1e-3, 0.0, Errors(0.05, 0.02, 0.001))
+    assert sentences.in_units([still]) == "from 2.86 to 0.0573 degrees at arm"
+
+
 def test_a_parameter_further_off_than_plausible_is_told_and_can_be_allowed() -> None:
     """A mass of 1.26 kg where the model has 0.7: half as much again is as far as a refit goes unasked."""
     light, runs = mjcf.from_text(NOMINAL.replace('mass="1.26"', 'mass="0.7"')), [run(3, 12, 0.0)]

@@ -25,6 +25,7 @@ from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.friction_load_law import UnderLoadOfAnyLaw
+from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.effects.friction_resting_law import RestingOfAnyLaw
 from dipc_gym.sim2real.effects.load_creeping import _stretch
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
@@ -33,6 +34,7 @@ from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.motor_sag_law import SagOfAnyLaw
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
 from dipc_gym.sim2real.effects.shared.base import Evidence, Parameter
+from dipc_gym.sim2real.effects.shared.drives import drive_of
 from dipc_gym.sim2real.effects.shared.law import Law
 from dipc_gym.sim2real.effects.shared.surfaces import Surface
 from dipc_gym.sim2real.effects.shared.waves import waves
@@ -367,6 +369,61 @@ def test_a_supply_sags_where_a_command_is_a_voltage_or_a_force(drive: str, sags:
         <actuator>{drive}</actuator></mujoco>"""
     )
     assert catalogue()["motor.sag"].fits(model, "drive") == sags
+
+
+@pytest.mark.parametrize("effect", ["friction.stribeck", "friction.stribeck:presliding", "friction.asymmetric:viscous"])
+def test_what_a_drive_gives_is_told_apart_from_friction_beside_it(effect: str) -> None:
+    """An actuator that stands for friction drives nothing, and takes no supply."""
+    document = Document(
+        mjcf.from_text(
+            """<mujoco><worldbody><body><joint name="cart" type="slide"/>
+            <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+            <actuator><motor name="drive" joint="cart" gear="2"/></actuator></mujoco>"""
+        )
+    )
+    known = catalogue()[effect]
+    known.edit(document, "cart", {p.name: 2.0 + k for k, p in enumerate(known.parameters)})
+    model = mjcf.compile(document.text())
+    assert drive_of(model, "drive") == (2.0, 0.0)
+    assert catalogue()["motor.sag"].fits(model, "drive")
+
+
+@pytest.mark.parametrize("delay", ["", 'delay="0.01" nsample="8"'])
+def test_more_of_what_a_model_has_is_not_in_proportion_to_all_of_it(delay: str) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><body><joint name="cart" type="slide"/><geom size="0.1"/></body></worldbody>
+        <actuator><motor name="drive" joint="cart" {delay}/></actuator></mujoco>"""
+    )
+    time = np.linspace(0.0, 1.0, 100)
+    still = np.zeros(100)
+    seen = Evidence(model, still, time, time, still, time, np.sin(time), still, 1.0, 1.0, 0.01, at="drive")
+    linear = {effect.linear for effect, _ in catalogue()["timing.delay"].proposals(seen)}
+    assert linear == ({()} if delay else {("delay",)})
+
+
+def test_a_saturation_stays_within_a_range_that_the_joint_gives() -> None:
+    """`inheritrange` takes the joint's range for that of the command."""
+    text = """<mujoco><worldbody><body><joint name="a" range="-1 1"/><geom size="0.1"/></body></worldbody>
+        <actuator><position name="servo" joint="a" kp="9" inheritrange="1"/></actuator>
+        <compiler angle="radian" autolimits="true"/></mujoco>"""
+    model, time = mjcf.compile(text), np.linspace(0.0, 1.0, 100)
+    still = np.zeros(100)
+    seen = Evidence(model, still, time, time, still, time, 3 * np.sin(time), still, 1.0, 1.0, 0.01, at="servo")
+    document, (known, _) = Document(mjcf.from_text(text)), catalogue()["motor.saturation"].proposals(seen)[0]
+    known.edit(document, "servo", {"limit": 1.4})
+    assert mjcf.compile(document.text()).actuator_ctrlrange[0] == pytest.approx([-1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("knots", "levels", "passive"),
+    [([-1.0, 0.5], [1.0, -1.0], False), ([-1.0, 0.0, 0.5], [1.0, 0.0, -1.0], True), ([0.1, 0.5], [-1.0, -2.0], True)],
+)
+def test_a_law_is_called_passive_where_it_drives_at_no_speed(
+    knots: list[float], levels: list[float], passive: bool
+) -> None:
+    law = UnknownForce(Surface(("velocity cart",), (np.array(knots),), np.array(levels)), 1.0, ("m/s",), "cart")
+    (level, *_) = law.parameters
+    assert law.law_of(law.first, {level.name: "N"})["passive"] is passive
 
 
 # Rotors of their own
@@ -765,3 +822,18 @@ def test_a_catalogue_that_was_not_read_to_its_end_is_read_again(monkeypatch: pyt
         with pytest.raises(KeyboardInterrupt):
             catalogue()
     assert list(catalogue()) == whole
+
+
+def test_a_law_is_told_as_it_is_written_where_its_table_was_made_longer() -> None:
+    """Knots that then lie between the even places of the file's entry are cut off there."""
+    knots = np.linspace(0.0, 1.0, 65)
+    law = FrictionOfPosition(knots.tolist(), (1.0 + 2.0 * (np.arange(65) == 31)).tolist())
+    longer, values = law.reaching(law.guess, [(0.0, 1.13)]) or pytest.fail("it goes no further")
+    document = Document(mjcf.from_text(CART))
+    longer.edit(document, "cart", values)
+    first, last, *levels = np.array(document.root.find("custom/numeric").get("data").split(), dtype=float)
+    told = longer.law_of(values, {"value_1": "N"})
+    places = np.linspace(first, last, len(levels))
+    said = np.interp(places, told["table"]["inputs"][0]["knots"], told["table"]["levels"])
+    assert said == pytest.approx(np.array(levels), abs=1e-9)
+    assert law.law_of(law.guess, {"value_1": "N"})["table"]["inputs"][0]["knots"] == pytest.approx(knots)

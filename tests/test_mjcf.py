@@ -543,3 +543,40 @@ def test_an_actuator_that_integrates_is_refused_and_one_that_follows_is_known() 
             continue
         mjcf.check_supported(model, "rig.xml")
         assert mjcf.slowest_activation(model) == pytest.approx(longest)
+
+
+# Delays
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
+@pytest.mark.parametrize("interp", ["zoh", "linear"])
+@pytest.mark.parametrize("delay", [0.0, 0.0007, 0.002, 0.0133, 0.014])
+def test_how_late_commands_act_is_what_mujoco_makes_of_it(integrator: str, interp: str, delay: float) -> None:
+    """The momentum of a mass under a ramp of commands tells, once the history holds it."""
+    step, mass = 0.002, 0.5
+    model = mjcf.compile(
+        f"""<mujoco><option timestep="{step}" integrator="{integrator}" gravity="0 0 0"/><worldbody><body>
+        <joint name="x" type="slide"/><inertial pos="0 0 0" mass="{mass}" diaginertia="1 1 1"/></body></worldbody>
+        <actuator><motor name="drive" joint="x" delay="{delay}" interp="{interp}" nsample="12"/></actuator></mujoco>"""
+    )
+    data, momentum = mujoco.MjData(model), []
+    for k in range(60):
+        data.ctrl[0] = k * step  # held for the step: without delay, this is what acts
+        mujoco.mj_step(model, data)
+        momentum.append(mass * data.qvel[0])
+    acted = (momentum[-1] - momentum[19]) / step  # the sum of what acted in steps 20 to 59
+    assert sum(k * step for k in range(20, 60)) - acted == pytest.approx(
+        40 * mjcf.control_delays(model, stepped=True)[0], abs=1e-9
+    )
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "RK4"])
+@given(delay=st.floats(0.0, 0.05))
+def test_a_delay_that_a_file_is_given_is_the_one_that_it_has(integrator: str, delay: float) -> None:
+    said = mjcf.with_delay(delay, 0.002, integrator)
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="0.002" integrator="{integrator}"/><worldbody><body>
+        <joint name="x" type="slide"/><geom size="0.1"/></body></worldbody>
+        <actuator><motor joint="x" delay="{said}" interp="linear" nsample="40"/></actuator></mujoco>"""
+    )
+    assert mjcf.control_delays(model)[0] == pytest.approx(delay, abs=1e-12)

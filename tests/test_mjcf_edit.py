@@ -16,6 +16,7 @@ import dipc_gym
 from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document, text
 from dipc_gym.sim2real.effects import catalogue
+from dipc_gym.sim2real.effects.shared.base import passive_ramp
 from dipc_gym.sim2real.model.parameters import fixed_masses, model_parameters
 
 RIG = Path(dipc_gym.__file__).with_name("rig.xml")
@@ -415,3 +416,49 @@ def test_a_servo_has_its_gains_for_parameters_and_keeps_its_gear() -> None:
     np.testing.assert_allclose(written.actuator_gainprm[:4, 0], 60.0)
     np.testing.assert_allclose(written.actuator_biasprm[:2, 1:3], [[-60.0, 0.0], [-60.0, -4.0]])
     np.testing.assert_array_equal(written.actuator_gear, model.actuator_gear)
+
+
+# Default classes that give an actuator's numbers by a shortcut
+
+
+@pytest.mark.parametrize(
+    "shortcut",
+    [
+        '<position kp="50" kv="3"/>',
+        '<position kp="50" timeconst="0.1"/>',
+        '<dcmotor motorconst="0.1" resistance="1" inductance="0.01"/>',
+        '<velocity kv="7"/>',
+    ],
+)
+def test_a_force_in_an_actuators_clothes_is_the_same_whatever_defaults_say(shortcut: str) -> None:
+    document = Document(
+        mjcf.from_text(
+            f"""<mujoco><default>{shortcut}</default><worldbody><body><joint name="x" type="slide"/>
+            <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+            <actuator><motor name="drive" joint="x" gear="2"/></actuator></mujoco>"""
+        )
+    )
+    passive_ramp(document, "drag", "x", (0.0, 0.0, -3.0), (-9.0, 9.0))
+    catalogue()["motor.inductance"].edit(document, "drive", {"time_constant": 0.01})
+    model = mjcf.compile(document.text())
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0], data.ctrl[0] = 0.4, 1.5, 1.0
+    data.act[:] = 1.0
+    mujoco.mj_forward(model, data)
+    drive, drag = (float(data.actuator_force[k]) for k in range(2))
+    assert (drive, drag) == (pytest.approx(1.0), pytest.approx(-4.5))
+    assert model.na == 1
+
+
+def test_a_joint_that_the_text_does_not_hold_is_refused_with_how_to_write_it_out() -> None:
+    text = (
+        '<mujoco><worldbody><replicate count="2" offset="0 1 0"><body><joint name="j"/><geom size="0.1"/></body>'
+        "</replicate></worldbody></mujoco>"
+    )
+    source = mjcf.from_text(text)
+    with pytest.raises(mjcf.MjcfError, match=r"no joint named 'j0' stands in the text; <replicate>.*MjSpec.from_file"):
+        Document(source).check_written_out(mjcf.compile(source))
+    spec = mujoco.MjSpec.from_string(text)
+    spec.compile()
+    out = mjcf.from_text(spec.to_xml())
+    Document(out).check_written_out(mjcf.compile(out))

@@ -471,3 +471,25 @@ def test_a_batch_that_is_to_draw_is_refused_in_words() -> None:
     with pytest.raises(ValueError, match="render_mode is 'rgb_array'; the batch draws nothing"):
         batched(2, render_mode="rgb_array")
     batched(2, render_mode=None)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "compiled"])
+def test_springs_that_yield_are_unbent_where_an_episode_begins(engine: str, tmp_path: Path) -> None:
+    """MuJoCo has them unbent at 0, from where a cart that begins elsewhere is thrown."""
+    slips = (
+        '<tendon><fixed stiffness="3000 0 0" springlength="0" springyield="0.001"><joint joint="cart" coef="1"/>'
+        "</fixed></tendon><keyframe>"
+    )
+    text = DoublePendulumEnv().source.text
+    assert "<keyframe>" in text
+    model = tmp_path / "improved.xml"
+    model.write_text(text.replace("<keyframe>", slips))
+    begin = {"state": (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)}
+    env = DoublePendulumEnv(model=model, engine=engine)
+    env.reset(seed=0, options=begin)
+    env.step([0.0])
+    envs = DIPCFrictionVectorEnv(2, model=model, engine=engine)
+    envs.reset(seed=0, options=begin)
+    envs.step(np.zeros((2, 1)))
+    for x, *_, v, _, _ in (env.state, *envs.state):
+        assert (x, v) == (pytest.approx(0.2, abs=1e-4), pytest.approx(0.0, abs=1e-3))

@@ -4,6 +4,7 @@ from dipc_gym.mjcf.model import (
     INPUTS,
     PREFIX,
     Units,
+    along,
     base_joints,
     check_supported,
     command_ranges,
@@ -26,6 +27,8 @@ from dipc_gym.mjcf.model import (
     texts,
     touching_pair,
     units,
+    with_delay,
+    yielding,
 )
 from dipc_gym.mjcf.scan import MjcfError
 from dipc_gym.mjcf.source import Source, as_source, compile, from_text, quiet_mujoco, read
@@ -36,6 +39,7 @@ __all__ = [
     "MjcfError",
     "Source",
     "Units",
+    "along",
     "as_source",
     "base_joints",
     "check_supported",
@@ -63,4 +67,6 @@ __all__ = [
     "texts",
     "touching_pair",
     "units",
+    "with_delay",
+    "yielding",
 ]

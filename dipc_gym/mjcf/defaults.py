@@ -21,11 +21,18 @@ _ACTUATORS = frozenset(
         "plugin",
     ]
 )
+# What stands for all of these numbers: it sets the others by a rule of its own.
+_GENERAL = frozenset(["general", "plugin"])
+_IN_GENERAL = frozenset(["gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm", "actdim"])
 _TENDONS = frozenset(["fixed", "spatial", "tendon"])
 
 
 def effective(root: ET.Element, element: ET.Element, attribute: str, default: str = "") -> str:
-    """An attribute of an element of a model's tree: its own, or what the default classes give it."""
+    """An attribute of an element of a model's tree: its own, or what the default classes give it.
+
+    Of a gain, a bias and dynamics that a shortcut such as `<position kp="9"/>` in a default class gives, nothing is
+    told: it is empty.
+    """
     if attribute in element.attrib:
         return element.attrib[attribute]
     if root.find("default") is None:  # most files; a parent of every element is asked for below
@@ -35,6 +42,8 @@ def effective(root: ET.Element, element: ET.Element, attribute: str, default: st
         for entry in reversed(defaults):
             if entry.tag in tags and attribute in entry.attrib:
                 return entry.attrib[attribute]
+            if tags is _ACTUATORS and attribute in _IN_GENERAL and entry.tag in _ACTUATORS - _GENERAL:
+                return ""
     return default
 
 

@@ -14,6 +14,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Sequence
 from xml.parsers import expat
 
+import mujoco
+
 from dipc_gym.mjcf.defaults import effective
 from dipc_gym.mjcf.model import FOLLOWS, INPUTS, PASSIVE, PREFIX
 from dipc_gym.mjcf.scan import MjcfError
@@ -123,6 +125,24 @@ class Document:
     def actuator_names(self) -> list[str]:
         """Actuators that stand in the text under a name."""
         return [name for e in self.root.iterfind("actuator/*") if (name := e.get("name"))]
+
+    def check_written_out(self, model: mujoco.MjModel) -> None:
+        """Refuse a text that does not hold the joints and actuators of its model, so that none of them can be edited.
+
+        Raises:
+            MjcfError: one is made by `<replicate>` or `<attach>`.
+        """
+        for kind, count, there in (
+            ("joint", model.njnt, self.joint_names()),
+            ("actuator", model.nactuator, self.actuator_names()),
+        ):
+            made = [name for k in range(count) if (name := getattr(model, kind)(k).name) and name not in there]
+            if made:
+                out = f"spec = mujoco.MjSpec.from_file({self.source.name!r}); spec.compile(); print(spec.to_xml())"
+                raise MjcfError(
+                    f"{self.source.name}: no {kind} named {made[0]!r} stands in the text; <replicate> or <attach> "
+                    f"makes it, so that no physics could be written there. Write the model out: `{out}`"
+                )
 
     def _named(self, elements: Iterator[ET.Element] | Iterable[ET.Element], kind: str, name: str) -> ET.Element:
         for element in elements:

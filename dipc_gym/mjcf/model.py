@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.scan import MjcfError
 
 Array = NDArray[np.float64]
+
+_WHOLE = 1e-9  # of a step, by which a whole number of them may be missed by rounding
 
 PREFIX = "dipc_gym"  # of what `<custom>` holds for this package
 
@@ -39,13 +42,54 @@ def command_ranges(model: mujoco.MjModel) -> tuple[Array, Array]:
     return low, high
 
 
-def control_delays(model: mujoco.MjModel) -> Array:
-    """By how much each control acts later than it is given, s, (nu,)."""
-    delays = np.zeros(model.nu)
-    for i in range(model.nactuator):
-        first = int(model.actuator_ctrladr[i])
-        delays[first : first + int(model.actuator_ctrlnum[i])] = model.actuator_delay[i]
+def control_delays(model: mujoco.MjModel, *, stepped: bool = False) -> Array:
+    """By how much each control acts later than it is given, s, (nu,), by the model's integrator.
+
+    The Runge-Kutta method asks for commands of the middle and the end of a step as well, which are newer ones.
+
+    Args:
+        model: compiled.
+        stepped: whether it is what MuJoCo makes of it at the model's own step, which knows no command of this step: a
+            delay of less than a step is one of a whole step.
+    """
+    delays, step = np.zeros(model.nu), float(model.opt.timestep)
+    stages = [(1.0, 0.0)]
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        stages = [(1 / 6, 0.0), (2 / 3, 0.5 * step), (1 / 6, step)]
+    for i in np.flatnonzero(model.actuator_delay):
+        first, delay, interpolates = (
+            int(model.actuator_ctrladr[i]),
+            model.actuator_delay[i],
+            model.actuator_history[i, 1],
+        )
+        late = sum(weight * _age(delay - ahead, step, interpolates, stepped) for weight, ahead in stages)
+        delays[first : first + int(model.actuator_ctrlnum[i])] = late
     return delays
+
+
+def _age(asked: float, step: float, interpolates: int, stepped: bool) -> float:
+    """Age of what a history with an entry for each step gives for an age that is asked for, s: without interpolation
+    none between its entries; see `control_delays`.
+    """
+    age = float(asked) if interpolates else math.ceil(asked / step - _WHOLE) * step
+    return max(age, step if stepped else 0.0)
+
+
+def with_delay(delay: float, step: float, integrator: str) -> float:
+    """What `delay` a file has to say, with linear interpolation, for commands to act as late as that, s.
+
+    Args:
+        delay: by which commands act late, s.
+        step: of the file, s.
+        integrator: of the file, as it names it.
+
+    Example:
+        >>> with_delay(0.014, 0.002, "Euler"), with_delay(0.014, 0.002, "RK4")
+        (0.014, 0.015)
+    """
+    if integrator != "RK4":
+        return delay
+    return float(np.interp(delay, [0.0, step / 12, step / 2], [0.0, step / 2, step])) + max(delay - step / 2, 0.0)
 
 
 def controls(model: mujoco.MjModel, where: str = "") -> list[str]:
@@ -156,7 +200,7 @@ def passive_moments(model: mujoco.MjModel) -> tuple[list[int], Array]:
         model: compiled, its actuators on joints and fixed tendons.
 
     Returns:
-        Where their forces stand in `data.actuator_force`, and forces at the joints, (those, nv).
+        Where their forces stand among those of all actuators, and forces at the joints, (those, nv).
     """
     at = [
         int(model.actuator_outadr[i]) + k
@@ -167,6 +211,19 @@ def passive_moments(model: mujoco.MjModel) -> tuple[list[int], Array]:
     mujoco.mj_fwdPosition(model, data)
     mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
     return at, moments[at]
+
+
+def yielding(model: mujoco.MjModel) -> list[int]:
+    """Tendons whose springs yield, in the order of their states in the engine."""
+    return [int(t) for t in np.flatnonzero(model.tendon_plasticadr >= 0)]
+
+
+def along(model: mujoco.MjModel, tendon: int) -> list[tuple[int, float]]:
+    """Degrees of freedom of a fixed tendon, and its coefficients; none of a spatial one, which winds round sites."""
+    first = int(model.tendon_adr[tendon])
+    span = range(first, first + int(model.tendon_num[tendon]))
+    joints = [w for w in span if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT]
+    return [(int(model.jnt_dofadr[model.wrap_objid[w]]), float(model.wrap_prm[w])) for w in joints]
 
 
 def followers(model: mujoco.MjModel) -> dict[str, str]:
@@ -201,10 +258,10 @@ def coupled(model: mujoco.MjModel) -> dict[str, tuple[str, float]]:
     """
     if not model.neq or model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY:
         return {}
-    following, found = followers(model), dict[str, tuple[str, float]]()
+    following, found, passive = followers(model), dict[str, tuple[str, float]](), set(passive_actuators(model))
     driven = {
         following.get(name, name)  # a rotor is driven for the joint that it turns
-        for i in np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+        for i in set(np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)) - passive
         for name in [model.joint(int(model.actuator_trnid[i, 0])).name]
     }
     for e in range(model.neq):
@@ -290,9 +347,16 @@ def sensor_addresses(model: mujoco.MjModel) -> NDArray[np.intp]:
     return np.array([model.sensor(name).adr[0] for name in scalar_sensors(model)], dtype=np.intp)
 
 
-def sensor_delays(model: mujoco.MjModel) -> NDArray[np.float64]:
-    """By how much each of the `scalar_sensors` reads late, s."""
-    return np.array([model.sensor_delay[model.sensor(name).id] for name in scalar_sensors(model)])
+def sensor_delays(model: mujoco.MjModel, *, stepped: bool = False) -> Array:
+    """By how much each of the `scalar_sensors` reads late, s; for `stepped` see `control_delays`."""
+    step, which = float(model.opt.timestep), [model.sensor(name).id for name in scalar_sensors(model)]
+    return np.array(
+        [
+            delay and _age(delay, step, model.sensor_history[k, 1], stepped)
+            for k in which
+            for delay in [model.sensor_delay[k]]
+        ]
+    )
 
 
 def latest_sensor(model: mujoco.MjModel) -> float:

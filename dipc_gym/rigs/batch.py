@@ -107,6 +107,8 @@ class MujocoRigs:
         fresh[:, self._joints] = joints
         fresh[:, self._followers] = fresh[:, self._leaders]
         self.sims.state[rows] = fresh
+        for address, along in self.rig.slips:  # unbent where the episode begins
+            self.sims.plastic[rows, address : address + 2] = (fresh[:, 1 : 1 + len(along)] @ along)[:, None]
         self._can_fall[rows] = can_fall
         self._measured[:3, rows] = readings((joints[:, :3] + noise).T, self._encoders.counts[:, rows])
         self._measured[3:, rows] = states[:, 3:].T

@@ -134,6 +134,9 @@ class CompiledRigs:
         fresh = np.repeat(self._new[None], len(rows), axis=0)
         fresh[:, self._joints] = joints
         fresh[:, self._followers] = fresh[:, self._leaders]
+        first = 2 * self._rig.model.nq + self._rig.model.na
+        for k, (_, along) in enumerate(self._rig.slips):  # springs that yield are unbent where the episode begins
+            fresh[:, _STATES + first + k] = fresh[:, _STATES : _STATES + len(along)] @ along
         fresh[:, Kept.CAN_FALL] = can_fall
         measured = fresh[:, Kept.MEASURED : Kept.MEASURED + 6]
         measured[:, :3] = readings((joints[:, :3] + noise).T, self._encoders.counts[:, rows]).T

@@ -35,6 +35,7 @@ class Rig:
         rail: m from the middle to the nearer stop.
         frictionloss: whether the cart has dry friction that MuJoCo's constraints exert.
         passive: actuators of the cart without a command, and their gears.
+        slips: of springs that yield, where their rests stand in `data.plastic`, and how far they go with each position.
     """
 
     source: mjcf.Source
@@ -50,6 +51,7 @@ class Rig:
     rail: float
     frictionloss: bool
     passive: tuple[tuple[int, float], ...]
+    slips: tuple[tuple[int, tuple[float, ...]], ...]
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -115,4 +117,13 @@ class Rig:
                 for i in mjcf.passive_actuators(model)
                 if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i, 0] == cart
             ),
+            slips=tuple((int(model.tendon_plasticadr[t]), _per_position(model, t)) for t in mjcf.yielding(model)),
         )
+
+
+def _per_position(model: mujoco.MjModel, tendon: int) -> tuple[float, ...]:
+    """How far a tendon goes with each position, (nq,); of hinges and slides there are as many as speeds."""
+    found = np.zeros(model.nq)
+    for joint, coefficient in mjcf.along(model, tendon):
+        found[joint] += coefficient
+    return tuple(found.tolist())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import mujoco
 import numpy as np
 
 from dipc_gym.mjcf.edit import Document
@@ -21,10 +22,14 @@ class Quadratic(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """The part of the unexplained force in proportion to the square of speed, and what the model has."""
-        own = float(np.ravel(evidence.model.dof_dampingpoly[dof(evidence.model, evidence.at)])[0])
         c, _ = evidence.along(-evidence.velocity * np.abs(evidence.velocity), -evidence.velocity)
         typical = evidence.force_scale / evidence.speed_scale**2
+        own = self.own(evidence.model, evidence.at)
         return [{"coefficient": own + float(np.clip(c, 0.1 * typical, 5 * typical))}]
+
+    def own(self, model: mujoco.MjModel, at: str) -> float:
+        """The second coefficient of the joint's damping."""
+        return float(np.ravel(model.dof_dampingpoly[dof(model, at)])[0])
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """Second coefficient of the joint's damping."""

@@ -84,7 +84,7 @@ class Hysteresis(Law):
                 "tendon",
                 "fixed",
                 name=document.fresh(f"{at}_slips_{k + 1}"),
-                stiffness=force / width,
+                stiffness=(force / width, 0.0, 0.0),
                 springlength="0",
                 springyield=width,
             )

@@ -43,6 +43,10 @@ class Cogging(Effect):
             for w in waves(evidence, 1.0)
         ]
 
+    def own(self, model: mujoco.MjModel, at: str) -> float:
+        """Amplitude of the cogging that the motor has."""
+        return float(model.actuator_biasprm[model.actuator(at).id, 0])
+
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The motor's cogging attribute."""
         size, phase = np.hypot(values["sine"], values["cosine"]), np.arctan2(values["cosine"], values["sine"])

@@ -38,7 +38,7 @@ class Inductance(Effect):
         else:
             if actuator.tag == "motor":
                 actuator.tag = "general"
-                document.plain(actuator, gaintype="fixed", gainprm="1", biastype="none")
+                document.plain(actuator, gaintype="fixed", gainprm="1", biastype="none", actdim="-1")
             document.set(actuator, dyntype="filterexact", dynprm=values["time_constant"])
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
+from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import SAG
 from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values, is_dcmotor, joint_of, rms
@@ -88,7 +89,8 @@ def drains(model: mujoco.MjModel, at: str) -> bool:
     drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (
         model.actuator_trnid[:, 0] == model.actuator_trnid[i, 0]
     )
-    alone = int(np.sum(drives & (model.actuator_ctrlnum > 0))) == 1
+    drives[mjcf.passive_actuators(model)] = False
+    alone = int(np.sum(drives)) == 1
     return joint is not None and powers and alone and bool(drive_of(model, at)[0])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -24,13 +23,17 @@ class Saturation(Effect):
     place = "actuator"
     rivals = ("motor.back_emf", "drag.quadratic", "motor.thermal")
 
-    def __init__(self, least: float = 0.0) -> None:
+    def __init__(self, least: float = 0.0, given: tuple[float, float] | None = None) -> None:
         self.parameters = (Parameter("limit", "command", least),)
+        self.given = given  # the range that the actuator has, of its own or of its joint
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """With a limit that leaves the drive a tenth of its command: one that does nothing explains nothing."""
-        most = _most(evidence.command)
-        return [(Saturation(LEAST * most), values) for values in self.guesses(evidence)]
+        most, model = _most(evidence.command), evidence.model
+        i = model.actuator(evidence.at).id
+        low, high = model.actuator_ctrlrange[int(model.actuator_ctrladr[i])].tolist()
+        given = (low, high) if model.actuator_ctrllimited[int(model.actuator_ctrladr[i])] and low < high else None
+        return [(Saturation(LEAST * most, given), values) for values in self.guesses(evidence)]
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Four shares of the largest command."""
@@ -40,7 +43,8 @@ class Saturation(Effect):
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The actuator's control range, within the one that it has."""
         actuator = document.actuator(at)
-        document.set(actuator, ctrllimited="true", ctrlrange=_within(document, actuator, "ctrl", values["limit"]))
+        given = self.given or document.limits(actuator, "ctrl")
+        document.set(actuator, ctrllimited="true", ctrlrange=_within(given, values["limit"]))
         if float(document.effective(actuator, "inheritrange", "0")):  # a range of its own takes the place of that
             document.set(actuator, inheritrange=0)
 
@@ -84,7 +88,7 @@ class TorqueLimit(Effect):
         if actuator.tag == "dcmotor":
             limit_the_motor(document, actuator, limit)
             return
-        document.set(actuator, forcelimited="true", forcerange=_within(document, actuator, "force", limit))
+        document.set(actuator, forcelimited="true", forcerange=_within(document.limits(actuator, "force"), limit))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
@@ -107,12 +111,11 @@ def _most(values: Array) -> float:
     return float(np.quantile(np.abs(values), 0.999)) if len(values) else 0.0
 
 
-def _within(document: Document, actuator: ET.Element, what: str, limit: float) -> tuple[float, float]:
+def _within(given: tuple[float, float] | None, limit: float) -> tuple[float, float]:
     """A limit either way, within the range that the actuator has already; MuJoCo refuses an empty one, and a fit may
     pass through one.
     """
     low, high = -limit, limit
-    given = document.limits(actuator, what)
     if given is not None and given[0] < given[1]:
         low, high = (float(np.clip(end, *given)) for end in (low, high))
     return low, max(high, low + 1e-9)

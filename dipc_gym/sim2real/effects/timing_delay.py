@@ -5,6 +5,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 
+import mujoco
+
+from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
 
@@ -20,11 +23,16 @@ class Delay(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Shorter and longer ones."""
-        return delays(evidence, float(evidence.model.actuator_delay[evidence.model.actuator(evidence.at).id]))
+        return delays(evidence, self.own(evidence.model, evidence.at))
+
+    def own(self, model: mujoco.MjModel, at: str) -> float:
+        """The actuator's delay."""
+        return float(model.actuator_delay[model.actuator(at).id])
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The actuator's delay."""
-        set_delay(document, document.actuator(at), values["delay"])
+        delay = mjcf.with_delay(values["delay"], document.timestep, document.get_option("integrator"))
+        set_delay(document, document.actuator(at), delay)
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import mujoco
+
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Parameter, Values
 from dipc_gym.sim2real.effects.timing_delay import delays, set_delay
@@ -21,7 +23,11 @@ class SensorDelay(Effect):
 
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
         """Shorter and longer ones."""
-        return delays(evidence, float(evidence.model.sensor_delay[evidence.model.sensor(evidence.at).id]))
+        return delays(evidence, self.own(evidence.model, evidence.at))
+
+    def own(self, model: mujoco.MjModel, at: str) -> float:
+        """The sensor's delay."""
+        return float(model.sensor_delay[model.sensor(at).id])
 
     def edit(self, document: Document, at: str, values: Values) -> None:
         """The sensor's delay."""

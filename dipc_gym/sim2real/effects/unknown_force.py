@@ -18,6 +18,7 @@ from dipc_gym.sim2real.effects.shared.settings import LAWS
 from dipc_gym.sim2real.effects.shared.surfaces import Surface, surfaces
 
 WORDS = {"position": "the position of {}", "velocity": "the velocity of {}", "command": "the command to {}"}
+NEGLIGIBLE = 1e-9  # of the largest force, that one at speed 0 is off by from rounding
 BEYOND = 1.2  # times the fastest and largest in the data, up to which a force without a name acts as it does there
 
 
@@ -157,8 +158,12 @@ class UnknownForce(Effect):
         own = [k for k, name in enumerate(self.shape.inputs) if name == f"velocity {self.at}"]
         if not own:
             return False
-        speeds = np.expand_dims(self.shape.knots[own[0]], 1 - own[0]) if levels.ndim > 1 else self.shape.knots[0]
-        return bool(np.all(levels * speeds <= 0))
+        knots = self.shape.knots[own[0]]
+        # Between two knots a line may pass through speed 0 elsewhere than through force 0, and drives there.
+        speeds = np.union1d(knots, 0.0) if knots[0] < 0 < knots[-1] else knots
+        forces = np.moveaxis(_at_knots(levels, own[0], knots, speeds), own[0], -1)
+        driven = np.where(speeds == 0, np.abs(forces), forces * np.sign(speeds))
+        return bool(np.all(driven <= NEGLIGIBLE * np.max(np.abs(forces), initial=0.0)))
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""

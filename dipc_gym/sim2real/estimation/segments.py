@@ -70,7 +70,7 @@ def prepare(
         threads: of the simulations; 0 for all cores.
 
     Raises:
-        mjcf.MjcfError: the model cannot be treated (contacts, free joints, no names).
+        mjcf.MjcfError: the model cannot be treated (contacts, free joints, no names, joints that the text lacks).
         states.Undetermined: the sensors do not say where the joints are.
         RecordingError: no sensor ever changes, or no recording holds a window of that length.
     """
@@ -78,7 +78,9 @@ def prepare(
     if length is not None and not (math.isfinite(length) and length > 0):
         raise ValueError(f"a window of {length} s is no window; give a positive number of seconds")
     noise = common_noise(recordings)
-    structure = Structure(Document(source), physics.model, mjcf.base_joints(physics.model))
+    document = Document(source)
+    document.check_written_out(physics.model)
+    structure = Structure(document, physics.model, mjcf.base_joints(physics.model))
     motions = tuple(states.estimate(r, physics, noise) for r in recordings)
     spread, late = uncertainty(physics, motions, noise), mjcf.latest_sensor(physics.model)
 

@@ -29,7 +29,6 @@ from dipc_gym.sim2real.estimation.settings import ESTIMATION
 from dipc_gym.sim2real.simulation.compiled import BESIDE
 from dipc_gym.sim2real.simulation.memory import bends, memories
 from dipc_gym.sim2real.simulation.motion import Motion
-from dipc_gym.sim2real.unseen.parts import along, yielding
 
 Array = NDArray[np.float64]
 
@@ -386,7 +385,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     late = mjcf.control_delays(model)
     commands = physics.command(acting(late, recording), recording.time)
     model.actuator_delay[:] = 0
-    slips = yielding(model)
+    slips = mjcf.yielding(model)
     model.tendon_stiffness[slips] = 0.0  # how far these are bent, the motion before says
     gaps = np.diff(motion.time, prepend=motion.time[0])
     needed, driven, biased = np.empty((3, n, model.nv))
@@ -427,7 +426,7 @@ def unexplained_force(physics: Physics, recording: Recording, motion: Motion) ->
     replace(physics, extras=tuple(side_by_side)).act(moments, levels, pushed)
     for tendon in slips:
         bent = bends([physics], tendon, motion, motion.time)[0]
-        for at, coefficient in along(model, tendon):
+        for at, coefficient in mjcf.along(model, tendon):
             pushed[:, at] -= stiffness[tendon] * coefficient * bent
     for k in range(n if dry else 0):
         data.time, qpos[:], qvel[:], qacc[:] = time[k], position[k], velocity[k], acceleration[k]

@@ -64,10 +64,9 @@ class Scene:
             name: of the joint, actuator or sensor; anything for the world.
             levels: dry friction that the structure has at joints.
         """
-        joint, command, reading, gear = name, np.zeros(0), np.zeros(0), 0.0
+        joint, command, reading, gear, goes = name, np.zeros(0), np.zeros(0), 0.0, 1.0
         if place == "actuator":
             joint = joint_of(self.model, name) or ""
-            joint = mjcf.followers(self.model).get(joint, joint)  # a rotor stands for the joint that it drives
             k = self.recordings[0].actuator_names.index(name)
             command = self._commands[:, k]
             gear = float(self.model.actuator(name).gear[0])
@@ -75,6 +74,9 @@ class Scene:
             joint = sensed_joint(self.model, name) or ""
             k = self.recordings[0].sensor_names.index(name)
             reading = np.concatenate([r.sensors[:, k] for r in self.recordings])
+        joint = mjcf.followers(self.model).get(joint, joint)  # a rotor stands for the joint that it drives
+        if joint not in self._joints:  # it goes so many times as far as the one that leads it
+            joint, goes = mjcf.coupled(self.model).get(joint, (joint, goes))
         if joint not in self._joints:
             power = np.sqrt(np.mean(self.force**2, axis=0)) / (np.sqrt(np.mean(self.load**2, axis=0)) + 1e-12)
             joint = self._joints[int(np.argmax(power))]
@@ -82,15 +84,15 @@ class Scene:
         period = min(r.period for r in self.recordings)
         return Evidence(
             self.model,
-            self.force[:, j],
-            self.velocity[:, j],
-            self.position[:, j],
-            self.load[:, j],
+            self.force[:, j] / goes,
+            self.velocity[:, j] * goes,
+            self.position[:, j] * goes,
+            self.load[:, j] / goes,
             self.time,
             command,
             reading,
             gear,
-            inertia_at(self.model, joint),
+            inertia_at(self.model, joint) / goes**2,
             period,
             levels.get(joint),
             name,
@@ -98,7 +100,7 @@ class Scene:
             self._inputs,
             self._misread(name) if place == "sensor" else None,
             width_for(rms(self.force[:, j]), float(self.noise[j]), period),
-            self.resisting[:, j],
+            self.resisting[:, j] / goes,
         )
 
     def _misread(self, sensor: str) -> Misread | None:

@@ -132,9 +132,11 @@ def goes_before(scorer: Scorer, names: Fit, law: Fit, begin: Fit) -> bool:
 
 
 def leaves_far_less(scorer: Scorer, one: Fit, other: Fit) -> bool:
-    """Whether a fit predicts windows that neither was fitted to better than another, by `SCORE.large` at least."""
+    """Whether a fit predicts windows that neither was fitted to better than another, by `SCORE.large` at least; or the
+    other goes astray in few of them, see `of_ends`.
+    """
     after, before = ranking.losses([scorer.unfitted_mse(fitted) for fitted in (one, other)])
-    return before - after > SCORE.large
+    return before - after > SCORE.large or leaves_a_part(scorer, one, other)
 
 
 def leaves_a_part(scorer: Scorer, one: Fit, other: Fit) -> bool:

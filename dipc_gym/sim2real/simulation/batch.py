@@ -28,7 +28,6 @@ from dipc_gym.sim2real.simulation.dry_friction import DryFriction
 from dipc_gym.sim2real.simulation.memory import Joints, Places, begin
 from dipc_gym.sim2real.simulation.windings import steady_currents
 from dipc_gym.sim2real.simulation.windows import Windows
-from dipc_gym.sim2real.unseen.parts import yielding
 
 Array = NDArray[np.float64]
 
@@ -208,10 +207,14 @@ class _Runs:
         self.variants, self.windows = variants, windows
         self.step = grid_step(windows, stepping)
         models = [stepping.on(copy.copy(variant.model), self.step) for variant in variants]
-        self.delays = np.stack([_take_delays(model) for model in models])
+        # Recorded commands and readings are simply read earlier; how late they are, the file's own steps say.
+        stepped = stepping.integrator is None
+        self.delays = np.stack([mjcf.control_delays(variant.model, stepped=stepped) for variant in variants])
         # Seen from the sensor that reads latest, commands act later by as much, and all others read ahead of it: so a
         # window begins with the state that this sensor shows, and nothing before it has to be simulated.
-        self.late = np.stack([_take_sensor_delays(model) for model in models])
+        self.late = np.stack([mjcf.sensor_delays(variant.model, stepped=stepped) for variant in variants])
+        for model in models:
+            model.actuator_delay[:], model.sensor_delay[:] = 0.0, 0.0
         self.delays += self.late.max(axis=1, keepdims=True)
         if stepping.integrator is not None:
             self.delays += np.stack([steady_currents(model, self.step) for model in models])
@@ -260,7 +263,7 @@ class _Runs:
         sims, model = self.sims, self.sims.model
         count = (len(self.variants), len(self.windows))
         plastic = sims.plastic.reshape(*count, sims.plastic.shape[1])
-        first = [int(model.tendon_plasticadr[tendon]) for tendon in yielding(model)]
+        first = [int(model.tendon_plasticadr[tendon]) for tendon in mjcf.yielding(model)]
         return Places(
             sims.qpos.reshape(*count, model.nq),
             sims.qvel.reshape(*count, model.nv),
@@ -367,20 +370,6 @@ def _forward_to_the_middle(sims: mjbatch.Batch, step: float) -> None:
     sims.qvel[:] += step / 2 * sims.qacc
     sims.forward()
     sims.qpos[:], sims.qvel[:] = place, speed
-
-
-def _take_delays(model: mujoco.MjModel) -> Array:
-    """Delay of each control, s, (nu,); taken out of the model, since recorded commands can simply be read earlier."""
-    delays = mjcf.control_delays(model)
-    model.actuator_delay[:] = 0
-    return delays
-
-
-def _take_sensor_delays(model: mujoco.MjModel) -> Array:
-    """Delay of each scalar sensor, s, (ns,); taken out of the model, since its readings can simply be read earlier."""
-    delays = mjcf.sensor_delays(model)
-    model.sensor_delay[:] = 0
-    return delays
 
 
 def _leave_out_idle(model: mujoco.MjModel, *, dry: bool) -> None:

@@ -23,7 +23,6 @@ from dipc_gym.recording import Recording
 from dipc_gym.sim2real.simulation.commands import changed_by
 from dipc_gym.sim2real.simulation.memory import Joints, Places, begin, remembering
 from dipc_gym.sim2real.simulation.motion import initial_states
-from dipc_gym.sim2real.unseen.parts import yielding
 
 if TYPE_CHECKING:
     from dipc_gym.sim2real.simulation.windows import Windows
@@ -80,7 +79,7 @@ class Compiled:
     def _yielding(self) -> list[tuple[int, int]]:
         """State that holds at which length each spring that yields is unbent, and its tendon."""
         first = 2 * self.model.nv + self.model.na
-        return [(first + k, tendon) for k, tendon in enumerate(yielding(self.model))]
+        return [(first + k, tendon) for k, tendon in enumerate(mjcf.yielding(self.model))]
 
     def commands(self, warm: float) -> Commands:
         """Recorded commands as the model sees them, where windows and `warm` seconds before them ask for them; one set

@@ -27,7 +27,7 @@ from dipc_gym.sim2real.simulation.commands import changed_by
 from dipc_gym.sim2real.simulation.heat import heating_motors, winding_temperatures
 from dipc_gym.sim2real.simulation.motion import Motion
 from dipc_gym.sim2real.simulation.windows import Windows
-from dipc_gym.sim2real.unseen.parts import Load, along, loads, yielding
+from dipc_gym.sim2real.unseen.parts import Load, loads
 from dipc_gym.sim2real.unseen.play import dragged, turned
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ def bends(variants: Sequence[Physics], tendon: int, motion: Motion, time: Array)
         m or rad, (variants, n).
     """
     model = variants[0].model
-    joints, coefficients = zip(*along(model, tendon), strict=True)
+    joints, coefficients = zip(*mjcf.along(model, tendon), strict=True)
     # What hides behind a gap is where its leader is, but for the gap.
     length = motion.position @ (np.array(coefficients) @ mjcf.spread_out(model)[list(joints)])
     wanted = np.interp(time, motion.time, length)
@@ -246,15 +246,15 @@ class Places:
 
     def stay_bent(self, model: mujoco.MjModel, moved: Array) -> None:
         """Let springs that yield stay as bent as they are, where joints were moved by `moved`, (variants, n, nv)."""
-        for unbent, tendon in zip(self.unbent, yielding(model), strict=True):
-            for joint, coefficient in along(model, tendon):
+        for unbent, tendon in zip(self.unbent, mjcf.yielding(model), strict=True):
+            for joint, coefficient in mjcf.along(model, tendon):
                 unbent += (coefficient * moved[..., joint])[..., None]
 
 
 def remembering(physics: Physics) -> bool:
     """Whether anything in a model begins with what the motion before has left, as `begin` has it."""
     model = physics.model
-    return bool(heating_motors(model) or yielding(model) or loads(model) or physics.remembering)
+    return bool(heating_motors(model) or mjcf.yielding(model) or loads(model) or physics.remembering)
 
 
 def begin(
@@ -287,8 +287,8 @@ def begin(
         temperature = places.activation[..., int(model.actuator_actadr[motor])]
         for mine, recording, motion in _passes(windows, f"how hot {model.actuator(motor).name} is"):
             temperature[:, mine] = winding_temperatures(variants, delays, motor, recording, motion, time[mine])
-    for unbent, tendon in zip(places.unbent, yielding(model), strict=True):
-        joints, coefficients = zip(*along(model, tendon), strict=True)
+    for unbent, tendon in zip(places.unbent, mjcf.yielding(model), strict=True):
+        joints, coefficients = zip(*mjcf.along(model, tendon), strict=True)
         length = places.position[..., list(joints)] @ np.array(coefficients)
         for mine, _, motion in _passes(windows, f"how far {model.tendon(tendon).name} is bent"):
             unbent[:, mine] = (length[:, mine] - bends(variants, tendon, motion, time[mine]))[..., None]

@@ -13,19 +13,6 @@ from dipc_gym.engine.swing import Spring
 ROUNDING = 1e-9  # of third powers that cancel each other
 
 
-def yielding(model: mujoco.MjModel) -> list[int]:
-    """Tendons whose springs yield, in the order of their states in the engine."""
-    return [int(t) for t in np.flatnonzero(model.tendon_plasticadr >= 0)]
-
-
-def along(model: mujoco.MjModel, tendon: int) -> list[tuple[int, float]]:
-    """Degrees of freedom of a fixed tendon, and its coefficients; none of a spatial one, which winds round sites."""
-    first = int(model.tendon_adr[tendon])
-    span = range(first, first + int(model.tendon_num[tendon]))
-    joints = [w for w in span if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT]
-    return [(int(model.jnt_dofadr[model.wrap_objid[w]]), float(model.wrap_prm[w])) for w in joints]
-
-
 @dataclass(frozen=True)
 class Load:
     """A joint that swings on springs against another one, or creeps after it, driven by nothing else.
@@ -59,7 +46,7 @@ def loads(model: mujoco.MjModel) -> dict[str, Load]:
     found = {}
     for name, leader in mjcf.followers(model).items():
         at, lead = (int(model.joint(one).dofadr[0]) for one in (name, leader))
-        between = [t for t in range(model.ntendon) if {joint for joint, _ in along(model, t)} == {at, lead}]
+        between = [t for t in range(model.ntendon) if {joint for joint, _ in mjcf.along(model, t)} == {at, lead}]
         # Springs that pull either way alike and never push, and dampers in proportion; one that pulls at all without
         # slack, and others that may do nothing.
         cubes = model.tendon_stiffnesspoly[between, 1]

@@ -234,7 +234,8 @@ def named_alone(final: Fit) -> list[Missing]:
         units = place_units(final.structure, term)
         sentence = in_words(final.structure, final.z, term)
         parameters = _parameters(final, term, units, np.full(len(final.z), np.inf))
-        missing.append(Missing(term.effect.name, term.at, sentence, math.nan, parameters))
+        name = "unknown" if term.effect.of_no_kind else term.effect.name
+        missing.append(Missing(name, term.at, sentence, math.nan, parameters))
     return missing
 
 

@@ -123,6 +123,11 @@ def _predictions(option: Option, said: AsWritten) -> list[str]:
             f"Parameters are what this file's step of {1e3 * said.timestep:g} ms and its integrator need to predict "
             "the recordings; those that fine steps need are in diagnosis.json."
         )
+    if option.structure.physics(option.z).model.nplastic:
+        lines.append(
+            "Springs that yield are unbent where joints stand at 0. Begun elsewhere, they throw the joint: write where "
+            "it begins into data.plastic, at tendon_plasticadr and after it, as dipc_gym's environments do."
+        )
     loaders = [term.key for term in option.structure.terms if term.effect.needs_loader]
     if loaders:
         lines.append(f"Stock MuJoCo leaves out {', '.join(loaders)}; dipc_gym.physics.load applies what <custom> says.")

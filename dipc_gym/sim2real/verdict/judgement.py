@@ -79,9 +79,9 @@ def judgement(
         lambda: None,
     )
     verdict, others = named.verdict, bool(last.found.others)
-    diagnosis = Diagnosis(
-        verdict=verdict,
-        sentence=sentences.in_one_sentence(
+    sentence = guarded(
+        "The sentence",
+        lambda: sentences.in_one_sentence(
             verdict,
             named.missing,
             sure.changed,
@@ -93,6 +93,11 @@ def judgement(
             later=tested.later,
             compared=tested.comparison,
         ),
+        lambda: f"{verdict[0].upper()}{verdict[1:]}.",
+    )
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        sentence=sentence,
         located=tuple(located),
         missing=tuple(named.missing),
         recalibrated=tuple(sure.changed),

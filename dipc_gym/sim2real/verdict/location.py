@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,18 +71,24 @@ def _of_late(scene: Scene, j: int) -> float:
 
     The rest of a drag is in every refit. Forces are means over stretches, for samples hold the noise of accelerations.
     """
-    runs = runs_of(scene.time)
-    period = float(np.median(np.diff(scene.time)))
-    each = max(1, round(ESTIMATION.averaged / period))
+    runs = [run for run in runs_of(scene.time) if len(run) > 1]
+    if not runs:
+        return 0.0
+    periods = [float(np.median(np.diff(scene.time[run]))) for run in runs]
 
-    def means(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([values[run[: len(run) // each * each]].reshape(-1, each).mean(axis=1) for run in runs])
+    def means(each_run: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+        found = []
+        for values, period in zip(each_run, periods, strict=True):
+            each = max(1, round(ESTIMATION.averaged / period))
+            found.append(values[: len(values) // each * each].reshape(-1, each).mean(axis=1))
+        return np.concatenate(found)
 
-    def of_late(seconds: float) -> NDArray[np.float64]:
-        share = min(period / seconds, 1.0)
-        return np.concatenate([lfilter([share], [1.0, share - 1.0], np.abs(scene.velocity[run, j])) for run in runs])
+    def of_late(seconds: float) -> Iterator[NDArray[np.float64]]:
+        for run, period in zip(runs, periods, strict=True):
+            share = min(period / seconds, 1.0)
+            yield lfilter([share], [1.0, share - 1.0], np.abs(scene.velocity[run, j]))
 
-    force, velocity = means(scene.force[:, j]), means(scene.velocity[:, j])
+    force, velocity = means(scene.force[run, j] for run in runs), means(scene.velocity[run, j] for run in runs)
     plain = np.column_stack([np.ones_like(force), velocity])
     left = _beside(plain, force)
     if not left > 0:

@@ -147,11 +147,11 @@ def in_units(sensors: Sequence[SensorFit]) -> str:
     parts = []
     for one in _telling(sensors):
         e = one.errors
-        share = f" ({100 * e.nominal / one.motion:.2g} to {100 * e.improved / one.motion:.2g} % of its motion)"
-        parts.append(
-            f"from {_shown(e.nominal, one.unit, bare=True)} to {_shown(e.improved, one.unit)} at {one.name}"
-            f"{share if one.motion > 0 else ''}"
-        )
+        share = ""
+        if one.motion > 0:  # a sensor may rest where it is tested
+            share = f" ({100 * e.nominal / one.motion:.2g} to {100 * e.improved / one.motion:.2g} % of its motion)"
+        fall = f"from {_shown(e.nominal, one.unit, bare=True)} to {_shown(e.improved, one.unit)}"
+        parts.append(f"{fall} at {one.name}{share}")
     return " and ".join(parts)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
@@ -270,7 +271,15 @@ class Effect(ABC):
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """The effect with its first guesses; one with a free shape takes the shape that the evidence asks for."""
-        return [(self, values) for values in self.guesses(evidence)]
+        effect: Effect = self
+        if self.own(evidence.model, evidence.at):
+            effect = copy.copy(self)
+            effect.linear = ()  # what it does goes with how much more of it there is than the model has
+        return [(effect, values) for values in self.guesses(evidence)]
+
+    def own(self, model: mujoco.MjModel, at: str) -> float:
+        """How much of the effect a model has already where it sets, and does not add, it; 0 for none."""
+        return 0.0
 
     @abstractmethod
     def guesses(self, evidence: Evidence) -> Sequence[Values]:
@@ -443,7 +452,7 @@ def passive_ramp(
         forcelimited="true",
         forcerange=(limits[0], max(limits[1], float(np.nextafter(limits[0] + 1e-12, np.inf)))),
     )
-    document.plain(element, dyntype="none", gaintype="fixed")
+    document.plain(element, dyntype="none", gaintype="fixed", actdim="-1")
     shield(document, element)
     document.passive(name)
 

@@ -6,6 +6,7 @@ import copy
 
 import mujoco
 
+from dipc_gym import mjcf
 from dipc_gym.sim2real.effects.shared.base import dof, joint_of
 
 
@@ -20,9 +21,10 @@ def drive_of(model: mujoco.MjModel, actuator: str) -> tuple[float, float]:
         return 0.0, 0.0
     model = copy.copy(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    model.actuator_forcelimited[:], model.jnt_actfrclimited[:], model.actuator_delay[:] = 0, 0, 0.0
+    model.actuator_forcelimited[:], model.actuator_delay[:] = 0, 0.0
     data = mujoco.MjData(model)
     at, i = dof(model, joint), model.actuator(actuator).id
+    out, gear = int(model.actuator_outadr[i]), mjcf.gear(model, i)
     control = int(model.actuator_ctrladr[i])
     kind = mujoco.mjtDyn
     filtered = int(model.actuator_dyntype[i]) in (int(kind.mjDYN_FILTER), int(kind.mjDYN_FILTEREXACT))
@@ -40,7 +42,7 @@ def drive_of(model: mujoco.MjModel, actuator: str) -> tuple[float, float]:
                 rates.append(float(data.act_dot[current]))
             data.act[current] = rates[0] / (rates[0] - rates[1])
         mujoco.mj_forward(model, data)
-        forces.append(float(data.qfrc_actuator[at]))
+        forces.append(gear * float(data.actuator_force[out]))
     none, driven, moved = forces
     gain = driven - none
     return gain, (none - moved) / gain if gain else 0.0
