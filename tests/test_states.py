@@ -377,7 +377,7 @@ def test_forces_in_the_model_file_are_not_unexplained() -> None:
 def test_a_command_that_holds_is_not_taken_for_an_early_one(late: float) -> None:
     """What motion tells of a moment is what went on before and after it: half a sample off, slopes stay unexplained."""
     rig, noise, period, parts = one_joint(""), 1e-7, 0.002, 20
-    rig.model.actuator_delay[:] = late
+    rig.model.actuator_delay[:], rig.model.actuator_history[:, 1] = late, 1  # between its entries as well
     stamps = period * np.arange(1000)
     sent, step = 3.0 * np.sin(40.0 * stamps), period / parts
     acts = np.roll(np.repeat(sent, parts), round(late / step))  # it begins and ends at nothing
