@@ -35,7 +35,8 @@ class Rig:
         rail: m from the middle to the nearer stop.
         frictionloss: whether the cart has dry friction that MuJoCo's constraints exert.
         passive: actuators of the cart without a command, and their gears.
-        slips: of springs that yield, where their rests stand among those of all, and how far they go with each position.
+        slips: of springs that yield, where their rests stand among those of all, and how far they go with each
+            position.
     """
 
     source: mjcf.Source

@@ -41,7 +41,7 @@ class Pulse(Effect):
                 found.append(
                     {
                         "force": float(mean[k]) or evidence.force_scale,
-                        "start": float(evidence.time[max(0, k - n // 2)]),
+                        "start": max(float(evidence.time[k]) - n // 2 * evidence.period, float(evidence.time.min())),
                         "duration": n * evidence.period,
                     }
                 )
