@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from sim2real_rigs import CART, RK4, prepared, record, sweep
+from sim2real_rigs import CART, HANGING, NOISE, RK4, prepared, record, sweep
 
 from dipc_gym import mjcf, physics
 from dipc_gym.engine.swing import Spring, swing
@@ -22,6 +22,7 @@ from dipc_gym.sim2real.effects.shared.base import Effect
 from dipc_gym.sim2real.effects.shared.loads import smooth
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.problem import predict, sensitivities
+from dipc_gym.sim2real.estimation.shooting import Shooting
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
 from dipc_gym.sim2real.simulation.windows import cut
@@ -344,3 +345,26 @@ def test_a_tendon_round_sites_is_no_spring_of_a_load() -> None:
     model = mjcf.compile(text)
     assert model.ntendon == 2
     assert list(loads(model)) == ["cart_load"]
+
+
+def test_a_lagging_sensor_begins_with_what_it_reads_there_less_most_of_its_noise() -> None:
+    """What the motion that it told would have it read is late twice, and shows as a lag that is too short."""
+    noise, late = 2e-4, 0.04
+    document = Document(mjcf.from_text(CART))
+    catalogue()["timing.sensor_lag"].edit(document, "cart", {"time_constant": late})
+    rig = physics.load(mjcf.from_text(document.text()))
+    true, run = (record(rig, sweep(2.0), 8.0, noise=size, period=0.005, seed=2) for size in (0.0, noise))
+    windows = prepared(CART, [run]).problem.windows
+    read = np.interp(windows.start, true.time, true.sensors[:, 0])
+    speed = windows.begun()[:, 1]
+    told = windows.as_read(0, read - late * speed)
+    assert np.sqrt(np.mean((told - read) ** 2)) < 0.7 * noise
+    assert abs(np.mean((told - read) * np.sign(speed))) < 0.2 * noise
+
+
+def test_a_lagging_sensor_leaves_the_states_of_other_joints_known() -> None:
+    """Else friction that holds a trolley would be granted whatever beginning suits it."""
+    ready = prepared(HANGING, [record(physics.load(HANGING), sweep(3.0), 2.0, noise=NOISE["hanging"], start=(0, 0.4))])
+    lagging = ready.structure.with_term(Term(catalogue()["timing.sensor_lag"], "pole1", {"time_constant": 0.02}))
+    known = Shooting(ready.problem, ready.structure).spread
+    assert Shooting(ready.problem, lagging).spread / known == pytest.approx([1, 1e3, 1, 1, 1e3, 1])

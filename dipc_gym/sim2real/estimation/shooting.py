@@ -7,16 +7,28 @@ projection, Golub and Pereyra 1973), which leaves a small problem in the structu
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import mjcf
+from dipc_gym.physics import from_model
 from dipc_gym.sim2real.estimation.problem import Problem, normalised_residual, predict, sensitivities
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
+from dipc_gym.sim2real.estimation.states import seen
 from dipc_gym.sim2real.model.structure import Structure
 
 Array = NDArray[np.float64]
+
+_NOTHING = 1e-9  # of a position for each unit of a reading: rounding
+
+
+class _Hidden(NamedTuple):
+    """Base joints (nb,), see `Shooting`."""
+
+    joints: NDArray[np.bool_]
 
 
 class Shooting:
@@ -32,7 +44,21 @@ class Shooting:
         self.nb2 = problem.initial.shape[1]
         self.nudge = np.maximum(problem.spread, 1e-7)
         # A sensor with a bias or a lag tells a state only through the model.
-        self.spread = problem.spread * (ESTIMATION.hidden if structure.moves_readings else 1.0)
+        self.spread = problem.spread * np.where(np.tile(self._hidden(), 2), ESTIMATION.hidden, 1.0)
+
+    def _hidden(self) -> NDArray[np.bool_]:
+        """Base joints (nb,) whose places a sensor tells that says something else of them in this structure."""
+        structure = self.structure
+        moved = structure.moved_sensors
+        if not moved:
+            return np.zeros(self.nb2 // 2, dtype=bool)
+        known = structure.worked_out.get(_Hidden)
+        if not isinstance(known, _Hidden):
+            told = seen(from_model(structure.model))
+            names = np.array(mjcf.scalar_sensors(structure.model))[told.sensors]
+            through = np.abs(told.inverse(self.problem.windows.noise)[:, [name in moved for name in names.tolist()]])
+            known = structure.worked_out[_Hidden] = _Hidden(through.max(axis=1, initial=0.0) > _NOTHING)
+        return known.joints
 
     def residuals(self, Z: Sequence[Array], initial: Array) -> Array:
         """Of several sets of parameters or initial states (variants or 1, n, 2 nb), in units of noise, (variants, n,

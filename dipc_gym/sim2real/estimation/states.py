@@ -228,7 +228,8 @@ def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
     told, smooth = seen(physics), recording.sensors.copy()
     for s in told.sensors:
         smooth[:, s] = smoothed(recording.time, recording.sensors[:, s], noise[s])
-    smooth = straightened(physics, smooth)
+    as_read, smooth = smooth, straightened(physics, smooth)
+    smooth = smooth.copy() if smooth is as_read else smooth
     _undo_lateness(physics, recording.time, smooth)
     position = told.positions(recording.time, smooth, noise)
     velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
@@ -237,7 +238,7 @@ def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
     if not told.speeds.any():
         when, first = _first_readings(physics, recording, told.sensors)
         velocity[0] = _begins(recording.time, position, velocity, when, told.positions(when, first, noise), read)
-    return Motion(recording.time, position, velocity, acceleration, read)
+    return Motion(recording.time, position, velocity, acceleration, read, as_read)
 
 
 def _first_readings(physics: Physics, recording: Recording, which: NDArray[np.intp]) -> tuple[Array, Array]:

@@ -333,10 +333,12 @@ class Structure:
         return bool(physics.from_model(self.model).stage("lag"))
 
     @property
-    def moves_readings(self) -> bool:
-        """Whether an effect, or a late sensor of the model's own, changes what sensors say of a state."""
-        own = self._own_lag or bool(np.any(self.model.sensor_delay > 0))
-        return own or any(term.effect.moves_readings for term in self.terms)
+    def moved_sensors(self) -> set[str]:
+        """Sensors that an effect, or their own lag or delay in the model, keeps from saying what state it is."""
+        late = {self.model.sensor(int(k)).name for k in np.flatnonzero(self.model.sensor_delay > 0)}
+        if self._own_lag:
+            late |= {extra.at for extra in physics.from_model(self.model).stage("lag")}
+        return late | {term.at for term in self.terms if term.effect.moves_readings}
 
     @property
     def finest(self) -> float:

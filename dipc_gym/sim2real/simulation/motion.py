@@ -21,6 +21,7 @@ class Motion:
         velocity: m/s or rad/s, (n, nb).
         acceleration: m/s^2 or rad/s^2, (n, nb).
         noise: standard deviation of the positions as they were read, before they were smoothed, (nb,).
+        read: what sensors read, as they gave it, but smoothed, (n, ns); None of a motion that no sensor told.
     """
 
     time: Array
@@ -28,6 +29,7 @@ class Motion:
     velocity: Array
     acceleration: Array
     noise: Array
+    read: Array | None = None
 
     def spread(self, out: Array) -> Motion:
         """That of other joints, which move by these: positions are `out` (n, nb) times those of the base joints."""
