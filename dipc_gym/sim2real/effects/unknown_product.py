@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dipc_gym import mjcf
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import RESIDUAL
 from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Values, joint_of
@@ -185,9 +186,10 @@ def beside_product(evidence: Evidence) -> list[Array]:
 
 def carriers(evidence: Evidence) -> list[str]:
     """What a product may be in proportion to: the joint's own velocity, and commands to its own motors."""
-    found = [f"velocity {evidence.at}"]
+    found, rotors = [f"velocity {evidence.at}"], mjcf.followers(evidence.model)
     for name in evidence.inputs:
         kind, _, of = name.partition(" ")
-        if kind == "command" and joint_of(evidence.model, of) == evidence.at:
+        driven = joint_of(evidence.model, of) if kind == "command" else None
+        if driven is not None and rotors.get(driven, driven) == evidence.at:
             found.append(name)
     return [name for name in found if name in evidence.inputs]
