@@ -716,7 +716,14 @@ def test_a_sentence_says_that_a_model_diverges() -> None:
 
 def test_a_sentence_says_nothing_of_the_motion_of_a_sensor_that_rests() -> None:
     still = SensorFit("arm", "rad", 1e-3, 0.0, Errors(0.05, 0.02, 0.001))
-    assert sentences.in_units([still]) == "from 2.86 to 0.0573 degrees at arm"
+    assert sentences.in_units([still]) == "falls from 2.86 to 0.0573 degrees at arm"
+
+
+def test_a_sentence_says_which_sensor_is_predicted_worse() -> None:
+    x, sway = (
+        SensorFit(name, "m", 1e-3, 0.5, Errors(0.05, 0.02, after)) for name, after in (("x", 0.01), ("sway", 0.08))
+    )
+    assert re.search(r"falls from 50 .* at x .* and goes from 50 .* at sway", sentences.in_units([x, sway]))
 
 
 def test_a_parameter_further_off_than_plausible_is_told_and_can_be_allowed() -> None:

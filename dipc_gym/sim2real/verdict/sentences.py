@@ -64,12 +64,11 @@ def in_one_sentence(
         later: error of laws of time that were fitted to the held-out time as well, which no law of time foretells.
         compared: on windows that were compared on, which are no test: whether what is left acts there as well.
     """
-    goes = "falls" if errors.improved < errors.nominal else "goes"
     times = f"from {errors.nominal:.3g} to {errors.improved:.3g} times the noise"
     told = in_units(sensors)
     diverging = " and ".join(one.name for one in sensors if not math.isfinite(one.errors.nominal))
     fall = f"As given, the model's predictions diverge at {diverging}. " if diverging else ""
-    fall += f"On held-out data the error {goes} {f'{told}: ' if told else ''}{times}"
+    fall += f"On held-out data the error {f'{told}: ' if told else f'{_goes(errors)} '}{times}"
     if written is not None:
         at = f"improved.xml at its own step of {1e3 * written.timestep:g} ms"
         fall += f" ({at}: {written.held_out.improved:.3g})"
@@ -142,17 +141,23 @@ def in_units(sensors: Sequence[SensorFit]) -> str:
 
     Example:
         >>> in_units([SensorFit("arm", "rad", 1e-3, 0.5, Errors(0.05, 0.02, 0.001))])
-        'from 2.86 to 0.0573 degrees at arm (10 to 0.2 % of its motion)'
+        'falls from 2.86 to 0.0573 degrees at arm (10 to 0.2 % of its motion)'
     """
-    parts = []
+    parts, before = list[str](), ""
     for one in _telling(sensors):
         e = one.errors
         share = ""
         if one.motion > 0:  # a sensor may rest where it is tested
             share = f" ({100 * e.nominal / one.motion:.2g} to {100 * e.improved / one.motion:.2g} % of its motion)"
-        fall = f"from {_shown(e.nominal, one.unit, bare=True)} to {_shown(e.improved, one.unit)}"
+        goes, before = "" if _goes(e) == before else f"{_goes(e)} ", _goes(e)
+        fall = f"{goes}from {_shown(e.nominal, one.unit, bare=True)} to {_shown(e.improved, one.unit)}"
         parts.append(f"{fall} at {one.name}{share}")
     return " and ".join(parts)
+
+
+def _goes(errors: Errors) -> str:
+    """Which way errors go from those of the model as given to those of the improved one."""
+    return "falls" if errors.improved < errors.nominal else "goes"
 
 
 def _telling(sensors: Sequence[SensorFit]) -> list[SensorFit]:
