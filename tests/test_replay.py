@@ -487,3 +487,14 @@ def test_a_balanced_pendulum_keeps_whole_windows_until_they_are_too_long() -> No
     # Nothing is missing in this rig: the longer windows too find its noise and nothing else.
     steadier = segments.prepare(source, rig, [run], stepping, length=steady)
     assert 0.9 < fit(steadier.problem, steadier.structure).error < 1.15
+
+
+def test_windows_of_slow_samples_are_longer_where_recordings_are_long_enough() -> None:
+    def sampled(period: float, seconds: float) -> Recording:
+        time = np.arange(0.0, seconds, period)
+        return Recording("run", time, np.zeros((len(time), 1)), np.zeros((len(time), 1)), ["motor"], ["x"])
+
+    for period, seconds, length in ((0.002, 40.0, 0.25), (0.005, 40.0, 0.25), (0.01, 40.0, 0.4), (0.05, 200.0, 2.0)):
+        assert segments.usual_length([sampled(period, seconds)], (0.0, 1.0)) == pytest.approx(length, rel=1e-6)
+    assert segments.usual_length([sampled(0.01, 10.8)], (0.0, 1.0)) == pytest.approx(0.3, rel=0.01)
+    assert segments.usual_length([sampled(0.01, 4.0)], (0.0, 1.0)) == 0.25

@@ -18,11 +18,11 @@ class Diagnose:
     """Find the physics that a model lacks, say it in a sentence, and write it back as MJCF.
 
     The model is any MuJoCo model of hinge and slide joints without contacts whose sensors determine the joints. The
-    recordings are cut into windows of 0.25 s. First the model's parameters are refitted, which is the fair rival of
-    any new physics. Then every effect of the catalogue is tried at every place it can act, and kept only if it
-    predicts windows that no fit has seen clearly better. Validation data, the end of what is given to fit, may strike
-    effects off, and add none. The error that is reported is of data that no fit has touched and that chose nothing:
-    the recordings given with --held-out, else the last quarter of each.
+    recordings are cut into windows of 0.25 s, longer ones below 160 Hz. First the model's parameters are refitted,
+    which is the fair rival of any new physics. Then every effect of the catalogue is tried at every place it can act,
+    and kept only if it predicts windows that no fit has seen clearly better. Validation data, the end of what is given
+    to fit, may strike effects off, and add none. The error that is reported is of data that no fit has touched and
+    that chose nothing: the recordings given with --held-out, else the last quarter of each.
 
     The folder gets diagnosis.json (all of it, for programs), improved.xml (your model with what was missing, which
     stock MuJoCo loads), report.html (to read) and report.json (what it draws: `dipc-gym report` draws it again).

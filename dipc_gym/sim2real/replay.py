@@ -245,7 +245,8 @@ def replay(
     Args:
         model: MJCF file.
         recording: `.csv`, `.parquet` or `.npz` file.
-        window: s; None means 0.25 s, or less where an unstable rig amplifies an initial error more than tenfold.
+        window: s; None means 0.25 s, forty samples below 160 Hz, or less where an unstable rig amplifies an initial
+            error more than tenfold.
         step: s; Runge-Kutta with dry friction's reversals located. None means the model's own integrator and step.
         mapping: column of the file -> name in the model.
         units: column or name -> unit that it is in.

@@ -65,7 +65,8 @@ def prepare(
         physics: the same, loaded.
         recordings: of one rig, with the model's sensors.
         stepping: of the simulations.
-        length: of a window, s; None means 0.25 s, or less where this model makes initial errors grow beyond tenfold.
+        length: of a window, s; None means 0.25 s, more below 160 Hz, see `usual_length`, or less where this model makes
+            initial errors grow beyond tenfold.
         span: the part of each recording to use, as fractions of its duration.
         threads: of the simulations; 0 for all cores.
 
@@ -90,9 +91,22 @@ def prepare(
 
     if length is not None:
         return Prepared(windows(length), structure, motions, length)
-    longest = windows(ESTIMATION.window_length)
-    length = steady_length(longest, structure, ESTIMATION.window_length)
-    return Prepared(longest if length == ESTIMATION.window_length else windows(length), structure, motions, length)
+    usual = usual_length(recordings, span)
+    longest = windows(usual)
+    length = steady_length(longest, structure, usual)
+    return Prepared(longest if length == usual else windows(length), structure, motions, length)
+
+
+def usual_length(recordings: Sequence[Recording], span: tuple[float, float]) -> float:
+    """Length of a window, s, as far as recordings alone say: longer where they are sampled slowly.
+
+    Args:
+        recordings: to cut.
+        span: the part of each that is used, as fractions of its duration.
+    """
+    samples = ESTIMATION.samples * max(recording.period for recording in recordings)
+    room = (span[1] - span[0]) * sum(recording.duration for recording in recordings) / ESTIMATION.enough
+    return max(ESTIMATION.window_length, min(samples, room, ESTIMATION.longest))
 
 
 def common_noise(recordings: Sequence[Recording]) -> Array:

@@ -12,6 +12,10 @@ class EstimationSettings:
     Attributes:
         window_length: of a window, s, unless the rig asks for shorter ones: forces then move a joint by many times its
             noise, and what a model lacks has not yet led it elsewhere
+        samples: that it holds all the same where recordings are long enough: of what is sampled slowly, fewer tell
+            little more than the state that it begins with
+        longest: of a window, s: until then no model is led elsewhere by what it lacks
+        enough: windows that recordings must hold for that
         growth: times its size that an initial error may grow to within a window: beyond, a straight line no longer
             foretells what another initial state changes
         fewest_samples: that a window holds: its initial state alone takes up two for each joint
@@ -52,6 +56,7 @@ class EstimationSettings:
         simulated: the same, at most, where several forms of a model are compared by how they come out
         searched: lengths of the moves, in mapped parameters, by which parameters are searched that change readings by
             steps: from a third of what is sizeable down to what forces tell
+        tells: position for each unit of a reading, from which a sensor tells where a joint is: less is rounding
         hidden: times the spread of an initial state, where a sensor with a bias or a lag tells the state only through
             the model
         near: usual square error up to which a fit is near the noise, where derivatives can be believed
@@ -85,6 +90,9 @@ class EstimationSettings:
     """
 
     window_length: float = 0.25
+    samples: int = 40
+    longest: float = 2.0
+    enough: int = 36
     growth: float = 10.0
     fewest_samples: int = 12
     steady: float = 0.9
@@ -113,6 +121,7 @@ class EstimationSettings:
     rounds: int = 3
     simulated: int = 2
     searched: tuple[float, ...] = (0.3, 0.1, 0.03)
+    tells: float = 1e-9
     hidden: float = 1e3
     near: float = 2.0
     typical: float = 0.8

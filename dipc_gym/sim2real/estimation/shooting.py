@@ -22,8 +22,6 @@ from dipc_gym.sim2real.model.structure import Structure
 
 Array = NDArray[np.float64]
 
-_NOTHING = 1e-9  # of a position for each unit of a reading: rounding
-
 
 class _Hidden(NamedTuple):
     """Base joints (nb,), see `Shooting`."""
@@ -57,7 +55,7 @@ class Shooting:
             told = seen(from_model(structure.model))
             names = np.array(mjcf.scalar_sensors(structure.model))[told.sensors]
             through = np.abs(told.inverse(self.problem.windows.noise)[:, [name in moved for name in names.tolist()]])
-            known = structure.worked_out[_Hidden] = _Hidden(through.max(axis=1, initial=0.0) > _NOTHING)
+            known = structure.worked_out[_Hidden] = _Hidden(through.max(axis=1, initial=0.0) > ESTIMATION.tells)
         return known.joints
 
     def residuals(self, Z: Sequence[Array], initial: Array) -> Array:
