@@ -257,6 +257,20 @@ def test_which_of_two_ends_a_search_comes_to(named: list[float], modelled: list[
     assert choice.of_ends(scorer, paths)[-1].name == end  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "far"),
+    [
+        ([100.0] * 33, [110.0] * 33, False),
+        ([100.0] * 33, [140.0] * 33, True),
+        ([100.0] * 33, [100.0] * 30 + [2000.0] * 3, True),  # the other is alike, and goes astray in three windows
+    ],
+)
+def test_what_goes_astray_in_few_windows_leaves_far_more(one: list[float], other: list[float], far: bool) -> None:
+    left = {"one": one, "other": other}
+    scorer = SimpleNamespace(unfitted_mse=lambda fitted: np.square(left[fitted]))
+    assert choice.leaves_far_less(scorer, "one", "other") is far  # type: ignore[arg-type]
+
+
 def test_laws_of_no_kind_keep_none_of_a_kind_from_being_asked(monkeypatch: pytest.MonkeyPatch, dry: Search) -> None:
     """They take some of anything, so that screening foretells more of them than of the drive's curve, which it is."""
     base = dry.progress.path[0]
