@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from dipc_gym import cli, mjcf, physics, recording
+from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.recording.parts import check_apart
 from dipc_gym.sim2real import diagnosis
@@ -23,7 +24,7 @@ from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.estimation import unexplained
 from dipc_gym.sim2real.estimation.fit import fit
 from dipc_gym.sim2real.estimation.segments import prepare
-from dipc_gym.sim2real.model.parameters import Wishes
+from dipc_gym.sim2real.model.parameters import Wishes, model_parameters
 from dipc_gym.sim2real.model.structure import Term
 from dipc_gym.sim2real.replay import replay
 from dipc_gym.sim2real.result import Diagnosis, Errors, Located, Missing, SensorFit
@@ -31,7 +32,7 @@ from dipc_gym.sim2real.selection.case import part
 from dipc_gym.sim2real.selection.score import Improvement, compare
 from dipc_gym.sim2real.selection.simulated import with_coulomb
 from dipc_gym.sim2real.simulation.batch import Stepping
-from dipc_gym.sim2real.verdict import judgement, sentences, word
+from dipc_gym.sim2real.verdict import findings, judgement, sentences, word
 from dipc_gym.sim2real.verdict.guarded import Guarded
 from dipc_gym.sim2real.verdict.withheld import gather
 from dipc_gym.trials.grade import BROKEN
@@ -740,6 +741,21 @@ def test_a_parameter_further_off_than_plausible_is_told_and_can_be_allowed() -> 
     assert allowed.verdict == "recalibrated"
     assert allowed.recalibrated[0]["value"] == pytest.approx(MASS, rel=0.002)
     assert not [note for note in allowed.notes if "Without any new physics" in note]
+
+
+def test_a_parameter_that_comes_to_its_limit_beside_what_was_found_is_told() -> None:
+    """Friction that is found beside a mass that may go no further makes up for the load that is missing."""
+    text = NOMINAL.replace('mass="1.26"', 'mass="0.7"')
+    source, stepping = mjcf.from_text(text), Stepping(0.001, mujoco.mjtIntegrator.mjINT_RK4)
+    ready = prepare(source, physics.load(source), [run(3, 12, 2.0)], stepping)
+    mass = [n for n in model_parameters(Document(source), ready.structure.model) if n.attribute == "mass"]
+    term = Term(catalogue()["friction.coulomb"], "cart", {"level": 1.0})
+    free = replace(ready.structure, model_parameters=tuple(mass)).with_term(term)
+    (note,) = findings.held_at_limits(fit(ready.problem, free))
+    assert note.startswith("mass of cart came to the limit of what is taken to be plausible of it")
+    assert "a load that the model does not carry, say. If more may be, say so: --prior cart.mass=0.7+-0.7" in note
+    fixed = ready.structure.with_term(term)
+    assert findings.held_at_limits(fit(ready.problem, fixed)) == []
 
 
 @pytest.mark.parametrize(

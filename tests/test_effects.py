@@ -837,3 +837,9 @@ def test_a_law_is_told_as_it_is_written_where_its_table_was_made_longer() -> Non
     said = np.interp(places, told["table"]["inputs"][0]["knots"], told["table"]["levels"])
     assert said == pytest.approx(np.array(levels), abs=1e-9)
     assert law.law_of(law.guess, {"value_1": "N"})["table"]["inputs"][0]["knots"] == pytest.approx(knots)
+
+
+def test_a_supply_loses_no_more_than_all_of_its_force_in_words_either() -> None:
+    numbers = {"time_constant": 30.0, "more_1": 0.4, "more_2": 0.9, "current": 6.0, "gain": 1.0, "back": 0.0}
+    said = SagOfAnyLaw(numbers).sentence("motor", numbers, {"current": "V"})
+    assert "under a command of 3 V it comes to lose 40 % of its force, under 6 V 100 %" in said

@@ -442,7 +442,7 @@ def test_a_force_in_an_actuators_clothes_is_the_same_whatever_defaults_say(short
     catalogue()["motor.inductance"].edit(document, "drive", {"time_constant": 0.01})
     model = mjcf.compile(document.text())
     data = mujoco.MjData(model)
-    data.qpos[0], data.qvel[0], data.ctrl[0] = 0.4, 1.5, 1.0
+    data.qpos[0], data.qvel[0], data.ctrl[:] = 0.4, 1.5, 1.0  # also of what nobody is to command
     data.act[:] = 1.0
     mujoco.mj_forward(model, data)
     drive, drag = (float(data.actuator_force[k]) for k in range(2))

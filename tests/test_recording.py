@@ -7,6 +7,7 @@ import pickle
 import sys
 import tracemalloc
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -20,7 +21,7 @@ from dipc_gym import mjcf
 from dipc_gym import recording as recordings
 from dipc_gym.recording import Recorder, Recording, RecordingError, files, noise, read, resample_commands, tables, write
 from dipc_gym.recording.checks import counted_on, notes, quantum
-from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees
+from dipc_gym.recording.degrees import IN_PYTHON, look_like_degrees, refuse_degrees, refuse_millimetres
 from dipc_gym.recording.held import ROUNDING
 from dipc_gym.recording.record import LARGEST
 from dipc_gym.recording.units import FACTORS, check_kind, factor, of_command
@@ -928,3 +929,60 @@ def test_readings_that_are_made_up_between_others_are_noted(rows: int, count: fl
     assert f"sensor 'pole' changes only every {rows} rows: it was read at {500 / rows:g} Hz" in said(held)
     if rows > 2:
         assert f"sensor 'pole' lies on straight lines over {rows} rows each" in said(line)
+
+
+# Angles in degrees of a joint that may turn as often as it likes, beside one that may not
+
+
+def test_angles_are_all_in_degrees_where_the_motion_fits_the_model_only_then() -> None:
+    """An arm about a vertical axis may turn as it likes; the pendulum on it would, read in radians, not move so."""
+    model = mjcf.compile(
+        """<mujoco><option timestep="0.001" integrator="RK4"/><worldbody>
+        <body><joint name="arm" axis="0 0 1" damping="1e-3"/>
+          <inertial pos="0.1 0 0" mass="0.2" diaginertia="1e-4 1e-3 1e-3"/>
+          <body pos="0.2 0 0"><joint name="pole" axis="1 0 0" damping="1e-4"/>
+            <inertial pos="0 0 -0.15" mass="0.1" diaginertia="2e-4 2e-4 1e-5"/></body></body></worldbody>
+        <actuator><motor name="motor" joint="arm"/></actuator>
+        <sensor><jointpos name="arm" joint="arm"/><jointpos name="pole" joint="pole"/></sensor></mujoco>"""
+    )
+    data, recorder = mujoco.MjData(model), Recorder(["motor"], ["arm", "pole"])
+    for k in range(8000):
+        data.ctrl[0] = 0.06 * (np.sin(0.009 * k) + np.sign(np.sin(0.004 * k)))
+        if k % 4 == 0:
+            recorder.append(data.time, data.ctrl, np.degrees(data.sensordata))
+        mujoco.mj_step(model, data)
+    run = recorder.recording("run")
+    with pytest.raises(RecordingError, match=r"sensor 'arm' reaches .* and sensor 'pole' reaches .* --unit pole=deg"):
+        refuse_degrees([run], model)
+    assert look_like_degrees(replace(run, sensors=np.radians(run.sensors)), model) == []
+
+
+@pytest.mark.parametrize("limits", ["", 'limited="true" range="-0.6 0.6"'])
+def test_ways_in_millimetres_are_refused_with_what_to_say(limits: str) -> None:
+    """Unless that is told; nor is a train taken for a toy that goes that far."""
+    model = mjcf.compile(
+        f"""<mujoco><option timestep="0.001"/><worldbody><body><joint name="x" type="slide" damping="4" {limits}/>
+        <inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
+        <actuator><motor name="motor" joint="x"/></actuator>
+        <sensor><jointpos name="x" joint="x"/></sensor></mujoco>"""
+    )
+
+    def driven(force: float, seconds: float) -> Recording:
+        data, recorder, noise = mujoco.MjData(model), Recorder(["motor"], ["x"]), np.random.default_rng(0)
+        for k in range(int(1000 * seconds)):
+            data.ctrl[0] = force * np.sign(np.sin(2 * np.pi * k * 1e-3 / seconds))
+            if k % 10 == 0:
+                recorder.append(data.time, data.ctrl, data.sensordata + 2e-4 * noise.normal(size=1))
+            mujoco.mj_step(model, data)
+        return recorder.recording("run")
+
+    run = driven(2.0, 2.0)
+    refuse_millimetres([run], model)
+    wrong = replace(run, sensors=1e3 * run.sensors)
+    with pytest.raises(RecordingError, match=r"sensor 'x' reaches .* m, which looks like millimetres; say --unit x=mm"):
+        refuse_millimetres([wrong], model)
+    refuse_millimetres([replace(wrong, told=("x",))], model)
+    if not limits:
+        far = driven(50.0, 20.0)
+        assert np.ptp(far.sensors) > 50
+        refuse_millimetres([far], model)

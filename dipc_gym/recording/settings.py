@@ -114,6 +114,8 @@ class DegreesSettings:
         samples: at which accelerations are compared: more cost time and tell the same
         clearly: share of the error in degrees, below which a model's accelerations say that an angle is in radians: the
             wrong unit is off by a factor of 57, and the model itself may be far off
+        drives: share of a slide's measured accelerations, below which its model's forces cannot have driven it: in the
+            wrong unit they are a thousandth
         weight: N m, above which a torque that changes with the angle is one of gravity and not of rounding
     """
 
@@ -123,6 +125,7 @@ class DegreesSettings:
     smooth: float = 0.05
     samples: int = 2000
     clearly: float = 0.5
+    drives: float = 0.03
     weight: float = 1e-9
 
 

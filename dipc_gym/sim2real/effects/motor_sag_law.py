@@ -98,15 +98,15 @@ class SagOfAnyLaw(LawOfIncrements):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        levels = self.at_knots(values)
+        levels = np.minimum(self.at_knots(values), 1.0)  # no more than all
         half = len(levels) // 2
-        what = "across its winding" if values["back"] else "of command"
         little, much = (
             f"{values['current'] * k / (len(levels) - 1):.3g} {unit['current']}".strip()
             for k in (half, len(levels) - 1)
         )
+        under = f"{little} across its winding" if values["back"] else f"a command of {little}"
         return (
-            f"The supply of {at} sags with past current by a law of its own: under {little} {what} it comes to lose "
+            f"The supply of {at} sags with past current by a law of its own: under {under} it comes to lose "
             f"{100 * levels[half]:.3g} % of its force, under {much} {100 * levels[-1]:.3g} %, with a time constant of "
             f"{values['time_constant']:.2g} s."
         )

@@ -58,9 +58,7 @@ def beyond_limits(problem: Problem, validation: Problem, recalibrated: Fit) -> l
         validation: windows that no fit has touched.
         recalibrated: the model's parameters refitted, within their limits.
     """
-    parameters, slots = recalibrated.structure.model_parameters, recalibrated.structure.slots
-    values = [slot.value(z) for slot, z in zip(slots, recalibrated.z, strict=True)]
-    stand = [min(v / slot.low, slot.high / v) < 1 + VERDICT.at_limit for v, slot in zip(values, slots, strict=True)]
+    parameters, stand = recalibrated.structure.model_parameters, _at_limits(recalibrated)
     if not any(stand):
         return []
     wider = tuple(
@@ -85,6 +83,28 @@ def beyond_limits(problem: Problem, validation: Problem, recalibrated: Fit) -> l
     return [
         f"Without any new physics {names} would explain these recordings too, to {error:.3g} times the noise; that is "
         f"further off than a parameter of its kind is taken to be. If it may be, say so: {priors}."
+    ]
+
+
+def _at_limits(fitted: Fit) -> list[bool]:
+    """Which of the model's own parameters a fit has at the limit that its kind is taken to have."""
+    slots = fitted.structure.slots[: len(fitted.structure.model_parameters)]
+    values = [slot.value(z) for slot, z in zip(slots, fitted.z, strict=False)]
+    return [min(v / slot.low, slot.high / v) < 1 + VERDICT.at_limit for v, slot in zip(values, slots, strict=True)]
+
+
+def held_at_limits(final: Fit) -> list[str]:
+    """Note on model parameters that stand at their limits beside what was found: what they lack, others make up for."""
+    parameters = final.structure.model_parameters
+    held = [n for n, at in zip(parameters, _at_limits(final), strict=True) if at]
+    if not held:
+        return []
+    names = " and ".join(sentences.called(n.attribute, n.at) for n in held)
+    priors = " ".join(f"--prior {n.key}={n.value:g}+-{n.value:g}" for n in held)
+    return [
+        f"{names} came to the limit of what is taken to be plausible of {'it' if len(held) == 1 else 'them'}, so that "
+        "other numbers, and what was found, may make up for the rest: a load that the model does not carry, say. If "
+        f"more may be, say so: {priors}; and what you know, by --fix."
     ]
 
 

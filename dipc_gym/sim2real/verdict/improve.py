@@ -123,7 +123,13 @@ def _predictions(option: Option, said: AsWritten) -> list[str]:
             f"Parameters are what this file's step of {1e3 * said.timestep:g} ms and its integrator need to predict "
             "the recordings; those that fine steps need are in diagnosis.json."
         )
-    if option.structure.physics(option.z).model.nplastic:
+    model = option.structure.physics(option.z).model
+    if model.nu > mjcf.commanded(model):
+        lines.append(
+            f"Its controls from number {mjcf.commanded(model)} on, counted from 0, are of forces that nobody commands; "
+            "they move nothing."
+        )
+    if model.nplastic:
         lines.append(
             "Springs that yield are unbent where joints stand at 0. Begun elsewhere, they throw the joint: write where "
             "it begins into data.plastic, at tendon_plasticadr and after it, as dipc_gym's environments do."

@@ -161,6 +161,8 @@ def _notes(base: Baseline, last: Chosen, tested: Tested, guarded: Guarded) -> li
             lambda: findings.beyond_limits(base.partition.problem, search.partition.validation, base.recalibrated),
             list[str],
         )
+    if last.found.fitted.structure.terms:
+        notes += guarded("Which parameters are held", lambda: findings.held_at_limits(last.found.fitted), list[str])
     if tested.was_fitted:
         notes.append(sentences.NOT_HELD_OUT)
     if tested.beyond is not None:

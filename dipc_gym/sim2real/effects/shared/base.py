@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.sim2real.effects.shared.settings import EFFECTS, SMOOTHING
 
+DEAF = 1e-12  # N or N m for each unit of a command that nobody is to give
+
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
@@ -437,7 +439,8 @@ def passive_ramp(
 ) -> None:
     """A force constant + per_position * position + per_speed * velocity on a joint, held between limits.
 
-    MuJoCo drops the last two where the gain is zero, and takes no empty range.
+    MuJoCo drops the last two where the gain is zero, and takes no empty range. A gain this small lets whoever writes
+    commands into all controls of the file move nothing.
     """
     limit_the_drive(document, joint)
     name = document.fresh(name)
@@ -446,7 +449,7 @@ def passive_ramp(
         "general",
         name=name,
         joint=joint,
-        gainprm=1,
+        gainprm=DEAF,
         biastype="affine",
         biasprm=ramp,
         forcelimited="true",
