@@ -718,6 +718,8 @@ def test_a_sentence_says_that_a_model_diverges() -> None:
 def test_a_sentence_says_nothing_of_the_motion_of_a_sensor_that_rests() -> None:
     still = SensorFit("arm", "rad", 1e-3, 0.0, Errors(0.05, 0.02, 0.001))
     assert sentences.in_units([still]) == "falls from 2.86 to 0.0573 degrees at arm"
+    far = SensorFit("arm", "rad", 1e-3, 0.03, Errors(0.05, 0.02, 0.001))
+    assert sentences.in_units([far]).endswith("(167 to 3.3 % of its motion)")
 
 
 def test_a_sentence_says_which_sensor_is_predicted_worse() -> None:

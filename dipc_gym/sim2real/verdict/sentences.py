@@ -148,11 +148,16 @@ def in_units(sensors: Sequence[SensorFit]) -> str:
         e = one.errors
         share = ""
         if one.motion > 0:  # a sensor may rest where it is tested
-            share = f" ({100 * e.nominal / one.motion:.2g} to {100 * e.improved / one.motion:.2g} % of its motion)"
+            share = f" ({_percent(e.nominal / one.motion)} to {_percent(e.improved / one.motion)} % of its motion)"
         goes, before = "" if _goes(e) == before else f"{_goes(e)} ", _goes(e)
         fall = f"{goes}from {_shown(e.nominal, one.unit, bare=True)} to {_shown(e.improved, one.unit)}"
         parts.append(f"{fall} at {one.name}{share}")
     return " and ".join(parts)
+
+
+def _percent(share: float) -> str:
+    """A share in percent, of two digits, and all before the point."""
+    return f"{100 * share:.0f}" if share >= 1 else f"{100 * share:.2g}"
 
 
 def _goes(errors: Errors) -> str:
