@@ -25,7 +25,6 @@ from dipc_gym.sim2real.effects import Effect, catalogue
 from dipc_gym.sim2real.effects.friction_hysteresis import Hysteresis
 from dipc_gym.sim2real.effects.friction_hysteresis_law import HysteresisOfAnyLaw
 from dipc_gym.sim2real.effects.friction_load_law import UnderLoadOfAnyLaw
-from dipc_gym.sim2real.effects.friction_position_law import FrictionOfPosition
 from dipc_gym.sim2real.effects.friction_resting_law import RestingOfAnyLaw
 from dipc_gym.sim2real.effects.load_creeping import _stretch
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
@@ -822,21 +821,6 @@ def test_a_catalogue_that_was_not_read_to_its_end_is_read_again(monkeypatch: pyt
         with pytest.raises(KeyboardInterrupt):
             catalogue()
     assert list(catalogue()) == whole
-
-
-def test_a_law_is_told_as_it_is_written_where_its_table_was_made_longer() -> None:
-    """Knots that then lie between the even places of the file's entry are cut off there."""
-    knots = np.linspace(0.0, 1.0, 65)
-    law = FrictionOfPosition(knots.tolist(), (1.0 + 2.0 * (np.arange(65) == 31)).tolist())
-    longer, values = law.reaching(law.guess, [(0.0, 1.13)]) or pytest.fail("it goes no further")
-    document = Document(mjcf.from_text(CART))
-    longer.edit(document, "cart", values)
-    first, last, *levels = np.array(document.root.find("custom/numeric").get("data").split(), dtype=float)
-    told = longer.law_of(values, {"value_1": "N"})
-    places = np.linspace(first, last, len(levels))
-    said = np.interp(places, told["table"]["inputs"][0]["knots"], told["table"]["levels"])
-    assert said == pytest.approx(np.array(levels), abs=1e-9)
-    assert law.law_of(law.guess, {"value_1": "N"})["table"]["inputs"][0]["knots"] == pytest.approx(knots)
 
 
 def test_a_supply_loses_no_more_than_all_of_its_force_in_words_either() -> None:

@@ -84,7 +84,7 @@ def with_delay(delay: float, step: float, integrator: str) -> float:
         integrator: of the file, as it names it.
 
     Example:
-        >>> with_delay(0.014, 0.002, "Euler"), with_delay(0.014, 0.002, "RK4")
+        >>> with_delay(0.014, 0.002, "Euler"), round(with_delay(0.014, 0.002, "RK4"), 6)
         (0.014, 0.015)
     """
     if integrator != "RK4":

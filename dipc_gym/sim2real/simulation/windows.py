@@ -100,7 +100,8 @@ class Windows:
         return np.array([recording.time[0] for recording in self.recordings])[self.source]
 
     def as_read(self, sensor: int, remembered: Array) -> Array:
-        """What a lagging sensor remembers where windows begin, (..., n): what it reads there, smoothed.
+        """What a lagging sensor remembers where windows begin, (..., n): what it reads there, smoothed, but for the
+        noise, for a smooth curve misses where a fast rig turns.
 
         The motion that leads there was told by that sensor, and is late itself: what follows from it is late twice,
         which passes for a shorter lag in every window.
@@ -110,7 +111,8 @@ class Windows:
             if motion.read is not None:
                 mine = self.source == i
                 told[mine] = np.interp(self.start[mine], motion.time, motion.read[:, sensor])
-        return np.where(np.isfinite(told), told, remembered)
+        read, noise = self.observed[:, 0, sensor], self.noise[sensor]
+        return np.where(np.isfinite(told), np.clip(told, read - noise, read + noise), remembered)
 
     @property
     def period(self) -> float:

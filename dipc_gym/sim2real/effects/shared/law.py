@@ -22,7 +22,6 @@ Outside = Literal["constant", "parallel"]
 
 FAR = 100.0  # times the largest that data tell, to where a table goes of a law that goes on straight
 BENT = 1e-5  # of the law's size, by which values begin off a line: a ramp that is nothing has no slope to fit by
-ROUNDING = 1e-9  # of the length of a table, by which rounding puts one of its knots beside its place
 
 
 def described(
@@ -365,16 +364,5 @@ class FrictionLaw(Law):
         """A table for the loader, and one level for stock MuJoCo."""
         levels = np.array(self.values(values))
         dry_beside(document, at, self.in_stock(levels))
-        document.custom(self.entry, at, [self.knots[0], self.knots[-1], *self._at(self._even, values)])
-
-    @property
-    def _even(self) -> Array:
-        """Places at equal distances, as the entry has them."""
-        return np.linspace(self.knots[0], self.knots[-1], LAWS.narrowest + 1)
-
-    def written(self, values: Values) -> tuple[Array, Array]:
-        """Its knots, or all even places where some of these lie between: of a table that was made longer."""
-        knots, even = np.array(self.knots), self._even
-        off = np.min(np.abs(knots[:, None] - even), axis=1)
-        places = knots if np.max(off) < ROUNDING * (knots[-1] - knots[0]) else even
-        return places, self._at(places, values)
+        even = np.linspace(self.knots[0], self.knots[-1], LAWS.narrowest + 1)  # every knot is one of these
+        document.custom(self.entry, at, [even[0], even[-1], *self._at(even, values)])
