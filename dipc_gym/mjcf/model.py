@@ -349,14 +349,12 @@ def sensor_addresses(model: mujoco.MjModel) -> NDArray[np.intp]:
 
 def sensor_delays(model: mujoco.MjModel, *, stepped: bool = False) -> Array:
     """By how much each of the `scalar_sensors` reads late, s; for `stepped` see `control_delays`."""
-    step, which = float(model.opt.timestep), [model.sensor(name).id for name in scalar_sensors(model)]
-    return np.array(
-        [
-            delay and _age(delay, step, model.sensor_history[k, 1], stepped)
-            for k in which
-            for delay in [model.sensor_delay[k]]
-        ]
-    )
+
+    def late(k: int) -> float:
+        delay, interpolates = model.sensor_delay[k], model.sensor_history[k, 1]
+        return _age(delay, float(model.opt.timestep), interpolates, stepped) if delay else 0.0
+
+    return np.array([late(model.sensor(name).id) for name in scalar_sensors(model)])
 
 
 def latest_sensor(model: mujoco.MjModel) -> float:

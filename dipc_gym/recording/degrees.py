@@ -82,7 +82,7 @@ def refuse_degrees(
             reach = " and ".join(
                 f"sensor {name!r} reaches {peak:.4g} rad" for name, peak in zip(odd, peaks, strict=True)
             )
-            mends = ", and ".join(mended(mend, recording, name, "deg", "rad") for name in odd)
+            mends = ", and ".join(_mended(mend, recording, name, "deg", "rad") for name in odd)
             raise RecordingError(f"{recording.path or recording.name}: {reach}, which looks like degrees; {mends}")
 
 
@@ -105,7 +105,7 @@ def refuse_millimetres(recordings: Iterable[Recording], model: mujoco.MjModel, *
                 continue
             raise RecordingError(
                 f"{recording.path or recording.name}: sensor {name!r} reaches {peak:.4g} m, which looks like "
-                f"millimetres; {mended(mend, recording, name, 'mm', 'm')}"
+                f"millimetres; {_mended(mend, recording, name, 'mm', 'm')}"
             )
 
 
@@ -124,7 +124,7 @@ def _in_millimetres(recording: Recording, model: mujoco.MjModel, name: str, join
     return found < DEGREES.drives * 1e3 * measured
 
 
-def mended(mend: str, recording: Recording, name: str, odd: str, si: str) -> str:
+def _mended(mend: str, recording: Recording, name: str, odd: str, si: str) -> str:
     """What to say of a sensor whose unit is in doubt."""
     return mend.format(name=called(SENSOR, name, recording.actuator_names), odd=odd, si=si)
 

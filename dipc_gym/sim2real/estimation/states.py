@@ -229,7 +229,6 @@ def estimate(recording: Recording, physics: Physics, noise: Array) -> Motion:
     for s in told.sensors:
         smooth[:, s] = smoothed(recording.time, recording.sensors[:, s], noise[s])
     as_read, smooth = smooth, straightened(physics, smooth)
-    smooth = smooth.copy() if smooth is as_read else smooth
     _undo_lateness(physics, recording.time, smooth)
     position = told.positions(recording.time, smooth, noise)
     velocity = np.gradient(position, recording.time, axis=0, edge_order=2)
