@@ -66,7 +66,7 @@ class Diagnose:
         from math import isnan
 
         from dipc_gym import mjcf, recording
-        from dipc_gym.recording.degrees import refuse_degrees, refuse_millimetres
+        from dipc_gym.recording.degrees import refuse_odd_units
         from dipc_gym.recording.tables import check_format
         from dipc_gym.safety.alone import alone
         from dipc_gym.safety.files import finite
@@ -93,8 +93,7 @@ class Diagnose:
         mapping, units = pairs("map", self.map), pairs("unit", self.unit)
         fitted = recording.read_all(self.recordings, model, mapping=mapping, units=units)
         judged = recording.read_all(self.held_out, model, mapping=mapping, units=units)
-        for refuse in (refuse_degrees, refuse_millimetres):
-            refuse([*fitted, *judged], model)
+        refuse_odd_units([*fitted, *judged], model)
         wishes = Wishes(self.fix, {key: _spread(key, text) for key, text in pairs("prior", self.prior).items()})
         with alone(self.out):
             folder.check_free(self.out, self.overwrite)  # a run that was at work there may just have ended

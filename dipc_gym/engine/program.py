@@ -173,12 +173,10 @@ class _Writer:
 
     def _along(self, tendon: int) -> tuple[list[int], list[float]]:
         """Joints of a fixed tendon, and their coefficients."""
-        model = self.model
-        first = int(model.tendon_adr[tendon])
-        span = range(first, first + int(model.tendon_num[tendon]))
-        if any(model.wrap_type[w] != mujoco.mjtWrap.mjWRAP_JOINT for w in span):
+        model, found = self.model, mjcf.along(self.model, tendon)
+        if len(found) < model.tendon_num[tendon]:
             raise Uncovered(f"tendon {model.tendon(tendon).name!r} is not a fixed one")
-        return [int(model.wrap_objid[w]) for w in span], [float(model.wrap_prm[w]) for w in span]
+        return [joint for joint, _ in found], [coefficient for _, coefficient in found]
 
     def _tendons(self) -> list[list[int]]:
         model, elements = self.model, []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -23,6 +23,21 @@ IN_PYTHON = (
     "read it with units={{{name!r}: '{odd}'}} if these are, or '{si}' if they are not (a Recording made by hand says "
     "told=({name!r},), with its numbers in {si})"
 )
+
+
+def refuse_odd_units(recordings: Sequence[Recording], model: mujoco.MjModel, *, mend: str = ON_COMMAND_LINE) -> None:
+    """Stop where angles look like degrees or ways like millimetres, unless their unit was told.
+
+    Args:
+        recordings: in SI units; each knows which units were told when it was read.
+        model: of the rig.
+        mend: what to say, with `{name}` for the sensor, `{odd}` for the unit in doubt and `{si}` for the model's.
+
+    Raises:
+        RecordingError: with the file, the sensor, and what to say in either case.
+    """
+    refuse_degrees(recordings, model, mend=mend)
+    refuse_millimetres(recordings, model, mend=mend)
 
 
 def look_like_degrees(recording: Recording, model: mujoco.MjModel) -> list[str]:
@@ -68,7 +83,7 @@ def refuse_degrees(
         recordings: in SI units; each knows which units were told when it was read.
         model: of the rig.
         told: further sensors and columns that a unit was given for.
-        mend: what to say in either case, with `{name}` for the sensor.
+        mend: see `refuse_odd_units`.
 
     Raises:
         RecordingError: with the file, the sensor, and what to say in either case.

@@ -13,7 +13,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording
 from dipc_gym.recording.clock import clocked
-from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees, refuse_millimetres
+from dipc_gym.recording.degrees import IN_PYTHON, refuse_odd_units
 from dipc_gym.recording.glitches import without_glitches
 from dipc_gym.sim2real.effects import Effect
 from dipc_gym.sim2real.estimation import unexplained
@@ -89,8 +89,7 @@ def fit_effect(
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given = physics.load(source)
     mjcf.check_supported(given.model, source.name)
-    for refuse in (refuse_degrees, refuse_millimetres):
-        refuse(recordings, given.model, mend=IN_PYTHON)
+    refuse_odd_units(recordings, given.model, mend=IN_PYTHON)
     recordings = without_glitches(clocked(recordings), given.model)
     step = min(WINDOWS.coarsest, *(r.period for r in recordings))
     ready = prepare(source, given, recordings, Stepping(step, mujoco.mjtIntegrator.mjINT_RK4), threads=threads)

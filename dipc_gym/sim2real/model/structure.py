@@ -310,7 +310,7 @@ class Structure:
         """
         if self._hides:
             return max(self.activated, EFFECTS.swing if np.any(self.model.tendon_stiffness > 0) else EFFECTS.settle)
-        return max(self.activated, EFFECTS.warm if self.model.na > 0 or self._own_lag else 0.0)
+        return max(self.activated, EFFECTS.warm if self.model.na > 0 or self._lagging else 0.0)
 
     @functools.cached_property
     def activated(self) -> float:
@@ -328,17 +328,15 @@ class Structure:
         return len(self.base) + len(loads(self.model)) + len(mjcf.coupled(self.model)) < self.model.njnt
 
     @functools.cached_property
-    def _own_lag(self) -> bool:
-        """Whether a sensor of the nominal model lags."""
-        return bool(physics.from_model(self.model).stage("lag"))
+    def _lagging(self) -> frozenset[str]:
+        """Sensors of the nominal model that lag."""
+        return frozenset(extra.at for extra in physics.from_model(self.model).stage("lag"))
 
     @property
     def moved_sensors(self) -> set[str]:
         """Sensors that an effect, or their own lag or delay in the model, keeps from saying what state it is."""
         late = {self.model.sensor(int(k)).name for k in np.flatnonzero(self.model.sensor_delay > 0)}
-        if self._own_lag:
-            late |= {extra.at for extra in physics.from_model(self.model).stage("lag")}
-        return late | {term.at for term in self.terms if term.effect.moves_readings}
+        return late | self._lagging | {term.at for term in self.terms if term.effect.moves_readings}
 
     @property
     def finest(self) -> float:
@@ -355,7 +353,7 @@ class Structure:
         integration, s.
         """
         model, kind = self.model, mujoco.mjtDyn
-        finest = EFFECTS.fast if self._hides or self._own_lag else math.inf
+        finest = EFFECTS.fast if self._hides or self._lagging else math.inf
         finest = min(finest, MODEL.settles * settles(model))
         for dynamics, numbers in zip(model.actuator_dyntype, model.actuator_dynprm, strict=True):
             if dynamics in (int(kind.mjDYN_DCMOTOR), int(kind.mjDYN_FILTEREXACT)) and numbers[0] > 0:

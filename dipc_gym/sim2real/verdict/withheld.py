@@ -17,7 +17,7 @@ from dipc_gym.mjcf.edit import Document
 from dipc_gym.recording import Recording, RecordingError
 from dipc_gym.recording.checks import slowly
 from dipc_gym.recording.clock import clocked
-from dipc_gym.recording.degrees import IN_PYTHON, refuse_degrees, refuse_millimetres
+from dipc_gym.recording.degrees import IN_PYTHON, refuse_odd_units
 from dipc_gym.recording.glitches import without_glitches
 from dipc_gym.recording.parts import check_apart, going_on, until
 from dipc_gym.sim2real.estimation import states
@@ -113,8 +113,7 @@ def gather(
     loaded = physics.load(source)
     mjcf.check_supported(loaded.model, source.name)
     check_apart(recordings, held_out)
-    for refuse in (refuse_degrees, refuse_millimetres):
-        refuse([*recordings, *held_out], loaded.model, mend=IN_PYTHON)
+    refuse_odd_units([*recordings, *held_out], loaded.model, mend=IN_PYTHON)
     tested = without_glitches(clocked(held_out), loaded.model)
     # What is tested with says nothing of what is fitted, not even which of its samples are glitches, or its clock.
     whole = clocked(recordings, until=1.0 if tested else WINDOWS.test)
