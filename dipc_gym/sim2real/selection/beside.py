@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from dipc_gym.sim2real.effects.shared.settings import LAWS
 from dipc_gym.sim2real.estimation.fit import Fit, fit
@@ -71,16 +72,21 @@ def rest(
         tell: called with a line if there is one.
     """
     named = prune(question, fitter, named, tell)
-    for hold in SEARCH.held_to:
+
+    def held(hold: float) -> Fit | None:
         structure = named.structure
         for term in law.structure.unnamed:
             structure = structure.with_term(_from_nothing(term, hold))
         z = carry(named.structure, named.z, structure)
         fitted = fit(fitter.problem, structure, z, named.initial, most=SEARCH.anew_steps)
-        if fitter.scorer.alike(law, fitted, begin):
-            tell(f"what has no name does only what is left beside names: error {fitted.error:.3g} x noise")
-            return fitted
-    return None
+        return fitted if fitter.scorer.alike(law, fitted, begin) else None
+
+    with fitter.side_by_side([partial(held, hold) for hold in SEARCH.held_to], [named, law]) as result:
+        fitted = next((one for k in range(len(SEARCH.held_to)) if (one := result(k)) is not None), None)
+    if fitted is None:
+        return None
+    tell(f"what has no name does only what is left beside names: error {fitted.error:.3g} x noise")
+    return fitted
 
 
 def _from_nothing(term: Term, hold: float) -> Term:

@@ -6,6 +6,7 @@ import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 from dipc_gym.sim2real.effects.shared.base import Effect, joint_at, joint_of
 from dipc_gym.sim2real.effects.unknown_product import UnknownProduct
@@ -89,23 +90,30 @@ def _as_good(
     """The first fit with some of the effects that are asked for, in the place of a law of no kind, that predicts as
     well; None where none does.
     """
-    fewer = current.structure.without(key)
-    structures = [functools.reduce(Structure.with_term, shapes, fewer) for shapes in asked]
-    with fitter.sketched([(current, structure) for structure in structures]) as sketch_of:
+    with fitter.side_by_side(
+        [partial(_instead, fitter, current, begin, key, shapes) for shapes in asked], [current]
+    ) as result:
         for k, shapes in enumerate(asked):
-            sketch = sketch_of(k)
-            if sketch is None or (fitter.behind(sketch, current) and not _may_be_finer(sketch, shapes, begin)):
-                continue
-            fitted = fitter.full(current, sketch)
-            if fitted is not None and _lacks_more_than_knots(fitted, current):
-                continue
-            for shaped in shapes:
-                fitted = fitted and refined(fitter, fitted, shaped.key)
-            if fitted and fitter.scorer.alike(current, fitted, begin):
+            fitted = result(k)
+            if fitted is not None:
                 said = " and ".join(shaped.key for shaped in shapes)
                 tell(f"{key} is {said}: error {fitted.error:.3g} x noise (was {current.error:.3g})")
                 return fitted
     return None
+
+
+def _instead(fitter: Fitter, current: Fit, begin: Fit, key: str, shapes: Sequence[Term]) -> Fit | None:
+    """A fit with some effects in the place of a law of no kind, as fine as is asked for, if it predicts as well."""
+    structure = functools.reduce(Structure.with_term, shapes, current.structure.without(key))
+    sketch = fitter.sketch(current, structure)
+    if sketch is None or (fitter.behind(sketch, current) and not _may_be_finer(sketch, shapes, begin)):
+        return None
+    fitted = fitter.full(current, sketch)
+    if fitted is not None and _lacks_more_than_knots(fitted, current):
+        return None
+    for shaped in shapes:
+        fitted = fitted and refined(fitter, fitted, shaped.key)
+    return fitted if fitted and fitter.scorer.alike(current, fitted, begin) else None
 
 
 def _may_be_finer(sketch: Fit, shapes: Sequence[Term], begin: Fit) -> bool:

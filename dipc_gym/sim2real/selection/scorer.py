@@ -226,11 +226,22 @@ def earned(after: Array, before: Array, *, small: bool) -> bool:
 
 
 def settled(after: Array, before: Array) -> bool:
-    """Whether none of the outliers among mean square errors (n,) is left.
+    """Whether none of the outliers among mean square errors (n,) is left, but for what laws may leave of one.
 
-    No mean over windows shows an effect that acts in few of them. It is told from a push by leaving no outlier.
+    No mean over windows shows an effect that acts in few of them. It is told from a push by leaving no outlier. A hard
+    stop throws a joint back thousands of times the noise from where it would be, and is no spring and damper to a
+    thousandth.
+
+    Example:
+        >>> before = np.array([1.0] * 9 + [3000.0**2, 2000.0**2])
+        >>> settled(np.array([1.0] * 9 + [10.0**2, 1.0]), before)
+        True
+        >>> settled(np.array([1.0] * 9 + [1.0, 2000.0**2]), before)
+        False
     """
-    return _lifts_outliers(after, before) and not len(partitioning.outliers(after, before))
+    left = partitioning.outliers(after, before)
+    taken = before[left] - after[left]
+    return _lifts_outliers(after, before) and bool(np.all(after[left] < SEARCH.laws**2 * taken))
 
 
 def _lifts_outliers(after: Array, before: Array) -> bool:
