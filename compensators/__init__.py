@@ -33,7 +33,7 @@ from dipc_gym.compensators.maxwell_slip import MaxwellSlip
 from dipc_gym.compensators.memory import Remembering
 from dipc_gym.compensators.mlp import MLP
 from dipc_gym.compensators.observed import Observed
-from dipc_gym.compensators.registry import fit, kind, names, register
+from dipc_gym.compensators.registry import fit, kind, names, register, registered_elsewhere
 from dipc_gym.compensators.static import Ideal, StaticGain
 from dipc_gym.compensators.stribeck import Stribeck
 
@@ -90,5 +90,6 @@ __all__ = [
     "names",
     "numbers",
     "register",
+    "registered_elsewhere",
     "save",
 ]

@@ -19,7 +19,7 @@ _KINDS: dict[str, type[Compensator]] = {}
 
 
 def register(name: str, cls: type[Compensator]) -> None:
-    """Make a compensator known by a name, to `fit`, `load` and the command line.
+    """Make a compensator known by a name, to `fit`, `load`, and comparisons that are begun from Python.
 
     Registering a name again replaces what it stood for, so that a notebook cell can be run twice.
 
@@ -45,6 +45,12 @@ def register(name: str, cls: type[Compensator]) -> None:
 def names() -> list[str]:
     """Return the registered names, in the order of registration."""
     return list(_KINDS)
+
+
+def registered_elsewhere() -> dict[str, type[Compensator]]:
+    """Return the classes that are none of this package's, by name: another process has to `register` them as well."""
+    own = __name__.rpartition(".")[0]
+    return {name: cls for name, cls in _KINDS.items() if cls.__module__.rpartition(".")[0] != own}
 
 
 def kind(name: str) -> type[Compensator]:

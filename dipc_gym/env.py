@@ -16,7 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from dipc_gym import kernels, mjcf
-from dipc_gym.drawing.viewer import viewer
+from dipc_gym.drawing.viewer import has_display, viewer
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.plant import Plant, PlantError
 from dipc_gym.randomise import PlantFamily
@@ -163,7 +163,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
         self._set_plant(self._home)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._home.control_period)}
         self.observation_space = spaces.Box(-np.inf, np.inf, (6,), np.float64)
-        limit = np.array([self._home.supply], np.float32)
+        limit = actions.bound(self._home.supply)
         self.action_space = spaces.Box(-limit, limit, (1,), np.float32)
         self._begin((0.0,) * 6)
 
@@ -226,6 +226,7 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
 
         Raises:
             gymnasium.error.DependencyNotInstalled: Gymnasium's MuJoCo renderer cannot be imported.
+            gymnasium.error.Error: a window is asked for and there is no display.
         """
         if self.render_mode is None:
             gymnasium.logger.warn(
@@ -233,6 +234,11 @@ class DoublePendulumEnv(gymnasium.Env[Array, NDArray[np.float32]]):
             )
             return None
         if self._viewer is None:
+            if self.render_mode == "human" and not has_display():
+                raise gymnasium.error.Error(
+                    "render_mode='human' opens a window, and there is no display; say render_mode='rgb_array', or to "
+                    "Gymnasium's check_env skip_render_check=True"
+                )
             self._viewer = viewer(self.model, self._data, *self._picture)
         if self._compiled is not None:
             self._compiled.show(self._data)

@@ -11,9 +11,11 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
+from dipc_gym.mjcf import PREFIX
 from dipc_gym.mjcf.defaults import effective
 from dipc_gym.safety.files import write_whole
 from dipc_gym.safety.naming import suggestion
@@ -272,15 +274,16 @@ class Plant:
     def from_mjcf(cls, text: str) -> Plant:
         """The plant that a model's text describes.
 
-        The motor is the `dcmotor` named `motor`, friction the passive `dcmotor` named `friction` and the damping of
-        its joint. What the text does not say that way stays None, that is, as the model has it.
+        The motor is the `dcmotor` named `motor`. Friction is the damping of the joint `cart` and the LuGre friction of
+        a passive `dcmotor` on it: the one named `friction`, or the only one there is. What the text does not say that
+        way stays None, that is, as the model has it: `frictionloss`, and laws under `<custom>`.
         """
         return cls._of_tree(ET.fromstring(text))
 
     @classmethod
     def _of_tree(cls, root: ET.Element) -> Plant:
-        motor, friction = _actuator(root, "motor"), _actuator(root, "friction")
-        found: dict[str, Any] = {"motor": None, "friction": None}
+        motor = _actuator(root, "motor")
+        found: dict[str, Any] = {"motor": None, "friction": _friction_of(root)}
         if motor is not None and motor.tag == "dcmotor" and {"resistance", "motorconst"} <= motor.attrib.keys():
             gear = _numbers(root, motor, "gear", "1")[0]
             if not gear > 0:
@@ -300,23 +303,6 @@ class Plant:
                     "environment's supply drives either way alike, so write as much below 0 as above"
                 )
             found["supply"] = abs(bounds[1])
-        if friction is not None and friction.tag == "dcmotor" and "lugre" in friction.attrib:
-            numbers = _numbers(root, friction, "lugre")
-            if len(numbers) != 5:
-                raise PlantError(
-                    f"<dcmotor name='friction'>: lugre has {len(numbers)} numbers; the environment needs stiffness, "
-                    "damping, Coulomb and static friction, and Stribeck velocity"
-                )
-            stiffness, damping, coulomb, static, stribeck = numbers
-            joint = _joint(root, friction.get("joint", "cart"))
-            found["friction"] = Friction(
-                coulomb=coulomb,
-                static=static,
-                stribeck_velocity=stribeck,
-                bristle_stiffness=stiffness,
-                bristle_damping=damping,
-                viscous=0.0 if joint is None else _numbers(root, joint, "damping", "0")[0],
-            )
         return cls(**found)
 
     def to_mjcf(self, text: str) -> str:
@@ -326,7 +312,8 @@ class Plant:
             text: of the model, its includes put in place.
 
         Raises:
-            PlantError: the text has no actuator `motor` or no joint `cart` to write to.
+            PlantError: the text has no actuator `motor` or no joint `cart` to write to, or says by a law under
+                `<custom>` how large the cart's dry friction is.
         """
         root = ET.fromstring(text)
         motor = _actuator(root, "motor")
@@ -363,24 +350,44 @@ class Plant:
         joint = _joint(root, "cart")
         if joint is None:
             raise PlantError("friction: the model's text has no joint named 'cart'")
+        if law := _law(root):
+            raise PlantError(
+                f"friction: <custom> entry {shown(law)} says how large the dry friction of 'cart' is already; take it "
+                "out of the model, or leave the plant's friction out"
+            )
         # A polynomial's further terms stay.
         beyond = effective(root, joint, "damping").split()[1:]
         joint.set("damping", " ".join([repr(friction.viscous), *beyond]))
-        for actuators in root.iter("actuator"):
-            for element in actuators.findall("dcmotor[@name='friction']"):
-                actuators.remove(element)
+        if _frictionloss(root, joint):
+            joint.set("frictionloss", "0")
+        own = _bristles(root)
+        for element in own:  # of names that the model's sensors may hold
+            element.set("lugre", "0 0 0 0 0")
+        if friction.coulomb == 0:
+            for actuators in root.iter("actuator"):
+                for element in actuators.findall("dcmotor[@name='friction']"):
+                    actuators.remove(element)
         if friction.coulomb > 0:
-            lugre = (
+            numbers = (
                 friction.bristle_stiffness,
                 friction.bristle_damping,
                 friction.coulomb,
                 friction.static,
                 friction.stribeck_velocity,
             )
-            # Passive elements come last, so that the controls keep their places.
-            attributes = {"name": "friction", "joint": "cart", "input": "none", "motorconst": "0 0"}
-            attributes |= {"resistance": "1", "lugre": " ".join(map(repr, lugre))}
-            ET.SubElement(ET.SubElement(root, "actuator"), "dcmotor", attributes)
+            lugre = " ".join(map(repr, numbers))
+            if own:
+                own[0].set("lugre", lugre)
+            else:  # passive elements come last, so that the controls keep their places
+                attributes = {"name": "friction", "joint": "cart", "input": "none", "motorconst": "0 0"}
+                attributes |= {"resistance": "1", "lugre": lugre}
+                ET.SubElement(ET.SubElement(root, "actuator"), "dcmotor", attributes)
+
+
+def bristles(text: str) -> str:
+    """Name of the passive motor that is the cart's dry friction in a model's text, empty where there is none."""
+    found = _bristles(ET.fromstring(text))
+    return found[0].get("name", "") if found else ""
 
 
 def worked_out(text: str) -> tuple[float, float]:
@@ -409,7 +416,7 @@ def _physical(instance: Any, *names: str) -> None:
     part = "" if isinstance(instance, Plant) else type(instance).__name__.lower() + "."
     for name in names:
         value = getattr(instance, name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
+        if isinstance(value, bool) or not isinstance(value, Real):  # NumPy's numbers are such
             raise PlantError(f"{part}{name} must be a number, not {shown(value)}")
         least, most, unit = RANGES[part + name]
         if not least <= value <= most:
@@ -449,6 +456,11 @@ def _changed(current: Any, kind: type, changes: Any, where: str) -> Any:
     if not isinstance(changes, Mapping):
         raise PlantError(f"{where} must be an object of named numbers, not {shown(changes)}")
     _known(kind, changes, f"{where}.")
+    if kind is Friction and current is None and "viscous" not in changes:
+        raise PlantError(
+            "friction: the model has dry friction of another kind, as frictionloss is, and a plant puts its own in the "
+            "place of all of it; give friction.viscous as well"
+        )
     return dataclasses.replace(kind() if current is None else current, **changes)
 
 
@@ -466,6 +478,54 @@ def _actuator(root: ET.Element, name: str) -> ET.Element | None:
 
 def _joint(root: ET.Element, name: str) -> ET.Element | None:
     return next((e for e in root.iter("joint") if e.get("name") == name), None)
+
+
+def _friction_of(root: ET.Element) -> Friction | None:
+    """What a model's tree says of the cart's friction; None where it says it in a way that a plant does not know."""
+    joint, found = _joint(root, "cart"), _bristles(root)
+    if joint is None or len(found) > 1 or _frictionloss(root, joint) or _law(root):
+        return None
+    viscous = _numbers(root, joint, "damping", "0")[0]
+    numbers = _numbers(root, found[0], "lugre", "0") if found else [0.0]
+    if not any(numbers):
+        return Friction(coulomb=0.0, static=0.0, viscous=viscous) if viscous >= 0 else None
+    if len(numbers) != 5:
+        raise PlantError(
+            f"<dcmotor name={shown(found[0].get('name', ''))}>: lugre has {len(numbers)} numbers; the environment "
+            "needs stiffness, damping, Coulomb and static friction, and Stribeck velocity"
+        )
+    stiffness, damping, coulomb, static, stribeck = numbers
+    return Friction(
+        coulomb=coulomb,
+        static=static,
+        stribeck_velocity=stribeck,
+        bristle_stiffness=stiffness,
+        bristle_damping=damping,
+        viscous=viscous,
+    )
+
+
+def _bristles(root: ET.Element) -> list[ET.Element]:
+    """Passive motors on the cart that are LuGre friction, the one named `friction` first."""
+    found = [
+        element
+        for group in root.iter("actuator")
+        for element in group.findall("dcmotor")
+        if element.get("joint") == "cart"
+        and effective(root, element, "input") == "none"
+        and (element.get("name") == "friction" or any(_numbers(root, element, "lugre", "0")))
+    ]
+    return sorted(found, key=lambda element: element.get("name") != "friction")
+
+
+def _frictionloss(root: ET.Element, joint: ET.Element) -> float:
+    return _numbers(root, joint, "frictionloss", "0")[0]
+
+
+def _law(root: ET.Element) -> str:
+    """Name of the entry of `<custom>` that says how large the cart's dry friction is, empty where none does."""
+    names = (element.get("name", "") for element in root.iter("numeric"))
+    return next((name for name in names if name.startswith(f"{PREFIX}:friction.") and name.endswith(":cart")), "")
 
 
 def _numbers(root: ET.Element, element: ET.Element, attribute: str, default: str = "") -> list[float]:

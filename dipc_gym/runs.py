@@ -26,6 +26,7 @@ from dipc_gym.plant import Plant
 from dipc_gym.policy import Policy
 from dipc_gym.recording import Recording
 from dipc_gym.recording.columns import SENSOR
+from dipc_gym.recording.degrees import refuse_odd_units
 
 __all__ = [
     "Course",
@@ -41,6 +42,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+UNIT = "say --unit {name}={odd} (in Python units={{{name!r}: '{odd}'}}) if these are, or {name}={si} if they are not"
 STILL = 0.01  # rad; a locked pole gives that much, and reads its noise
 
 
@@ -128,6 +130,7 @@ def identify(
             mapping={column: name for column, name in (mapping or {}).items() if column not in columns},
             units={key: unit for key, unit in (units or {}).items() if key.removeprefix(SENSOR) not in free | columns},
         )
+        refuse_odd_units([run], fixed, mend=UNIT)
     encoders, period = env.plant.encoders, env.plant.control_period
     data = samples(run, linear, encoders, period, block=sweep.block, smoothed=from_recording is not None)
     late = env.plant.delay or delay(data, linear.constants)
@@ -297,7 +300,7 @@ def balance(
     Raises:
         ValueError: `seconds` is not finite, or shorter than a control period; a blow falls outside them; the policy was
             trained to see through another estimator; or the compensator needs one that observes friction, and this does
-            not.
+            not; or both `exact_state` and an estimator are given.
     """
     env: gymnasium.Env[Any, Any] = gymnasium.make(
         ENV_ID, plant=plant, model=model, exact_state=exact_state, max_episode_steps=2**31
@@ -337,7 +340,7 @@ def swing_up(
     Raises:
         ValueError: no such posture, `seconds` is not finite, or the controller's plan is for another control period or
             other equilibria, or the policy was trained to see through another estimator; or the compensator needs an
-            estimator that observes friction, and this is none.
+            estimator that observes friction, and this is none; or both `exact_state` and an estimator are given.
     """
     env: gymnasium.Env[Any, Any] = gymnasium.make(
         SWING_UP_ID,
@@ -368,6 +371,10 @@ def _course(
 
     inner = _unwrapped(env)
     period = inner.plant.control_period
+    if estimator is not None and inner.exact_state:
+        raise ValueError(
+            "exact_state shows the simulation's state, and an estimator reads encoders: leave one of them out"
+        )
     if not (math.isfinite(seconds) and seconds >= period):
         raise ValueError(f"a run of {seconds:g} s; it must be finite, and at least one control period, {period:g} s")
     steps = round(seconds / period)

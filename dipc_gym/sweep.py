@@ -12,7 +12,7 @@ import dataclasses
 import json
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -73,7 +73,13 @@ class Outcome(Generic[C]):
 
 
 def run(
-    cells: Sequence[C], folder: str | Path, *, jobs: int | None = None, backend: Backend = "local", label: str = "sweep"
+    cells: Sequence[C],
+    folder: str | Path,
+    *,
+    jobs: int | None = None,
+    backend: Backend = "local",
+    label: str = "sweep",
+    ready: Callable[[], object] = dict,
 ) -> Iterator[Outcome[C]]:
     """Run the cells of a sweep that are not on disk yet, with a progress bar.
 
@@ -87,6 +93,7 @@ def run(
         backend: `"local"`, or `"ray"`: the cluster that Ray is connected to or that `RAY_ADDRESS` names, else one that
             Ray starts on this machine.
         label: what the progress bar calls the sweep.
+        ready: called before each cell where it runs, such as to register there what is registered here.
 
     Returns:
         Every cell's outcome: first those on disk, then the others as they finish.
@@ -118,7 +125,7 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)
     remove_partial(folder)
     known = {outcome.cell.name for outcome in done}
-    return _outcomes(done, [cell for cell in cells if cell.name not in known], folder, jobs, backend, label)
+    return _outcomes(done, [cell for cell in cells if cell.name not in known], folder, jobs, backend, label, ready)
 
 
 def check(jobs: int | None, backend: str) -> None:
@@ -192,7 +199,13 @@ def parameters(cell: Cell) -> dict[str, Any]:
 
 
 def _outcomes(
-    done: list[Outcome[C]], open_ones: list[C], folder: Path, jobs: int | None, backend: Backend, label: str
+    done: list[Outcome[C]],
+    open_ones: list[C],
+    folder: Path,
+    jobs: int | None,
+    backend: Backend,
+    label: str,
+    ready: Callable[[], object],
 ) -> Iterator[Outcome[C]]:
     from tqdm import tqdm
 
@@ -201,7 +214,7 @@ def _outcomes(
         return
     bar = tqdm(total=len(done) + len(open_ones), initial=len(done), desc=label, unit="run", disable=None)
     with bar:
-        for number, text, failure in _attempts(dict(enumerate(open_ones)), jobs, backend):
+        for number, text, failure in _attempts(dict(enumerate(open_ones)), jobs, backend, ready):
             cell = open_ones[number]
             result = None if text is None else json.loads(text)
             held = {"parameters": parameters(cell), "failure": failure, "result": result}
@@ -213,7 +226,9 @@ def _outcomes(
 Attempt = tuple[int, str | None, str | None]
 
 
-def _attempts(cells: Mapping[int, Cell], jobs: int | None, backend: Backend) -> Iterator[Attempt]:
+def _attempts(
+    cells: Mapping[int, Cell], jobs: int | None, backend: Backend, ready: Callable[[], object]
+) -> Iterator[Attempt]:
     """Number, result as JSON, and failure of each cell, as they finish."""
     from concurrent.futures import BrokenExecutor
 
@@ -233,7 +248,7 @@ def _attempts(cells: Mapping[int, Cell], jobs: int | None, backend: Backend) -> 
         def tasks(todo: Sequence[int], sent: list[int] = sent) -> Iterator[Any]:
             for number in todo:
                 sent.append(number)
-                yield delayed(attempt)(number, cells[number])
+                yield delayed(attempt)(number, cells[number], ready)
 
         try:
             with warnings.catch_warnings(), parallel_config(n_jobs=jobs, **settings):
@@ -250,19 +265,20 @@ def _attempts(cells: Mapping[int, Cell], jobs: int | None, backend: Backend) -> 
             for number in [number for number in sent if number in left]:
                 suspect = {number: left.pop(number)}
                 if len(cells) > 1:
-                    yield from _attempts(suspect, jobs, backend)
+                    yield from _attempts(suspect, jobs, backend, ready)
                 else:
                     yield number, None, f"its process died; {_last_line(death)}"
 
 
-def _attempt(number: int, cell: Cell) -> Attempt:
+def _attempt(number: int, cell: Cell, ready: Callable[[], object]) -> Attempt:
     try:
+        ready()
         return number, json.dumps(cell.run(), allow_nan=False), None
     except Exception as error:  # of whatever kind: it is reported, and the other cells go on
         return number, None, _last_line(error)
 
 
-def _attempt_on_ray(number: int, cell: Cell) -> Attempt:
+def _attempt_on_ray(number: int, cell: Cell, ready: Callable[[], object]) -> Attempt:
     """Have a task of Ray do it, on whichever node has a CPU free, and wait for it.
 
     Not by the joblib backend that Ray brings: that hands results out only when all are there, so that a killed sweep
@@ -271,7 +287,7 @@ def _attempt_on_ray(number: int, cell: Cell) -> Attempt:
     ray = _ray()
     wants = {"num_cpus": 1, "max_retries": 1, "runtime_env": {"env_vars": {"OMP_NUM_THREADS": "1"}}}
     try:
-        done: Attempt = ray.get(ray.remote(_attempt).options(**wants).remote(number, cell))
+        done: Attempt = ray.get(ray.remote(_attempt).options(**wants).remote(number, cell, ready))
     except ray.exceptions.RayError as error:
         return number, None, f"Ray gave it up; {_last_line(error)}"
     return done

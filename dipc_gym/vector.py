@@ -127,7 +127,7 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         self._ended, self.began = np.zeros((2, n), dtype=bool)
         self._last, self._over = np.zeros((n, 3)), np.zeros(n, dtype=bool)
         self._steps = np.zeros(n, dtype=np.int64)
-        self._was_reset = False
+        self._was_reset = np.zeros(n, dtype=bool)
 
     # ------------------------------------------------------------------------------------------------ Gymnasium
 
@@ -160,7 +160,8 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
             key: np.zeros(self.num_envs, dtype=kind) for key, kind in {**self._terms, **SHARED}.items()
         }
         self._begin(rows, options, infos)
-        self.began, self._over, self._was_reset = mask, np.zeros_like(mask), True
+        self.began, self._over = mask, np.zeros_like(mask)
+        self._was_reset |= mask
         return self._observations(), _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
@@ -172,10 +173,11 @@ class DIPCFrictionVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]])
         Raises:
             ValueError: the actions have another shape or are not finite.
             RuntimeError: autoreset is disabled and an ended episode was not reset.
-            gymnasium.error.ResetNeeded: nothing was reset yet.
+            gymnasium.error.ResetNeeded: a row was never reset.
         """
-        if not self._was_reset:
-            raise gymnasium.error.ResetNeeded("call reset() before the first step()")
+        if not self._was_reset.all():
+            row = int(np.flatnonzero(~self._was_reset)[0])
+            raise gymnasium.error.ResetNeeded(f"call reset() before the first step(); row {row} was never reset")
         asked = many(actions, "voltage", self.num_envs)
         waiting = self._ended.copy()
         if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():

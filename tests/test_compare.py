@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes.util
 import dataclasses
 import json
+import math
 import os
 import shutil
 import signal
@@ -27,6 +28,8 @@ from dipc_gym.experiments.tables import PAPER, summarise, table
 from dipc_gym.plant import Friction, Plant
 from dipc_gym.runs import balance, identify
 
+ROOT = Path(__file__).resolve().parent.parent
+RIG = ROOT.joinpath("dipc_gym", "rig.xml").read_text()
 QUICK = Comparison(compensators=("none", "feedforward", "llnf", "ideal"), seeds=2, seconds=2.0)
 
 
@@ -219,6 +222,10 @@ def test_overwriting_deletes_what_a_comparison_wrote_and_nothing_else(
         ({"compensators": ()}, "--compensator names none"),
         ({"seeds": 0}, "--seeds is 0; it must be 1 or more"),
         ({"seconds": 0.0}, "--seconds is 0; it must be more than 0"),
+        ({"seconds": math.inf}, "--seconds is inf; it must be a finite number"),
+        ({"seconds": 0.001}, "at least one control period, 0.005 s"),
+        ({"exact_state": True, "estimators": ("kalman",)}, "leave out one of them"),
+        ({"compensators": ("observed",)}, "add --estimator disturbance"),
         ({"plant": "missing.json"}, "missing.json: cannot be read"),
         ({"recording": "missing.csv"}, "missing.csv"),
         ({"model": "missing.xml"}, "no such model file"),
@@ -252,3 +259,26 @@ def test_interrupt_leaves_what_is_finished(tmp_path: Path) -> None:
     assert sum(row["seeds"] for row in summary["rows"]) <= len(finished)
     assert "interrupted" in (out / "table.txt").read_text()
     assert "summary.json" in said
+
+
+def test_a_compensator_of_ones_own_is_known_to_other_processes(tmp_path: Path) -> None:
+    code = (
+        "import sys, json\n"
+        "sys.path.insert(0, 'examples')\n"
+        "from dipc_gym import compensators\n"
+        "from own_compensator import TwoWay\n"
+        "compensators.register('two_way', TwoWay)\n"
+        "from dipc_gym.experiments.compare import Comparison, run\n"
+        f"found = run(Comparison(compensators=('none', 'two_way'), seeds=1, seconds=1.0), {str(tmp_path / 'out')!r})\n"
+        "print(json.dumps([found['failures'], [row['compensator'] for row in found['rows']]]))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert json.loads(done.stdout.splitlines()[-1]) == [{}, ["none", "two_way"]]
+
+
+def test_a_model_whose_friction_no_plant_can_change_is_said_to_be_the_same_on_all_rigs(tmp_path: Path) -> None:
+    path = tmp_path / "own.xml"
+    text = Plant(friction=Friction(coulomb=0.0, static=0.0)).to_mjcf(RIG)
+    path.write_text(text.replace('<joint name="cart"', '<joint frictionloss="8" name="cart"'))
+    comparison = Comparison(compensators=("none",), seeds=1, seconds=0.1, model=str(path))
+    assert any("the same on all rigs" in note for note in compare.run(comparison, tmp_path / "out", jobs=1)["notes"])

@@ -273,3 +273,23 @@ def test_training_refuses_a_run_whose_poles_swing(
         recording.write(whole, path := tmp_path / f"{code}.csv")
         assert train(path) == code
     assert "2.csv: pole1 swings by 0.4 rad; identification needs the poles locked" in capsys.readouterr().err
+
+
+def test_a_way_in_another_unit_is_refused(tmp_path: Path) -> None:
+    """A run in millimetres would train a compensator that gives the same voltage to all forces."""
+    env = DoublePendulumEnv()
+    fixed = cart_model(env.source, env.plant)
+    run = record(fixed, env.plant, Sweep(), seed=1)
+    path = tmp_path / "sweep.csv"
+    columns = ["time", "motor", "cart"]
+
+    def written(scale: float) -> str:
+        table = np.column_stack([run.time, run.commands[:, 0], scale * run.sensors[:, 0]])
+        np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="")
+        return str(path)
+
+    with pytest.raises(ValueError, match="looks like millimetres; say --unit cart=mm"):
+        identify(from_recording=written(1000.0))
+    with pytest.raises(ValueError, match=r"check the cart's unit .*--unit"):
+        identify(from_recording=written(1.0), units={"cart": "mm"})
+    assert identify(from_recording=written(1000.0), units={"cart": "mm"}).excitation.refusal is None

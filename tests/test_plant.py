@@ -215,3 +215,80 @@ def test_a_motor_without_its_numbers_is_refused_in_words(attribute: str, value: 
     text = " ".join(f'{name}="{number}"' for name, number in numbers.items())
     with pytest.raises(PlantError, match=rf"<dcmotor name='motor'>: {attribute} is '{value}'; it must be one number"):
         Plant.from_mjcf(f'<mujoco><actuator><dcmotor name="motor" {text}/></actuator></mujoco>')
+
+
+def changed(**attributes: str) -> str:
+    """The rig without its friction, and with other attributes of the cart's joint."""
+    text = Plant(friction=Friction(coulomb=0.0, static=0.0)).to_mjcf(RIG)
+    for name, value in attributes.items():
+        text = text.replace('<joint name="cart"', f'<joint {name}="{value}" name="cart"')
+    return text
+
+
+def sliding(path: Path, **friction: float) -> float:
+    """Friction of a cart that 8 V push towards +x, N, with a plant's friction in place of the model's."""
+    plant = {"friction": friction} if friction else None
+    env = gymnasium.make(ENV_ID, model=path, plant=plant, exact_state=True)
+    env.reset(seed=0, options={"state": [-0.3, 0, 0, 0, 0, 0]})
+    for _ in range(60):
+        info = env.step([8.0])[4]
+    return float(info["friction"])
+
+
+def test_friction_takes_the_place_of_whatever_motor_has_the_models(tmp_path: Path) -> None:
+    """A diagnosis calls it by another name; both together would brake twice."""
+    path = tmp_path / "improved.xml"
+    path.write_text(RIG.replace('dcmotor name="friction"', 'dcmotor name="cart_bristles"'))
+    assert Plant.from_mjcf(path.read_text()).friction == Friction()
+    assert sliding(path) == pytest.approx(-8.0, abs=0.1)
+    assert sliding(path, coulomb=5.0, static=6.0) == pytest.approx(-5.0, abs=0.1)
+    assert sliding(path, coulomb=0.0, static=0.0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_rigs_of_a_batch_have_the_friction_that_is_drawn_for_them(tmp_path: Path) -> None:
+    path = tmp_path / "improved.xml"
+    path.write_text(RIG.replace('dcmotor name="friction"', 'dcmotor name="cart_bristles"'))
+    drawn = {"friction": {"coulomb": {"uniform": [5.0, 9.0]}, "static": {"uniform": [9.0, 14.0]}}}
+    for engine in ("mujoco", "compiled"):
+        envs = gymnasium.make_vec(ENV_ID, 3, "vector_entry_point", model=path, plant=drawn, engine=engine)
+        envs.reset(seed=0, options={"state": [-0.3, 0, 0, 0, 0, 0]})
+        for _ in range(60):
+            friction = envs.step(np.full((3, 1), 8.0))[4]["friction"]
+        wanted = [-plant.friction.coulomb for plant in envs.unwrapped.plants]
+        assert friction == pytest.approx(wanted, abs=0.2)
+
+
+def test_frictionloss_is_replaced_and_not_added_to(tmp_path: Path) -> None:
+    path = tmp_path / "own.xml"
+    path.write_text(changed(frictionloss="8"))
+    assert Plant.from_mjcf(path.read_text()).friction is None
+    assert sliding(path) == pytest.approx(-8.0, abs=0.1)
+    assert sliding(path, coulomb=5.0, static=6.0, viscous=20.8) == pytest.approx(-5.0, abs=0.1)
+    with pytest.raises(PlantError, match=r"frictionloss.*give friction\.viscous as well"):
+        sliding(path, coulomb=5.0, static=6.0)
+
+
+def test_damping_that_is_not_changed_stays_the_models(tmp_path: Path) -> None:
+    path = tmp_path / "own.xml"
+    path.write_text(changed().replace('damping="20.8"', 'damping="5"'))
+    env: Any = gymnasium.make(ENV_ID, model=path, plant={"friction": {"coulomb": 5.0, "static": 6.0}}).unwrapped
+    assert env.model.joint("cart").damping[0] == 5.0
+
+
+def test_friction_beside_a_law_of_friction_is_refused(tmp_path: Path) -> None:
+    path, law = tmp_path / "own.xml", "dipc_gym:friction.wave:cart"
+    entry = f'<custom><numeric name="{law}" data="8 2 0 0.1"/></custom>'
+    path.write_text(changed().replace("</mujoco>", f"{entry}</mujoco>"))
+    gymnasium.make(ENV_ID, model=path)
+    with pytest.raises(PlantError, match=f"{law}.*take it out"):
+        gymnasium.make(ENV_ID, model=path, plant={"friction": Friction()})
+
+
+def test_numpys_numbers_are_numbers() -> None:
+    plant = Plant.from_dict({"friction": {"coulomb": np.int64(4), "static": np.float32(12.5)}})
+    assert plant.to_dict()["friction"]["static"] == 12.5
+    json.dumps(plant.to_dict())
+    assert (
+        PlantFamily.of({"supply": np.float64(20.0), "delay": {"uniform": np.array([0.0, 0.004])}}).longest_delay
+        == 0.004
+    )

@@ -493,3 +493,12 @@ def test_springs_that_yield_are_unbent_where_an_episode_begins(engine: str, tmp_
     envs.step(np.zeros((2, 1)))
     for x, *_, v, _, _ in (env.state, *envs.state):
         assert (x, v) == (pytest.approx(0.2, abs=1e-4), pytest.approx(0.0, abs=1e-3))
+
+
+def test_every_row_is_reset_before_the_first_step() -> None:
+    envs = gymnasium.make_vec(dipc_gym.ENV_ID, 3, "vector_entry_point", autoreset_mode="Disabled")
+    envs.reset(seed=0, options={"reset_mask": np.array([True, False, True])})
+    with pytest.raises(gymnasium.error.ResetNeeded, match="row 1 was never reset"):
+        envs.step(np.zeros((3, 1)))
+    envs.reset(options={"reset_mask": np.array([False, True, False])})
+    envs.step(np.zeros((3, 1)))

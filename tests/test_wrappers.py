@@ -14,7 +14,15 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
-from gymnasium.wrappers import ClipAction, NormalizeObservation, RescaleAction, vector
+from gymnasium.wrappers import (
+    Autoreset,
+    ClipAction,
+    FrameStackObservation,
+    NormalizeObservation,
+    RescaleAction,
+    TimeAwareObservation,
+    vector,
+)
 
 import dipc_gym
 from dipc_gym import compensators, mjcf, recording, runs
@@ -353,3 +361,86 @@ def test_recorder_is_in_the_spec(tmp_path: Path) -> None:
 
 def test_sensor_names_are_the_models() -> None:
     assert mjcf.scalar_sensors(DoublePendulumEnv().model) == ["cart", "pole1", "pole2"]
+
+
+def test_an_estimator_is_told_volts_whatever_the_limit_of_force_is() -> None:
+    """Spaces of 24 N and 24 V are the same."""
+    kalman = runs.estimator("kalman")
+    with pytest.raises(ValueError, match="a ForceCommand inside it takes newtons"):
+        EstimateState(ForceCommand(rig(), GAIN, force_limit=24.0), kalman)
+    with pytest.raises(ValueError, match="a ForceCommand inside it takes newtons"):
+        ForceCommand(ForceCommand(rig(), GAIN, force_limit=24.0), GAIN)
+    envs = gymnasium.make_vec(dipc_gym.ENV_ID, 2, "vector_entry_point")
+    with pytest.raises(ValueError, match="a ForceCommand inside it takes newtons"):
+        VectorEstimateState(VectorForceCommand(envs, GAIN, force_limit=24.0), kalman)
+
+
+def test_wrappers_of_observations_go_around_an_estimator() -> None:
+    kalman = runs.estimator("kalman")
+    for wrap in (NormalizeObservation, TimeAwareObservation, lambda env: FrameStackObservation(env, 3)):
+        with pytest.raises(ValueError, match="around EstimateState instead of inside"):
+            EstimateState(wrap(rig()), kalman)
+        env = wrap(EstimateState(rig(), kalman))
+        observation, _ = env.reset(seed=1)
+        assert env.observation_space.shape == np.shape(observation)
+    envs = gymnasium.make_vec(dipc_gym.ENV_ID, 2, "vector_entry_point")
+    with pytest.raises(ValueError, match="NormalizeObservation, around EstimateState"):
+        VectorEstimateState(vector.NormalizeObservation(envs), kalman)
+
+
+def test_a_compensator_that_takes_anothers_place_is_checked_and_begins_anew() -> None:
+    run = runs.identify()
+    single = ForceCommand(rig(), GAIN)
+    many = VectorForceCommand(gymnasium.make_vec(dipc_gym.ENV_ID, 2, "vector_entry_point"), GAIN)
+    single.reset(seed=1)
+    many.reset(seed=1)
+    for env in (single, many):
+        with pytest.raises(ValueError, match="feeds forward the friction that an estimator observes"):
+            env.compensator = run.fit("observed")
+        assert env.compensator.name == "none"
+        env.compensator = run.fit("lugre")
+    alone, _, _, _, info = single.step([6.0])
+    both, _, _, _, infos = many.step(np.full((2, 1), 6.0))
+    assert infos["voltage"][0] == info["voltage"]
+    assert both[0].tolist() == alone.tolist()
+
+
+def test_steps_after_an_end_belong_to_no_recording(tmp_path: Path) -> None:
+    env = RecordRun(rig(max_episode_steps=25), tmp_path)
+    env.reset(seed=0)
+    for _ in range(50):
+        env.step([1.0])
+    env.reset()
+    for _ in range(25):
+        env.step([1.0])
+    env.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run-0.csv", "run-1.csv"]
+    assert len(recording.read(tmp_path / "run-0.csv", env.unwrapped.model).time) == 25
+
+
+def test_a_reset_within_a_step_begins_another_recording(tmp_path: Path) -> None:
+    env = RecordRun(Autoreset(rig(max_episode_steps=12)), tmp_path)
+    env.reset(seed=0)
+    for _ in range(38):  # of three episodes, and two steps that were spent on resets
+        env.step([1.0])
+    env.close()
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_an_action_at_the_bound_is_not_beyond_the_supply() -> None:
+    """The float32 that is nearest to 12.6 V is more."""
+    env = rig(plant={"supply": 12.6})
+    env.reset(seed=0)
+    assert not env.step(env.action_space.high)[4]["clipped"]
+    forced = ForceCommand(rig(plant={"supply": 12.6}), GAIN, force_limit=50.1)
+    forced.reset(seed=0)
+    assert forced.action_space.high[0] <= 50.1
+
+
+def test_a_window_without_a_display_is_refused_and_no_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    env = rig(render_mode="human").unwrapped
+    with pytest.raises(gymnasium.error.Error, match="there is no display"):
+        env.render()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import VectorObservationWrapper, VectorWrapper
 from numpy.typing import NDArray
 
 from dipc_gym import estimators
@@ -37,7 +38,8 @@ class EstimateState(
         TypeError: `env` has no encoders to read.
         estimators.EstimatorError: the estimator's file or dictionary is broken.
         ValueError: the estimator is for another control period, or knows the rig near upright alone; or a wrapper
-            inside this one changes what an action is, such as `ForceCommand`, which goes around it.
+            inside this one changes what an action is, such as `ForceCommand`, or what an observation is: those go
+            around it.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -59,7 +61,8 @@ class EstimateState(
         inner: Any = env.unwrapped
         if not hasattr(inner, "encoders"):
             raise TypeError(f"{inner} has no encoders; EstimateState goes around DIPC-Friction-v0")
-        check_volts("EstimateState", env.action_space, inner.action_space)
+        check_volts("EstimateState", env, env.action_space, inner.action_space)
+        check_readings(env, env.observation_space, inner.observation_space)
         self.estimator = own_estimator(estimator)
         check_period(self.estimator, inner.plant.control_period)
         refuse_near(self.estimator, inner)
@@ -129,17 +132,53 @@ def check_period(estimator: Estimator, period: float) -> None:
         )
 
 
-def check_volts(wrapper: str, outer: spaces.Space[Any], inner: spaces.Space[Any]) -> None:
+def wrappers(env: Any) -> Iterator[Any]:
+    """The wrappers around an environment, or around many, from outside."""
+    while isinstance(env, (gymnasium.Wrapper, VectorWrapper)):
+        yield env
+        env = env.env
+
+
+def check_readings(env: Any, outer: spaces.Space[Any], inner: spaces.Space[Any]) -> None:
+    """Refuse an environment whose wrappers change observations, which an estimator would throw away.
+
+    Args:
+        env: the environment.
+        outer: observation space of the environment, wrappers included.
+        inner: observation space without them.
+
+    Raises:
+        ValueError: one of them does.
+    """
+    changing = [
+        one for one in wrappers(env) if isinstance(one, (gymnasium.ObservationWrapper, VectorObservationWrapper))
+    ]
+    if changing or outer != inner:
+        name = type(changing[0]).__name__ if changing else "such as FrameStackObservation"
+        raise ValueError(
+            "EstimateState puts its own observation in the place of the environment's: put the wrapper that changes "
+            f"observations, {name}, around EstimateState instead of inside"
+        )
+
+
+def check_volts(wrapper: str, env: Any, outer: spaces.Space[Any], inner: spaces.Space[Any]) -> None:
     """Refuse an environment whose wrappers want something else than the motor's voltage.
 
     Args:
         wrapper: name of the one that is to go around it, and that sends volts or passes them on.
+        env: the environment.
         outer: action space of the environment, wrappers included.
         inner: action space without them.
 
     Raises:
-        ValueError: the two differ, and not only in that one has no bounds.
+        ValueError: one of its wrappers turns force into voltage; or the two spaces differ, and not only in that one has
+            no bounds.
     """
+    if any(getattr(type(one), "takes_force", False) for one in wrappers(env)):
+        raise ValueError(
+            f"{wrapper} sends volts, and a ForceCommand inside it takes newtons: put that around {wrapper} instead of "
+            "inside"
+        )
     if isinstance(outer, spaces.Box) and outer.shape == inner.shape and not outer.is_bounded("both"):
         return  # as `ClipAction` has it, which leaves voltages voltages
     if outer != inner:

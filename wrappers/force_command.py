@@ -45,8 +45,8 @@ class ForceCommand(
         TypeError: `env` cannot say how fast its cart is.
         ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known; or a wrapper
             inside this one changes what an action is, so that a voltage would not arrive as one; or the compensator
-            needs an estimator that observes friction, and there is none inside, or was fitted to another control
-            period.
+            needs an estimator that observes friction, and there is none inside, or remembers from one control period
+            to the next, and these are others than the environment's.
         compensators.CompensatorError: the compensator's file or dictionary is broken, or a kind of compensator is
             named that has to be fitted first.
 
@@ -61,6 +61,8 @@ class ForceCommand(
         (10.0, 2.5)
     """
 
+    takes_force = True  # which wrappers that send volts must not get
+
     def __init__(
         self,
         env: gymnasium.Env[Array, NDArray[np.float32]],
@@ -71,16 +73,22 @@ class ForceCommand(
         inner: Any = env.unwrapped
         if not hasattr(inner, "measured_velocity"):
             raise TypeError(f"{inner} has no measured_velocity; ForceCommand goes around DIPC-Friction-v0")
-        check_volts("ForceCommand", env.action_space, inner.action_space)
-        frozen = frozen_compensator(compensator, inner.plant)
+        check_volts("ForceCommand", env, env.action_space, inner.action_space)
+        self._inner, self._estimate = inner, estimating(env)
+        self.compensator = compensator
         recorded = compensator.to_dict() if isinstance(compensator, Compensator) else _plain(compensator)
         gymnasium.utils.RecordConstructorArgs.__init__(self, compensator=recorded, force_limit=force_limit)
         gymnasium.Wrapper.__init__(self, env)
-        self.compensator = frozen
         self.force_limit, self.action_space = force_range(inner.plant, force_limit)
-        self._inner = inner
-        self._estimate = estimating(env)
-        refuse_blind(self._estimate is not None and self._estimate.estimator.observes_friction, frozen)
+
+    @property
+    def compensator(self) -> Compensator:
+        """What turns force into voltage. Another one may take its place, and begins with a memory of nothing."""
+        return self._compensator
+
+    @compensator.setter
+    def compensator(self, compensator: Compensator | Mapping[str, Any] | str | Path) -> None:
+        self._compensator = own_compensator(compensator, self._inner.plant, self._estimate)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Reset the environment and the compensator's memory."""
@@ -128,12 +136,19 @@ def estimating(env: Any) -> Any:
     return env
 
 
-def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path, plant: Plant) -> Compensator:
+def own_compensator(
+    compensator: Compensator | Mapping[str, Any] | str | Path, plant: Plant, estimate: Any
+) -> Compensator:
     """A compensator of one's own: it has a memory, which two environments must not share, and the environment's
     amplifier limits its voltages and says where it did.
 
+    Args:
+        compensator: in any form that the wrappers take.
+        plant: of the environment.
+        estimate: the `EstimateState` around it, or its vector twin, or None.
+
     Raises:
-        ValueError: its memory is for another control period.
+        ValueError: its memory is for another control period, or it feeds forward friction that nothing observes.
         compensators.CompensatorError: a file or dictionary is broken, or a kind is named that has to be fitted first.
     """
     if not isinstance(compensator, Compensator | Mapping | str | Path):
@@ -157,6 +172,7 @@ def frozen_compensator(compensator: Compensator | Mapping[str, Any] | str | Path
         )
     known = compensator if isinstance(compensator, Compensator) else compensators.load(_plain(compensator))
     check_period(known, plant.control_period)
+    refuse_blind(estimate is not None and estimate.estimator.observes_friction, known)
     return known.behind(plant.supply)
 
 
@@ -172,7 +188,7 @@ def force_range(plant: Plant, force_limit: float | None) -> tuple[float, spaces.
         force_limit = plant.motor.force_per_volt * plant.supply
     if not (math.isfinite(force_limit) and force_limit > 0):
         raise ValueError(f"force_limit is {force_limit}; it must be a positive number of newtons")
-    limit = np.array([force_limit], np.float32)
+    limit = actions.bound(force_limit)
     return float(force_limit), spaces.Box(-limit, limit, (1,), np.float32)
 
 

@@ -69,19 +69,30 @@ class RecordRun(
             raise TypeError(f"{self._inner} has no encoders; RecordRun goes around DIPC-Friction-v0")
         self.folder = recordings_folder(folder, name, suffix, overwrite)
         self._episodes = EpisodeFiles(self.folder, name, suffix, overwrite)
+        self._over = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Finish the file of the last episode and start another."""
         self._episodes.finish()
+        self._over = False
         return self.env.reset(seed=seed, options=options)
 
     def step(self, action: NDArray[Any]) -> tuple[Array, Any, bool, bool, dict[str, Any]]:
-        """Step, and note what the encoders read before it and the voltage that was applied."""
+        """Step, and note what the encoders read before it and the voltage that was applied.
+
+        What is stepped on after an episode's end belongs to none. A step that a wrapper inside spends on a reset, as
+        Gymnasium's autoreset does, begins another episode.
+        """
         time, readings = self._inner.time, self._inner.encoders
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self._episodes.append(time, info["voltage"], readings)
-        if terminated or truncated:
+        if self._inner.time <= time:
             self._episodes.finish()
+            self._over = False
+        elif not self._over:
+            self._episodes.append(time, info["voltage"], readings)
+            self._over = terminated or truncated
+            if self._over:
+                self._episodes.finish()
         return observation, reward, terminated, truncated, info
 
     def close(self) -> None:

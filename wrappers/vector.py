@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from dipc_gym.compensators import Compensator
 from dipc_gym.safety.actions import many
 from dipc_gym.vector import DIPCFrictionVectorEnv
-from dipc_gym.wrappers.estimate import check_volts, refuse_blind
-from dipc_gym.wrappers.force_command import estimating, force_range, frozen_compensator
+from dipc_gym.wrappers.estimate import check_volts
+from dipc_gym.wrappers.force_command import estimating, force_range, own_compensator
 from dipc_gym.wrappers.record import EpisodeFiles, recordings_folder
 
 Array = NDArray[np.float64]
@@ -32,7 +32,8 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
     Raises:
         TypeError: `env` is another environment.
         ValueError: `force_limit` is not positive, or is needed because the plant's motor is not known; or a wrapper
-            inside this one changes what an action is; or the compensator was fitted to another control period.
+            inside this one changes what an action is; or the compensator needs an estimator that observes friction,
+            and there is none inside, or remembers from one control period to the next, and these are others.
         compensators.CompensatorError: the compensator's file or dictionary is broken, or a kind of compensator is
             named that has to be fitted first.
 
@@ -46,6 +47,8 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
         [2.5, -1.0]
     """
 
+    takes_force = True  # which wrappers that send volts must not get
+
     def __init__(
         self,
         env: VectorEnv[Any, Any, Any],
@@ -55,13 +58,21 @@ class VectorForceCommand(VectorWrapper[Any, Any, Any, Any, Any]):
     ) -> None:
         super().__init__(env)
         self._inner = _own(env)
-        check_volts("ForceCommand", env.single_action_space, self._inner.single_action_space)
-        self.compensator = frozen_compensator(compensator, self._inner.plant)
+        check_volts("ForceCommand", env, env.single_action_space, self._inner.single_action_space)
+        self._estimate = estimating(env)
+        self.compensator = compensator
         self.force_limit, self.single_action_space = force_range(self._inner.plant, force_limit)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._state = self.compensator.initial_state(self.num_envs)
-        self._estimate = estimating(env)
-        refuse_blind(self._estimate is not None and self._estimate.estimator.observes_friction, self.compensator)
+
+    @property
+    def compensator(self) -> Compensator:
+        """What turns forces into voltages. Another one may take its place, and begins with a memory of nothing."""
+        return self._compensator
+
+    @compensator.setter
+    def compensator(self, compensator: Compensator | Mapping[str, Any] | str | Path) -> None:
+        self._compensator = own_compensator(compensator, self._inner.plant, self._estimate)
+        self._state = self._compensator.initial_state(self.num_envs)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

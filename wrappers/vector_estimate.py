@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dipc_gym.estimators import Command, Estimator
 from dipc_gym.vector import DIPCFrictionVectorEnv
-from dipc_gym.wrappers.estimate import check_period, check_volts, own_estimator, refuse_near
+from dipc_gym.wrappers.estimate import check_period, check_readings, check_volts, own_estimator, refuse_near
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         TypeError: `env` is another environment.
         estimators.EstimatorError: the estimator's file or dictionary is broken.
         ValueError: the estimator is for another control period, or knows the rig near upright alone; or a wrapper
-            inside this one changes what actions are.
+            inside this one changes what actions or observations are.
 
     Example:
         >>> import gymnasium, dipc_gym
@@ -45,7 +45,8 @@ class VectorEstimateState(VectorWrapper[Any, Any, Any, Any, Any]):
         inner = env.unwrapped
         if not isinstance(inner, DIPCFrictionVectorEnv):
             raise TypeError(f"{inner} is not DIPC-Friction-v0 made with vectorization_mode='vector_entry_point'")
-        check_volts("EstimateState", env.single_action_space, inner.single_action_space)
+        check_volts("EstimateState", env, env.single_action_space, inner.single_action_space)
+        check_readings(env, env.single_observation_space, inner.single_observation_space)
         self._inner = inner
         self.estimator = own_estimator(estimator)
         check_period(self.estimator, inner.plant.control_period)

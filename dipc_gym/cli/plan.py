@@ -49,7 +49,9 @@ class Plan:
         from dipc_gym.controllers import lqr, trajectory
         from dipc_gym.controllers.tracking import Tracking
         from dipc_gym.mechanics.motion import Motion
+        from dipc_gym.postures import checked
 
+        checked(self.start, "--start")
         free(self.out, self.overwrite)
         ending(self.out, ".json")
         if self.resets < 0:

@@ -39,13 +39,23 @@ def viewer(model: mujoco.MjModel, data: mujoco.MjData, width: int, height: int, 
     return MujocoRenderer(model, data, width=width, height=height, camera_name=camera, camera_id=None if camera else -1)
 
 
+def has_display() -> bool:
+    """Whether a window can be opened: without a display, GLFW ends the whole process on trying."""
+    return sys.platform != "linux" or _named()
+
+
+def _named() -> bool:
+    """Whether the environment names a display, of X or of Wayland."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def choose_renderer() -> None:
     """Where there is no display and `MUJOCO_GL` is not set, set it to `egl` or `osmesa`, whichever works.
 
     Gymnasium would otherwise try to open a window. With neither library the variable stays unset, and drawing fails
     with Gymnasium's message.
     """
-    if "MUJOCO_GL" in os.environ or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+    if "MUJOCO_GL" in os.environ or _named():
         return
     for backend in ("egl", "osmesa"):
         if _works(backend):

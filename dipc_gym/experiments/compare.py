@@ -8,8 +8,10 @@ every compensator.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -138,6 +140,12 @@ class Comparison:
             raise ValueError(f"--seeds is {self.seeds}; it must be 1 or more")
         if not self.seconds > 0:
             raise ValueError(f"--seconds is {self.seconds:g}; it must be more than 0")
+        if math.isinf(self.seconds):
+            raise ValueError("--seconds is inf; it must be a finite number")
+        if self.exact_state and any(name != OWN for name in self.estimators):
+            raise ValueError(
+                "--exact-state shows the simulation's state, and an estimator reads encoders: leave out one of them"
+            )
         if empty := [kind.removesuffix("s") for kind, names in parts.items() if not names]:
             raise ValueError(f"--{empty[0]} names none; give one or more, with commas between")
         for kind, names in parts.items():
@@ -155,6 +163,12 @@ class Comparison:
         for name in self.estimators:
             if not name.endswith(".json"):
                 estimators.kind(name)
+        for name in self.compensators:
+            if not any(self._feeds(one, name) for one in self.estimators):
+                raise ValueError(
+                    f"{name} feeds forward the friction that an estimator observes, and none of "
+                    f"{', '.join(self.estimators)} does; add --estimator disturbance"
+                )
         for name in self.controllers:
             if not self._partners(name):
                 raise ValueError(
@@ -165,6 +179,9 @@ class Comparison:
                 f"{self.plant}: {', '.join(drawn)} would be drawn anew; a comparison draws its rigs itself, about a "
                 "plant of plain numbers"
             )
+        period = self.base_plant().control_period
+        if self.seconds < period:
+            raise ValueError(f"--seconds is {self.seconds:g}; a run takes at least one control period, {period:g} s")
         robustness.check((name for name in self.robustness if name != SCORE), self.base_plant())
         if SCORE in self.robustness:
             self._check_score()
@@ -330,10 +347,11 @@ def _run(comparison: Comparison, out: Path, jobs: int | None, backend: Backend) 
     for place in (out, out / "compensators", out / "recordings", out / "figures"):
         remove_partial(place)
     found: dict[str, Outcome[Any]] = {}
+    ready = partial(_register, compensators.registered_elsewhere())
 
     def do(experiments: Sequence[Cell], doing: str) -> dict[str, Any]:
         """Results by the name of the cell."""
-        for outcome in sweep.run(experiments, folder, jobs=jobs, backend=backend, label=doing):
+        for outcome in sweep.run(experiments, folder, jobs=jobs, backend=backend, label=doing, ready=ready):
             found[outcome.cell.name] = outcome
         return {e.name: found[e.name].result for e in experiments if found[e.name].failure is None}
 
@@ -431,6 +449,12 @@ def _estimating(estimator: str, learned: dict[str, Any] | None) -> dict[str, Any
     return None if estimator == OWN or learned is None else {**learned, "kind": estimator}
 
 
+def _register(kinds: Mapping[str, type[compensators.Compensator]]) -> None:
+    """Make compensators known that another process has registered."""
+    for name, cls in kinds.items():
+        compensators.register(name, cls)
+
+
 def _notes(comparison: Comparison) -> list[str]:
     """What the reader of the table should know of the policies in it."""
     notes = [
@@ -438,6 +462,8 @@ def _notes(comparison: Comparison) -> list[str]:
         for name in comparison.controllers
         if len(comparison._partners(name)) < len(comparison.compensators)
     ]
+    if comparison.base_plant().friction is None:
+        notes.append("the model says its dry friction in a way that a plant does not know: it is the same on all rigs")
     blind = [e for e in comparison.estimators if not all(comparison._feeds(e, c) for c in comparison.compensators)]
     if blind:
         notes.append(f"what feeds forward observed friction stands in the table without {', '.join(map(label, blind))}")

@@ -10,8 +10,6 @@ import errno
 import importlib.util
 import itertools
 import math
-import os
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -25,6 +23,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dipc_gym import ENV_ID
 from dipc_gym.drawing import style
+from dipc_gym.drawing.viewer import has_display
 from dipc_gym.runs import Course
 from dipc_gym.safety.files import partial_of, whole
 
@@ -111,7 +110,7 @@ def show(course: Course, *, model: str | None = None, seconds: float = SECONDS) 
     Raises:
         ValueError: there is no display.
     """
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) and sys.platform == "linux":
+    if not has_display():
         raise ValueError("there is no display for a window; write a film with --out")
     env = gymnasium.make(ENV_ID, model=model, render_mode="human")
     begin = time.perf_counter()

@@ -88,7 +88,9 @@ def examine(samples: Samples, rig: RigConstants, *, force_noise: float) -> Excit
         reversals=reversals,
         counts=counts.astype(np.intp),
         missing=() if nothing else tuple(_missing(force, velocity, counts)),
-        refusal=_refusal(force, velocity, volts, force_noise, reversals) or _sticking(samples, rig),
+        refusal=_refusal(force, velocity, volts, force_noise, reversals)
+        or _sticking(samples, rig)
+        or _impossible(force, volts, rig),
     )
 
 
@@ -172,6 +174,20 @@ def _sticking(samples: Samples, rig: RigConstants) -> str | None:
         f"the cart moves within {1000 * np.ptp(position):.2g} mm, and what holds it back follows its position, as a "
         "spring does, rather than its direction: it does not slide; drive it harder"
     )
+
+
+def _impossible(force: Array, volts: Array, rig: RigConstants) -> str | None:
+    """Why no such motor drives a cart so: most likely its position has another unit."""
+    gain, size = rig.newtons_per_volt, float(np.sqrt(np.mean(force**2)))
+    given = gain * float(np.sqrt(np.mean(volts**2)))
+    strong, most = float(np.abs(force).max()), gain * rig.supply_voltage
+    if strong > EXCITATION.most * most:
+        what = f"the motion needs up to {strong:.3g} N, and the motor exerts {most:.3g} N at most"
+    elif size < EXCITATION.least * given:
+        what = f"the motion needs {size:.2g} N rms, and the motor was given voltages for {given:.3g} N"
+    else:
+        return None
+    return f"{what}; check the cart's unit (--unit) and mass, and the motor's gain"
 
 
 def _reversals(velocity: Array) -> int:

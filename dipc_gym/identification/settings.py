@@ -28,6 +28,8 @@ class ExcitationSettings:
             columns right
         weak: share of what the motor can exert, within which a force may be too small to set the cart sliding; above
             it, what is lost may follow position for another reason
+        most: times what the motor exerts, that a cart's force may come to: a gain that is off by so much would be seen
+        least: share of what the voltages exert, that it has to come to: friction that takes the rest lets no cart move
     """
 
     rows: int = 9
@@ -45,6 +47,8 @@ class ExcitationSettings:
     above_noise: float = 2.0
     least_explained: float = 0.5
     weak: float = 0.1
+    most: float = 3.0
+    least: float = 0.01
 
 
 EXCITATION = ExcitationSettings()

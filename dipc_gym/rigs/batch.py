@@ -12,7 +12,7 @@ from mujoco import batch as mjbatch
 
 from dipc_gym import kernels, mjcf
 from dipc_gym.physics import stack
-from dipc_gym.plant import Masses, Plant, worked_out
+from dipc_gym.plant import Masses, Plant, bristles, worked_out
 from dipc_gym.rigs.rig import DIVERGED, NAMES, Rig
 from dipc_gym.rigs.together import COSTS, Array, Encoders, Mask, Period, Rows, absolute, readings
 
@@ -212,7 +212,8 @@ class _PlantNumbers:
         self._delayed = bool((model.actuator_delay > 0).any())
         self._sims, self._fields = sims, {name: sims.expand(name) for name in self.FIELDS}
         self._motor, self._friction = (
-            mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name) for name in ("motor", "friction")
+            mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+            for name in ("motor", bristles(rig.source.text) or "friction")
         )
         self._gear = int(model.actuator_outadr[self._motor])
         self._inductance, self._current = worked_out(rig.source.text)

@@ -13,7 +13,7 @@ from dipc_gym import mjcf
 from dipc_gym.engine import rigid
 from dipc_gym.engine.layout import Element, Force, Head, Joint
 from dipc_gym.engine.program import Program
-from dipc_gym.plant import Masses, Plant, worked_out
+from dipc_gym.plant import Masses, Plant, bristles, worked_out
 from dipc_gym.rigs.rig import NAMES, Rig
 from dipc_gym.rigs.together import Array
 
@@ -35,7 +35,8 @@ class PlantNumbers:
         self._own_delay = float(bare.actuator_delay[rig.motor])
         first = int(program.codes[Head.JOINT_NUMBERS]) + dof * int(Joint.SIZE)
         self._damping, self._armature = slice(first + Joint.DAMPING, first + Joint.STIFFNESS), first + Joint.ARMATURE
-        self._motor, self._friction = (_element(model, program, name) for name in ("motor", "friction"))
+        dry = bristles(rig.source.text) or "friction"
+        self._motor, self._friction = (_element(model, program, name) for name in ("motor", dry))
         self._inductance, self._current = worked_out(rig.source.text)
         # The joint feels damping and armature of one actuator, by the square of its gear.
         by = int(model.jnt_actuatorid[int(model.dof_jntid[dof])])

@@ -59,3 +59,14 @@ def many(actions: Any, quantity: str, num_envs: int) -> NDArray[np.float64]:
         row = int(np.flatnonzero(~np.isfinite(asked))[0])
         raise ValueError(f"the {quantity} of row {row} is {asked[row]}; it must be a finite number")
     return asked
+
+
+def bound(limit: float) -> NDArray[np.float32]:
+    """The largest float32 that is no more than a limit, (1,): an action at the bound is not beyond it.
+
+    Example:
+        >>> float(np.float32(12.6)) > 12.6, float(bound(12.6)[0]) > 12.6
+        (True, False)
+    """
+    near = np.array([limit], np.float32)
+    return np.nextafter(near, np.float32(0)) if float(near[0]) > limit else near
