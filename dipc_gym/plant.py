@@ -419,7 +419,7 @@ def _physical(instance: Any, *names: str) -> None:
         if isinstance(value, bool) or not isinstance(value, Real):  # NumPy's numbers are such
             raise PlantError(f"{part}{name} must be a number, not {shown(value)}")
         least, most, unit = RANGES[part + name]
-        if not least <= value <= most:
+        if not least <= float(value) <= most:
             raise PlantError(f"{part}{name} is {shown(value)}; it must be from {least:g} to {most:g} {unit}")
         object.__setattr__(instance, name, float(value))
 

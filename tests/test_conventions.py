@@ -263,3 +263,17 @@ def test_the_advice_to_turn_a_sign_names_what_the_reader_takes(
     assert options[0] == "--unit ctrl:hip=-1"
     assert cli.main([*asked, str(tmp_path / "second"), *options[0].split()]) == 0
     assert "Nothing is missing" in capsys.readouterr().out
+
+
+def test_a_command_in_degrees_is_found() -> None:
+    """The angle that a servo is asked for."""
+    servo = HANGING.replace("<actuator>", "<actuator><!-- ").replace(
+        "</actuator>", ' --><position name="motor" joint="pole1" kp="5"/></actuator>'
+    )
+    source = mjcf.from_text(servo)
+    words = [one.words for one in conventions.possible(source, physics.load(source), ("motor",), SENSORS[:3])]
+    assert "count command 'motor' in degrees (deg)" in words
+    volts = mjcf.from_text(HANGING)
+    assert not any(
+        "in degrees" in one.words for one in conventions.possible(volts, physics.load(volts), ("motor",), SENSORS[:3])
+    )

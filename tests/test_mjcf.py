@@ -444,6 +444,13 @@ def test_dry_friction_that_is_switched_off_is_refused(flag: str, mend: str) -> N
         mjcf.check_supported(mjcf.compile(text), "rig.xml")
 
 
+@pytest.mark.parametrize(("flag", "what"), [("damper", "damping"), ("spring", "springs")])
+def test_damping_and_springs_that_are_switched_off_are_refused(flag: str, what: str) -> None:
+    text = rig().replace("<mujoco>", f'<mujoco><option><flag {flag}="disable"/></option>')
+    with pytest.raises(mjcf.MjcfError, match=f'<flag {flag}="disable"/> switches {what} off.*remove it$'):
+        mjcf.check_supported(mjcf.compile(text), "rig.xml")
+
+
 def test_geoms_by_the_thousand_are_paired_by_what_they_may_touch() -> None:
     """Of a body's geoms that may touch the same, one tells for all."""
     text = rig(inside="<replicate count='2000' offset='0 0 1'><geom size='0.1' mass='1'/></replicate>")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 import dipc_gym
 from dipc_gym import mjcf, physics
-from dipc_gym.mjcf.edit import Document, text
+from dipc_gym.mjcf.edit import Document, text, written_out
 from dipc_gym.sim2real.effects import catalogue
 from dipc_gym.sim2real.effects.shared.base import passive_ramp
 from dipc_gym.sim2real.model.parameters import fixed_masses, model_parameters
@@ -237,10 +238,11 @@ BOX = '<geom size=".1" mass="2"/>'
     ],
 )
 def test_a_mass_is_refitted_only_where_what_is_written_holds(compiler: str, inner: str, free: bool) -> None:
-    file = document(
+    source = mjcf.from_text(
         f'<mujoco><compiler {compiler}/><worldbody><body name="cart"><joint name="cart" type="slide"/>{inner}</body>'
         "</worldbody></mujoco>"
     )
+    file = Document(written_out(source, mjcf.compile(source)))
     model = compiled(file)
     parameters = model_parameters(file, model)
     masses = [number for number in parameters if number.key == "cart.mass"]
@@ -407,7 +409,7 @@ def test_a_servo_has_its_gains_for_parameters_and_keeps_its_gear() -> None:
         ("damped.kv", 2.0, ""),
         ("of_tendon.kp", 30.0, ""),
         ("by_mass.kp", 30.0, "N m/rad"),
-        ("speed.gear", 1.0, ""),
+        ("speed.kv", 3.0, "N m s/rad"),
     }
     for one in parameters:
         if one.attribute != "gear":
@@ -462,3 +464,10 @@ def test_a_joint_that_the_text_does_not_hold_is_refused_with_how_to_write_it_out
     spec.compile()
     out = mjcf.from_text(spec.to_xml())
     Document(out).check_written_out(mjcf.compile(out))
+
+
+def test_of_two_compilers_the_last_says_what_an_angle_is_in() -> None:
+    text = '<mujoco>{}<worldbody><body><joint name="j"/><geom size="1"/></body></worldbody></mujoco>'
+    for said, degrees in ((("radian", "degree"), True), (("degree", "radian"), False)):
+        document = Document(mjcf.from_text(text.format("".join(f'<compiler angle="{one}"/>' for one in said))))
+        assert document.angle(document.joint("j"), math.pi) == pytest.approx(180.0 if degrees else math.pi)

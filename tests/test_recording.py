@@ -986,3 +986,13 @@ def test_ways_in_millimetres_are_refused_with_what_to_say(limits: str) -> None:
         far = driven(50.0, 20.0)
         assert np.ptp(far.sensors) > 50
         refuse_millimetres([far], model)
+
+
+def test_a_glitch_and_a_gap_leave_turns_counted_on() -> None:
+    turning = np.linspace(0.0, 30.0, 3000)
+    turning[1500:] += 2.0  # samples that are missing
+    begun_again = (turning + np.pi) % (2 * np.pi) - np.pi
+    begun_again[700] -= 2.5
+    on = counted_on(begun_again)
+    assert on[700] == pytest.approx(turning[700] - 2.5)
+    np.testing.assert_allclose(np.delete(on, 700), np.delete(turning, 700), atol=1e-9)

@@ -498,3 +498,30 @@ def test_windows_of_slow_samples_are_longer_where_recordings_are_long_enough() -
         assert segments.usual_length([sampled(period, seconds)], (0.0, 1.0)) == pytest.approx(length, rel=1e-6)
     assert segments.usual_length([sampled(0.01, 10.8)], (0.0, 1.0)) == pytest.approx(0.3, rel=0.01)
     assert segments.usual_length([sampled(0.01, 4.0)], (0.0, 1.0)) == 0.25
+
+
+def test_windows_in_which_nobody_knows_an_activation_are_left_out(tmp_path: Path) -> None:
+    """A filter of 0.15 s shows for half a second where it was before the file began."""
+    text = """
+    <mujoco><option timestep="0.002" integrator="RK4"/><worldbody><body><joint name="z" axis="0 0 1" damping="0.1"/>
+    <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="0.4" contype="0" conaffinity="0"/></body></worldbody>
+    <actuator><general name="m" joint="z" dyntype="filterexact" dynprm="0.15"/></actuator>
+    <sensor><jointpos name="z" joint="z"/></sensor></mujoco>"""
+    (tmp_path / "slow.xml").write_text(text)
+    rig = physics.load(mjcf.from_text(text))
+    data = mujoco.MjData(rig.model)
+    data.act[:] = 1.5
+    recorder = Recorder(["m"], ["z"])
+    for k in range(2000):
+        command = float(np.sin(0.01 * k))
+        data.ctrl[:] = command
+        recorder.append(0.002 * k, [command], data.sensordata.copy())
+        mujoco.mj_step(rig.model, data)
+        mujoco.mj_forward(rig.model, data)
+    file = recordings.write(recorder.recording("slow"), tmp_path / "slow.csv")
+    found = replay(tmp_path / "slow.xml", file)
+    assert found.windows.start.min() >= 0.4
+    assert any("windows are left out" in note for note in found.recording.notes)
+    short = recordings.write(recorder.recording("short").slice(0, 250), tmp_path / "short.csv")
+    with pytest.raises(RecordingError, match="is forgotten; record longer"):
+        replay(tmp_path / "slow.xml", short)

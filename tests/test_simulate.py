@@ -614,3 +614,18 @@ def test_no_window_reaches_across_a_gap(missing: tuple[int, int]) -> None:
     seen = (windows.start[:, None] + windows.times)[windows.valid]
     assert len(np.unique(seen)) == len(seen) > 700
     assert seen.max() > 1.7  # it goes on behind it
+
+
+def test_windows_after_a_gap_begin_when_what_was_before_is_forgotten() -> None:
+    """What was commanded in a gap is not known, nor what a winding or a filter remembers of it."""
+    time = np.delete(np.arange(0, 4, 0.004), np.s_[500:540])
+    recording = Recording("gap", time, np.zeros((len(time), 0)), np.sin(time)[:, None], (), ("angle",))
+    assert recording.goes_on.tolist() == [time[0], time[500]]
+    for after in (0.0, 0.3):
+        windows = cut([recording], np.array([1e-3]), 0.25, (0.0, 1.0), after)
+        begins = windows.start[windows.start >= time[500]]
+        assert begins.min() == pytest.approx(time[500] + after, abs=0.004)
+        assert np.diff(windows.start)[windows.start[1:] < 2.0].max() == pytest.approx(0.25, abs=0.004)
+    told = windows.after_the_first(-0.31)
+    assert not told[windows.start == begins.min()].any()
+    assert told[windows.start > begins.min() + 0.1].all()

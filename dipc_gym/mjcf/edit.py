@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from xml.parsers import expat
 
 import mujoco
+import numpy as np
 
 from dipc_gym.mjcf.defaults import effective
 from dipc_gym.mjcf.model import FOLLOWS, INPUTS, PASSIVE, PREFIX
@@ -186,7 +187,8 @@ class Document:
 
     def angle(self, joint: ET.Element, radians: float) -> float:
         """A position of a joint as this file writes it: in degrees for hinges, unless the compiler says radian."""
-        in_degrees = all(c.get("angle", "degree") == "degree" for c in self.root.iterfind("compiler"))
+        said = [c.attrib["angle"] for c in self.root.iterfind("compiler") if "angle" in c.attrib]
+        in_degrees = not said or said[-1] == "degree"  # of several the last one holds
         return math.degrees(radians) if self.is_hinge(joint) and in_degrees else radians
 
     # ------------------------------------------------------------------------------------------------- editing
@@ -336,13 +338,60 @@ def _in_order(body: ET.Element) -> Iterator[ET.Element]:
             yield from _in_order(child)
 
 
-def _directly(body: ET.Element) -> Iterator[ET.Element]:
-    """Joints and bodies in a body, those in its frames too."""
+def _directly(body: ET.Element, *tags: str) -> Iterator[ET.Element]:
+    """Joints and bodies in a body, or what has another tag, those in its frames too."""
     for e in body:
         if e.tag == "frame":
-            yield from _directly(e)
-        elif e.tag in ("joint", "freejoint", "body"):
+            yield from _directly(e, *tags)
+        elif e.tag in (tags or ("joint", "freejoint", "body")):
             yield e
+
+
+def written_out(source: Source, model: mujoco.MjModel) -> Source:
+    """The same model with what the compiler makes up standing in its text, so that an edit of it is one of the model.
+
+    Bodies that move get a name, that of their joint; `springdamper` becomes the stiffness and damping that it comes to,
+    which would pass over any others; an `<inertial>` that geoms stand for is taken out, and one within a `<frame>`
+    stands in its body.
+
+    Args:
+        source: the model.
+        model: the same, compiled.
+    """
+    document = Document(source)
+    compilers = [c for c in document.root.iterfind("compiler") if "inertiafromgeom" in c.attrib]
+    changed = by_geoms = bool(compilers) and compilers[-1].get("inertiafromgeom") == "true"
+    names = {body.get("name") for body in document.root.iterfind(".//worldbody//body")}
+    for body in document.root.iterfind(".//worldbody//body"):
+        joints = [joint for joint in _directly(body, "joint") if joint.get("name")]
+        inertials = [*_directly(body, "inertial")]
+        framed = bool(joints) and any(inertial not in list(body) for inertial in inertials)
+        for inertial in inertials if by_geoms or framed else []:
+            document.parent(inertial).remove(inertial)
+            changed = True
+        if not joints:
+            continue
+        first = str(joints[0].get("name"))
+        of = model.body(int(model.joint(first).bodyid[0]))
+        if not body.get("name"):
+            body.set("name", document.fresh(first) if first in names else first)
+            changed = True
+        if framed and not by_geoms:
+            numbers = {"mass": float(of.mass[0]), "diaginertia": list(of.inertia)}
+            made = document.add(body, "inertial", pos=list(of.ipos), quat=list(of.iquat), **numbers)
+            body.remove(made)
+            body.insert(0, made)
+        for joint in joints:
+            if any(float(word) for word in document.effective(joint, "springdamper", "0 0").split()):
+                own = model.joint(joint.get("name"))
+                stiffness, damping = (float(np.ravel(number)[0]) for number in (own.stiffness, own.damping))
+                document.set(joint, springdamper="0 0", stiffness=stiffness, damping=damping)
+                changed = True
+    if not changed:
+        return source
+    for compiler in compilers if by_geoms else []:
+        document.set(compiler, inertiafromgeom="auto")
+    return source.edited(document.text())
 
 
 def text(value: str | float | Sequence[float]) -> str:

@@ -431,10 +431,11 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
                 f"{name}: sensor {one!r} has an interval, over which its reading stays as it was. Remove it, and "
                 "record at the times at which the sensor reads."
             )
-    for flag in ("constraint", "frictionloss"):
+    off = {"constraint": "dry friction", "frictionloss": "dry friction", "damper": "damping", "spring": "springs"}
+    for flag, switched in off.items():
         if model.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}"):
             raise MjcfError(
-                f'{name}: <flag {flag}="disable"/> switches dry friction off, so that none could be found or written; '
+                f'{name}: <flag {flag}="disable"/> switches {switched} off, so that none could be found or written; '
                 "remove it" + (', and write <flag contact="disable"/> for it' if flag == "constraint" else "")
             )
     pair = touching_pair(model)
@@ -443,6 +444,20 @@ def check_supported(model: mujoco.MjModel, name: str) -> None:
             f'{name}: geoms {pair[0]} and {pair[1]} can touch. {SUPPORTED} If they never touch, set contype="0" '
             'conaffinity="0" on them, or <option><flag contact="disable"/></option>.'
         )
+
+
+def servo(model: mujoco.MjModel, actuator: int) -> str:
+    """Whether an actuator is a servo, of position (`pos`) or speed (`vel`), by whatever element; empty for any other.
+
+    What it exerts is its gain times how far it is from what it is asked for.
+    """
+    gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator]
+    kinds = model.actuator_gaintype[actuator], model.actuator_biastype[actuator]
+    if kinds != (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE) or gain <= 0:
+        return ""
+    if bias[1] == -gain:
+        return "pos"
+    return "vel" if bias[1] == 0 and bias[2] == -gain else ""
 
 
 def touching_pair(model: mujoco.MjModel) -> tuple[str, str] | None:

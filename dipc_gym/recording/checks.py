@@ -112,8 +112,9 @@ def quantum(values: NDArray[np.float64]) -> float:
 def counted_on(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     """An angle (n,) in rad that starts again after every turn, counted on over the turns; any other as it is.
 
-    One that stays within a turn, jumps by nearly all of it, and moves little between samples otherwise. What turns by
-    more than a quarter between two samples is left alone: it may have gone either way.
+    One that stays within a turn, jumps by nearly all of it, and moves little between samples otherwise, but for a
+    glitch or a gap now and then. What often turns by more than a quarter between two samples is left alone: it may have
+    gone either way.
 
     Example:
         >>> counted_on(np.array([2.9, 3.1, -3.0, -2.8])).round(2).tolist()
@@ -122,7 +123,7 @@ def counted_on(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     if np.ptp(angle) > 1.001 * 2 * math.pi or np.max(np.abs(np.diff(angle)), initial=0.0) < math.pi:
         return angle
     on = np.unwrap(angle)
-    return on if np.max(np.abs(np.diff(on))) < CHECKS.steady else angle
+    return on if np.mean(np.abs(np.diff(on)) >= CHECKS.steady) < CHECKS.rarely else angle
 
 
 def notes(recording: Recording, model: mujoco.MjModel) -> tuple[str, ...]:

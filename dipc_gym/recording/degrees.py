@@ -97,7 +97,11 @@ def refuse_degrees(
             reach = " and ".join(
                 f"sensor {name!r} reaches {peak:.4g} rad" for name, peak in zip(odd, peaks, strict=True)
             )
-            mends = ", and ".join(_mended(mend, recording, name, "deg", "rad") for name in odd)
+            rates = [rate for name in odd for rate in _rates(recording, model, name) if rate not in known]
+            mends = ", and ".join(
+                [_mended(mend, recording, name, "deg", "rad") for name in odd]
+                + [_mended(mend, recording, rate, "deg/s", "rad/s") for rate in rates]
+            )
             raise RecordingError(f"{recording.path or recording.name}: {reach}, which looks like degrees; {mends}")
 
 
@@ -137,6 +141,12 @@ def _in_millimetres(recording: Recording, model: mujoco.MjModel, name: str, join
         return False
     measured, found = (float(np.linalg.norm(each)) for each in known)
     return found < DEGREES.drives * 1e3 * measured
+
+
+def _rates(recording: Recording, model: mujoco.MjModel, name: str) -> list[str]:
+    """Names of the sensors that read the speed of the joint whose angle one reads."""
+    rates = [one for one in recording.sensor_names if model.sensor(one).type[0] == mujoco.mjtSensor.mjSENS_JOINTVEL]
+    return [one for one in rates if model.sensor(one).objid[0] == model.sensor(name).objid[0]]
 
 
 def _mended(mend: str, recording: Recording, name: str, odd: str, si: str) -> str:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dipc_gym.recording.columns import COMMAND, SENSOR
+from dipc_gym.recording.settings import CHECKS
 from dipc_gym.recording.tables import RecordingError, row_label
 
 if TYPE_CHECKING:
@@ -96,6 +97,17 @@ class Recording:
     def period(self) -> float:
         """Median time between samples, s (0 for a single sample)."""
         return float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
+
+    @functools.cached_property
+    def goes_on(self) -> NDArray[np.float64]:
+        """When it begins, and when it goes on after each gap, in which samples are missing, s: what was commanded in
+        one is not known.
+        """
+        steps = np.diff(self.time)
+        if not len(steps):
+            return self.time[:1]
+        gaps = steps > CHECKS.gap * np.quantile(steps, CHECKS.steady_clock)
+        return self.time[np.append(True, gaps)]
 
     def slice(self, start: int, stop: int) -> Recording:
         """Samples `start` to `stop` (exclusive), counted as Python counts; time stamps stay as they are.

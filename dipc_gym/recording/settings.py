@@ -67,6 +67,7 @@ class CheckSettings:
         past: share of its range by which it goes beyond: less is its zero or its noise
         steady: rad a sample, below which an angle that starts again can be counted on: one that turns by more may have
             gone either way
+        rarely: share of its steps that may be larger: glitches, and gaps in time
         moves: times its noise: a position that moves less tells nothing of its rate
         like: share of the variance from which one curve is another, scaled
         times: between which a rate goes the way of its position: less or more is a unit or a gear, not a calibration
@@ -93,6 +94,7 @@ class CheckSettings:
     within: float = 0.01
     past: float = 1e-3
     steady: float = math.pi / 2
+    rarely: float = 0.01
     moves: float = 10.0
     like: float = 0.5
     times: tuple[float, float] = (0.5, 2.0)

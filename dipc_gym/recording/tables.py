@@ -290,7 +290,9 @@ def _read_parquet(path: Path, data: bytes, choose: Choose) -> tuple[list[str], d
     for name in wanted:
         kind = file.schema_arrow.field(name).type
         if not (arrow.types.is_floating(kind) or arrow.types.is_integer(kind)):
-            raise RecordingError(f"{path}, column {name!r}: holds {kind}, not numbers")
+            raise RecordingError(
+                f"{path}, column {name!r}: holds {kind}, not numbers; write it as floating-point numbers, time in s"
+            )
         try:
             column = file.read(columns=[name]).column(name)  # a dot in the name may have brought others along
             values = column.cast(arrow.float64(), safe=False).to_numpy()

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import mujoco
 
-from dipc_gym.mjcf import gear, units
+from dipc_gym.mjcf import gear, servo, units
 from dipc_gym.safety.naming import suggestion
 
 _TURN = 2 * math.pi  # rad
@@ -140,6 +140,7 @@ def of_command(model: mujoco.MjModel, control: str) -> str:
     if not on_joint or abs(gear(model, i)) != 1:
         return ""
     force, length, _ = units(model, int(model.actuator_trnid[i, 0]))
+    asked = servo(model, i) or asked
     if asked in ("pos", "vel"):
         return length if asked == "pos" else f"{length}/s"
     fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED and model.actuator_gainprm[i, 0] == 1

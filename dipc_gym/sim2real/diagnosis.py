@@ -96,7 +96,7 @@ def diagnose(
         raise ValueError("the rig has no actuator that could be commanded")
     for note in given.notes:  # minutes before the end: whoever made a mistake would rather know at once
         tell(f"note: {note}")
-    provenance = _provenance(given, withheld, seed)
+    provenance = _provenance(source, given, withheld, seed)
     give_back_freed()
     # Thousands of small matrices: threads of BLAS would wait for each other, and for those that simulate.
     with threadpool_limits(1, "blas"):
@@ -256,8 +256,7 @@ def _cannot_tell(why: CannotTell, given: Given, provenance: dict[str, Any]) -> D
     )
 
 
-def _provenance(given: Given, withheld: Withheld, seed: int) -> dict[str, Any]:
-    source = given.source
+def _provenance(source: mjcf.Source, given: Given, withheld: Withheld, seed: int) -> dict[str, Any]:
     inputs = {str(source.path.name if source.path else "model"): source.sha256}
     for recording in (*given.recordings, *withheld.recordings):
         label, digest = str(recording.path or recording.name), recording.sha256

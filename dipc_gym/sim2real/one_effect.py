@@ -21,7 +21,7 @@ from dipc_gym.sim2real.estimation.fit import Fit, fit
 from dipc_gym.sim2real.estimation.problem import Problem, predict
 from dipc_gym.sim2real.estimation.segments import prepare
 from dipc_gym.sim2real.estimation.settings import ESTIMATION
-from dipc_gym.sim2real.model.parameters import model_parameters
+from dipc_gym.sim2real.model.parameters import in_full, model_parameters
 from dipc_gym.sim2real.model.structure import Term, carry
 from dipc_gym.sim2real.selection.settings import WINDOWS
 from dipc_gym.sim2real.simulation.batch import Stepping
@@ -89,6 +89,7 @@ def fit_effect(
     source = model if isinstance(model, mjcf.Source) else mjcf.read(model)
     given = physics.load(source)
     mjcf.check_supported(given.model, source.name)
+    source, given = in_full(source, given)
     refuse_odd_units(recordings, given.model, mend=IN_PYTHON)
     recordings = without_glitches(clocked(recordings), given.model)
     step = min(WINDOWS.coarsest, *(r.period for r in recordings))

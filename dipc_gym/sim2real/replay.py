@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -286,6 +286,20 @@ def replay(
         stepping = Stepping(step, mujoco.mjtIntegrator.mjINT_RK4)
     prepared = prepare(source, physics, [read], stepping, length=window, threads=threads)
     problem = prepared.problem
+    windows = problem.windows
+    told = windows.start - windows.went_on >= prepared.structure.activated
+    if not told.any():
+        raise recordings.RecordingError(
+            f"{recording}: ends before the {prepared.structure.activated:.3g} s after which what an actuator's "
+            "activation was before it began is forgotten; record longer"
+        )
+    if not told.all():
+        problem = problem.pick(told)
+        left_out = (
+            f"{np.sum(~told)} windows are left out, in which an activation of the model still shows where it was "
+            "before the recording began, or in a gap"
+        )
+        read = replace(read, notes=(*read.notes, left_out))
     predicted = readings(problem, prepared.structure, prepared.structure.first)
     return Replay(
         Path(model),

@@ -86,7 +86,7 @@ def prepare(
     spread, late = uncertainty(physics, motions, noise), mjcf.latest_sensor(physics.model)
 
     def windows(length: float) -> Problem:
-        cuts = replace(_cut(recordings, noise, length, span), motions=motions, late=late)
+        cuts = replace(_cut(recordings, noise, length, span, structure.warm), motions=motions, late=late)
         return Problem(cuts, cuts.begun(), spread, stepping, threads)
 
     if length is not None:
@@ -178,14 +178,17 @@ def growth(problem: Problem, structure: Structure, longest: float) -> Array:
     return np.where(windows.valid, np.where(np.isnan(grown), np.inf, grown), 0.0)  # NaN: a simulation that ended
 
 
-def _cut(recordings: Sequence[Recording], noise: Array, length: float, span: tuple[float, float]) -> Windows:
-    windows = cut(recordings, noise, length, span)
+def _cut(
+    recordings: Sequence[Recording], noise: Array, length: float, span: tuple[float, float], after: float
+) -> Windows:
+    windows = cut(recordings, noise, length, span, after)
     if not len(windows):
         longest = max(recordings, key=lambda r: r.duration)
         unit = likely_time(longest.period)
+        between = f" between gaps in time, {after:.2g} s after each," if len(longest.goes_on) > 1 else ""
         raise RecordingError(
             f"{longest.path or longest.name}: {longest.duration:.3g} s, sampled every {longest.period:.2g} s, hold no "
-            f"window of {length:g} s in the part from {span[0]:.0%} to {span[1]:.0%}: record "
+            f"window of {length:g} s{between} in the part from {span[0]:.0%} to {span[1]:.0%}: record "
             f"{'faster' if 3 * longest.period > length else 'longer'}, for a window has at least 4 samples"
             f"{f'; or is time in {unit}? Then say --unit time={unit}' if longest.period > CHECKS.slow else ''}"
         )

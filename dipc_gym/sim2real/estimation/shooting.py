@@ -45,17 +45,19 @@ class Shooting:
         self.spread = problem.spread * np.where(np.tile(self._hidden(), 2), ESTIMATION.hidden, 1.0)
 
     def _hidden(self) -> NDArray[np.bool_]:
-        """Base joints (nb,) whose places a sensor tells that says something else of them in this structure."""
+        """Base joints (nb,) whose places a sensor tells that says something else of them in this structure, or nothing:
+        of a speed the place is integrated from a beginning that nobody read.
+        """
         structure = self.structure
-        moved = structure.moved_sensors
-        if not moved:
-            return np.zeros(self.nb2 // 2, dtype=bool)
         known = structure.worked_out.get(_Hidden)
         if not isinstance(known, _Hidden):
-            told = seen(from_model(structure.model))
-            names = np.array(mjcf.scalar_sensors(structure.model))[told.sensors]
-            through = np.abs(told.inverse(self.problem.windows.noise)[:, [name in moved for name in names.tolist()]])
-            known = structure.worked_out[_Hidden] = _Hidden(through.max(axis=1, initial=0.0) > ESTIMATION.tells)
+            told, moved = seen(from_model(structure.model)), structure.moved_sensors
+            joints = told.by_speed
+            if moved:
+                names = np.array(mjcf.scalar_sensors(structure.model))[told.sensors]
+                through = np.abs(told.inverse(self.problem.windows.noise)[:, [one in moved for one in names.tolist()]])
+                joints = joints | (through.max(axis=1, initial=0.0) > ESTIMATION.tells)
+            known = structure.worked_out[_Hidden] = _Hidden(joints)
         return known.joints
 
     def residuals(self, Z: Sequence[Array], initial: Array) -> Array:

@@ -115,8 +115,14 @@ def sensor_map(physics: Physics) -> tuple[Array, Array, Array]:
         q, v = rng.normal(size=nb), rng.normal(size=nb)
         off = np.abs(read(q, v) - (P @ q + V @ v + c)) > 1e-6 * (1 + np.abs(P @ q) + np.abs(V @ v))
         if off.any():
+            odd = names[int(np.flatnonzero(off)[0])]
+            if cutoff := float(model.sensor(odd).cutoff[0]):
+                raise Undetermined(
+                    f"sensor {odd!r} has a cutoff of {cutoff:g}, beyond which its reading stays as it is",
+                    "Take the cutoff out of the model; readings that were cut off say nothing, and may go as well.",
+                )
             raise Undetermined(
-                f"sensor {names[int(np.flatnonzero(off)[0])]!r} is not linear in joint positions and velocities; "
+                f"sensor {odd!r} is not linear in joint positions and velocities; "
                 "supported are jointpos, jointvel, tendonpos, tendonvel, actuatorpos and actuatorvel on fixed "
                 "transmissions",
                 "Take that sensor out of the model; its column may stay in the recording.",
@@ -146,6 +152,11 @@ class Seen:
     speeds: NDArray[np.bool_]
     rows: Array
     zero: Array
+
+    @property
+    def by_speed(self) -> NDArray[np.bool_]:
+        """Base joints (nb,) whose place follows from their speed alone."""
+        return np.asarray(np.any(self.rows[self.speeds] != 0, axis=0))
 
     def inverse(self, noise: Array) -> Array:
         """Least-squares positions per reading, (nb, k), of sensors with this noise, (ns,)."""
@@ -203,8 +214,7 @@ def _free(rows: Array, nb: int) -> Array:
 
 def integrated(physics: Physics) -> list[str]:
     """A sentence if where a joint is follows from its speed alone."""
-    told = seen(physics)
-    moves = np.any(told.rows[told.speeds] != 0, axis=0)
+    moves = seen(physics).by_speed
     joints = [joint for joint, of in zip(mjcf.base_joints(physics.model), moves, strict=True) if of]
     if not joints:
         return []

@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dipc_gym import mjcf
-from dipc_gym.mjcf.edit import Document, text
+from dipc_gym import mjcf, physics
+from dipc_gym.mjcf.edit import Document, text, written_out
 from dipc_gym.safety.naming import suggestion
 from dipc_gym.sim2real.effects.shared.base import is_dcmotor
 from dipc_gym.sim2real.model.settings import MODEL
@@ -49,6 +49,12 @@ class ModelParameter:
         return f"{self.at}.{self.attribute}"
 
 
+def in_full(source: mjcf.Source, given: physics.Physics) -> tuple[mjcf.Source, physics.Physics]:
+    """A model whose text says all that its compiler makes up, and the same loaded; see `mjcf.edit.written_out`."""
+    said = written_out(source, given.model)
+    return (source, given) if said is source else (said, physics.load(said))
+
+
 def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelParameter]:
     """Every parameter of the model that a refit may change, those that are zero left out: they are absent structure."""
     found: list[ModelParameter] = []
@@ -79,8 +85,8 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
                     found.append(
                         ModelParameter(attribute, name, float(values[0]), unit, _all_of(name, attribute), MODEL.motors)
                     )
-        elif document.actuator(name).tag == "position":
-            found += _servo(document, model, name)
+        elif servo := _servo(document, model, name):
+            found += servo
         elif model.actuator_ctrlnum[i]:
             gear = mjcf.gear(model, i)
             if gear:
@@ -101,19 +107,61 @@ def model_parameters(document: Document, model: mujoco.MjModel) -> list[ModelPar
 
 
 def _servo(document: Document, model: mujoco.MjModel, name: str) -> list[ModelParameter]:
-    """Gains of a `<position>`, whose gear would stretch what it is asked for as well."""
+    """Gains of a servo of position or speed, whatever its element is called; empty where an actuator is none.
+
+    A gear would stretch what it is asked for as well.
+    """
     element, i = document.actuator(name), model.actuator(name).id
+    kind, gain, bias = mjcf.servo(model, i), float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i]
+    if not kind:
+        return []
     force, length = "", ""
     if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and abs(mjcf.gear(model, i)) == 1:
         force, length, _ = mjcf.units(model, int(model.actuator_trnid[i, 0]))
-    gains = {"kp": (float(model.actuator_gainprm[i, 0]), force and f"{force}/{length}")}
+    gains = {"kp": (gain, force and f"{force}/{length}")} if kind == "pos" else {}
     if not document.effective(element, "dampratio"):  # of which the compiler makes a damping by the mass
-        gains["kv"] = -float(model.actuator_biasprm[i, 2]), force and f"{force} s/{length}"
+        gains["kv"] = -float(bias[2]), force and f"{force} s/{length}"
+    named = element.tag in ("position", "velocity")
     return [
-        ModelParameter(attribute, name, value, unit, _first_of("actuator", name, attribute), MODEL.servos)
+        ModelParameter(
+            attribute,
+            name,
+            value,
+            unit,
+            _first_of("actuator", name, attribute) if named else _gain(model, name, attribute, drives=kind == "vel"),
+            MODEL.servos,
+        )
         for attribute, (value, unit) in gains.items()
         if value > 0
     ]
+
+
+def _gain(model: mujoco.MjModel, name: str, attribute: str, *, drives: bool) -> Callable[[Document, float], None]:
+    """Sets a gain of a servo that is written as `<general>`, whatever its default class says.
+
+    Args:
+        model: compiled.
+        name: of the actuator.
+        attribute: `kp`, or `kv`, what `<position>` and `<velocity>` call them.
+        drives: whether it is a servo of speed.
+    """
+    i = model.actuator(name).id
+    compiled = {"gainprm": model.actuator_gainprm[i, :1], "biasprm": model.actuator_biasprm[i, :3]}
+
+    def write(document: Document, value: float) -> None:
+        element = document.actuator(name)
+        own = {key: [float(word) for word in element.get(key, "").split()] for key in compiled}
+        gain, bias = (own[key] or numbers.tolist() for key, numbers in compiled.items())
+        bias = [*bias, 0.0, 0.0][:3]
+        if attribute == "kp":
+            gain[0], bias[1] = value, -value
+        else:
+            bias[2] = -value
+        if drives:
+            gain[0] = value
+        document.set(element, gaintype="fixed", biastype="affine", gainprm=gain, biasprm=bias)
+
+    return write
 
 
 def fixed_masses(document: Document, model: mujoco.MjModel, parameters: Sequence[ModelParameter]) -> list[str]:
@@ -208,14 +256,16 @@ def _all_of(name: str, attribute: str) -> Callable[[Document, float], None]:
 
 def _takes_mass(document: Document, model: mujoco.MjModel, name: str, write: Callable[[Document, float], None]) -> bool:
     """Whether a mass that is written becomes that of the body and leaves all others as they are."""
-    wanted, edited = model.body_mass.copy(), document.copy()
-    wanted[model.body(name).id] *= 1.1
-    write(edited, float(wanted[model.body(name).id]))
+    mass, inertia, edited = model.body_mass.copy(), model.body_inertia.copy(), document.copy()
+    mass[model.body(name).id] *= 1.1
+    inertia[model.body(name).id] *= 1.1
+    write(edited, float(mass[model.body(name).id]))
     try:
-        written = mjcf.compile(document.source.edited(edited.text()), trusted=True).body_mass
+        made = mjcf.compile(document.source.edited(edited.text()), trusted=True)
     except mjcf.MjcfError:
         return False
-    return written.shape == wanted.shape and np.allclose(written, wanted, rtol=1e-6)
+    pairs = (made.body_mass, mass), (made.body_inertia, inertia), (made.body_ipos, model.body_ipos)
+    return all(one.shape == other.shape and np.allclose(one, other, rtol=1e-6, atol=1e-12) for one, other in pairs)
 
 
 def _arm(model: mujoco.MjModel, name: str) -> Array | None:
@@ -254,7 +304,10 @@ def _mass(model: mujoco.MjModel, name: str) -> Callable[[Document, float], None]
 
 
 def _inertial(document: Document, model: mujoco.MjModel, name: str) -> ET.Element:
-    """The `<inertial>` of a body, with its numbers; one is made where geoms have stood for it."""
+    """The `<inertial>` of a body, with its numbers; one is made where geoms have stood for it.
+
+    No compiler setting passes over it, see `mjcf.edit.written_out`.
+    """
     element, body = document.body(name), model.body(name)
     inertial = element.find("inertial")
     own: dict[str, Any] = {"mass": float(body.mass[0]), "diaginertia": list(body.inertia)}
@@ -267,7 +320,4 @@ def _inertial(document: Document, model: mujoco.MjModel, name: str) -> ET.Elemen
         for orientation in ("axisangle", "xyaxes", "zaxis", "euler"):
             inertial.attrib.pop(orientation, None)
         document.set(inertial, quat=list(body.iquat), **own)
-    for compiler in document.root.iterfind("compiler"):
-        if compiler.get("inertiafromgeom") == "true":  # which would pass over it
-            document.set(compiler, inertiafromgeom="auto")
     return inertial

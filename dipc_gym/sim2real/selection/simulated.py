@@ -42,7 +42,7 @@ def look_simulated(problem: Problem, fitted: Fit, coulomb: Effect | None = None,
             what steps cost, and then predict other windows worse.
     """
     structure, z = with_coulomb(fitted, coulomb)
-    near_enough = fitted.error <= SCORE.at_floor and structure is fitted.structure
+    near_enough = fitted.error <= SCORE.at_noise and structure is fitted.structure
     if problem.stepping.integrator is None or (near_enough and not at_noise):
         return False
     if any(term.effect.needs_loader for term in structure.terms):  # MuJoCo alone has none of that
@@ -50,14 +50,29 @@ def look_simulated(problem: Problem, fitted: Fit, coulomb: Effect | None = None,
     some = np.arange(0, len(problem.windows), WINDOWS.every if fitted.error > SEARCH.in_reach else 1)
     few, before = problem.pick(some), fitted.mse[some]
     simulated = fit(in_own_steps(few, structure), as_simulated(structure), z, most=SEARCH.sketch_steps)
-    if common_error(simulated.mse) > SCORE.at_floor or not compare(simulated.mse, before, few.blocks).clear:
+    if common_error(simulated.mse) > SCORE.at_floor or not _told(simulated.mse, before, few.blocks):
         return False
     # A model may have finer steps than the search, which a fast rig asks for: those are no simulation's.
     finest = controlled(few, fitted.structure, fitted.z)
     if finest is few:
         return True
     after = fit(finest, fitted.structure, fitted.z, fitted.initial[some], most=SEARCH.sketch_steps).mse
-    return compare(simulated.mse, after, few.blocks).clear
+    return _told(simulated.mse, after, few.blocks)
+
+
+def _told(simulated: Array, fine: Array, blocks: NDArray[np.intp]) -> bool:
+    """Whether the model's own steps, which predict to the noise, predict clearly better than fine ones do.
+
+    Short recordings hold too few seconds for a standard error to say so. There it is told by fine steps that do not
+    come to the noise, and lose in every second.
+
+    Args:
+        simulated: mean square errors in the model's own steps, (n,).
+        fine: in fine ones, (n,).
+        blocks: second of each window, (n,).
+    """
+    gained = compare(simulated, fine, blocks)
+    return gained.clear or (common_error(fine) > SCORE.at_floor and gained.worst > 0)
 
 
 def in_own_steps(problem: Problem, structure: Structure) -> Problem:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym.recording import Recording
-from dipc_gym.recording.settings import CHECKS
 from dipc_gym.sim2real.simulation.motion import Motion, initial_states
 
 Array = NDArray[np.float64]
@@ -91,13 +90,24 @@ class Windows:
         return initial_states(self.motions, self.source, self.start - self.late - before)
 
     def after_the_first(self, at: float) -> NDArray[np.bool_]:
-        """Whether `at` seconds after each window's start its recording has begun, (n,): before, nothing is known."""
-        return np.asarray(self.start + at > self.began + JUST)
+        """Whether `at` seconds after each window's start its recording has begun, or gone on after a gap, (n,): before,
+        nothing is known.
+        """
+        return np.asarray(self.start + at > self.went_on + JUST)
 
     @property
     def began(self) -> Array:
         """When the recording of each window began, s, (n,)."""
         return np.array([recording.time[0] for recording in self.recordings])[self.source]
+
+    @property
+    def went_on(self) -> Array:
+        """When the recording of each window began, or went on after the last gap before it, s, (n,)."""
+        out = np.empty(len(self))
+        for i, recording in enumerate(self.recordings):
+            mine, since = self.source == i, recording.goes_on
+            out[mine] = since[np.maximum(np.searchsorted(since, self.start[mine] + JUST) - 1, 0)]
+        return out
 
     def as_read(self, sensor: int, remembered: Array) -> Array:
         """What a lagging sensor remembers where windows begin, (..., n): what it reads there, smoothed, but for the
@@ -120,7 +130,9 @@ class Windows:
         return min(recording.period for recording in self.recordings)
 
 
-def cut(recordings: Sequence[Recording], noise: Array, length: float, span: tuple[float, float]) -> Windows:
+def cut(
+    recordings: Sequence[Recording], noise: Array, length: float, span: tuple[float, float], after: float = 0.0
+) -> Windows:
     """Cut recordings into windows that lie end to end.
 
     Args:
@@ -128,6 +140,7 @@ def cut(recordings: Sequence[Recording], noise: Array, length: float, span: tupl
         noise: standard deviation of each sensor's noise, (ns,).
         length: s.
         span: the part of each recording to use, as fractions of its duration.
+        after: time that passes from a gap to the next window, s: what a model remembers of it.
 
     Returns:
         The windows in order of recording and time. An incomplete one at the end is dropped, and none reaches across a
@@ -136,15 +149,14 @@ def cut(recordings: Sequence[Recording], noise: Array, length: float, span: tupl
     parts: list[tuple[int, int, int]] = []
     for i, recording in enumerate(recordings):
         t = recording.time
-        gap = CHECKS.gap * np.quantile(np.diff(t), CHECKS.steady_clock)
         last = t[0] + span[1] * (t[-1] - t[0]) + 1e-9
         # A window holds the samples before its end, the first sample of the next one excluded.
         first = int(np.searchsorted(t, t[0] + span[0] * (t[-1] - t[0]) - 1e-9))
         while first < len(t) and t[first] + length <= last + recording.period:
             stop = int(np.searchsorted(t, t[first] + length - 1e-3 * recording.period))
-            gaps = np.flatnonzero(np.diff(t[first:stop]) > gap)
-            if len(gaps):  # what was commanded there is not known
-                first += int(gaps[-1]) + 1
+            on = recording.goes_on[np.searchsorted(recording.goes_on, t[stop - 1], side="right") - 1]
+            if on > t[0] and on + after > t[first]:  # what was commanded in the gap is not known
+                first = int(np.searchsorted(t, on + after))
                 continue
             if stop - first >= 4:
                 parts.append((i, first, stop))

@@ -32,6 +32,8 @@ from dipc_gym.sim2real.selection.settings import SEARCH, WINDOWS
 from dipc_gym.sim2real.side_by_side import side_by_side
 from dipc_gym.sim2real.verdict.settings import CONVENTIONS
 
+IN_DEGREES = {"rad": "deg", "rad/s": "deg/s"}  # what `--unit` calls commands of servos that may be so
+
 Array = NDArray[np.float64]
 
 
@@ -75,7 +77,7 @@ def possible(
     source: mjcf.Source, physics: Physics, actuators: Sequence[str], sensors: Sequence[str]
 ) -> Iterator[Convention]:
     """Every convention by itself: commands that are stamped late, signs of commands and joints, commands in
-    thousandths, half turns, angles from the joint before or from afar, and columns that are interchanged.
+    thousandths or degrees, half turns, angles from the joint before or from afar, and columns that are interchanged.
 
     Args:
         source: text of the model.
@@ -96,7 +98,13 @@ def possible(
         key = called(COMMAND, name, sensors)
         words, mend = f"count command {name!r} the other way round", _turn(key)
         yield replace(same, words=words, mend=mend, commands=1 - 2 * unit)
-        small = _thousandth(of_command(physics.model, name))
+        unit_of = of_command(physics.model, name)
+        if unit_of in IN_DEGREES:
+            said = IN_DEGREES[unit_of]
+            words, mend = f"count command {name!r} in degrees ({said})", f"say --unit {key}={said}"
+            factors = np.where(unit == 1, math.pi / 180, 1.0)
+            yield replace(same, words=words, mend=mend, commands=factors, driving=unit == 1)
+        small = _thousandth(unit_of)
         words, mend = f"count command {name!r} in thousandths ({small})", f"say --unit {key}={small}"
         factors = np.where(unit == 1, CONVENTIONS.thousandth, 1.0)
         yield replace(same, words=words, mend=mend, commands=factors, driving=unit == 1)

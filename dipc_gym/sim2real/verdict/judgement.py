@@ -148,7 +148,7 @@ def _named(case: Case, last: Chosen, measured: Measured, located: Sequence[Locat
         elsewhere=tested.comparison.recalibrated,
     )
     notes = list[str]()
-    if errors.nominal <= SCORE.at_floor and verdict == "unexplained":
+    if errors.nominal <= SCORE.at_floor and verdict in ("unexplained", "recalibrated"):
         notes.append(sentences.not_in_test(tested.comparison.recalibrated, errors.nominal))
     missing = guarded(
         "How much each effect is worth",

@@ -23,7 +23,7 @@ from dipc_gym.recording.parts import check_apart, going_on, until
 from dipc_gym.sim2real.estimation import states
 from dipc_gym.sim2real.estimation.problem import Problem
 from dipc_gym.sim2real.estimation.segments import prepare
-from dipc_gym.sim2real.model.parameters import Wishes, fixed_masses, model_parameters
+from dipc_gym.sim2real.model.parameters import Wishes, fixed_masses, in_full, model_parameters
 from dipc_gym.sim2real.selection import partitioning
 from dipc_gym.sim2real.selection.case import CannotTell, Case, Given
 from dipc_gym.sim2real.selection.settings import WINDOWS
@@ -112,6 +112,7 @@ def gather(
     """
     loaded = physics.load(source)
     mjcf.check_supported(loaded.model, source.name)
+    source, loaded = in_full(source, loaded)
     check_apart(recordings, held_out)
     refuse_odd_units([*recordings, *held_out], loaded.model, mend=IN_PYTHON)
     tested = without_glitches(clocked(held_out), loaded.model)
