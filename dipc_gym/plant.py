@@ -11,9 +11,10 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from numbers import Real
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from dipc_gym.mjcf import PREFIX
 from dipc_gym.mjcf.defaults import effective
@@ -416,10 +417,10 @@ def _physical(instance: Any, *names: str) -> None:
     part = "" if isinstance(instance, Plant) else type(instance).__name__.lower() + "."
     for name in names:
         value = getattr(instance, name)
-        if isinstance(value, bool) or not isinstance(value, Real):  # NumPy's numbers are such
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
             raise PlantError(f"{part}{name} must be a number, not {shown(value)}")
         least, most, unit = RANGES[part + name]
-        if not least <= float(value) <= most:
+        if not least <= value <= most:
             raise PlantError(f"{part}{name} is {shown(value)}; it must be from {least:g} to {most:g} {unit}")
         object.__setattr__(instance, name, float(value))
 

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -200,7 +199,7 @@ def _centre(name: str, value: Any, spreads: list[tuple[str, Uniform | Normal]]) 
     if (
         not isinstance(numbers, (list, tuple))
         or len(numbers) != 2
-        or not all(isinstance(n, Real) and not isinstance(n, bool) and abs(float(n)) <= FARTHEST for n in numbers)
+        or not all(isinstance(n, (int, float)) and not isinstance(n, bool) and abs(n) <= FARTHEST for n in numbers)
     ):
         raise PlantError(f"{name}: {kind} takes two finite numbers [{forms[kind]}], not {numbers!r:.80}")
     first, second = map(float, numbers)

@@ -377,8 +377,8 @@ def written_out(source: Source, model: mujoco.MjModel) -> Source:
             body.set("name", document.fresh(first) if first in names else first)
             changed = True
         if framed and not by_geoms:
-            numbers = {"mass": float(of.mass[0]), "diaginertia": list(of.inertia)}
-            made = document.add(body, "inertial", pos=list(of.ipos), quat=list(of.iquat), **numbers)
+            place: dict[str, Sequence[float]] = {"pos": of.ipos, "quat": of.iquat, "diaginertia": of.inertia}
+            made = document.add(body, "inertial", mass=float(of.mass[0]), **place)
             body.remove(made)
             body.insert(0, made)
         for joint in joints:

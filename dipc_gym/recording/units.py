@@ -140,7 +140,7 @@ def of_command(model: mujoco.MjModel, control: str) -> str:
     if not on_joint or abs(gear(model, i)) != 1:
         return ""
     force, length, _ = units(model, int(model.actuator_trnid[i, 0]))
-    asked = servo(model, i) or asked
+    asked = asked if asked in ("pos", "vel") else servo(model, i)  # a <general> says neither
     if asked in ("pos", "vel"):
         return length if asked == "pos" else f"{length}/s"
     fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED and model.actuator_gainprm[i, 0] == 1
