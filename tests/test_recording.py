@@ -996,3 +996,10 @@ def test_a_glitch_and_a_gap_leave_turns_counted_on() -> None:
     on = counted_on(begun_again)
     assert on[700] == pytest.approx(turning[700] - 2.5)
     np.testing.assert_allclose(np.delete(on, 700), np.delete(turning, 700), atol=1e-9)
+
+
+def test_stamps_that_are_rounded_are_not_repeated_rows(tmp_path: Path, model: mujoco.MjModel) -> None:
+    """Dropped, every other sample would be missing, and the rest off by as much."""
+    time = np.floor(np.arange(60) / 2.5) / 100
+    said = refused(save(tmp_path / "r.csv", table({**run(60), "time": time})), model)
+    assert "only rounded stamps repeat so often: write more digits" in said

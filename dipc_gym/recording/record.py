@@ -236,8 +236,10 @@ def check_numbers(where: str, lines: Sequence[int], columns: Mapping[str, NDArra
     back = np.flatnonzero(np.diff(time) <= 0)
     if len(back):
         k = int(back[0]) + 1
+        mend = "drop the rows that repeat a time, and cut the file in two where a clock began anew"
+        if len(back) > CHECKS.rounded * len(time) and not (np.diff(time) < 0).any():
+            mend = "only rounded stamps repeat so often: write more digits, or number evenly sampled rows evenly"
         raise RecordingError(
             f"{where}, {row_label(lines, k)}, column {next(iter(columns))!r}: time must increase, but "
-            f"{time[k]} follows {time[k - 1]} ({len(back)} such places); drop the rows that repeat a time, and cut the "
-            "file in two where a clock began anew"
+            f"{time[k]} follows {time[k - 1]} ({len(back)} such places); {mend}"
         )

@@ -67,6 +67,7 @@ class CheckSettings:
         past: share of its range by which it goes beyond: less is its zero or its noise
         steady: rad a sample, below which an angle that starts again can be counted on: one that turns by more may have
             gone either way
+        rounded: share of the rows that repeat a time, from which on stamps are rounded: a stuttering logger repeats few
         rarely: share of its steps that may be larger: glitches, and gaps in time
         moves: times its noise: a position that moves less tells nothing of its rate
         like: share of the variance from which one curve is another, scaled
@@ -94,6 +95,7 @@ class CheckSettings:
     within: float = 0.01
     past: float = 1e-3
     steady: float = math.pi / 2
+    rounded: float = 0.1
     rarely: float = 0.01
     moves: float = 10.0
     like: float = 0.5
