@@ -368,3 +368,18 @@ def test_a_lagging_sensor_leaves_the_states_of_other_joints_known() -> None:
     lagging = ready.structure.with_term(Term(catalogue()["timing.sensor_lag"], "pole1", {"time_constant": 0.02}))
     known = Shooting(ready.problem, ready.structure).spread
     assert Shooting(ready.problem, lagging).spread / known == pytest.approx([1, 1e3, 1, 1, 1e3, 1])
+
+
+def test_what_a_late_sensor_tells_of_a_load_is_late_as_well() -> None:
+    """Where a load swings follows from the motion, which is told by a sensor that lags: taken as it is read, the true
+    model leaves several times the noise.
+    """
+    document, values = Document(mjcf.from_text(CART)), HIDDEN["load.swinging"]
+    load, lag, late = catalogue()["load.swinging"], catalogue()["timing.sensor_lag"], {"time_constant": 0.006}
+    load.edit(document, "cart", values)
+    lag.edit(document, "cart", late)
+    rig = physics.load(mjcf.from_text(document.text()))
+    ready = prepared(CART, [record(rig, sweep(2.0), 8.0, noise=2e-5, integrator=RK4, seed=3)])
+    true = ready.structure.with_term(Term(load, "cart", values)).with_term(Term(lag, "cart", late))
+    later = ready.problem.pick(ready.problem.windows.start > 0.5)
+    assert fit(later, true, most=0).error == pytest.approx(1.0, abs=0.15)

@@ -20,6 +20,7 @@ from dipc_gym.sim2real.model.structure import Structure
 from dipc_gym.sim2real.side_by_side import cores
 from dipc_gym.sim2real.simulation.batch import Stepping, grid_step, simulate
 from dipc_gym.sim2real.simulation.compiled import Compiled, begins_alike, changes, compiled, derivatives
+from dipc_gym.sim2real.simulation.memory import behind
 from dipc_gym.sim2real.simulation.windows import Windows
 
 Array = NDArray[np.float64]
@@ -128,7 +129,7 @@ def predict_with(
                 _stepping(problem.stepping, structure, halved),
                 base=structure.base,
                 warm=warm,
-                approach=_approach(windows, warm),
+                approach=_approach(windows, warm, variants[0], structure.base),
                 threads=cores(problem.threads),
                 as_read=as_read,
             )
@@ -162,7 +163,7 @@ def sensitivities(
             step = grid_step(windows, _stepping(replace(problem.stepping, integrator=_RK4), structure, halved))
             of, change, apart = _with_changes(structure, z, probes, steps, windows, step)
             here = initial if part is problem else initial[which]
-            approach = _approach(windows, warm)
+            approach = _approach(windows, warm, of.variants[0], structure.base)
             found.append(derivatives(of, change, steps, apart, here, warm, approach, cores(problem.threads)))
     except Uncovered:
         return None
@@ -171,14 +172,14 @@ def sensitivities(
     return _in_order(problem, [each[None] for each in readings])[0], by_parameter, by_state
 
 
-def _approach(windows: Windows, warm: float) -> Array | None:
+def _approach(windows: Windows, warm: float, variant: Physics, base: Sequence[str]) -> Array | None:
     """Positions and velocities of the base joints where each stretch of the `warm` seconds before windows begins, (k,
-    n, 2 nb).
+    n, 2 nb), which are told later where a variant's sensors lag.
     """
     if not warm:
         return None
     before = np.linspace(warm, 0.0, math.ceil(warm / ESTIMATION.stretch - 1e-9), endpoint=False)
-    return np.stack([windows.begun(one) for one in before])
+    return np.stack([windows.begun(one, [behind(variant, windows, joint) for joint in base]) for one in before])
 
 
 def _in_order(problem: Problem, parts: Sequence[Array]) -> Array:

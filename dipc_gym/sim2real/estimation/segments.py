@@ -84,9 +84,10 @@ def prepare(
     structure = Structure(document, physics.model, mjcf.base_joints(physics.model))
     motions = tuple(states.estimate(r, physics, noise) for r in recordings)
     spread, late = uncertainty(physics, motions, noise), mjcf.latest_sensor(physics.model)
+    lags = {extra.at: float(extra.data[0]) for extra in physics.stage("lag")}
 
     def windows(length: float) -> Problem:
-        cuts = replace(_cut(recordings, noise, length, span, structure.warm), motions=motions, late=late)
+        cuts = replace(_cut(recordings, noise, length, span, structure.warm), motions=motions, late=late, lags=lags)
         return Problem(cuts, cuts.begun(), spread, stepping, threads)
 
     if length is not None:

@@ -71,21 +71,21 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
         load: the load.
         joint: that it hangs on, among those of the motion.
         motion: of joints.
-        time: s, (n,).
+        time: s, (n,), or of each variant, (variants, n).
 
     Returns:
         m or rad, then m/s or rad/s, (2, variants, n).
     """
-    out = np.empty((2, len(variants), len(time)))
-    known: dict[tuple[tuple[Spring, ...], float, float], Array] = {}
+    time = np.broadcast_to(time, (len(variants), np.shape(time)[-1]))
+    out = np.empty((2, *time.shape))
+    known: dict[tuple[tuple[Spring, ...], float, float], tuple[Array, Array]] = {}
     for v, variant in enumerate(variants):
         held = load.held(variant.model)
         if held not in known:
             moved = motion.position[:, joint], motion.velocity[:, joint], motion.time
             springs, drag, ground = held
-            along = swing(springs, drag, *moved, ground=ground)
-            known[held] = np.stack([np.interp(time, motion.time, one) for one in along])
-        out[:, v] = known[held]
+            known[held] = swing(springs, drag, *moved, ground=ground)
+        out[:, v] = [np.interp(time[v], motion.time, one) for one in known[held]]
     return out
 
 
@@ -297,14 +297,28 @@ def begin(
         for mine, _, motion in _passes(windows, f"how {name} swings"):
             # Against the motion that has carried it: how far an initial state is off, moves the joint and not the load.
             leads = motion.spread(mjcf.spread_out(model)[[model.joint(leaders[name]).id]])
-            apart, faster = swings(variants, load, 0, leads, time[mine])
-            carried = leads.at(time[mine])
-            places.position[:, mine, load.at] = carried[:, 0] + apart
-            places.velocity[:, mine, load.at] = carried[:, 1] + faster
+            late = np.array([behind(variant, windows, leaders[name]) for variant in variants])
+            when = time[mine] + late[:, None]
+            apart, faster = swings(variants, load, 0, leads, when)
+            carried = leads.at(when)
+            places.position[:, mine, load.at] = carried[..., 0] + apart
+            places.velocity[:, mine, load.at] = carried[..., 1] + faster
     for k, into in enumerate(places.remembered):
         law = variants[0].remembering[k]
         for mine, recording, motion in _passes(windows, f"what {law.effect} of {law.at} remembers"):
             into[:, mine] = memories(variants, k, delays, recording, motion, time[mine])
+
+
+def behind(variant: Physics, windows: Windows, joint: str) -> float:
+    """By how much the motion of a joint is late in a variant, s: its sensor lags there by more than in the model that
+    the motion was told by.
+    """
+    late, model = 0.0, variant.model
+    for lag in variant.stage("lag"):
+        sensor = model.sensor(lag.at)
+        if sensor.type[0] == mujoco.mjtSensor.mjSENS_JOINTPOS and sensor.objid[0] == model.joint(joint).id:
+            late += float(lag.data[0]) - windows.lags.get(lag.at, 0.0)
+    return late
 
 
 def _passes(windows: Windows, what: str) -> Iterator[tuple[NDArray[np.bool_], Recording, Motion]]:

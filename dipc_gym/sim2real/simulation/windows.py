@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ class Windows:
             before, as the heat of a motor does.
         late: delay of the latest sensor of the model that told the motions, s: so long before its first sample a
             window begins, in these motions as in simulations.
+        lags: time constants of the sensors that lag in that model, s, by their names.
     """
 
     recordings: tuple[Recording, ...]
@@ -42,6 +43,7 @@ class Windows:
     noise: Array
     motions: tuple[Motion, ...] = ()
     late: float = 0.0
+    lags: Mapping[str, float] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.start)
@@ -85,9 +87,19 @@ class Windows:
             valid=np.pad(self.valid, ((0, 0), (0, more))),
         )
 
-    def begun(self, before: float = 0.0) -> Array:
-        """Positions and velocities of the base joints, (n, 2 nb), where windows begin, or so many seconds before."""
-        return initial_states(self.motions, self.source, self.start - self.late - before)
+    def begun(self, before: float = 0.0, behind: Sequence[float] = ()) -> Array:
+        """Positions and velocities of the base joints, (n, 2 nb), where windows begin.
+
+        Args:
+            before: or so many seconds before.
+            behind: by how much the motion of each joint is late, s, (nb,); none of them if empty.
+        """
+        time = self.start - self.late - before
+        out = initial_states(self.motions, self.source, time)
+        for joint in np.flatnonzero(behind):
+            columns = [joint, len(behind) + joint]
+            out[:, columns] = initial_states(self.motions, self.source, time + behind[joint])[:, columns]
+        return out
 
     def after_the_first(self, at: float) -> NDArray[np.bool_]:
         """Whether `at` seconds after each window's start its recording has begun, or gone on after a gap, (n,): before,
