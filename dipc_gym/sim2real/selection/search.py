@@ -187,7 +187,19 @@ class Search:
         found = self._with_the_past(self.progress.current)
         if found.structure.terms and not self._ended:
             self._look(found, at_noise=True)
+            self._look_at_less(found)
         return found
+
+    def _look_at_less(self, found: Fit) -> None:
+        """Note a fit without one of several effects that shows recordings to be a simulation's: the other may be what
+        steps cost, of which a swing or a coupling takes up most.
+        """
+        several = len(found.structure.terms) > 1 and self._asks_whence
+        if not several or self._ended or not simulated.steps_cost(self.partition.problem, found):
+            return
+        for term in found.structure.terms:
+            if not self._ended:
+                self._look(self.fitter.without(found, term.key), at_noise=True)
 
     def _look(self, found: Fit, *, at_noise: bool = False) -> None:
         """Note a fit that shows recordings to be a simulation's."""

@@ -60,6 +60,19 @@ def look_simulated(problem: Problem, fitted: Fit, coulomb: Effect | None = None,
     return _told(simulated.mse, after, few.blocks)
 
 
+def steps_cost(problem: Problem, fitted: Fit) -> bool:
+    """Whether a fit predicts otherwise in the model's own steps, by enough to be taken for physics.
+
+    Args:
+        problem: windows.
+        fitted: to these.
+    """
+    if problem.stepping.integrator is None or any(term.effect.needs_loader for term in fitted.structure.terms):
+        return False
+    own = fit(in_own_steps(problem, fitted.structure), as_simulated(fitted.structure), fitted.z, fitted.initial, most=0)
+    return abs(own.error - fitted.error) > SEARCH.steps_cost
+
+
 def _told(simulated: Array, fine: Array, blocks: NDArray[np.intp]) -> bool:
     """Whether the model's own steps, which predict to the noise, predict clearly better than fine ones do.
 
