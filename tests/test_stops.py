@@ -13,6 +13,7 @@ from dipc_gym import mjcf, physics
 from dipc_gym.engine import Uncovered, constraints, program
 from dipc_gym.engine.check import check
 from dipc_gym.mjcf.edit import Document
+from dipc_gym.recording import Recording
 from dipc_gym.sim2real import catalogue, diagnose
 from dipc_gym.sim2real.effects.load_stop import Stop, _begins
 from dipc_gym.sim2real.simulation.batch import Stepping, simulate
@@ -158,3 +159,26 @@ def test_a_stop_is_found_beside_friction_and_written_for_plain_mujoco() -> None:
     assert model.jnt_limited[0]
     assert model.jnt_range[0, 1] == pytest.approx(0.03, abs=2e-5)
     assert model.jnt_range[0, 0] < -1e3
+
+
+def test_a_stop_of_a_simulation_is_mujocos_own_limit() -> None:
+    """Whoever tries a diagnosis writes `range` into the model that is simulated, with MuJoCo's defaults at its step: a
+    spring and a damper leave a seventh of the blow.
+    """
+    text = CART.replace('timestep="0.001" integrator="implicitfast"', 'timestep="0.002" integrator="Euler"')
+    euler = {"step": 2e-3, "integrator": mujoco.mjtIntegrator.mjINT_EULER}
+
+    def runs(model: str) -> list[Recording]:
+        rig = physics.load(mjcf.from_text(model))
+        return [record(rig, sweep(6.0), 10.0, noise=2e-5, period=0.004, seed=seed, **euler) for seed in (1, 2)]
+
+    free = runs(text)[0].sensors
+    ends = [round(0.7 * float(end), 3) for end in (free.min(), free.max())]
+    limited = text.replace('damping="21.4"', f'damping="21.4" limited="true" range="{ends[0]} {ends[1]}"')
+    found = diagnose(mjcf.from_text(text), runs(limited))
+    assert [(one.effect, one.at) for one in found.missing] == [("load.stop", "cart")]
+    assert found.held_out is not None
+    assert found.held_out.improved < 1.2
+    model = mjcf.compile(found.improved)
+    assert model.jnt_range[0] == pytest.approx(ends, abs=5e-4)
+    assert model.jnt_solref[0] == pytest.approx([0.02, 1.0], rel=0.1)

@@ -76,7 +76,12 @@ class Stop(Effect):
         return [values for shaped, values in self.proposals(evidence) if shaped.parameters == self.parameters]
 
     def edit(self, document: Document, at: str, values: Values) -> None:
-        """The joint's range, with a limit that is a spring and a damper."""
+        """The joint's range, with a limit that is a spring and a damper; where recordings are a simulation's, with one
+        of MuJoCo's own, which is neither.
+        """
+        if document.simulated:
+            Range(self.parameters, self.ends).edit(document, at, values)
+            return
         _between(document, at, values)
         document.set(document.joint(at), **bumper(values["contact_rate"], values["contact_damping"]))
 
