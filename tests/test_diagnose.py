@@ -1039,6 +1039,7 @@ def test_comparison_needs_more_than_chance() -> None:
         ((1.1, 1.0, 1.0), 1e3, 0.0, 0, 1, "recalibrated"),  # validation data say so
         ((9.0, 8.5, 8.5), 1e5, 0.3, 0, 2, "unexplained"),
         ((213.0, 53.0, 53.0), 2.5e4, 0.04, 0, 2, "unexplained"),  # of the motion two thousandths
+        ((123.0, 4.8, 0.9), 2.5e4, 0.4, 0, 1, "recalibrated"),  # all other parameters as given
     ],
 )
 def test_verdicts(

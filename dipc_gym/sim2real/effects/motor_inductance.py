@@ -19,7 +19,7 @@ class Inductance(Effect):
     parameters = (Parameter("time_constant", "s", 2e-5, 0.2, log=True),)
     rivals = ("timing.delay", "timing.sensor_lag", "timing.sensor_lag:delay", "transmission.compliance")
     finest = EFFECTS.fast
-    warm = EFFECTS.warm
+    warm = EFFECTS.slow_current
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
         """On a motor without dynamics of its own."""

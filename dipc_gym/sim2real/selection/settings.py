@@ -152,6 +152,7 @@ class SearchSettings:
         pairs: pairs that predict alike and are fitted to all windows, the plainest first: each costs full fits
         held_to: standard deviations, in sizes of the law, with which one of no kind is held to nothing beside effects
             with names, the tightest first: the last hardly holds, as when the law was found
+        as_near: times the error of what was accepted, below which what it was accepted before may be as right
         steps_cost: times the noise, by which the model's own steps predict otherwise where an effect may stand for them
         short: share of the predicted gain of a pair that its sketch must bring: of less, the straight lines misled
         halvings: of the stretches between the knots of a law, at most: six make 64 of one, as many as forces tell apart
@@ -197,6 +198,7 @@ class SearchSettings:
     kinds: int = 2
     pairs: int = 2
     held_to: tuple[float, ...] = (0.3, 1.0, 5.0)
+    as_near: float = 1.5
     steps_cost: float = 0.1
     short: float = 0.5
     halvings: int = 6

@@ -45,7 +45,7 @@ def look_simulated(problem: Problem, fitted: Fit, coulomb: Effect | None = None,
     near_enough = fitted.error <= SCORE.at_noise and structure is fitted.structure
     if problem.stepping.integrator is None or (near_enough and not at_noise):
         return False
-    if any(term.effect.needs_loader for term in structure.terms):  # MuJoCo alone has none of that
+    if not _by_mujoco_alone(structure):
         return False
     some = np.arange(0, len(problem.windows), WINDOWS.every if fitted.error > SEARCH.in_reach else 1)
     few, before = problem.pick(some), fitted.mse[some]
@@ -67,10 +67,15 @@ def steps_cost(problem: Problem, fitted: Fit) -> bool:
         problem: windows.
         fitted: to these.
     """
-    if problem.stepping.integrator is None or any(term.effect.needs_loader for term in fitted.structure.terms):
+    if problem.stepping.integrator is None or not _by_mujoco_alone(fitted.structure):
         return False
     own = fit(in_own_steps(problem, fitted.structure), as_simulated(fitted.structure), fitted.z, fitted.initial, most=0)
     return abs(own.error - fitted.error) > SEARCH.steps_cost
+
+
+def _by_mujoco_alone(structure: Structure) -> bool:
+    """Whether MuJoCo simulates all that acts in a structure; what changes readings may have been done to its output."""
+    return not any(term.effect.needs_loader and not term.effect.moves_readings for term in structure.terms)
 
 
 def _told(simulated: Array, fine: Array, blocks: NDArray[np.intp]) -> bool:

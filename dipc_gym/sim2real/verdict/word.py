@@ -43,6 +43,7 @@ def verdict(
         return "explained" if improved <= SCORE.at_floor else "partly explained"
     if unnamed:
         return "modelled" if improved <= SCORE.at_floor else "unexplained"
-    if (min(nominal, recalibrated) <= SCORE.at_floor and elsewhere <= VERDICT.elsewhere) or small:
+    # Refitted in all its parameters a model may predict other data worse than with those alone that had to change.
+    if (min(nominal, recalibrated, improved) <= SCORE.at_floor and elsewhere <= VERDICT.elsewhere) or small:
         return "recalibrated" if changed else "consistent"
     return "unexplained"

@@ -23,6 +23,7 @@ class EffectSettings:
             three per cent of how it began are left
         warm: s that bristles, currents, lags and delays need to reach their state: they take milliseconds, and the
             slowest of them a few tens
+        slow_current: the same of a current behind a filter or a weak loop, which take tens of milliseconds
         short: of that time, the share that a command's filter is short by: it needs no more
         fades: time constants that a longer one is simulated for before a window: no recording says where it was, and
             what it was off by shows until next to nothing of that is left
@@ -43,6 +44,7 @@ class EffectSettings:
     settle: float = 0.3
     swing: float = 1.2
     warm: float = 0.06
+    slow_current: float = 0.25
     short: float = 0.2
     fades: float = 8.0
     fast: float = 5e-4
