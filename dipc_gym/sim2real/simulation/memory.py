@@ -78,7 +78,7 @@ def swings(variants: Sequence[Physics], load: Load, joint: int, motion: Motion, 
     """
     time = np.broadcast_to(time, (len(variants), np.shape(time)[-1]))
     out = np.empty((2, *time.shape))
-    known: dict[tuple[tuple[Spring, ...], float, float], tuple[Array, Array]] = {}
+    known: dict[tuple[tuple[Spring, ...], float, float], Array] = {}
     for v, variant in enumerate(variants):
         held = load.held(variant.model)
         if held not in known:

@@ -96,9 +96,10 @@ class Windows:
         """
         time = self.start - self.late - before
         out = initial_states(self.motions, self.source, time)
-        for joint in np.flatnonzero(behind):
-            columns = [joint, len(behind) + joint]
-            out[:, columns] = initial_states(self.motions, self.source, time + behind[joint])[:, columns]
+        for joint, late in enumerate(behind):
+            if late:
+                columns = [joint, len(behind) + joint]
+                out[:, columns] = initial_states(self.motions, self.source, time + late)[:, columns]
         return out
 
     def after_the_first(self, at: float) -> NDArray[np.bool_]:
