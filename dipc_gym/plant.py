@@ -351,7 +351,8 @@ class Plant:
         joint = _joint(root, "cart")
         if joint is None:
             raise PlantError("friction: the model's text has no joint named 'cart'")
-        if law := _law(root):
+        law = _law(root)
+        if law and friction.coulomb > 0:
             raise PlantError(
                 f"friction: <custom> entry {shown(law)} says how large the dry friction of 'cart' is already; take it "
                 "out of the model, or leave the plant's friction out"
@@ -359,7 +360,7 @@ class Plant:
         # A polynomial's further terms stay.
         beyond = effective(root, joint, "damping").split()[1:]
         joint.set("damping", " ".join([repr(friction.viscous), *beyond]))
-        if _frictionloss(root, joint):
+        if friction.coulomb > 0 and _frictionloss(root, joint):
             joint.set("frictionloss", "0")
         own = _bristles(root)
         for element in own:  # of names that the model's sensors may hold

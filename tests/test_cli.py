@@ -71,32 +71,24 @@ def test_train_record_render_go_together(tmp_path: Path, capsys: pytest.CaptureF
     assert direct.figures.test_mse == pytest.approx(trained.figures.test_mse, rel=0.1)
 
 
-def test_notes_of_the_recording_that_is_trained_from_are_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """And --map and --unit do what the notes ask for."""
+def test_a_recording_in_another_unit_is_not_trained_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And --map and --unit do what the refusal asks for."""
     run = identify(seed=1).run
     recording.write(run, tmp_path / "metres.csv")
     in_mm = dataclasses.replace(run, sensors=1000 * run.sensors)
     recording.write(in_mm, log := tmp_path / "log.csv")
     log.write_text(log.read_text().replace("time,motor,cart", "time,motor,x", 1))
     train = ["train", "--compensator", "feedforward", "--overwrite", "--out", str(tmp_path / "mine.json")]
-    assert main([*train, "--recording", str(log), "--map", "x=cart"]) == 0
-    assert "note: " in (said := capsys.readouterr().out)
-    assert "--unit cart=mm" in said
+    assert main([*train, "--recording", str(log), "--map", "x=cart"]) == 2
+    assert "looks like millimetres; say --unit cart=mm" in capsys.readouterr().err
     assert main([*train, "--recording", str(log), "--map", "x=cart", "--unit", "cart=mm"]) == 0
     assert "millimetres" not in capsys.readouterr().out
     mine = compensators.load(tmp_path / "mine.json").to_dict()["parameters"]
     assert main([*train, "--recording", str(tmp_path / "metres.csv")]) == 0
     assert compensators.load(tmp_path / "mine.json").to_dict()["parameters"] == pytest.approx(mine)
-
-    def stop(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("dipc_gym.experiments.compare.run", stop)
     log.write_text(log.read_text().replace("time,motor,x", "time,motor,cart", 1))
-    assert main(["compare", "--out", str(tmp_path / "out"), "--recording", str(log)]) == 130
-    assert "--unit cart=mm" in capsys.readouterr().out
+    assert main(["compare", "--out", str(tmp_path / "out"), "--recording", str(log)]) == 2
+    assert "looks like millimetres" in capsys.readouterr().err
 
 
 OBSERVED = str(Path(policy.__file__).parent / "policies" / "ppo-observed.json")

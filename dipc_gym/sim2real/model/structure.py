@@ -310,7 +310,16 @@ class Structure:
         """
         if self._hides:
             return max(self.activated, EFFECTS.swing if np.any(self.model.tendon_stiffness > 0) else EFFECTS.settle)
+        if self._filters:
+            return max(self.activated, EFFECTS.slow_current)
         return max(self.activated, EFFECTS.warm if self.model.na > 0 or self._lagging else 0.0)
+
+    @property
+    def _filters(self) -> bool:
+        """Whether a force of the nominal model follows its command by a winding's current or a filter."""
+        kind = mujoco.mjtDyn
+        filters = np.isin(self.model.actuator_dyntype, [kind.mjDYN_DCMOTOR, kind.mjDYN_FILTER, kind.mjDYN_FILTEREXACT])
+        return bool((filters & (self.model.actuator_dynprm[:, 0] > 0)).any())
 
     @functools.cached_property
     def activated(self) -> float:
