@@ -10,7 +10,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import VectorWrapper
 from numpy.typing import NDArray
 
 from dipc_gym import compensators
@@ -19,7 +18,7 @@ from dipc_gym.compensators.memory import check_period
 from dipc_gym.plant import Plant
 from dipc_gym.safety import actions
 from dipc_gym.safety.naming import suggestion
-from dipc_gym.wrappers.estimate import EstimateState, check_volts, refuse_blind
+from dipc_gym.wrappers.estimate import EstimateState, check_volts, refuse_blind, wrappers
 from dipc_gym.wrappers.vector_estimate import VectorEstimateState
 
 Array = NDArray[np.float64]
@@ -129,11 +128,7 @@ class ForceCommand(
 
 def estimating(env: Any) -> Any:
     """The `EstimateState` (or its vector twin) among an environment's wrappers, or None."""
-    while not isinstance(env, (EstimateState, VectorEstimateState)):
-        if not isinstance(env, (gymnasium.Wrapper, VectorWrapper)):
-            return None
-        env = env.env
-    return env
+    return next((one for one in wrappers(env) if isinstance(one, (EstimateState, VectorEstimateState))), None)
 
 
 def own_compensator(

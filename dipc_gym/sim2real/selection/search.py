@@ -194,14 +194,15 @@ class Search:
         """Note another fit of the last round that shows recordings to be a simulation's: what steps cost may be more
         than what tells two effects apart.
         """
-        fitted = [one.fitted for one in self.progress.rounds[-1] if one.fitted is not None]
-        close = sorted((one for one in fitted if one.error < SEARCH.as_near * found.error), key=lambda one: one.error)
         if not self._asks_whence or self._ended or not SCORE.at_noise < found.error < SEARCH.in_reach:
             return
-        if simulated.steps_cost(self.partition.problem, found):
-            for one in close[: SEARCH.finalists]:
-                if not self._ended:
-                    self._look(one)
+        if not simulated.steps_cost(self.partition.problem, found):
+            return
+        fitted = [one.fitted for one in self.progress.rounds[-1] if one.fitted is not None]
+        close = [one for one in fitted if one.error < SEARCH.as_near * found.error]
+        for one in sorted(close, key=lambda one: one.error)[: SEARCH.finalists]:
+            if not self._ended:
+                self._look(one)
 
     def _look_at_less(self, found: Fit) -> None:
         """Note a fit without one of several effects that shows recordings to be a simulation's: the other may be what
