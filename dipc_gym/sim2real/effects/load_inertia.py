@@ -23,7 +23,7 @@ class Inertia(Effect):
     id = "load.inertia"
     place = "joint"
     parameters = (Parameter("inertia", "kg", 0.0),)
-    rivals = ("transmission.compliance", "load.swinging", "motor.inductance", "timing.delay")
+    rivals = ("load.payload", "transmission.compliance", "load.swinging", "motor.inductance", "timing.delay")
     shown_by = "fast reversals in postures in which the joint carries little, and in others in which it carries much"
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:

@@ -27,7 +27,7 @@ class Tilt(Effect):
 
     id = "load.tilt"
     place = "world"
-    rivals = ("load.constant", "sensor.bias")
+    rivals = ("load.constant", "sensor.bias", "load.payload")
 
     def __init__(self, about: str = "xy") -> None:
         self.about = about

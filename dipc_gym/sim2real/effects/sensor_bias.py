@@ -17,7 +17,7 @@ class Bias(Effect):
     place = "sensor"
     linear = ("bias",)
     parameters = (Parameter("bias", "reading"),)
-    rivals = ("load.constant", "load.tilt")
+    rivals = ("load.constant", "load.tilt", "load.payload")
     needs_loader = True
     moves_readings = True
 

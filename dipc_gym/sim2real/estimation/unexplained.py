@@ -14,7 +14,16 @@ from dipc_gym import mjcf
 from dipc_gym.mjcf.model import base_joints
 from dipc_gym.physics import Physics
 from dipc_gym.recording import Recording
-from dipc_gym.sim2real.effects.shared.base import Effect, Evidence, Misread, Place, joint_of, rms, sensed_joint
+from dipc_gym.sim2real.effects.shared.base import (
+    Effect,
+    Evidence,
+    Misread,
+    Place,
+    Together,
+    joint_of,
+    rms,
+    sensed_joint,
+)
 from dipc_gym.sim2real.effects.shared.coupling import base_inertia, inertia_at
 from dipc_gym.sim2real.effects.shared.smoothing import width_for
 from dipc_gym.sim2real.estimation.fit import Fit
@@ -101,6 +110,7 @@ class Scene:
             self._misread(name) if place == "sensor" else None,
             width_for(rms(self.force[:, j]), float(self.noise[j]), period),
             self.resisting[:, j] / goes,
+            Together(self.position, self.velocity, self.force),
         )
 
     def _misread(self, sensor: str) -> Misread | None:

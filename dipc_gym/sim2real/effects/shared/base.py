@@ -98,6 +98,21 @@ class Misread:
 
 
 @dataclass(frozen=True)
+class Together:
+    """All base joints at once, (n, nb) each.
+
+    Attributes:
+        position: m or rad.
+        velocity: m/s or rad/s.
+        force: that the model does not explain, N or N m.
+    """
+
+    position: Array
+    velocity: Array
+    force: Array
+
+
+@dataclass(frozen=True)
 class Evidence:
     """What is known at one place before an effect is fitted there; first guesses come from it.
 
@@ -120,6 +135,7 @@ class Evidence:
         misread: what is left of the sensor's readings; None where the place is no sensor.
         width: s, to which the force has to be smoothed, so that little of it is noise; see `effects.shared.smoothing`.
         resisting: force of the dry friction that the model has there already, N or N m, (n,); empty without.
+        together: the same of all joints; None where one alone is looked at.
     """
 
     model: mujoco.MjModel
@@ -140,6 +156,7 @@ class Evidence:
     misread: Misread | None = None
     width: float = SMOOTHING.widest
     resisting: Array = field(default_factory=lambda: np.zeros(0))
+    together: Together | None = None
 
     @property
     def force_scale(self) -> float:
