@@ -217,3 +217,32 @@ def test_evidence_of_a_finger_that_follows_is_that_of_the_one_that_leads_it() ->
     assert follows.position == pytest.approx(-0.5 * leads.position)
     assert follows.force == pytest.approx(-2 * leads.force)
     assert follows.inertia == pytest.approx(4 * leads.inertia)
+
+
+@pytest.mark.parametrize("step", [0.002, 0.0005])
+def test_windows_begin_with_a_soft_tie_as_far_apart_as_it_has_given_way(step: float) -> None:
+    """MuJoCo's own ties give way by more than encoders are wrong by; the model that made the motion predicts it."""
+    soft = gripper().replace(' solref="0.002 1" solimp="0.9999 0.9999 0.001"', "")
+    run = record(physics.load(mjcf.from_text(soft)), sweep(2.0), 4.0, noise=5e-6, step=step, integrator=RK4)
+    cut = prepared(soft, [run], stepping=Stepping(step, RK4))
+    assert cut.structure.warm > 0.1  # some time constants of 20 ms and more
+    assert fit(cut.problem, cut.structure, most=0).error < 1.2
+
+
+def test_windows_that_begin_with_a_recording_remember_nothing_of_what_was_run_in_before_them() -> None:
+    """In both simulators; what springs gave way by while nothing was recorded is nobody's knowledge."""
+    document = Document(mjcf.from_text(gripper()))
+    document.remembering("load.creeping", "left", (60.0, 0.05, 0.0, 0.01, 0.04, 0.15))
+    ours, theirs = (
+        physics.load(mjcf.from_text(document.text().replace("<option ", f"<option {way} "))) for way in ("", THIN)
+    )
+    run = record(ours, sweep(2.0), 1.0, noise=2e-5, step=5e-4, integrator=RK4)
+    ready = prepared(document.text(), [run], stepping=Stepping(5e-4, RK4))
+    windows = ready.problem.windows
+    states = np.stack([windows.begun(before) for before in (0.2, 0.0)])
+    for rig in (ours, theirs):
+        predicted = simulate(
+            [rig], windows, states[1:], Stepping(5e-4, RK4), base=["left"], warm=0.2, approach=states[:1]
+        )
+        first = np.abs(predicted[0, 0, :, 0] - windows.observed[0, :, 0])
+        assert first.max() < 2e-4  # else what a fifth of a second of motion bends

@@ -101,10 +101,37 @@ def settles(model: mujoco.MjModel) -> float:
             found.append(of_tendon(model, t, [], []))
     fastest = 0.0
     for one in found:
-        hard = max(one.numbers[Stop.FIRST], one.numbers[Stop.LAST])  # of what is wanted, as much comes about
-        pull, half = hard**2 * one.numbers[Stop.PULL], hard * one.numbers[Stop.DRAG] / 2
+        pull, half = _spring(one)
         fastest = max(fastest, half + math.sqrt(half**2 - pull) if half**2 > pull else math.sqrt(pull))
     return 1 / fastest if fastest > 0 else math.inf
+
+
+def relaxes(model: mujoco.MjModel) -> float:
+    """The longest time constant with which one of a model's ties that the engine has gives way, s; 0 without any.
+
+    Example:
+        >>> bodies = "".join(f'<body><joint name="{x}" type="slide"/><geom size="1"/></body>' for x in "ab")
+        >>> tie = '<equality><joint joint1="a" joint2="b" solref="0.02 1"/></equality>'
+        >>> model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody>{tie}</mujoco>")
+        >>> round(relaxes(model), 4)
+        0.02
+    """
+    found, slowest = list[Constraint](), 0.0
+    with contextlib.suppress(Uncovered):
+        found = ties(model)
+    for one in found:
+        pull, half = _spring(one)
+        slow = half - math.sqrt(max(half**2 - pull, 0.0))
+        slowest = max(slowest, 1 / slow if slow > 0 else math.inf)
+    return slowest
+
+
+def _spring(one: Constraint) -> tuple[float, float]:
+    """Square of a constraint's rate, 1/s^2, and half its damping, 1/s: of what is wanted, as much comes about as it is
+    hard.
+    """
+    hard = max(one.numbers[Stop.FIRST], one.numbers[Stop.LAST])
+    return hard**2 * one.numbers[Stop.PULL], hard * one.numbers[Stop.DRAG] / 2
 
 
 def _tie(model: mujoco.MjModel, e: int) -> Constraint:

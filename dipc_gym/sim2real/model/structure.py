@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
-from dipc_gym.engine.constraints import settles
+from dipc_gym.engine.constraints import relaxes, settles
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.shared.base import Effect, Parameter
@@ -305,14 +305,16 @@ class Structure:
 
     @functools.cached_property
     def _own_warm(self) -> float:
-        """How long the nominal model needs, s: windings, bristles, lagging sensors, joints behind a gap and activations
-        of muscles and cylinders remember.
+        """How long the nominal model needs, s: windings, bristles, lagging sensors, joints behind a gap, ties that give
+        way, and activations of muscles and cylinders remember.
         """
+        # A tie without a damper never comes to rest: it is run in for as long as a load that swings.
+        remembers = max(self.activated, min(EFFECTS.fades * relaxes(self.model), EFFECTS.swing))
         if self._hides:
-            return max(self.activated, EFFECTS.swing if np.any(self.model.tendon_stiffness > 0) else EFFECTS.settle)
+            return max(remembers, EFFECTS.swing if np.any(self.model.tendon_stiffness > 0) else EFFECTS.settle)
         if self._filters:
-            return max(self.activated, EFFECTS.slow_current)
-        return max(self.activated, EFFECTS.warm if self.model.na > 0 or self._lagging else 0.0)
+            return max(remembers, EFFECTS.slow_current)
+        return max(remembers, EFFECTS.warm if self.model.na > 0 or self._lagging else 0.0)
 
     @property
     def _filters(self) -> bool:

@@ -25,7 +25,7 @@ from dipc_gym.recording.held import held_mean
 from dipc_gym.sim2real.simulation.commands import first_moments, per_step
 from dipc_gym.sim2real.simulation.compiled import compiled, predicted
 from dipc_gym.sim2real.simulation.dry_friction import DryFriction
-from dipc_gym.sim2real.simulation.memory import Joints, Places, begin
+from dipc_gym.sim2real.simulation.memory import Joints, Places, begin, forget
 from dipc_gym.sim2real.simulation.windings import steady_currents
 from dipc_gym.sim2real.simulation.windows import Windows
 
@@ -245,18 +245,15 @@ class _Runs:
     def put_back(self, initial: Array, at: int = 0) -> None:
         """Put the joints at positions and velocities (variants, n, 2 nb), `at` steps after each window's start.
 
-        Whatever hides behind a gap keeps its place relative to them, or is where they are if the recording begins only
-        then; springs that yield stay as bent as they are.
+        Whatever follows them keeps its place relative to them, or is where they are if the recording begins only then;
+        springs that yield stay as bent as they are.
         """
-        places, (_, hidden, leaders, *_) = self._places(), self._joints
+        places = self._places()
         before = places.position.copy()
-        each = (places.position, places.velocity)
-        begun = self.windows.after_the_first(at * self.step)[:, None]
-        apart = [np.where(begun, state[..., hidden] - state[..., leaders], 0.0) for state in each]
-        places.put(self._joints, initial)
-        for state, kept in zip(each, apart, strict=True):
-            state[..., hidden] += kept
+        places.put(self._joints, initial, self.windows.after_the_first(at * self.step)[:, None])
         places.stay_bent(self.sims.model, places.position - before)
+        if at == 0:
+            forget(places, initial, self.variants, self.windows, self.names, self.delays)
 
     def _places(self) -> Places:
         """Where the batch holds what windows begin with."""

@@ -21,7 +21,7 @@ from dipc_gym.engine.run import Commands, Directions, Jobs, differentiate, run
 from dipc_gym.physics import Moment, Physics
 from dipc_gym.recording import Recording
 from dipc_gym.sim2real.simulation.commands import changed_by
-from dipc_gym.sim2real.simulation.memory import Joints, Places, begin, remembering
+from dipc_gym.sim2real.simulation.memory import Joints, Places, begin, forget, remembering
 from dipc_gym.sim2real.simulation.motion import initial_states
 
 if TYPE_CHECKING:
@@ -180,23 +180,33 @@ class Compiled:
         """States (..., windows, nx) with base joints at positions and velocities (..., windows, 2 nb), `at` seconds
         after each window's start.
 
-        What hides behind a gap keeps its place relative to them, or is where they are if the recording begins only
-        then; springs that yield stay as bent as they are, and what a sensor remembers moves along. All of it is linear,
-        so tangents are put back in the same way.
+        What follows them keeps its place relative to them, or is where they are if the recording begins only then;
+        springs that yield stay as bent as they are, and what a sensor remembers moves along. All of it is linear, so
+        tangents are put back in the same way.
         """
-        base, hidden, leaders, coupled, leading, ratios = Joints.of(self.model, self.base)
-        n, nb = self.model.nv, len(base)
-        out, kept = states.copy(), self.windows.after_the_first(at)[:, None]
-        for part in (0, 1):
-            seen, behind, lead = ([part * n + k for k in each] for each in (base, hidden, leaders))
-            out[..., seen] = initial[..., part * nb : (part + 1) * nb]
-            out[..., [part * n + k for k in coupled]] = out[..., [part * n + k for k in leading]] * ratios
-            with np.errstate(invalid="ignore"):  # a simulation that diverged on its way here is infinite
-                out[..., behind] = out[..., lead] + np.where(kept, states[..., behind] - states[..., lead], 0.0)
-        self._places(out).stay_bent(self.model, out[..., :n] - states[..., :n])
+        n, out = self.model.nv, states.copy()
+        places = self._places(out)
+        places.put(Joints.of(self.model, self.base), initial, self.windows.after_the_first(at)[:, None])
+        places.stay_bent(self.model, out[..., :n] - states[..., :n])
         for _, lag, read, weights in self._lags:
             out[..., lag] += (out[..., read] - states[..., read]) @ weights
         return out
+
+    def forget(self, states: Array, initial: Array) -> None:
+        """Let windows with which a recording begins remember nothing, in states (variants, windows, nx) that were run
+        in.
+        """
+        forget(self._places(states), initial, self.variants, self.windows, self.base, self._delays)
+
+    def forget_changes(self, tangents: Array) -> None:
+        """The same for tangents (..., windows, nx): what is not bent goes with the joints, and all else is nothing."""
+        first = ~self.windows.after_the_first(0.0)
+        anew = tangents[..., first, :]
+        places = self._places(anew)
+        for memory in places.memories:
+            memory[:] = 0.0
+        places.stay_bent(self.model, anew[..., : self.model.nv])
+        tangents[..., first, :] = anew
 
     def as_read(self, states: Array) -> Array:
         """States (..., windows, nx) where windows begin, with lagging sensors near what they read there."""
@@ -281,6 +291,7 @@ def predicted(
         as_read: see `batch.simulate`.
     """
     commands = of.commands(warm)
+    rows = replace(of, variants=tuple(of.variants[k] for k in which), parameters=of.parameters[which])
     if warm > 0:
         assert approach is not None
         nothing = np.zeros((len(of.windows), len(of.program.sensors), 0))
@@ -293,12 +304,11 @@ def predicted(
             jobs = of.jobs(at, np.full(len(of.windows), stretch), nothing, states, commands)
             _, states = run(of.program, jobs, of.step, threads=threads)
         states = of.put_back(states[which], initial)
+        rows.forget(states, initial)
         states = of.as_read(states) if as_read else states
     else:
-        rows = replace(of, variants=tuple(of.variants[k] for k in which), parameters=of.parameters[which])
         states = rows.begun(0.0, initial)
     times, length = of.sampled()
-    rows = replace(of, parameters=of.parameters[which])
     jobs = rows.jobs(0.0, length, times, states, commands)
     if len(commands.values) > 1:
         jobs = replace(jobs, which=which.astype(np.int64))
@@ -403,6 +413,8 @@ def derivatives(
             _, _, states, tangents = differentiate(of.program, jobs, before, of.step, threads=threads)
         tangents = np.concatenate([tangents, np.zeros((nb2, *tangents.shape[1:]))])
         moved, tangents = of.put_back(states, initial), of.put_back(tangents, unit)
+        one.forget(moved[None], initial[None])
+        one.forget_changes(tangents)
         states = of.as_read(moved)
         tangents = np.where(states == moved, tangents, 0.0)
     else:

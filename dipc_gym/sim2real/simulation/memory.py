@@ -8,7 +8,7 @@ does for the heat of a winding. A recording is taken to begin with springs unben
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -185,36 +185,55 @@ def _sees(variant: Physics, which: int, delays: Array, recording: Recording, mot
 # ------------------------------------------------------------------------------------------- how windows begin
 
 
+class Following(NamedTuple):
+    """Joints that follow others.
+
+    Attributes:
+        at: where they are.
+        leaders: the joint that each follows.
+        ratios: how many times as far it goes.
+    """
+
+    at: list[int]
+    leaders: list[int]
+    ratios: list[float]
+
+
 class Joints(NamedTuple):
     """Where joints stand among positions, and likewise among velocities: all are hinges and slides.
 
     Attributes:
         base: joints that initial states describe.
+        coupled: held in proportion to a base joint by an equality constraint, which gives way.
         hidden: behind a gap or a spring; no loads, which are where the motion before has brought them.
-        leaders: the base joint that each of these follows.
-        coupled: held in proportion to a base joint by an equality constraint.
-        leading: those base joints.
-        ratios: how many times as far each of the coupled ones goes.
     """
 
     base: list[int]
-    hidden: list[int]
-    leaders: list[int]
-    coupled: list[int]
-    leading: list[int]
-    ratios: list[float]
+    coupled: Following
+    hidden: Following
 
     @classmethod
     def of(cls, model: mujoco.MjModel, base: Sequence[str]) -> Joints:
         """Those of a model, by the names of its base joints."""
         followed, ties = mjcf.followers(model), mjcf.coupled(model)
-        hidden = sorted(followed.keys() - loads(model).keys())
+        hidden = {name: (followed[name], 1.0) for name in sorted(followed.keys() - loads(model).keys())}
 
         def at(names: Iterable[str]) -> list[int]:
             return [int(model.joint(name).dofadr[0]) for name in names]
 
-        leading, ratios = [leader for leader, _ in ties.values()], [ratio for _, ratio in ties.values()]
-        return cls(at(base), at(hidden), at(followed[name] for name in hidden), at(ties), at(leading), ratios)
+        def following(led: Mapping[str, tuple[str, float]]) -> Following:
+            return Following(at(led), at(leader for leader, _ in led.values()), [ratio for _, ratio in led.values()])
+
+        return cls(at(base), following(ties), following(hidden))
+
+    def apart(self, state: Array) -> list[Array]:
+        """How far what follows is from where its leader would have it, in positions or velocities (..., nv)."""
+        return [state[..., each.at] - state[..., each.leaders] * each.ratios for each in (self.coupled, self.hidden)]
+
+    def follow(self, state: Array, apart: Sequence[Array | float]) -> None:
+        """Put what follows that far from where its leader would have it, of positions or velocities (..., nv)."""
+        for each, far in zip((self.coupled, self.hidden), apart, strict=True):  # what is coupled may lead others
+            state[..., each.at] = state[..., each.leaders] * each.ratios + far
 
 
 @dataclass(frozen=True)
@@ -236,13 +255,26 @@ class Places:
     unbent: Sequence[Array]
     remembered: Sequence[Array]
 
-    def put(self, joints: Joints, initial: Array) -> None:
-        """Put base joints at positions and velocities (variants, n, 2 nb), and what hides where its leader is."""
+    def put(self, joints: Joints, initial: Array, keep: NDArray[np.bool_] | bool = False) -> None:
+        """Put base joints at positions and velocities (variants, n, 2 nb), and what follows where its leader is.
+
+        Args:
+            joints: which is which.
+            initial: of the base joints.
+            keep: whether what follows keeps how far it was from there, broadcast over (variants, n, k).
+        """
         nb = len(joints.base)
         for state, at in ((self.position, initial[..., :nb]), (self.velocity, initial[..., nb:])):
+            # A simulation that diverged on its way here is infinite.
+            with np.errstate(invalid="ignore"):
+                apart = [np.where(keep, far, 0.0) for far in joints.apart(state)]
             state[..., joints.base] = at
-            state[..., joints.coupled] = state[..., joints.leading] * joints.ratios
-            state[..., joints.hidden] = state[..., joints.leaders]
+            joints.follow(state, apart)
+
+    @property
+    def memories(self) -> list[Array]:
+        """All that goes with the motion before."""
+        return [*self.unbent, *self.remembered]
 
     def stay_bent(self, model: mujoco.MjModel, moved: Array) -> None:
         """Let springs that yield stay as bent as they are, where joints were moved by `moved`, (variants, n, nv)."""
@@ -307,6 +339,36 @@ def begin(
         law = variants[0].remembering[k]
         for mine, recording, motion in _passes(windows, f"what {law.effect} of {law.at} remembers"):
             into[:, mine] = memories(variants, k, delays, recording, motion, time[mine])
+
+
+def forget(
+    places: Places, initial: Array, variants: Sequence[Physics], windows: Windows, base: Sequence[str], delays: Array
+) -> None:
+    """Let windows with which a recording begins, or goes on after a gap, remember nothing of what was simulated before
+    them: no recording says that it happened.
+
+    Args:
+        places: where windows begin, after they were run in.
+        initial: positions and velocities of the base joints, (variants, n, 2 nb).
+        variants: one model with different parameters.
+        windows: where recordings and their motions are.
+        base: names of the nb base joints.
+        delays: of each variant's controls, s, (variants, nu).
+    """
+    first = ~windows.after_the_first(0.0)
+    if not first.any() or not (places.unbent or places.remembered):
+        return
+    some = windows.pick(first)
+    anew = Places(
+        places.position[:, first],
+        places.velocity[:, first],
+        places.activation[:, first],
+        [unbent[:, first] for unbent in places.unbent],
+        [remembered[:, first] for remembered in places.remembered],
+    )
+    begin(anew, initial[:, first], variants, some, base, delays, some.start - some.late)
+    for ours, theirs in zip(places.memories, anew.memories, strict=True):
+        ours[:, first] = theirs
 
 
 def behind(variant: Physics, windows: Windows, joint: str) -> float:
