@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
+from dipc_gym.mjcf.bare import bare
 from dipc_gym.mjcf.edit import Document, text, written_out
 from dipc_gym.safety.naming import suggestion
 from dipc_gym.sim2real.effects.shared.base import is_dcmotor
@@ -256,12 +257,13 @@ def _all_of(name: str, attribute: str) -> Callable[[Document, float], None]:
 
 def _takes_mass(document: Document, model: mujoco.MjModel, name: str, write: Callable[[Document, float], None]) -> bool:
     """Whether a mass that is written becomes that of the body and leaves all others as they are."""
-    mass, inertia, edited = model.body_mass.copy(), model.body_inertia.copy(), document.copy()
+    light = bare(document, model)
+    mass, inertia, edited = model.body_mass.copy(), model.body_inertia.copy(), light.copy()
     mass[model.body(name).id] *= 1.1
     inertia[model.body(name).id] *= 1.1
     write(edited, float(mass[model.body(name).id]))
     try:
-        made = mjcf.compile(document.source.edited(edited.text()), trusted=True)
+        made = mjcf.compile(light.source.edited(edited.text()), trusted=True)
     except mjcf.MjcfError:
         return False
     pairs = (made.body_mass, mass), (made.body_inertia, inertia), (made.body_ipos, model.body_ipos)

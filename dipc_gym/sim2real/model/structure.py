@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dipc_gym import mjcf, physics
 from dipc_gym.engine.constraints import relaxes, settles
+from dipc_gym.mjcf.bare import bare
 from dipc_gym.mjcf.edit import Document
 from dipc_gym.physics import Physics
 from dipc_gym.sim2real.effects.shared.base import Effect, Parameter
@@ -264,7 +265,11 @@ class Structure:
 
     def write(self, z: Array) -> Document:
         """The nominal document with these parameters and effects written in."""
-        document, values = self.document.copy(), self.values(z)
+        return self._written(self.document, z)
+
+    def _written(self, document: Document, z: Array) -> Document:
+        """A copy of a document of the nominal model with these parameters and effects written in."""
+        document, values = document.copy(), self.values(z)
         for parameter in self.model_parameters:
             parameter.write(document, values[parameter.key])
         # A rotor of its own first: what acts on the drive acts on that, whichever of both was found before.
@@ -281,7 +286,8 @@ class Structure:
         key = self._own, z.tobytes()
         made = _models.pop(key, None)
         if made is None:
-            source = self.document.source.edited(self.write(z).text())
+            document = bare(self.document, self.model)
+            source = document.source.edited(self._written(document, z).text())
             made = physics.from_model(mjcf.compile(source, trusted=True))
         _models[key] = made  # at the end, so that those go that nobody asked for lately
         while len(_models) > MODEL.kept:
