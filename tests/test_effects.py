@@ -29,6 +29,7 @@ from dipc_gym.sim2real.effects.friction_resting_law import RestingOfAnyLaw
 from dipc_gym.sim2real.effects.load_creeping import _stretch
 from dipc_gym.sim2real.effects.load_creeping_law import CreepingSpringOfAnyLaw
 from dipc_gym.sim2real.effects.load_swinging_law import SwingingLoadOfAnyLaw
+from dipc_gym.sim2real.effects.load_tilt import Tilt
 from dipc_gym.sim2real.effects.motor_map import CommandMap
 from dipc_gym.sim2real.effects.motor_sag_law import SagOfAnyLaw
 from dipc_gym.sim2real.effects.sensor_map import ScaleMap
@@ -829,3 +830,11 @@ def test_a_supply_loses_no_more_than_all_of_its_force_in_words_either() -> None:
     numbers = {"time_constant": 30.0, "more_1": 0.4, "more_2": 0.9, "current": 6.0, "gain": 1.0, "back": 0.0}
     said = SagOfAnyLaw(numbers).sentence("motor", numbers, {"current": "V"})
     assert "under a command of 3 V it comes to lose 40 % of its force, under 6 V 100 %" in said
+
+
+@pytest.mark.parametrize(
+    ("about", "angles", "said"), [("y", (-0.0524,), "-3 degrees about y"), ("xy", (0.03, -0.04), "2.9 degrees.")]
+)
+def test_a_tilt_says_which_way_where_one_axis_is_felt(about: str, angles: tuple[float, ...], said: str) -> None:
+    values = {f"about_{axis}": angle for axis, angle in zip(about, angles, strict=True)}
+    assert said in Tilt(about).sentence("world", values, {})

@@ -57,8 +57,9 @@ class Tilt(Effect):
 
     def sentence(self, at: str, values: Values, unit: Mapping[str, str]) -> str:
         """In words."""
-        degrees = np.degrees(np.linalg.norm([values[p.name] for p in self.parameters]))
-        about = f" about {self.about}" if len(self.about) == 1 else ""
+        angles = np.degrees([values[p.name] for p in self.parameters])
+        alone = len(angles) == 1  # else which way it leans is said by the numbers
+        degrees, about = (angles[0], f" about {self.about}") if alone else (np.linalg.norm(angles), "")
         return f"The rig is tilted by {degrees:.2g} degrees{about}."
 
 

@@ -102,11 +102,13 @@ def in_one_sentence(
     if verdict == "consistent":
         told = " and ".join(f"{_shown(one.errors.nominal, one.unit)} at {one.name}" for one in _telling(sensors))
         within = f"{told + ', ' if told else ''}{errors.nominal:.3g} times the noise"
-        return f"Nothing is missing: the model predicts held-out data to {within}.{left}"
+        nothing = "Nothing that is large beside the motion" if left else "Nothing"
+        return f"{nothing} is missing: the model predicts held-out data to {within}.{left}"
     if verdict == "recalibrated":
         names = ", ".join(called(c["parameter"], c["at"]) for c in changed)
         instead = " (or others, which predict as well: see the notes)" if others else ""
-        return f"No physics is missing; wrong parameters were: {names}{instead}. {fall}.{left}"
+        none = "No physics that is large beside the motion" if left else "No physics"
+        return f"{none} is missing; wrong parameters were: {names}{instead}. {fall}.{left}"
     if verdict == "explained":
         where = " there" if beyond is not None else ""
         return f"The model lacks this: {known} {fall}; what is left{where} is as small as noise."
