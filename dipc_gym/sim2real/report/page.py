@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 VERDICTS: dict[Verdict, str] = {
     "consistent": "The model predicts these recordings: nothing is missing that is large beside noise or motion.",
-    "recalibrated": "Some parameters of the model were off; nothing else is missing that is large beside noise or motion.",
+    "recalibrated": "Parameters of the model were off; nothing else is missing that is large beside noise or motion.",
     "explained": "With the physics that was missing, prediction comes down to the noise.",
     "modelled": "Prediction comes down to the noise with a law that has no name: a fit, not yet an understanding.",
     "partly explained": "The physics named here helps. Some structure is left that no known effect accounts for.",
