@@ -61,7 +61,7 @@ class Payload(Effect):
         return joint.id == last and bool(_felt(model, body, _half_sizes(model, body)))
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
-        """At the body's centre of mass, and where a mass would pull most like the unexplained force."""
+        """Where a mass would pull most like the unexplained force of all joints; its centre of mass, without these."""
         model = evidence.model
         body = int(model.joint(evidence.at).bodyid[0])
         size = _half_sizes(model, body)
@@ -70,7 +70,7 @@ class Payload(Effect):
         found = [(SHARE * float(model.body_subtreemass[body]), model.body_ipos[body])]
         if evidence.together is not None:
             axes = [AXES.index(axis) for axis in felt]
-            found += seat(evidence, body, axes, NEAR * float(size.max()))
+            found = seat(evidence, body, axes, NEAR * float(size.max()))
         ball = 0.4 * (SMALL * float(size.max())) ** 2
         return [
             (payload, {"mass": mass, "inertia": ball * mass, **dict(zip(AXES, place.tolist(), strict=True))})

@@ -19,8 +19,9 @@ from dipc_gym.sim2real.effects.shared.smoothing import smoothing
 
 Array = NDArray[np.float64]
 
-MOMENTS = 1000  # of the motion that are looked at: more would say the same
+MOMENTS = 250  # of the motion that are looked at: more would say the same
 SIDE = 9  # places along each axis that are looked at first
+LEAST = 0.1  # share of the unexplained force that a mass has to take to be simulated
 HALVINGS = 6  # of the distance between them, around the best ones
 PRODUCTS = tuple(itertools.combinations_with_replacement(range(3), 2))  # of a place's coordinates
 
@@ -30,7 +31,8 @@ for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
 
 
 def seat(evidence: Evidence, body: int, axes: list[int], reach: float) -> list[tuple[float, Array]]:
-    """The mass, kg, and its place in the body's frame, (3,) m, that explain most of the force; none if no mass does.
+    """The mass, kg, and its place in the body's frame, (3,) m, that explain most of the force; none if it takes so
+    little of it that a simulation would tell nothing.
 
     Args:
         evidence: of a joint of the body, with the motion of all joints.
@@ -48,7 +50,7 @@ def seat(evidence: Evidence, body: int, axes: list[int], reach: float) -> list[t
         place = around[np.argmax(_told(around, normal, right)[0])]
         near, steps = near / (SIDE - 1) if len(steps) == SIDE else near / 2, np.array([-1.0, 0.0, 1.0])
     gain, mass = _told(place[None], normal, right)
-    return [(float(mass[0]), place)] if gain[0] > 0 else []
+    return [(float(mass[0]), place)] if gain[0] > LEAST * float(np.sum(force**2)) else []
 
 
 def _told(places: Array, normal: Array, right: Array) -> tuple[Array, Array]:
