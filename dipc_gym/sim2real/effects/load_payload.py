@@ -54,11 +54,14 @@ class Payload(Effect):
         self.parameters = (Parameter("mass", "kg", 0.0, translated=False), own, *places)
 
     def fits(self, model: mujoco.MjModel, at: str) -> bool:
-        """Where joints feel not only how heavy it is but also where it sits; at the last joint of a body."""
+        """Where several joints feel it, and also where it sits; at the last joint of a body. To one joint alone it is
+        another mass and centre of mass.
+        """
         joint = model.joint(at)
         body = int(joint.bodyid[0])
         last = int(model.body_jntadr[body] + model.body_jntnum[body]) - 1
-        return joint.id == last and bool(_felt(model, body, _half_sizes(model, body)))
+        alone = int(model.dof_parentid[joint.dofadr[0]]) < 0
+        return joint.id == last and not alone and bool(_felt(model, body, _half_sizes(model, body)))
 
     def proposals(self, evidence: Evidence) -> Sequence[tuple[Effect, Values]]:
         """Where a mass would pull most like the unexplained force of all joints; its centre of mass, without these."""
