@@ -7,7 +7,6 @@ made of, say no more where nothing touches.
 from __future__ import annotations
 
 import weakref
-import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import mujoco
@@ -54,10 +53,7 @@ def _without_looks(document: Document, model: mujoco.MjModel) -> Document | None
         if body.get("name", of.name) != of.name:
             return None
         if body.find("inertial") is None and of.mass[0] > 0:
-            numbers = {"mass": float(of.mass[0]), "pos": of.ipos, "quat": of.iquat, "diaginertia": of.inertia}
-            made = ET.Element("inertial")
-            light.set(made, **numbers)
-            body.insert(0, made)
+            light.add_inertial(body, model, number)
     for parent in list(light.root.iter()):
         for child in list(parent):
             if (child.tag == "geom" and parent.tag in ("worldbody", "body", "frame")) or (

@@ -294,6 +294,15 @@ class Document:
                 values.insert(sum(wide[:own_at]), values[sum(wide[:other_at])])
                 self.set(key, **{attribute: " ".join(values)})
 
+    def add_inertial(self, element: ET.Element, model: mujoco.MjModel, number: int) -> ET.Element:
+        """Put an `<inertial>` with a compiled body's mass and inertia first into that body's element."""
+        body = model.body(number)
+        place = {"pos": list(body.ipos), "quat": list(body.iquat)}
+        made = self.add(element, "inertial", **place, mass=float(body.mass[0]), diaginertia=list(body.inertia))
+        element.remove(made)
+        element.insert(0, made)
+        return made
+
     def comment(self, *lines: str) -> None:
         """Put a comment at the top of the file."""
         words = "\n       ".join(re.sub("-(?=-)", "- ", line) for line in lines)
@@ -377,10 +386,7 @@ def written_out(source: Source, model: mujoco.MjModel) -> Source:
             body.set("name", document.fresh(first) if first in names else first)
             changed = True
         if framed and not by_geoms:
-            place: dict[str, Sequence[float]] = {"pos": of.ipos, "quat": of.iquat, "diaginertia": of.inertia}
-            made = document.add(body, "inertial", mass=float(of.mass[0]), **place)
-            body.remove(made)
-            body.insert(0, made)
+            document.add_inertial(body, model, of.id)
         for joint in joints:
             if any(float(word) for word in document.effective(joint, "springdamper", "0 0").split()):
                 own = model.joint(joint.get("name"))

@@ -6,7 +6,6 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -312,14 +311,11 @@ def _inertial(document: Document, model: mujoco.MjModel, name: str) -> ET.Elemen
     """
     element, body = document.body(name), model.body(name)
     inertial = element.find("inertial")
-    own: dict[str, Any] = {"mass": float(body.mass[0]), "diaginertia": list(body.inertia)}
     if inertial is None:
-        inertial = document.add(element, "inertial", pos=list(body.ipos), quat=list(body.iquat), **own)
-        element.remove(inertial)
-        element.insert(0, inertial)
-    elif inertial.get("fullinertia"):
+        return document.add_inertial(element, model, body.id)
+    if inertial.get("fullinertia"):
         del inertial.attrib["fullinertia"]
         for orientation in ("axisangle", "xyaxes", "zaxis", "euler"):
             inertial.attrib.pop(orientation, None)
-        document.set(inertial, quat=list(body.iquat), **own)
+        document.set(inertial, quat=list(body.iquat), mass=float(body.mass[0]), diaginertia=list(body.inertia))
     return inertial

@@ -201,6 +201,8 @@ class Compiled:
     def forget_changes(self, tangents: Array) -> None:
         """The same for tangents (..., windows, nx): what is not bent goes with the joints, and all else is nothing."""
         first = ~self.windows.after_the_first(0.0)
+        if not first.any() or not self._places(tangents).memories:
+            return
         anew = tangents[..., first, :]
         places = self._places(anew)
         for memory in places.memories:

@@ -356,7 +356,7 @@ def forget(
         delays: of each variant's controls, s, (variants, nu).
     """
     first = ~windows.after_the_first(0.0)
-    if not first.any() or not (places.unbent or places.remembered):
+    if not first.any() or not places.memories:
         return
     some = windows.pick(first)
     anew = Places(
